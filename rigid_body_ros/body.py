@@ -1,0 +1,256 @@
+"""
+The rigid body, its state, and the relations between torque, momentum and rotation.
+
+Body axes unless a name says `_space`. Formulas as in Goldstein, Classical Mechanics, chapters
+4 and 5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rigid_body_ros import so3
+from rigid_body_ros.so3 import Floats
+
+#: Relative size of what rounding may do to a tensor that was rotated or put together in doubles.
+ROUNDING = 1e-12
+#: Largest `triangle_excess` that is taken. Published tensors are rounded to two or three digits,
+#: which puts thin plates beyond what a distribution of mass can have; the motion is well defined.
+TRIANGLE_EXCESS = 0.03
+
+
+class RigidBody:
+    """
+    A rigid body with a constant inertia tensor.
+
+    Parameters
+    ----------
+    tensor : array, shape (3, 3), kg m^2
+        Inertia about the centre of mass in body axes; the entries of the matrix itself, so that
+        the products of inertia stand with the sign they have there (as in URDF).
+
+    Attributes
+    ----------
+    inertia : array, shape (3, 3), kg m^2
+    principal_moments : array, shape (3,), kg m^2
+        In ascending order.
+    principal_axes : array, shape (3, 3)
+        The axes of those moments as columns, in body axes, right-handed.
+    triangle_excess : float
+        By how much, relatively, the largest principal moment exceeds the sum of the other two:
+        zero for any real body, up to `TRIANGLE_EXCESS` where published digits were rounded.
+    symmetry : str
+        'sphere', 'symmetric top' or 'asymmetric top': how many moments agree within rounding.
+
+    Raises
+    ------
+    ValueError
+        The tensor is not 3 by 3, finite, symmetric and positive definite, or its largest
+        principal moment exceeds the sum of the others by more than rounded digits explain.
+
+    """
+
+    def __init__(self, tensor: ArrayLike) -> None:
+        self.inertia = _checked_tensor(tensor)
+        self.principal_moments, self.principal_axes = _principal(self.inertia)
+        self.triangle_excess = _checked_excess(self.principal_moments)
+        self.symmetry = _symmetry(self.principal_moments)
+        middle = np.median(np.diagonal(self.inertia))
+        #: The inverse tensor and the tensor less its middle moment, as the kernels want them.
+        self._matrices = np.stack([_inverse(self.inertia), self.inertia - middle * np.eye(3)])
+        self.inertia.flags.writeable = False
+
+    @classmethod
+    def from_moments(cls, ixx: float, iyy: float, izz: float,
+                     ixy: float = 0.0, ixz: float = 0.0, iyz: float = 0.0) -> RigidBody:
+        """Build a body from the six entries of its tensor, kg m^2; errors as for the class."""
+        return cls([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+
+    @classmethod
+    def from_point_masses(cls, masses: ArrayLike, positions: ArrayLike) -> RigidBody:
+        """
+        Build a body from point masses.
+
+        Parameters
+        ----------
+        masses : array, shape (n,), kg
+        positions : array, shape (n, 3), m
+            In body axes; any origin: the tensor is taken about the common centre of mass.
+
+        Raises
+        ------
+        ValueError
+            A mass is not positive, the shapes do not agree, or the masses lie on one line.
+
+        """
+        masses, positions = np.asarray(masses, float), np.asarray(positions, float)
+        if masses.ndim != 1 or positions.shape != (masses.size, 3):
+            raise ValueError('expected masses of shape (n,) and positions of shape (n, 3), '
+                             f'found {masses.shape} and {positions.shape}')
+        if not (masses.size and np.all(masses > 0.0)):
+            raise ValueError(f'expected masses greater than zero, found {masses.tolist()}')
+        arms = positions - masses @ positions / masses.sum()
+        squares = np.einsum('n,ni,nj->ij', masses, arms, arms)
+        return cls(np.trace(squares) * np.eye(3) - squares)
+
+    def moment_about(self, axis: ArrayLike) -> float:
+        """Return the moment of inertia n J n, kg m^2, about an axis through the centre of mass."""
+        direction = np.asarray(axis, float)
+        direction = direction / np.linalg.norm(direction)
+        return float(direction @ self.inertia @ direction)
+
+    def angular_momentum(self, angular_velocity: ArrayLike) -> Floats:
+        """Return L = J w, N m s, body axes, shape (..., 3)."""
+        return np.asarray(angular_velocity, float) @ self.inertia
+
+    def kinetic_energy(self, angular_velocity: ArrayLike) -> Floats:
+        """Return w J w / 2, J, shape (...)."""
+        w = np.asarray(angular_velocity, float)
+        return 0.5 * np.sum(w * self.angular_momentum(w), axis=-1)
+
+    def angular_acceleration(self, angular_velocity: ArrayLike,
+                             torque: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
+        """
+        Return dw/dt, rad/s^2, from Euler's equations J dw/dt = (J w) x w + tau.
+
+        Parameters
+        ----------
+        angular_velocity : array, shape (..., 3), rad/s, body axes
+        torque : array, shape (..., 3), N m, body axes
+
+        Returns
+        -------
+        array, shape (..., 3)
+
+        """
+        w = np.asarray(angular_velocity, float)
+        inverse, shifted = self._matrices
+        return (np.cross(w @ shifted, w) + np.asarray(torque, float)) @ inverse
+
+    def torque(self, angular_velocity: ArrayLike, angular_acceleration: ArrayLike) -> Floats:
+        """Return the body torque tau = (dL/dt)_space in body axes, N m, shape (..., 3)."""
+        change = self.angular_momentum(angular_acceleration)
+        return rate_in_space(change, angular_velocity, self.angular_momentum(angular_velocity))
+
+
+def rate_in_space(rate_in_body: ArrayLike, angular_velocity: ArrayLike,
+                  vector: ArrayLike) -> Floats:
+    """
+    Return the rate of a vector as seen from space: (dA/dt)_space = (dA/dt)_body + w x A.
+
+    Parameters
+    ----------
+    rate_in_body : array, shape (..., 3)
+        Time derivative of the body components of A.
+    angular_velocity : array, shape (..., 3), rad/s, body axes
+    vector : array, shape (..., 3)
+        A, body axes.
+
+    Returns
+    -------
+    array, shape (..., 3)
+        In body axes.
+
+    """
+    w, a = np.asarray(angular_velocity, float), np.asarray(vector, float)
+    return np.asarray(rate_in_body, float) + np.cross(w, a)
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class State:
+    """
+    Attitude and angular velocity at an instant.
+
+    Parameters
+    ----------
+    time_ns : int
+    attitude : array, shape (4,)
+        x y z w, maps body vectors to space vectors. Normalised, unless it is of unit length
+        within 4 eps already.
+    angular_velocity : array, shape (3,), rad/s, body axes
+
+    Raises
+    ------
+    ValueError
+        A component is not finite, or the quaternion is zero.
+
+    """
+
+    time_ns: int
+    attitude: Floats
+    angular_velocity: Floats
+    #: What rounding left over of w and q: with it a restarted run goes on bit for bit.
+    _carry: Floats = field(repr=False)
+
+    def __init__(self, time_ns: int = 0, attitude: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+                 angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+                 _carry: Floats | None = None) -> None:
+        q = _checked_vector(attitude, 4, 'attitude quaternion (x, y, z, w)')
+        if not q.any():
+            raise ValueError('attitude quaternion (x, y, z, w): expected a rotation, '
+                             f'found {q.tolist()}')
+        if abs(np.linalg.norm(q) - 1.0) > 4.0 * np.finfo(float).eps:
+            q = so3.normalize(q)
+        w = _checked_vector(angular_velocity, 3, 'angular velocity')
+        for array in (q, w):
+            array.flags.writeable = False
+        for name, value in (('time_ns', int(time_ns)), ('attitude', q), ('angular_velocity', w),
+                            ('_carry', np.zeros(7) if _carry is None else _carry)):
+            object.__setattr__(self, name, value)
+
+
+def _checked_vector(values: ArrayLike, size: int, what: str) -> Floats:
+    vector = np.array(values, float)
+    if vector.shape != (size,) or not np.all(np.isfinite(vector)):
+        raise ValueError(f'{what}: expected {size} finite numbers, found {vector.tolist()}')
+    return vector
+
+
+def _checked_tensor(values: ArrayLike) -> Floats:
+    tensor = np.array(values, float)
+    if tensor.shape != (3, 3) or not np.all(np.isfinite(tensor)):
+        raise ValueError(f'inertia: expected 3 by 3 finite numbers, found {tensor.tolist()}')
+    if np.max(np.abs(tensor - tensor.T)) > ROUNDING * np.max(np.abs(tensor)):
+        raise ValueError(f'inertia: expected a symmetric tensor, found {tensor.tolist()}')
+    return 0.5 * (tensor + tensor.T)
+
+
+def _principal(tensor: Floats) -> tuple[Floats, Floats]:
+    diagonal = np.diagonal(tensor)
+    if np.array_equal(tensor, np.diag(diagonal)):  # exact, where eigh rounds to the largest
+        order = np.argsort(diagonal, kind='stable')
+        moments, axes = diagonal[order], np.eye(3)[:, order]
+    else:
+        moments, axes = np.linalg.eigh(tensor)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 2] *= -1.0
+    return moments, axes
+
+
+def _checked_excess(moments: Floats) -> float:
+    smallest, middle, largest = moments
+    found = f'found principal moments {smallest:.17g}, {middle:.17g}, {largest:.17g} kg m^2'
+    if smallest <= 0.0:
+        raise ValueError(f'inertia: expected a positive definite tensor, {found}')
+    excess = float(largest / (smallest + middle) - 1.0)
+    if excess > TRIANGLE_EXCESS:
+        raise ValueError(f'inertia: {found}; in no rigid body does the largest exceed the sum '
+                         'of the other two')
+    return excess if excess > ROUNDING else 0.0
+
+
+def _symmetry(moments: Floats) -> str:
+    close = np.diff(moments) <= ROUNDING * moments[2]
+    return ('asymmetric top', 'symmetric top', 'sphere')[int(close.sum())]
+
+
+def _inverse(tensor: Floats) -> Floats:
+    # By cofactors after scaling to unit diagonal: exact to rounding for a diagonal tensor of any
+    # ratio of moments, where a general inverse is not.
+    scale = 1.0 / np.sqrt(np.diagonal(tensor))
+    a, b, c = tensor * np.outer(scale, scale)
+    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
+    return cofactors / (a @ cofactors[0]) * np.outer(scale, scale)

@@ -1,0 +1,286 @@
+"""
+Euler angles: the twelve sequences, as data.
+
+A sequence is named as in SciPy: three axes, upper case for intrinsic rotations (each about an
+axis of the turned body), lower case for extrinsic ones (about the axes fixed in space). 'ZXZ' is
+3-1-3: phi about space Z, theta about the line of nodes, psi about body z. All angles are active,
+in rad: they take vectors from body to space components.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rigid_body_ros import so3
+from rigid_body_ros.so3 import Floats
+
+#: sin(theta), or cos(theta) for three different axes, below which the outer two angles are
+#: reported as not determined apart.
+DEGENERATE = 1e-7
+_TURN = 2.0 * np.pi
+
+
+class _Axes(NamedTuple):
+    """A sequence as intrinsic rotations about body axes i, j, k."""
+
+    i: int
+    j: int
+    k: int
+    proper: bool
+    #: +1 where i, j and the third axis are right-handed, else -1.
+    parity: int
+    #: Whether the angles stand in reverse order: extrinsic x y z is intrinsic z y x.
+    extrinsic: bool
+
+
+def _axes(sequence: str) -> _Axes:
+    letters = [*sequence.lower()] if sequence in (sequence.lower(), sequence.upper()) else []
+    if (len(letters) != 3 or not set(letters) <= set('xyz') or letters[0] == letters[1]
+            or letters[1] == letters[2]):
+        raise ValueError("Euler sequence: expected three of X, Y, Z such as 'ZXZ' (intrinsic) or "
+                         f"'xyz' (extrinsic), no two neighbours alike, found {sequence!r}")
+    extrinsic = sequence.islower()
+    i, j, k = ('xyz'.index(letter) for letter in (reversed(letters) if extrinsic else letters))
+    return _Axes(i, j, k, i == k, 1 if (j - i) % 3 == 1 else -1, extrinsic)
+
+
+def to_quaternion(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
+    """
+    Return the attitude of Euler angles.
+
+    Parameters
+    ----------
+    angles : array, shape (..., 3), rad
+    sequence : str
+
+    Returns
+    -------
+    array, shape (..., 4)
+        x y z w, body to space.
+
+    Raises
+    ------
+    ValueError
+        The sequence is none of the twelve.
+
+    """
+    axes = _axes(sequence)
+    first, second, third = np.moveaxis(_intrinsic(angles, axes), -1, 0)
+    unit = np.eye(3)
+    turns = [so3.exp(angle[..., None] * unit[axis])
+             for angle, axis in ((first, axes.i), (second, axes.j), (third, axes.k))]
+    return so3.multiply(so3.multiply(turns[0], turns[1]), turns[2])
+
+
+def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
+    """
+    Return the Euler angles of an attitude.
+
+    Half-sum and half-difference of the outer angles come from one arctangent each, without
+    thresholds (Bernardes and Viollet, "Quaternion to Euler angles conversion", PLoS ONE 2022;
+    for 'ZXZ': theta = 2 atan2(|x, y|, |w, z|), (phi + psi) / 2 = atan2(z, w), (phi - psi) / 2 =
+    atan2(y, x)). Where only one of the two is determined, it is kept exact and split evenly.
+
+    Parameters
+    ----------
+    attitude : array, shape (..., 4)
+        x y z w, body to space; unit norm is not needed.
+    sequence : str
+
+    Returns
+    -------
+    array, shape (..., 3), rad
+        In the order of the sequence. First and last axis alike: [0, 2 pi), [0, pi], [0, 2 pi).
+        All different: (-pi, pi], [-pi/2, pi/2], (-pi, pi].
+
+    Raises
+    ------
+    ValueError
+        The sequence is none of the twelve.
+
+    """
+    axes = _axes(sequence)
+    q = np.asarray(attitude, float)
+    w, x, y = q[..., 3], q[..., axes.i], q[..., axes.j]
+    z = axes.parity * q[..., 3 - axes.i - axes.j]
+    if not axes.proper:  # a quarter turn about the middle axis makes it a proper sequence
+        w, x, y, z = w - y, x - z, w + y, x + z
+    # Adding zero turns -0.0 into 0.0, whose arctangent would be pi.
+    half_sum, half_difference = np.arctan2(x + 0.0, w + 0.0), np.arctan2(z + 0.0, y + 0.0)
+    middle = 2.0 * np.arctan2(np.hypot(y, z), np.hypot(w, x))
+    first, third = half_sum + half_difference, half_sum - half_difference
+    if axes.proper:
+        angles = np.stack([_positive(first), middle, _positive(third)], axis=-1)
+    else:
+        angles = np.stack([_signed(first), middle - 0.5 * np.pi, _signed(-axes.parity * third)],
+                          axis=-1)
+    return angles[..., ::-1] if axes.extrinsic else angles
+
+
+def degenerate(angles: ArrayLike, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
+    """
+    Return where only the sum or the difference of the outer two angles is determined.
+
+    Parameters
+    ----------
+    angles : array, shape (..., 3), rad
+    sequence : str
+
+    Returns
+    -------
+    array of bool, shape (...)
+        Whether the line of nodes is shorter than `DEGENERATE`.
+
+    """
+    middle = np.asarray(angles, float)[..., 1]
+    size = np.sin(middle) if _axes(sequence).proper else np.cos(middle)
+    return np.asarray(np.abs(size) < DEGENERATE)
+
+
+def rotation_axes(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
+    """
+    Return the unit axes that the three angles turn about, in body components.
+
+    For 'ZXZ' they are space Z, the line of nodes n and body z. The middle one is perpendicular
+    to both others, which lie along one line where the angles are degenerate.
+
+    Parameters
+    ----------
+    angles : array, shape (..., 3), rad
+    sequence : str
+
+    Returns
+    -------
+    array, shape (..., 3, 3)
+        One axis a row, in the order of the sequence.
+
+    """
+    axes = _axes(sequence)
+    outer, node, across, sine, cosine = _triad(angles, axes)
+    first = cosine[..., None] * outer + sine[..., None] * across
+    rows = np.stack([first, node, outer], axis=-2)
+    return rows[..., ::-1, :] if axes.extrinsic else rows
+
+
+def angular_velocity(angles: ArrayLike, rates: ArrayLike, sequence: str = 'ZXZ') -> Floats:
+    """
+    Return the body angular velocity of Euler rates: each rate about its axis, summed.
+
+    For 'ZXZ' (Goldstein, equation 4.87):
+    w1 = phi' sin theta sin psi + theta' cos psi,
+    w2 = phi' sin theta cos psi - theta' sin psi, w3 = phi' cos theta + psi'.
+
+    Parameters
+    ----------
+    angles : array, shape (..., 3), rad
+    rates : array, shape (..., 3), rad/s
+        In the order of the sequence.
+    sequence : str
+
+    Returns
+    -------
+    array, shape (..., 3), rad/s, body axes
+
+    """
+    return np.einsum('...r,...rc->...c', np.asarray(rates, float),
+                     rotation_axes(angles, sequence))
+
+
+def rates(angles: ArrayLike, angular_velocity: ArrayLike, sequence: str = 'ZXZ') -> Floats:
+    """
+    Return the Euler rates of a body angular velocity.
+
+    For 'ZXZ': phi' = (w1 sin psi + w2 cos psi) / sin theta, theta' = w1 cos psi - w2 sin psi,
+    psi' = w3 - phi' cos theta. Near the poles phi' and psi' grow without bound, their sum (at
+    theta = 0) or difference (at pi) does not; `degenerate` tells where. Where the line of nodes
+    vanishes altogether, that sum or difference is returned, split evenly, and the part of the
+    angular velocity that no finite rates give is left out.
+
+    Parameters
+    ----------
+    angles : array, shape (..., 3), rad
+    angular_velocity : array, shape (..., 3), rad/s, body axes
+    sequence : str
+
+    Returns
+    -------
+    array, shape (..., 3), rad/s
+        In the order of the sequence; always finite.
+
+    """
+    axes = _axes(sequence)
+    outer, node, across, sine, cosine = _triad(angles, axes)
+    w = np.asarray(angular_velocity, float)
+    along, second, third = (np.sum(w * axis, axis=-1) for axis in (across, node, outer))
+    regular = sine != 0.0
+    even = 0.5 * third * np.sign(cosine)
+    first = np.divide(along, sine, out=np.broadcast_to(even, np.shape(along)).copy(),
+                      where=regular)
+    result = np.stack([first, second, third - cosine * first], axis=-1)
+    return result[..., ::-1] if axes.extrinsic else result
+
+
+def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
+    """
+    Return a trajectory's angles without jumps.
+
+    Of all triples that name the same attitude, (a, b, c) + 2 pi k and (a + pi, -b, c + pi) +
+    2 pi k (with pi - b for three different axes), each sample takes the one nearest to the
+    sample before. So the middle angle may leave its domain: where theta passes through zero it
+    goes on to negative values while phi stays.
+
+    Parameters
+    ----------
+    angles : array, shape (m, 3), rad
+        Close enough in time for the nearest triple to be the right one.
+    sequence : str
+
+    Returns
+    -------
+    array, shape (m, 3), rad
+
+    """
+    given = np.asarray(angles, float)
+    centre = 0.0 if _axes(sequence).proper else np.pi
+    mirrored = np.stack([given[:, 0] + np.pi, centre - given[:, 1], given[:, 2] + np.pi], axis=1)
+    result = given.copy()
+    for row in range(1, len(result)):
+        candidates = np.stack([given[row], mirrored[row]])
+        candidates += _TURN * np.round((result[row - 1] - candidates) / _TURN)
+        distances = np.sum((candidates - result[row - 1]) ** 2, axis=1)
+        result[row] = candidates[np.argmin(distances)]
+    return result
+
+
+def _intrinsic(angles: ArrayLike, axes: _Axes) -> Floats:
+    values = np.asarray(angles, float)
+    return values[..., ::-1] if axes.extrinsic else values
+
+
+def _triad(angles: ArrayLike, axes: _Axes) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    # Body axis of the last turn, line of nodes, and the unit vector across: right-handed or
+    # left-handed, such that the first axis is cosine * outer + sine * across.
+    _, middle, last = np.moveaxis(_intrinsic(angles, axes), -1, 0)
+    unit = np.eye(3)
+    if axes.proper:
+        sine, cosine, start = np.sin(middle), np.cos(middle), np.cross(unit[axes.i], unit[axes.j])
+    else:
+        sine, cosine, start = np.cos(middle), axes.parity * np.sin(middle), unit[axes.i]
+    outer = unit[axes.k]
+    node, across = (np.cos(last)[..., None] * axis
+                    + np.sin(last)[..., None] * np.cross(axis, outer)
+                    for axis in (unit[axes.j], start))
+    return np.broadcast_to(outer, node.shape), node, across, sine, cosine
+
+
+def _positive(angle: Floats) -> Floats:
+    wrapped = np.mod(angle, _TURN)
+    return np.where(wrapped < _TURN, wrapped, 0.0)  # -1e-17 modulo 2 pi rounds to 2 pi
+
+
+def _signed(angle: Floats) -> Floats:
+    wrapped = angle - _TURN * np.round(angle / _TURN)
+    return np.where(wrapped > -np.pi, wrapped, wrapped + _TURN)

@@ -1,0 +1,45 @@
+"""Installation; the name, the version and who to ask are in package.xml."""
+
+from glob import glob
+from pathlib import Path
+import xml.etree.ElementTree as ElementTree
+
+from setuptools import setup
+
+PACKAGE = ElementTree.parse(Path(__file__).parent / 'package.xml').getroot()
+NAME = PACKAGE.findtext('name')
+
+setup(
+    name=NAME,
+    version=PACKAGE.findtext('version'),
+    description=PACKAGE.findtext('description'),
+    long_description=(Path(__file__).parent / 'README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
+    maintainer=PACKAGE.findtext('maintainer'),
+    maintainer_email=PACKAGE.find('maintainer').get('email'),
+    license=PACKAGE.findtext('license'),
+    packages=[NAME],
+    package_data={NAME: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        (f'share/{NAME}/config', sorted(glob('config/*'))),
+        # Where `ros2 run` looks; pip puts the entry points below into bin only.
+        (f'lib/{NAME}', sorted(glob('scripts/*'))),
+    ],
+    entry_points={'console_scripts': [
+        f'attitude_node = {NAME}.cli:attitude_node',
+        f'attitude_replay = {NAME}.cli:attitude_replay',
+    ]},
+    python_requires='>=3.10',
+    install_requires=['PyYAML', 'matplotlib>=3.5', 'mcap>=1.0', 'numba', 'numpy', 'tqdm'],
+    extras_require={
+        # ROS 2 Kilted with Fast DDS, as wheels.
+        'ros': ['ros-rclpy', 'ros-rmw-fastrtps-cpp', 'ros-geometry-msgs', 'ros-sensor-msgs',
+                'ros-nav-msgs', 'ros-std-msgs', 'ros-std-srvs', 'ros-diagnostic-msgs'],
+        'test': ['hypothesis', 'import-linter', 'mcap-ros2-support', 'mypy', 'pytest', 'rosbags',
+                 'ruff', 'scipy', 'types-PyYAML', 'types-tqdm'],
+        'bench': ['scipy'],
+    },
+    zip_safe=True,
+)
