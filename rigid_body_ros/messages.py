@@ -1,0 +1,171 @@
+"""
+ROS messages as bytes: the one place that knows fields, CDR and message definitions.
+
+All types here have one shape: a header, for Odometry a second frame name, and then doubles.
+Encoded by the XCDR1 rules of the DDS-XTypes specification, section 7.4: little-endian when
+written, either when read; doubles are aligned to 8 bytes behind the 4 bytes of encapsulation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import struct
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rigid_body_ros.body import State
+from rigid_body_ros.so3 import Floats
+
+_FIELDS = {
+    'builtin_interfaces/Time': 'int32 sec\nuint32 nanosec\n',
+    'std_msgs/Header': 'builtin_interfaces/Time stamp\nstring frame_id\n',
+    'geometry_msgs/Vector3': 'float64 x\nfloat64 y\nfloat64 z\n',
+    'geometry_msgs/Point': 'float64 x\nfloat64 y\nfloat64 z\n',
+    'geometry_msgs/Quaternion': 'float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n',
+    'geometry_msgs/Wrench': 'Vector3 force\nVector3 torque\n',
+    'geometry_msgs/Pose': 'Point position\nQuaternion orientation\n',
+    'geometry_msgs/Twist': 'Vector3 linear\nVector3 angular\n',
+    'geometry_msgs/PoseWithCovariance': 'Pose pose\nfloat64[36] covariance\n',
+    'geometry_msgs/TwistWithCovariance': 'Twist twist\nfloat64[36] covariance\n',
+    'geometry_msgs/WrenchStamped': 'std_msgs/Header header\nWrench wrench\n',
+    'geometry_msgs/QuaternionStamped': 'std_msgs/Header header\nQuaternion quaternion\n',
+    'geometry_msgs/Vector3Stamped': 'std_msgs/Header header\nVector3 vector\n',
+    'nav_msgs/Odometry': 'std_msgs/Header header\nstring child_frame_id\n'
+                         'geometry_msgs/PoseWithCovariance pose\n'
+                         'geometry_msgs/TwistWithCovariance twist\n',
+}
+
+
+class Stamped(NamedTuple):
+    """A decoded message: its time, its frame (and child frame), its doubles in field order."""
+
+    stamp_ns: int
+    frame_id: str
+    child_frame_id: str
+    values: Floats
+
+
+@dataclass(frozen=True)
+class MessageType:
+    """A message type by its ROS name, such as 'geometry_msgs/msg/WrenchStamped'."""
+
+    name: str
+    doubles: int
+    has_child_frame: bool = False
+
+    @property
+    def definition(self) -> str:
+        """The complete definition in the form of MCAP's schema encoding 'ros2msg'."""
+        name = self.name.replace('/msg/', '/')
+        nested = [f'{"=" * 80}\nMSG: {part}\n{_FIELDS[part]}' for part in _parts(name)]
+        return ''.join([_FIELDS[name], *nested])
+
+    def encode(self, stamp_ns: int, frame_id: str, values: ArrayLike,
+               child_frame_id: str = '') -> bytes:
+        """Return the message as CDR; values in field order, shape (doubles,)."""
+        seconds, nanoseconds = divmod(stamp_ns, 10 ** 9)
+        text = frame_id.encode() + b'\0'
+        body = struct.pack('<iII', seconds, nanoseconds, len(text)) + text
+        if self.has_child_frame:
+            child = child_frame_id.encode() + b'\0'
+            body += bytes(-len(body) % 4) + struct.pack('<I', len(child)) + child
+        body += bytes(-len(body) % 8)
+        return b'\0\1\0\0' + body + np.asarray(values, '<f8').tobytes()
+
+    def decode(self, data: bytes) -> Stamped:
+        """
+        Return the contents of a CDR message.
+
+        Raises
+        ------
+        ValueError
+            The bytes are no message of this type.
+
+        """
+        try:
+            return self._decode(data)
+        except (struct.error, UnicodeDecodeError, ValueError, IndexError) as error:
+            raise ValueError(f'expected a {self.name} in CDR, found {len(data)} bytes that are '
+                             f'none ({error})') from error
+
+    def _decode(self, data: bytes) -> Stamped:
+        if data[0] != 0 or data[1] not in (0, 1):
+            raise ValueError(f'unknown encapsulation {data[:4].hex(" ")}')
+        order = '<' if data[1] else '>'
+        body = memoryview(data)[4:]
+        seconds, nanoseconds = struct.unpack_from(order + 'iI', body)
+        frame_id, offset = _string(body, 8, order)
+        child_frame_id = ''
+        if self.has_child_frame:
+            child_frame_id, offset = _string(body, offset, order)
+        values = np.frombuffer(body, order + 'f8', self.doubles, offset + -offset % 8)
+        return Stamped(seconds * 10 ** 9 + nanoseconds, frame_id, child_frame_id,
+                       values.astype(float))
+
+
+WRENCH = MessageType('geometry_msgs/msg/WrenchStamped', 6)
+QUATERNION = MessageType('geometry_msgs/msg/QuaternionStamped', 4)
+VECTOR3 = MessageType('geometry_msgs/msg/Vector3Stamped', 3)
+ODOMETRY = MessageType('nav_msgs/msg/Odometry', 85, has_child_frame=True)
+TYPES = {kind.name: kind for kind in (WRENCH, QUATERNION, VECTOR3, ODOMETRY)}
+
+#: Where the doubles of Odometry tell of a rotation; position, velocity and covariances are 0.
+ORIENTATION, ANGULAR_VELOCITY = slice(3, 7), slice(46, 49)
+
+
+def torque(wrench: Stamped) -> Floats:
+    """Return the torque of a WrenchStamped, N m, shape (3,)."""
+    return wrench.values[3:]
+
+
+def wrench(stamp_ns: int, frame_id: str, torque: ArrayLike) -> bytes:
+    """Return a WrenchStamped with a torque, N m, shape (3,), and no force."""
+    return WRENCH.encode(stamp_ns, frame_id, np.concatenate([np.zeros(3), torque]))
+
+
+def torque_frame(frame_id: str, body_frame: str, space_frame: str) -> str:
+    """
+    Return 'body' or 'space', the axes that a WrenchStamped is given in.
+
+    Raises
+    ------
+    ValueError
+        The frame_id is neither empty nor one of the two names.
+
+    """
+    if frame_id in ('', body_frame):
+        return 'body'
+    if frame_id == space_frame:
+        return 'space'
+    raise ValueError(f"frame_id: expected '{body_frame}' or nothing (body axes) or "
+                     f"'{space_frame}' (space axes), found '{frame_id}'")
+
+
+def odometry(state: State, space_frame: str, body_frame: str) -> bytes:
+    """Return a state as an Odometry at the origin: attitude, and angular velocity in body axes."""
+    values = np.zeros(ODOMETRY.doubles)
+    values[ORIENTATION] = state.attitude
+    values[ANGULAR_VELOCITY] = state.angular_velocity
+    return ODOMETRY.encode(state.time_ns, space_frame, values, body_frame)
+
+
+def _parts(name: str) -> list[str]:
+    # The types that a definition is made of, each once, nested ones after their parent.
+    found: list[str] = []
+    for line in _FIELDS[name].splitlines():
+        field = line.split()[0]
+        part = field if '/' in field else f'{name.split("/")[0]}/{field}'
+        if part in _FIELDS:
+            found += [part, *_parts(part)]
+    return list(dict.fromkeys(found))
+
+
+def _string(body: memoryview, offset: int, order: str) -> tuple[str, int]:
+    offset += -offset % 4
+    size, = struct.unpack_from(order + 'I', body, offset)
+    start, end = offset + 4, offset + 4 + size
+    if not 1 <= size <= len(body) - start:
+        raise ValueError(f'a string of {size} bytes')
+    return str(body[start:end - 1], 'utf-8'), end

@@ -1,0 +1,276 @@
+"""
+The scene: a body, its start and how to treat it, read from a ROS 2 parameter file.
+
+The same table of parameters serves the node (declarations, descriptors) and the commands (scene
+files), so that one file means one thing everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import difflib
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from rigid_body_ros import euler
+from rigid_body_ros.body import RigidBody, State
+from rigid_body_ros.propagate import SOLVERS, TOLERANCES
+from rigid_body_ros.torque import INTERPOLATIONS
+
+NODE = 'attitude_node'
+
+
+class InputError(ValueError):
+    """A user's mistake: one line that names where, what was found and what was expected."""
+
+
+class Parameter(NamedTuple):
+    """One key of a scene; its type is that of the default, or float where there is none."""
+
+    name: str
+    default: int | float | str | None
+    unit: str
+    description: str
+    #: Closed interval; (lowest, highest) of a number.
+    range: tuple[float, float] | None = None
+    choices: tuple[str, ...] = ()
+
+    @property
+    def type(self) -> type:
+        """The Python type of the value."""
+        return float if self.default is None else type(self.default)
+
+
+_BIG = 1e300
+_TINY = 1e-300
+_MOMENT = 'moment of inertia about the centre of mass, body axes'
+_PRODUCT = 'off-diagonal entry of the inertia tensor itself, as in URDF'
+_QUATERNION = 'initial attitude quaternion, body to space'
+_VELOCITY = 'initial angular velocity, body axes'
+
+PARAMETERS = {parameter.name: parameter for parameter in (
+    *(Parameter(f'inertia.{name}', None, 'kg m^2', _MOMENT, (_TINY, _BIG))
+      for name in ('ixx', 'iyy', 'izz')),
+    *(Parameter(f'inertia.{name}', 0.0, 'kg m^2', _PRODUCT, (-_BIG, _BIG))
+      for name in ('ixy', 'ixz', 'iyz')),
+    *(Parameter(f'initial_attitude.{name}', default, '', _QUATERNION, (-_BIG, _BIG))
+      for name, default in zip('xyzw', (0.0, 0.0, 0.0, 1.0))),
+    *(Parameter(f'initial_angular_velocity.{name}', 0.0, 'rad/s', _VELOCITY, (-1e9, 1e9))
+      for name in 'xyz'),
+    Parameter('start_time', 0, 'ns', 'when the initial state holds; 0: the first torque in a '
+              'replay, the first valid clock reading in the node, which reports the value in use',
+              (0, 2 ** 63 - 1)),
+    Parameter('solver', 'auto', '', 'how the motion is integrated', choices=SOLVERS),
+    Parameter('tolerance', 1e-15, '', 'attitude error per radian turned', TOLERANCES),
+    Parameter('max_step', 0.0, 's', 'upper limit of an integration step; 0: none', (0.0, _BIG)),
+    Parameter('interpolation', 'hold', '', 'what a torque does between its samples; the node, '
+              'which does not know the next one, holds', choices=INTERPOLATIONS),
+    Parameter('torque_timeout', 0.0, 's', 'the torque is zero from this long after a sample on; '
+              '0: it is held for ever', (0.0, 1e9)),
+    Parameter('history', 1.0, 's', 'how much older than the newest stamp a torque may be',
+              (0.0, 3600.0)),
+    Parameter('max_future', 0.5, 's', 'a torque stamped further ahead of the clock is refused',
+              (0.0, 3600.0)),
+    Parameter('publish_rate', 100.0, 'Hz', 'rate of the published attitude; may change while '
+              'running', (1e-3, 2000.0)),
+    Parameter('euler_sequence', 'ZXZ', '', 'axes of the Euler angles, upper case intrinsic, lower '
+              'case extrinsic'),
+    Parameter('space_frame', 'world', '', 'frame_id of the fixed axes'),
+    Parameter('body_frame', 'base_link', '', 'frame_id of the body axes'),
+)}
+#: What ROS itself declares on every node; a parameter dump has them.
+_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
+
+
+@dataclass(frozen=True)
+class Scene:
+    """
+    What a motion depends on besides its torques, checked.
+
+    Attributes
+    ----------
+    body : RigidBody
+    start : State
+        Its time is 0 where the scene leaves it to the first torque or clock reading.
+    values : dict
+        Every parameter by name, given or default.
+
+    """
+
+    body: RigidBody
+    start: State
+    values: Mapping[str, Any]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The keyword arguments of `propagate`."""
+        return {'solver': self.values['solver'], 'tolerance': self.values['tolerance'],
+                'max_step': self.values['max_step'] or None,
+                'torque_timeout': self.values['torque_timeout']}
+
+    @classmethod
+    def from_values(cls, given: Mapping[str, Any]) -> Scene:
+        """
+        Check the values of a scene as one whole.
+
+        Parameters
+        ----------
+        given : mapping
+            Values by full name, such as 'inertia.ixx'.
+
+        Raises
+        ------
+        InputError
+            A key is unknown or missing, a value has another type or is out of range, or the
+            values do not fit together.
+
+        """
+        for name in given:
+            if name not in PARAMETERS and not name.startswith(_ROS):
+                raise InputError(f'{name}: unknown key{_suggestion(name)}')
+        values = {name: checked(parameter, given.get(name, parameter.default))
+                  for name, parameter in PARAMETERS.items()}
+        try:
+            _check_together(values)
+            body = RigidBody.from_moments(**_group(values, 'inertia'))
+            start = State(values['start_time'], [*_group(values, 'initial_attitude').values()],
+                          [*_group(values, 'initial_angular_velocity').values()])
+        except ValueError as error:
+            raise InputError(str(error)) from error
+        return cls(body, start, values)
+
+
+def load(path: str | Path) -> Scene:
+    """
+    Read a scene from a ROS 2 parameter file, such as `ros2 param dump` writes.
+
+    Parameters of `/**` hold for every node, those of `attitude_node` come on top; where neither
+    name is there, a single other node's are taken.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is no parameter file, or the scene is not valid.
+
+    """
+    try:
+        root = yaml.compose(Path(path).read_text(encoding='utf-8'), Loader=yaml.SafeLoader)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f'{path}: cannot read the scene: {_reason(error)}') from error
+    except yaml.YAMLError as error:
+        raise InputError(f'{path}: expected YAML: {" ".join(str(error).split())}') from error
+    try:
+        return Scene.from_values(_parameters(root))
+    except InputError as error:
+        raise InputError(f'{path}: {error}') from error
+
+
+def checked(parameter: Parameter, given: Any) -> Any:
+    """Return a value of a parameter as its type, or raise InputError."""
+    name, unit = parameter.name, f' ({parameter.unit})' if parameter.unit else ''
+    value: Any = given
+    if value is None:
+        raise InputError(f'{name}: missing; expected a number{unit}: {parameter.description}')
+    kind = {float: 'a number', int: 'an integer', str: 'a text'}
+    if parameter.type is float and isinstance(value, int):
+        value = float(value)
+    if not isinstance(value, parameter.type) or isinstance(value, bool):
+        raise InputError(f'{name}: expected {kind[parameter.type]}{unit}, found {value!r}')
+    if parameter.choices and value not in parameter.choices:
+        raise InputError(f'{name}: expected one of {", ".join(parameter.choices)}, '
+                         f'found {value!r}')
+    if parameter.range and not parameter.range[0] <= value <= parameter.range[1]:
+        raise InputError(f'{name}: expected {_limits(*parameter.range)}{unit}, found {value}')
+    return value
+
+
+def _limits(low: float, high: float) -> str:
+    if high < _BIG:
+        return f'{low:g} to {high:g}'
+    return 'a finite number' + {-_BIG: '', 0.0: ' from 0 on', _TINY: ' greater than 0'}[low]
+
+
+def _check_together(values: Mapping[str, Any]) -> None:
+    euler.from_quaternion((0.0, 0.0, 0.0, 1.0), values['euler_sequence'])
+    if values['space_frame'] == values['body_frame']:
+        raise InputError('space_frame, body_frame: expected two names, '
+                         f'found {values["body_frame"]!r} twice')
+    if not values['max_future'] < max(values['history'], math.ulp(0.0)):
+        raise InputError('max_future: expected less than history '
+                         f'({values["history"]} s), found {values["max_future"]}')
+
+
+def _group(values: Mapping[str, Any], prefix: str) -> dict[str, float]:
+    return {name.split('.')[1]: value for name, value in values.items()
+            if name.startswith(prefix + '.')}
+
+
+def _suggestion(name: str) -> str:
+    close = difflib.get_close_matches(name, PARAMETERS, 1)
+    return f'; did you mean {close[0]}?' if close else \
+        f'; expected one of {", ".join(PARAMETERS)}'
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, 'strerror', None) or str(error)
+
+
+def _parameters(root: yaml.Node | None) -> dict[str, Any]:
+    """Return the flat values that a parameter file has for the node."""
+    nodes = {key.strip('/') or key: value for key, value in _entries(root, 'the file').items()}
+    wanted = [key for key in nodes if key == '**' or key.split('/')[-1] == NODE]
+    if not wanted:
+        wanted = [*nodes] if len(nodes) == 1 else []
+    if not wanted:
+        raise InputError(f'expected parameters of /** or {NODE}, found those of '
+                         f'{", ".join(nodes) or "no node"}')
+    values: dict[str, Any] = {}
+    for key in sorted(wanted, key=lambda key: key != '**'):
+        entries = _entries(nodes[key], key)
+        if [*entries] != ['ros__parameters']:
+            raise InputError(f'{key}: expected the one key ros__parameters, '
+                             f'found {", ".join(entries) or "nothing"}')
+        values.update(_flat(entries['ros__parameters'], ''))
+    return values
+
+
+def _entries(node: yaml.Node | None, what: str) -> dict[str, yaml.Node]:
+    if not isinstance(node, yaml.MappingNode):
+        raise InputError(f'{what}: expected keys and values '
+                         '(/**: ros__parameters: inertia: ...)')
+    return {str(key.value): value for key, value in node.value}
+
+
+def _flat(node: yaml.Node, prefix: str) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for key, value in _entries(node, prefix.rstrip('.') or 'ros__parameters').items():
+        if isinstance(value, yaml.MappingNode):
+            values.update(_flat(value, f'{prefix}{key}.'))
+        else:
+            values[prefix + key] = _value(value)
+    return values
+
+
+def _value(node: yaml.Node) -> Any:
+    # As rcl_yaml_param_parser reads a scalar, which is not as PyYAML does: 1e-9 is a number.
+    if isinstance(node, yaml.SequenceNode):
+        return [_value(item) for item in node.value]
+    text = str(node.value)
+    if isinstance(node, yaml.ScalarNode) and node.style:  # quoted
+        return text
+    if text in ('y', 'Y', 'yes', 'Yes', 'YES', 'true', 'True', 'TRUE', 'on', 'On', 'ON'):
+        return True
+    if text in ('n', 'N', 'no', 'No', 'NO', 'false', 'False', 'FALSE', 'off', 'Off', 'OFF'):
+        return False
+    try:
+        return int(text, 0)
+    except ValueError:
+        pass
+    try:
+        return float(text.replace('.inf', 'inf').replace('.nan', 'nan'))
+    except ValueError:
+        return text
