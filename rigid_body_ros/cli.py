@@ -1,0 +1,87 @@
+"""The commands: arguments in, exit status out."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from pathlib import Path
+import sys
+
+from rigid_body_ros.scene import InputError
+
+OK, USER_ERROR, INTERRUPTED = 0, 2, 130
+
+
+def attitude_replay(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_replay` and return its exit status."""
+    options = _replay_parser().parse_args(arguments)
+    return _guarded('attitude_replay', lambda: _replay(options))
+
+
+def attitude_node(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_node` and return its exit status."""
+    return _guarded('attitude_node', lambda: _node(arguments))
+
+
+def _guarded(name: str, command: Callable[[], None]) -> int:
+    try:
+        command()
+    except InputError as error:
+        print(f'{name}: error: {error}', file=sys.stderr)
+        return USER_ERROR
+    except KeyboardInterrupt:
+        print(f'{name}: interrupted; nothing was written', file=sys.stderr)
+        return INTERRUPTED
+    return OK
+
+
+def _node(arguments: Sequence[str] | None) -> None:
+    try:
+        from rigid_body_ros import node
+    except ModuleNotFoundError as error:
+        raise InputError(f"attitude_node needs ROS 2, and there is no module '{error.name}': "
+                         'source a ROS 2 installation, or pip install "rigid_body_ros[ros]"') \
+            from error
+    node.main(arguments)
+
+
+def _replay(options: argparse.Namespace) -> None:
+    from rigid_body_ros import replay, scene
+    if Path(options.output).resolve() == Path(options.input).resolve():
+        raise InputError(f'{options.output}: expected another file for the motion than that of '
+                         'the torques')
+    result = replay.replay(options.input, scene.load(options.scene), topic=options.topic,
+                           interpolation=options.interpolation, rate=options.rate,
+                           until=options.until)
+    replay.write(options.output, result)
+    if options.plot:
+        replay.plot(options.plot, result, Path(options.input).name)
+    print(replay.summary(result))
+    written = [options.output, *filter(None, [options.plot])]
+    print(f'{"wrote":14}{", ".join(written)}')
+
+
+def _replay_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='attitude_replay', description='Turn recorded torques into recorded motion.')
+    parser.add_argument('input', metavar='INPUT', help='MCAP file with WrenchStamped messages')
+    parser.add_argument('--scene', required=True, metavar='FILE',
+                        help='ROS 2 parameter file with inertia and start, as for attitude_node')
+    parser.add_argument('-o', '--output', required=True, metavar='OUTPUT',
+                        help='MCAP file to write: attitude, euler_angles, angular_velocity')
+    parser.add_argument('--topic', help='of the torques; needed where there are several')
+    parser.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
+                        help="what a torque does between its samples, instead of the scene's")
+    parser.add_argument('--rate', type=_positive, metavar='HZ',
+                        help='of the output; otherwise at the stamps of the torques')
+    parser.add_argument('--until', type=_positive, metavar='SECONDS',
+                        help='end, counted from the start; otherwise the last stamp')
+    parser.add_argument('--plot', metavar='PNG', help='draw angles, rates and torque over time')
+    return parser
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < float('inf'):
+        raise argparse.ArgumentTypeError(f'expected a number greater than 0, found {text}')
+    return value

@@ -1,0 +1,95 @@
+"""Figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+import numpy as np
+
+from rigid_body_ros.propagate import Trajectory
+from rigid_body_ros.so3 import Floats
+from rigid_body_ros.torque import TorqueLog
+
+#: Okabe and Ito's colours, which the colour-blind tell apart; the styles do so in greyscale.
+_COLOURS = ('#0072B2', '#D55E00', '#009E73', '#000000')
+_STYLES = ('-', '--', '-.', ':')
+#: More points than this a curve has no pixels for.
+_POINTS = 20_000
+
+
+def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog, sequence: str,
+           title: str, timeout_ns: int = 0) -> None:
+    """
+    Draw Euler angles, quaternion, angular velocity and torque over time into a PNG file.
+
+    Parameters
+    ----------
+    path : str or Path
+    trajectory : Trajectory
+        In ascending order of time.
+    log : TorqueLog
+    sequence : str
+        Of the Euler angles.
+    title : str
+    timeout_ns : int
+        As for `TorqueLog.segments`.
+
+    """
+    rows = np.unique(np.linspace(0, len(trajectory.times_ns) - 1, _POINTS).astype(int))
+    start_ns, end_ns = trajectory.times_ns[0], trajectory.times_ns[-1]
+    seconds = (trajectory.times_ns[rows] - start_ns) * 1e-9
+    angles = trajectory.euler_angles(sequence)[rows]
+    names = (('φ', 'θ', 'ψ') if sequence == 'ZXZ' else
+             tuple(f'{axis}{number}' for number, axis in enumerate(sequence, 1)))
+    figure = Figure(figsize=(9.0, 10.0), layout='constrained')
+    figure.suptitle(title)
+    panels = figure.subplots(4, 1, sharex=True)
+    _curves(panels[0], seconds, _without_jumps(angles), names, f'Euler angles {sequence} (rad)')
+    _angle_ticks(panels[0], angles)
+    _curves(panels[1], seconds, trajectory.attitude[rows], ('x', 'y', 'z', 'w'), 'quaternion')
+    _curves(panels[2], seconds, trajectory.angular_velocity[rows], ('ω₁', 'ω₂', 'ω₃'),
+            'angular velocity,\nbody axes (rad/s)')
+    times = _torque_times(log, int(start_ns), int(end_ns), timeout_ns)
+    torques, _ = log.at(times, timeout_ns)
+    frames = np.unique(log.in_space)
+    axes = 'body axes' if not frames.any() else 'space axes' if frames.all() else 'mixed axes'
+    _curves(panels[3], (times - start_ns) * 1e-9, torques, ('τ₁', 'τ₂', 'τ₃'),
+            f'torque,\n{axes} (N m)')
+    figure.align_ylabels(panels)
+    panels[3].set_xlabel('time from the start (s)')
+    panels[3].set_xlim(0.0, max(float(seconds[-1]), 1e-9))
+    FigureCanvasAgg(figure).print_figure(path, dpi=120, format='png')
+
+
+def _curves(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...], label: str) -> None:
+    for column, name, colour, style in zip(columns.T, names, _COLOURS, _STYLES):
+        panel.plot(x, column, style, color=colour, linewidth=1.2, label=name)
+    panel.set_ylabel(label)
+    panel.grid(alpha=0.3)
+    panel.legend(loc='center left', bbox_to_anchor=(1.0, 0.5), frameon=False, handlelength=2.5)
+
+
+def _without_jumps(angles: Floats) -> Floats:
+    # A line from 2 pi back to 0 would show a motion that is none.
+    broken = angles.copy()
+    broken[1:][np.abs(np.diff(angles, axis=0)) > np.pi] = np.nan
+    return broken
+
+
+def _angle_ticks(panel: Axes, angles: Floats) -> None:
+    low, high = (-2, 2) if angles.min() < 0.0 else (0, 4)
+    names = {-2: '−π', -1: '−π/2', 0: '0', 1: 'π/2', 2: 'π', 3: '3π/2', 4: '2π'}
+    panel.set_yticks([number * np.pi / 2.0 for number in range(low, high + 1)],
+                     [names[number] for number in range(low, high + 1)])
+
+
+def _torque_times(log: TorqueLog, start_ns: int, end_ns: int, timeout_ns: int) -> np.ndarray:
+    # Both sides of every change, so that a step is drawn as one; a grid where there are too many.
+    changes, _ = log.segments(timeout_ns)
+    grid = np.linspace(start_ns, end_ns, _POINTS // 4).astype(np.int64)
+    if 2 * len(changes) <= _POINTS:
+        grid = np.unique(np.concatenate([grid, changes - 1, changes]))
+    return grid[(grid >= start_ns) & (grid <= end_ns)]
