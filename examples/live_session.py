@@ -1,0 +1,167 @@
+"""
+A live run over DDS: a node process, a publisher of torques, and a recorder of what comes back.
+
+No packet leaves the machine, and no other domain of it is disturbed.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+from geometry_msgs.msg import QuaternionStamped, WrenchStamped
+from nav_msgs.msg import Odometry
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+import yaml
+
+from rigid_body_ros import messages, recording
+
+NODE = 'attitude_node'
+ACCEPTED, COMMITTED, ATTITUDE = f'/{NODE}/accepted_torque', f'/{NODE}/committed', '/attitude'
+_KINDS = {ACCEPTED: messages.WRENCH, COMMITTED: messages.ODOMETRY, ATTITUDE: messages.QUATERNION}
+#: The first start on a machine compiles the kernels.
+_PATIENCE_S = 120.0
+
+
+class LiveSession:
+    """
+    Run `attitude_node` on a scene, as a context manager that waits until all are connected.
+
+    Parameters
+    ----------
+    scene : path
+        Parameter file of the node.
+    domain : int
+        ROS_DOMAIN_ID.
+    arguments : str
+        More of the node's arguments, such as '-p', 'use_sim_time:=true'.
+
+    Attributes
+    ----------
+    received : dict
+        Messages in CDR by topic, in order of arrival.
+    process : Popen
+        The node.
+
+    """
+
+    def __init__(self, scene, domain, *arguments):
+        self._domain = domain
+        self._environment = os.environ | {
+            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': str(domain)}
+        self._command = [sys.executable, '-c',
+                         'import sys; from rigid_body_ros.cli import attitude_node; '
+                         'sys.exit(attitude_node())',
+                         '--ros-args', '--params-file', str(scene), *arguments]
+        self._simulated = 'use_sim_time:=true' in arguments
+        self.received = {topic: [] for topic in _KINDS}
+
+    def __enter__(self):
+        self.process = subprocess.Popen(self._command, env=self._environment, text=True,
+                                        stderr=subprocess.PIPE)
+        os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, domain_id=self._domain)
+        self._node = rclpy.create_node('live_session', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._torque = self._node.create_publisher(WrenchStamped, 'torque', 1000)
+        self._clock = self._node.create_publisher(Clock, '/clock', 10)
+        everything = QoSProfile(depth=100_000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        for topic, kind, qos in ((ACCEPTED, WrenchStamped, everything),
+                                 (COMMITTED, Odometry, everything),
+                                 (ATTITUDE, QuaternionStamped, 1000)):
+            self._node.create_subscription(kind, topic, self.received[topic].append, qos, raw=True)
+        self._wait_until(self._torque.get_subscription_count, 'the node to subscribe')
+        if not self._simulated:
+            self._wait_until(lambda: self.received[COMMITTED], 'the start state')
+            self._wait_until(lambda: self.received[ATTITUDE], 'the first attitude')
+        return self
+
+    def __exit__(self, kind, error, trace):
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.communicate()
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def publish(self, time_ns, frame_id, torque):
+        """Publish a torque, N m, stamped time_ns."""
+        self._torque.publish(messages.wrench(time_ns, frame_id, torque))
+
+    def publish_bytes(self, data):
+        """Publish a WrenchStamped in CDR as it is."""
+        self._torque.publish(data)
+
+    def set_clock(self, time_ns):
+        """Publish simulated time."""
+        clock = Clock()
+        clock.clock.sec, clock.clock.nanosec = divmod(time_ns, 10 ** 9)
+        self._clock.publish(clock)
+
+    def now_ns(self):
+        """Return the wall time."""
+        return self._node.get_clock().now().nanoseconds
+
+    def spin(self, seconds):
+        """Receive for so long."""
+        until = time.monotonic() + seconds
+        while (rest := until - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=rest)
+
+    def dump_parameters(self, path):
+        """Write the node's parameters as `ros2 param dump` does."""
+        client = AsyncParameterClient(self._node, NODE)
+        names = self._result(client.list_parameters()).result.names
+        values = self._result(client.get_parameters(names)).values
+        tree = {}
+        for name, value in zip(names, values):
+            *groups, leaf = name.split('.')
+            branch = tree
+            for group in groups:
+                branch = branch.setdefault(group, {})
+            branch[leaf] = parameter_value_to_python(value)
+        Path(path).write_text(yaml.dump({f'/{NODE}': {'ros__parameters': tree}}))
+
+    def stop(self, number=signal.SIGINT):
+        """End the node by a signal, receive its last words, return its exit status."""
+        self.process.send_signal(number)
+        self._wait_until(lambda: self.process.poll() is not None, 'the node to end')
+        count = -1
+        while count != (count := sum(map(len, self.received.values()))):
+            self.spin(0.3)
+        return self.process.returncode
+
+    def write(self, path):
+        """Write what was received as a recording."""
+        with recording.Writer(path) as writer:
+            for topic, kind in _KINDS.items():
+                writer.add_topic(topic, kind)
+                for data in self.received[topic]:
+                    writer.write(topic, kind.decode(data).stamp_ns, data)
+
+    def _result(self, future):
+        self._executor.spin_until_future_complete(future, timeout_sec=_PATIENCE_S)
+        return future.result()
+
+    def _wait_until(self, condition, what):
+        until = time.monotonic() + _PATIENCE_S
+        while not condition():
+            if self.process.poll() not in (None, 0) or time.monotonic() > until:
+                raise RuntimeError(f'waited in vain for {what}; the node said:\n'
+                                   f'{self._last_words()}')
+            self.spin(0.05)
+
+    def _last_words(self):
+        self.process.kill()
+        return self.process.communicate()[1]

@@ -1,0 +1,118 @@
+"""
+Make the recordings of this folder.
+
+Usage: python make.py TRUTH, the folder of reference motions (JSON, computed with 50 digits).
+
+Every scene NAME becomes NAME.mcap, with the torques on /torque and the reference motion on
+/truth/attitude and /truth/angular_velocity, and NAME.yaml, the scene file. The scenes of iss
+and tumbler are in config/.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+import sys
+
+import numpy as np
+
+from rigid_body_ros import messages
+from rigid_body_ros.recording import Writer
+
+HERE = Path(__file__).parent
+#: 2026-01-01 and a bit: where seconds as a float are 238 ns apart.
+EPOCH_NS = 1_767_225_600_123_456_789
+SECOND = 10 ** 9
+
+# NASA JEOD, verif/SIM_dyncomp/SET_test_val/RUN_9B: t (s), body rates (rad/s), left quaternion
+# (scalar first), which is the conjugate of the one from body to space.
+ISS = (
+    (0, (0.0, -0.001134454274550824, 0.0),
+     (0.2368106365237557, 0.7173117043670278, -0.6140880728910785, 0.2286492509067215)),
+    (480, (-1.006112432578578e-05, -0.001134451424614415, -2.664311320772557e-05),
+     (0.3919794557775307, 0.7545392887947829, -0.5256020077247303, 0.02766039387186203)),
+    (960, (-3.0108458605801e-05, -0.001133769499310447, -5.353893612196759e-05),
+     (0.5153378057844473, 0.7409353448650479, -0.3936220396050609, -0.1746523707143307)),
+    (1980, (-9.780689778191082e-06, -0.001123221755689028, -0.0001097798292757372),
+     (0.6483827347535902, 0.5438618945375028, -0.02007799391243573, -0.5323635441162234)),
+    (2340, (-4.574256439725902e-05, -0.001120948176063061, -0.0001311312986012251),
+     (0.6481616456721732, 0.429302104796642, 0.1246656233082182, -0.6164776283547415)),
+    (28800, (-0.0007282187220568775, -0.0008332384627087039, -0.0002424925044840342),
+     (-0.3170011650039812, -0.5866170655406695, 0.376943289268734, 0.642887576857603)),
+)
+
+
+def write(path, frames, torques, truth):
+    """Write (time_ns, frame, torque) and (time_ns, q, w) rows in order of time."""
+    space, body = frames
+    rows = [(time_ns, '/torque', messages.wrench(time_ns, frame, torque))
+            for time_ns, frame, torque in torques]
+    for time_ns, attitude, rates in truth:
+        rows += [(time_ns, '/truth/attitude',
+                  messages.QUATERNION.encode(time_ns, space, attitude)),
+                 (time_ns, '/truth/angular_velocity',
+                  messages.VECTOR3.encode(time_ns, body, rates))]
+    with Writer(path) as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        if truth:
+            writer.add_topic('/truth/attitude', messages.QUATERNION)
+            writer.add_topic('/truth/angular_velocity', messages.VECTOR3)
+        for time_ns, topic, data in sorted(rows, key=lambda row: row[0]):
+            writer.write(topic, time_ns, data)
+
+
+def write_scene(path, note, inertia, attitude, rates):
+    """Write a scene file; repr keeps every bit of a double."""
+    lines = [f'# {note}', '/**:', '  ros__parameters:', f'    start_time: {EPOCH_NS}']
+    for group, names, values in (
+            ('inertia', ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz'), inertia),
+            ('initial_attitude', 'xyzw', attitude), ('initial_angular_velocity', 'xyz', rates)):
+        lines += [f'    {group}:',
+                  *(f'      {name}: {float(value)!r}' for name, value in zip(names, values))]
+    path.write_text('\n'.join(lines) + '\n')
+
+
+def make_reference(source):
+    """Turn one reference motion into a recording and a scene file."""
+    scene = json.loads(source.read_text())
+    truth = [(EPOCH_NS + row['t_ns'], [float(x) for x in row['q']], [float(x) for x in row['w']])
+             for row in scene['truth']]
+    frame = {'body': 'base_link', 'space': 'world'}[scene['torque_frame']]
+    torques = [(EPOCH_NS + row[0], frame, row[1:]) for row in scene['torque_t_ns_x_y_z']]
+    # A recording without torques would be empty: a free body has one of zero at each stamp.
+    torques = torques or [(row[0], frame, (0.0, 0.0, 0.0)) for row in truth]
+    write(HERE / f'{source.stem}.mcap', ('world', 'base_link'), torques, truth)
+    write_scene(HERE / f'{source.stem}.yaml', scene['note'] or source.stem.replace('_', ' '),
+                scene['inertia_ixx_iyy_izz_ixy_ixz_iyz'], scene['initial_attitude_xyzw'],
+                scene['initial_angular_velocity'])
+
+
+def make_iss():
+    """Record the Station's torque every 20 s, with the logged rows as its reference motion."""
+    torques = [(EPOCH_NS + t * SECOND, 'iss', (10.0 if 1000 <= t < 2000 else 0.0, 0.0, 0.0))
+               for t in range(0, 28801, 20)]
+    truth = [(EPOCH_NS + t * SECOND, (-x, -y, -z, w), rates) for t, rates, (w, x, y, z) in ISS]
+    write(HERE / 'iss.mcap', ('eci', 'iss'), torques, truth)
+
+
+def make_tumbler():
+    """Record a minute of thruster pulses at 50 Hz."""
+    random = np.random.default_rng(1992)
+    torque, until, torques = np.zeros(3), 0.0, []
+    for number in range(60 * 50 + 1):
+        t = number / 50.0
+        if t >= until:  # a pulse about one axis, then a pause
+            torque = np.zeros(3)
+            if torques and not np.any(torques[-1][2]):
+                size = random.uniform(0.01, 0.03)
+                torque[random.integers(3)] = random.choice([-size, size])
+            until = t + random.uniform(0.3, 1.5)
+        torques.append((EPOCH_NS + number * SECOND // 50, 'base_link', torque.copy()))
+    write(HERE / 'tumbler.mcap', ('world', 'base_link'), torques, [])
+
+
+if __name__ == '__main__':
+    make_iss()
+    make_tumbler()
+    for path in sorted(Path(sys.argv[1]).glob('*.json')):
+        make_reference(path)
