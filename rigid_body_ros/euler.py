@@ -21,6 +21,8 @@ from rigid_body_ros.so3 import Floats
 #: reported as not determined apart.
 DEGENERATE = 1e-7
 _TURN = 2.0 * np.pi
+#: The same within rounding: the attitude says nothing of one of their combinations.
+_UNDETERMINED = 1e-15
 
 
 class _Axes(NamedTuple):
@@ -136,8 +138,8 @@ def degenerate(angles: ArrayLike, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
 
     """
     middle = np.asarray(angles, float)[..., 1]
-    size = np.sin(middle) if _axes(sequence).proper else np.cos(middle)
-    return np.asarray(np.abs(size) < DEGENERATE)
+    sine, _ = _sine_cosine(middle, _axes(sequence))
+    return np.asarray(np.abs(sine) < DEGENERATE)
 
 
 def rotation_axes(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
@@ -230,7 +232,8 @@ def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     Of all triples that name the same attitude, (a, b, c) + 2 pi k and (a + pi, -b, c + pi) +
     2 pi k (with pi - b for three different axes), each sample takes the one nearest to the
     sample before. So the middle angle may leave its domain: where theta passes through zero it
-    goes on to negative values while phi stays.
+    goes on to negative values while phi stays. Exactly at a pole, what the attitude leaves open
+    is taken from the sample before (from the one after, at the beginning).
 
     Parameters
     ----------
@@ -243,16 +246,33 @@ def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     array, shape (m, 3), rad
 
     """
-    given = np.asarray(angles, float)
-    centre = 0.0 if _axes(sequence).proper else np.pi
-    mirrored = np.stack([given[:, 0] + np.pi, centre - given[:, 1], given[:, 2] + np.pi], axis=1)
+    given, axes = np.asarray(angles, float), _axes(sequence)
+    sine, cosine = _sine_cosine(given[:, 1], axes)
+    free = np.abs(sine) < _UNDETERMINED
+    anchor = int(np.argmin(free))
     result = given.copy()
-    for row in range(1, len(result)):
-        candidates = np.stack([given[row], mirrored[row]])
-        candidates += _TURN * np.round((result[row - 1] - candidates) / _TURN)
-        distances = np.sum((candidates - result[row - 1]) ** 2, axis=1)
-        result[row] = candidates[np.argmin(distances)]
+    for row in [*range(anchor + 1, len(result)), *range(anchor - 1, -1, -1)]:
+        last = result[row - 1 if row > anchor else row + 1]
+        result[row] = (_pole_nearest(given[row], last, float(np.sign(cosine[row])))
+                       if free[row] else _nearest(given[row], last, axes.proper))
     return result
+
+
+def _nearest(triple: Floats, last: Floats, proper: bool) -> Floats:
+    a, b, c = triple
+    candidates = np.array([triple, [a + np.pi, -b if proper else np.pi - b, c + np.pi]])
+    candidates += _TURN * np.round((last - candidates) / _TURN)
+    return candidates[np.argmin(np.sum((candidates - last) ** 2, axis=1))]
+
+
+def _pole_nearest(triple: Floats, last: Floats, sign: float) -> Floats:
+    # a + sign c is determined, a - sign c is free to stay as it was.
+    a, b, c = triple
+    free = last[0] - sign * last[2]
+    determined = a + sign * c
+    determined += _TURN * np.round((last[0] + sign * last[2] - determined) / _TURN)
+    return np.array([0.5 * (determined + free), b + _TURN * np.round((last[1] - b) / _TURN),
+                     0.5 * sign * (determined - free)])
 
 
 def _intrinsic(angles: ArrayLike, axes: _Axes) -> Floats:
@@ -265,15 +285,20 @@ def _triad(angles: ArrayLike, axes: _Axes) -> tuple[Floats, Floats, Floats, Floa
     # left-handed, such that the first axis is cosine * outer + sine * across.
     _, middle, last = np.moveaxis(_intrinsic(angles, axes), -1, 0)
     unit = np.eye(3)
-    if axes.proper:
-        sine, cosine, start = np.sin(middle), np.cos(middle), np.cross(unit[axes.i], unit[axes.j])
-    else:
-        sine, cosine, start = np.cos(middle), axes.parity * np.sin(middle), unit[axes.i]
+    sine, cosine = _sine_cosine(middle, axes)
     outer = unit[axes.k]
+    start = np.cross(unit[axes.i], unit[axes.j]) if axes.proper else unit[axes.i]
     node, across = (np.cos(last)[..., None] * axis
                     + np.sin(last)[..., None] * np.cross(axis, outer)
                     for axis in (unit[axes.j], start))
     return np.broadcast_to(outer, node.shape), node, across, sine, cosine
+
+
+def _sine_cosine(middle: Floats, axes: _Axes) -> tuple[Floats, Floats]:
+    # Of the angle between the first and the last axis.
+    if axes.proper:
+        return np.sin(middle), np.cos(middle)
+    return np.cos(middle), axes.parity * np.sin(middle)
 
 
 def _positive(angle: Floats) -> Floats:

@@ -172,14 +172,13 @@ def load(path: str | Path) -> Scene:
 def checked(parameter: Parameter, given: Any) -> Any:
     """Return a value of a parameter as its type, or raise InputError."""
     name, unit = parameter.name, f' ({parameter.unit})' if parameter.unit else ''
-    value: Any = given
-    if value is None:
+    if given is None:
         raise InputError(f'{name}: missing; expected a number{unit}: {parameter.description}')
-    kind = {float: 'a number', int: 'an integer', str: 'a text'}
-    if parameter.type is float and isinstance(value, int):
-        value = float(value)
-    if not isinstance(value, parameter.type) or isinstance(value, bool):
-        raise InputError(f'{name}: expected {kind[parameter.type]}{unit}, found {value!r}')
+    value = float(given) if parameter.type is float and type(given) is int else given
+    wrong = isinstance(value, bool) or not isinstance(value, parameter.type)
+    if wrong:
+        kind = {float: 'a number', int: 'an integer', str: 'a text'}[parameter.type]
+        raise InputError(f'{name}: expected {kind}{unit}, found {value!r}')
     if parameter.choices and value not in parameter.choices:
         raise InputError(f'{name}: expected one of {", ".join(parameter.choices)}, '
                          f'found {value!r}')
@@ -267,7 +266,8 @@ def _value(node: yaml.Node) -> Any:
     if text in ('n', 'N', 'no', 'No', 'NO', 'false', 'False', 'FALSE', 'off', 'Off', 'OFF'):
         return False
     try:
-        return int(text, 0)
+        if -2 ** 63 <= (number := int(text, 0)) < 2 ** 63:
+            return number
     except ValueError:
         pass
     try:

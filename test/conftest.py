@@ -1,0 +1,60 @@
+"""What every test shares."""
+
+from pathlib import Path
+
+from hypothesis import settings
+import numpy as np
+import pytest
+
+from rigid_body_ros import State, messages, propagate, recording, scene, so3
+
+settings.register_profile('reproducible', derandomize=True, deadline=None, print_blob=True)
+settings.load_profile('reproducible')
+
+ROOT = Path(__file__).resolve().parent.parent
+RECORDINGS = ROOT / 'test' / 'recordings'
+CONFIG = ROOT / 'config'
+#: The stamps of the recordings: seconds as a float are 238 ns apart here.
+EPOCH_NS = 1_767_225_600_123_456_789
+SECOND = 10 ** 9
+
+
+@pytest.fixture(autouse=True)
+def _floating_point_errors_are_errors():
+    with np.errstate(divide='raise', invalid='raise', over='raise'):
+        yield
+
+
+class Reference:
+    """A recorded scene with its reference motion, read through the package's own reader."""
+
+    def __init__(self, name):
+        path = RECORDINGS / f'{name}.mcap'
+        config = RECORDINGS / f'{name}.yaml'
+        self.scene = scene.load(config if config.exists() else CONFIG / f'{name}.yaml')
+        values = self.scene.values
+        self.log = recording.torque_log(path, recording.read(path), values['body_frame'],
+                                        values['space_frame'])
+        attitude = recording.read(path, '/truth/attitude', messages.QUATERNION)
+        rates = recording.read(path, '/truth/angular_velocity', messages.VECTOR3)
+        self.times_ns, self.attitude = attitude.stamps_ns, attitude.values
+        self.angular_velocity = rates.values
+        self.start = State(int(self.times_ns[0]), self.scene.start.attitude,
+                           self.scene.start.angular_velocity)
+
+    def propagate(self, **options):
+        return propagate(self.scene.body, self.start, self.log, at=self.times_ns, **options)
+
+    def phase(self):
+        """Return the integral of |w| dt, rad, from the start to each time of the reference."""
+        times = np.union1d(self.times_ns, np.linspace(
+            0, self.times_ns[-1] - self.times_ns[0], 20_001).astype(np.int64) + self.times_ns[0])
+        motion = propagate(self.scene.body, self.start, self.log, at=times)
+        speed = np.linalg.norm(motion.angular_velocity, axis=1)
+        pieces = 0.5 * (speed[1:] + speed[:-1]) * np.diff(times) * 1e-9
+        return np.append(0.0, np.cumsum(pieces))[np.searchsorted(times, self.times_ns)]
+
+
+def chord(p, q):
+    """Return the angle, rad, between attitudes, where q and -q are far apart."""
+    return 2.0 * np.linalg.norm(so3.normalize(p) - q, axis=-1)

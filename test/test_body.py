@@ -1,0 +1,125 @@
+"""Mass, momentum and torque against their definitions."""
+
+import numpy as np
+import pytest
+
+from rigid_body_ros import RigidBody, State, so3
+from rigid_body_ros.body import rate_in_space
+
+RANDOM = np.random.default_rng(11)
+MASSES, POSITIONS = RANDOM.uniform(0.5, 2.0, 6), RANDOM.normal(size=(6, 3))
+BODY = RigidBody.from_point_masses(MASSES, POSITIONS)
+W, A = np.array([0.3, -1.2, 0.8]), np.array([0.5, 0.1, -0.7])
+
+
+def test_tensor_of_point_masses_is_the_sum_of_its_definition():
+    arms = POSITIONS - np.average(POSITIONS, axis=0, weights=MASSES)
+    tensor = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(MASSES, arms))
+    np.testing.assert_allclose(BODY.inertia, tensor, rtol=1e-14)
+    np.testing.assert_array_equal(BODY.inertia, BODY.inertia.T)
+
+
+def test_products_of_inertia_are_entries_of_the_matrix():
+    tensor = RigidBody.from_moments(2.0, 3.0, 4.0, 0.1, 0.2, 0.3).inertia
+    assert tensor.tolist() == [[2.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 4.0]]
+
+
+def test_moment_about_an_axis_is_mass_times_squared_distance_from_it():
+    axis = np.array([1.0, -2.0, 0.5])
+    arms = POSITIONS - np.average(POSITIONS, axis=0, weights=MASSES)
+    distance = np.linalg.norm(np.cross(arms, axis), axis=1) / np.linalg.norm(axis)
+    np.testing.assert_allclose(BODY.moment_about(axis), MASSES @ distance ** 2, rtol=1e-14)
+
+
+def test_principal_axes_diagonalise_and_are_right_handed():
+    axes, moments = BODY.principal_axes, BODY.principal_moments
+    np.testing.assert_allclose(axes.T @ BODY.inertia @ axes, np.diag(moments), atol=1e-14)
+    np.testing.assert_allclose(np.cross(axes[:, 0], axes[:, 1]), axes[:, 2], atol=1e-15)
+    assert list(moments) == sorted(moments)
+
+
+def test_principal_moments_of_a_thin_rod_keep_their_digits():
+    body = RigidBody.from_moments(1.0, 1e-20, 1.0)
+    assert body.principal_moments.tolist() == [1e-20, 1.0, 1.0]
+    np.testing.assert_array_equal(body.principal_axes[:, 0], [0.0, 1.0, 0.0])
+
+
+@pytest.mark.parametrize(('moments', 'symmetry'), [
+    ((2.0, 2.0, 2.0), 'sphere'), ((2.0, 3.0, 2.0), 'symmetric top'),
+    ((2.0, 2.5, 3.0), 'asymmetric top'), ((1.0, 1.0 + 1e-9, 1.0 + 2e-9), 'asymmetric top')])
+def test_symmetry_is_that_of_the_moments(moments, symmetry):
+    assert RigidBody.from_moments(*moments).symmetry == symmetry
+
+
+def test_angular_momentum_is_the_sum_over_the_masses():
+    arms = POSITIONS - np.average(POSITIONS, axis=0, weights=MASSES)
+    momentum = sum(m * np.cross(r, np.cross(W, r)) for m, r in zip(MASSES, arms))
+    energy = sum(0.5 * m * np.sum(np.cross(W, r) ** 2) for m, r in zip(MASSES, arms))
+    np.testing.assert_allclose(BODY.angular_momentum(W), momentum, rtol=1e-14)
+    np.testing.assert_allclose(BODY.kinetic_energy(W), energy, rtol=1e-14)
+
+
+def test_transport_theorem_is_the_derivative_of_the_space_components():
+    # A vector with body components A + t dA, in a body that turns with constant w.
+    change, h = np.array([0.2, 0.9, -0.4]), 1e-5
+    ahead, behind = (so3.rotate(so3.exp(t * W), A + t * change) for t in (h, -h))
+    np.testing.assert_allclose((ahead - behind) / (2 * h), rate_in_space(change, W, A), atol=1e-9)
+    np.testing.assert_allclose(rate_in_space(change, W, A) - change, np.cross(W, A), atol=1e-16)
+
+
+def test_eulers_equations_are_the_components_of_dl_dt():
+    i1, i2, i3 = 1.0, 2.0, 2.5
+    body = RigidBody.from_moments(i1, i2, i3)
+    torque, (w1, w2, w3) = np.array([0.1, 0.2, -0.3]), W
+    expected = [(torque[0] + (i2 - i3) * w2 * w3) / i1, (torque[1] + (i3 - i1) * w3 * w1) / i2,
+                (torque[2] + (i1 - i2) * w1 * w2) / i3]
+    np.testing.assert_allclose(body.angular_acceleration(W, torque), expected, rtol=1e-15)
+
+
+def test_torque_and_acceleration_undo_each_other():
+    torque = np.array([0.4, -0.1, 0.25])
+    np.testing.assert_allclose(BODY.torque(W, BODY.angular_acceleration(W, torque)), torque,
+                               atol=1e-15)
+
+
+@pytest.mark.parametrize(('tensor', 'message'), [
+    (np.eye(2), '3 by 3 finite numbers'),
+    ([[np.nan, 0, 0], [0, 1, 0], [0, 0, 1]], 'found .*nan'),
+    ([[1, 0.1, 0], [0.2, 1, 0], [0, 0, 1]], 'symmetric tensor, found .*0.2'),
+    (np.diag([1.0, -2.0, 1.5]), 'positive definite.* -2, 1, 1.5'),
+    (np.diag([1.0, 1.0, 3.0]), 'moments 1, 1, 3 kg m.*sum of the other two'),
+    (np.zeros((3, 3)), 'positive definite')])
+def test_impossible_tensors_are_refused_with_their_numbers(tensor, message):
+    with pytest.raises(ValueError, match=message):
+        RigidBody(tensor)
+
+
+def test_a_thin_plate_is_a_body_and_rounded_digits_are_told():
+    assert RigidBody.from_moments(0.1, 0.2, 0.1 + 0.2).triangle_excess == 0.0
+    rounded = RigidBody.from_moments(0.0833, 0.3333, 0.4167)
+    np.testing.assert_allclose(rounded.triangle_excess, 0.4167 / 0.4166 - 1.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize(('masses', 'positions', 'message'), [
+    ([1.0, -1.0], np.eye(3)[:2], 'greater than zero'), ([], np.zeros((0, 3)), 'greater than zero'),
+    ([1.0], np.eye(3), 'shape'), ([1.0, 1.0], [[0, 0, 0], [0, 0, 1]], 'positive definite')])
+def test_point_masses_that_make_no_body_are_refused(masses, positions, message):
+    with pytest.raises(ValueError, match=message):
+        RigidBody.from_point_masses(masses, positions)
+
+
+@pytest.mark.parametrize(('attitude', 'velocity', 'message'), [
+    ((0, 0, 0, 0), (0, 0, 0), 'attitude quaternion .*expected a rotation'),
+    ((0, 0, np.nan, 1), (0, 0, 0), 'attitude quaternion .*nan'),
+    ((0, 0, 1), (0, 0, 0), 'attitude quaternion .*expected 4'),
+    ((0, 0, 0, 1), (0, np.inf, 0), 'angular velocity: .*inf')])
+def test_impossible_states_are_refused(attitude, velocity, message):
+    with pytest.raises(ValueError, match=message):
+        State(0, attitude, velocity)
+
+
+def test_a_start_is_normalised_but_one_of_unit_length_is_left_alone():
+    np.testing.assert_allclose(State(0, (0, 0, 0, 5.0)).attitude, [0, 0, 0, 1], rtol=0)
+    unit = so3.normalize(np.array([0.1, -0.3, 0.2, 0.9]))
+    np.testing.assert_array_equal(State(0, unit).attitude, unit)
+    np.testing.assert_array_equal(State(0, (3e-310, 0, 0, 0)).attitude, [1, 0, 0, 0])

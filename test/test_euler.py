@@ -1,0 +1,184 @@
+"""Euler angles: all sequences against their definition."""
+
+from conftest import chord
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rigid_body_ros import euler, so3
+
+EPS = np.finfo(float).eps
+PROPER = ('XYX', 'XZX', 'YXY', 'YZY', 'ZXZ', 'ZYZ')
+TAIT_BRYAN = ('XYZ', 'XZY', 'YXZ', 'YZX', 'ZXY', 'ZYX')
+INTRINSIC = PROPER + TAIT_BRYAN
+ALL = INTRINSIC + tuple(name.lower() for name in INTRINSIC)
+RANDOM = np.random.default_rng(313)
+Q = so3.normalize(RANDOM.normal(size=(500, 4)))
+W = RANDOM.normal(size=(500, 3))
+
+
+def near_poles(sequence):
+    """Return attitudes at and close to the two poles of a sequence."""
+    poles = (0.0, np.pi) if sequence.upper() in PROPER else (-np.pi / 2, np.pi / 2)
+    offsets = np.array([0.0, 1e-18, 1e-15, 1e-9, 1e-7, 1e-4])
+    angles = [(a, pole + side * offset, c) for a, c in RANDOM.uniform(-3, 3, (20, 2))
+              for pole, side in zip(poles, (1, -1)) for offset in offsets]
+    return euler.to_quaternion(angles, sequence)
+
+
+def test_313_is_space_z_then_line_of_nodes_then_body_z():
+    phi, theta, psi = 0.3, 1.1, -0.7
+    about_z, about_x = so3.exp([0, 0, phi]), so3.exp([theta, 0, 0])
+    expected = so3.multiply(so3.multiply(about_z, about_x), so3.exp([0, 0, psi]))
+    np.testing.assert_array_equal(euler.to_quaternion([phi, theta, psi]), expected)
+    # Applied in the other order, the same three turns are about axes fixed in space.
+    np.testing.assert_array_equal(euler.to_quaternion([psi, theta, phi], 'zxz'), expected)
+
+
+@pytest.mark.parametrize('sequence', ALL)
+def test_angles_are_scipys(sequence):
+    angles = euler.from_quaternion(Q, sequence)
+    theirs = Rotation.from_quat(Q).as_euler(sequence)
+    apart = np.remainder(angles - theirs + np.pi, 2 * np.pi) - np.pi
+    assert np.abs(apart).max() < 1e-12
+    np.testing.assert_allclose(np.abs(np.sum(euler.to_quaternion(theirs, sequence) * Q, axis=1)),
+                               1.0, atol=8 * EPS)
+
+
+@pytest.mark.parametrize('sequence', ALL)
+def test_round_trip_keeps_the_attitude_everywhere(sequence):
+    attitudes = np.concatenate([Q, near_poles(sequence)])
+    back = euler.to_quaternion(euler.from_quaternion(attitudes, sequence), sequence)
+    # Below 2 pi two neighbouring doubles are 9e-16 apart.
+    assert so3.angle_between(back, attitudes).max() < 2e-15
+
+
+@pytest.mark.parametrize('sequence', ALL)
+def test_angles_lie_in_their_domains(sequence):
+    first, middle, third = euler.from_quaternion(
+        np.concatenate([Q, near_poles(sequence)]), sequence).T
+    for outer in (first, third):
+        if sequence.upper() in PROPER:
+            assert outer.min() >= 0.0
+            assert outer.max() < 2.0 * np.pi
+        else:
+            assert outer.min() > -np.pi
+            assert outer.max() <= np.pi
+    low = 0.0 if sequence.upper() in PROPER else -np.pi / 2
+    assert middle.min() >= low
+    assert middle.max() <= low + np.pi
+
+
+def test_a_tiny_negative_angle_is_not_a_whole_turn():
+    angles = euler.from_quaternion(so3.exp([0.0, 0.0, -1e-17]))
+    np.testing.assert_array_equal(angles, [0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_at_theta_zero_the_sum_is_kept_and_split_evenly(sign):
+    q = sign * so3.exp([0.0, 0.0, 1.2])
+    np.testing.assert_allclose(np.mod(euler.from_quaternion(q), np.pi), [0.6, 0.0, 0.6],
+                               atol=4 * EPS)
+    np.testing.assert_allclose(euler.from_quaternion(so3.exp([-0.0, -0.0, 1.2])), [0.6, 0, 0.6])
+
+
+def test_at_theta_pi_the_difference_is_kept_and_split_evenly():
+    phi, theta, psi = euler.from_quaternion([np.cos(0.4), np.sin(0.4), 0.0, 0.0])
+    assert theta == np.pi
+    np.testing.assert_allclose([phi, psi], [0.4, 2.0 * np.pi - 0.4], rtol=EPS)
+
+
+def test_degenerate_marks_the_poles():
+    angles = [[1.0, 0.0, 2.0], [1.0, 9e-8, 2.0], [1.0, 1.1e-7, 2.0], [1.0, np.pi, 2.0]]
+    assert euler.degenerate(angles).tolist() == [True, True, False, True]
+    assert euler.degenerate([[0.0, np.pi / 2, 0.0], [0.0, 0.0, 0.0]], 'ZYX').tolist() == [
+        True, False]
+
+
+def test_the_three_axes_of_313_are_space_z_line_of_nodes_body_z():
+    angles = euler.from_quaternion(Q)
+    to_body = so3.conjugate(Q)
+    space_z, node, body_z = np.moveaxis(euler.rotation_axes(angles), -2, 0)
+    np.testing.assert_allclose(space_z, so3.rotate(to_body, [0.0, 0.0, 1.0]), atol=8 * EPS)
+    np.testing.assert_array_equal(body_z, np.broadcast_to([0.0, 0.0, 1.0], body_z.shape))
+    # The line of nodes is where the two xy planes meet, at phi from space X.
+    along = np.stack([np.cos(angles[:, 0]), np.sin(angles[:, 0]), np.zeros(len(Q))], axis=1)
+    np.testing.assert_allclose(so3.rotate(Q, node), along, atol=8 * EPS)
+    np.testing.assert_allclose(np.cross(space_z, body_z),
+                               np.sin(angles[:, 1:2]) * node, atol=8 * EPS)
+
+
+def test_313_rates_are_goldsteins():
+    (_, theta, psi), rates = np.array([0.4, 0.9, 2.1]), np.array([0.7, -0.2, 0.5])
+    expected = [rates[0] * np.sin(theta) * np.sin(psi) + rates[1] * np.cos(psi),
+                rates[0] * np.sin(theta) * np.cos(psi) - rates[1] * np.sin(psi),
+                rates[0] * np.cos(theta) + rates[2]]
+    np.testing.assert_allclose(euler.angular_velocity([0.4, theta, psi], rates), expected,
+                               atol=2 * EPS)
+
+
+@pytest.mark.parametrize('sequence', ALL)
+def test_rates_are_the_time_derivative_of_the_angles(sequence):
+    h = 1e-4
+    away = np.abs(np.sin(euler.from_quaternion(Q, sequence)[:, 1]
+                         + (0.0 if sequence.upper() in PROPER else np.pi / 2))) > 0.2
+    q, w = Q[away], W[away]
+    before, after = (euler.from_quaternion(so3.multiply(q, so3.exp(t * w)), sequence)
+                     for t in (-h, h))
+    change = np.remainder(after - before + np.pi, 2 * np.pi) - np.pi
+    rates = euler.rates(euler.from_quaternion(q, sequence), w, sequence)
+    np.testing.assert_allclose(change / (2 * h), rates, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize('sequence', ALL)
+def test_rates_and_angular_velocity_undo_each_other(sequence):
+    angles = euler.from_quaternion(Q, sequence)
+    size = np.linalg.norm(euler.rates(angles, W, sequence), axis=1)
+    back = euler.angular_velocity(angles, euler.rates(angles, W, sequence), sequence)
+    assert (np.linalg.norm(back - W, axis=1) / size).max() < 8 * EPS
+
+
+@pytest.mark.parametrize('sequence', ALL)
+def test_rates_at_the_poles_are_finite_and_keep_what_is_determined(sequence):
+    proper = sequence.upper() in PROPER
+    for middle in ((0.0, np.pi) if proper else (-np.pi / 2, np.pi / 2)):
+        angles = np.array([0.3, middle, 0.8])
+        axes = euler.rotation_axes(angles, sequence)
+        turning = 0.7 * axes[0] + 0.2 * axes[1]
+        rates = euler.rates(angles, turning, sequence)
+        assert np.all(np.isfinite(rates))
+        np.testing.assert_allclose(euler.angular_velocity(angles, rates, sequence), turning,
+                                   atol=1e-15)
+
+
+def test_rates_at_exactly_theta_zero_are_split_evenly():
+    rates = euler.rates([0.3, 0.0, 0.5], [0.1, 0.2, 1.4])
+    np.testing.assert_allclose(rates, [0.7, 0.1 * np.cos(0.5) - 0.2 * np.sin(0.5), 0.7],
+                               atol=EPS)
+
+
+@pytest.mark.parametrize('sequence', ALL)
+def test_unwrapped_angles_name_the_same_attitudes_without_jumps(sequence):
+    times = np.linspace(0.0, 20.0, 4001)[:, None]
+    attitude = so3.multiply(so3.exp(times * [0.9, 0.3, -0.2]), so3.exp(times * [0.1, -0.4, 1.1]))
+    angles = euler.unwrap(euler.from_quaternion(attitude, sequence), sequence)
+    assert so3.angle_between(euler.to_quaternion(angles, sequence), attitude).max() < 1e-14
+    assert np.abs(np.diff(angles, axis=0)).max() < 0.5
+
+
+def test_unwrapped_theta_goes_on_through_zero():
+    times = np.linspace(-1.0, 1.0, 41)[:, None]
+    angles = euler.unwrap(euler.from_quaternion(so3.exp(times * [1.0, 0.0, 0.0])))
+    np.testing.assert_allclose(angles[:, 1], angles[0, 1] - (times[:, 0] + 1.0), atol=1e-15)
+    np.testing.assert_allclose(angles[:, [0, 2]], angles[:1, [0, 2]] * np.ones((41, 1)))
+
+
+@pytest.mark.parametrize('name', ['', 'ZX', 'ZZX', 'XZZ', 'ZxZ', 'ABC', 'ZXZX'])
+def test_unknown_sequences_are_named(name):
+    with pytest.raises(ValueError, match=f"Euler sequence: .* found '{name}'"):
+        euler.from_quaternion([0, 0, 0, 1], name)
+
+
+def test_euler_angles_of_a_flipped_quaternion_are_the_same():
+    np.testing.assert_allclose(np.cos(euler.from_quaternion(-Q) - euler.from_quaternion(Q)), 1.0)
+    assert chord(-Q, Q).min() > 3.9

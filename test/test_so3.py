@@ -1,0 +1,72 @@
+"""Laws of rotations."""
+
+from conftest import EPOCH_NS
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rigid_body_ros import so3
+
+EPS = np.finfo(float).eps
+RANDOM = np.random.default_rng(7)
+Q = so3.normalize(RANDOM.normal(size=(3, 200, 4)))
+V = RANDOM.normal(size=(200, 3))
+
+
+def test_quarter_turn_about_z_takes_body_x_to_space_y():
+    yaw = so3.exp([0.0, 0.0, np.pi / 2])
+    np.testing.assert_allclose(so3.rotate(yaw, [1.0, 0.0, 0.0]), [0.0, 1.0, 0.0], atol=EPS)
+    np.testing.assert_allclose(yaw, [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)], atol=EPS)
+
+
+def test_rotations_are_right_handed_and_keep_lengths_and_angles():
+    x, y, z = np.moveaxis(so3.matrix(Q[0]), -1, 0)
+    np.testing.assert_allclose(np.cross(x, y), z, atol=8 * EPS)
+    np.testing.assert_allclose(np.sum(x * x, axis=1), 1.0, atol=8 * EPS)
+    np.testing.assert_allclose(np.sum(x * y, axis=1), 0.0, atol=8 * EPS)
+
+
+def test_product_is_a_group_with_the_action_on_vectors():
+    p, q, r = Q
+    unit = [0.0, 0.0, 0.0, 1.0]
+    np.testing.assert_allclose(so3.multiply(so3.multiply(p, q), r),
+                               so3.multiply(p, so3.multiply(q, r)), atol=8 * EPS)
+    np.testing.assert_array_equal(so3.multiply(p, unit), p)
+    np.testing.assert_allclose(so3.multiply(p, so3.conjugate(p)) - unit, 0.0, atol=8 * EPS)
+    np.testing.assert_allclose(so3.rotate(so3.multiply(p, q), V), so3.rotate(p, so3.rotate(q, V)),
+                               atol=32 * EPS)
+
+
+def test_convention_is_scipys():
+    np.testing.assert_allclose(so3.matrix(Q[0]), Rotation.from_quat(Q[0]).as_matrix(),
+                               atol=8 * EPS)
+
+
+@pytest.mark.parametrize('size', [0.0, 1e-300, 1e-160, 1e-12, 1e-7, 1e-3, 1.0, 3.0, np.pi - 1e-9])
+def test_log_undoes_exp_at_every_size_of_angle(size):
+    vectors = size * V / np.linalg.norm(V, axis=1, keepdims=True)
+    np.testing.assert_allclose(so3.log(so3.exp(vectors)), vectors, rtol=8 * EPS,
+                               atol=8 * EPS * size)
+
+
+def test_exp_goes_on_beyond_a_turn():
+    np.testing.assert_allclose(so3.exp([2.0 * np.pi, 0.0, 0.0]), [0.0, 0.0, 0.0, -1.0],
+                               atol=2 * EPS)
+
+
+def test_normalize_takes_quaternions_of_any_size():
+    for size in (1e-300, 1e-160, 1.0, 1e200):
+        np.testing.assert_allclose(so3.normalize(size * Q[0]), Q[0], atol=2 * EPS)
+
+
+@pytest.mark.parametrize('angle', [0.0, 1e-17, 1e-9, 1e-3, 1.0, np.pi - 1e-9, np.pi])
+def test_angle_between_resolves_every_angle(angle):
+    turned = so3.multiply(Q[0], so3.exp([angle, 0.0, 0.0]))
+    np.testing.assert_allclose(so3.angle_between(Q[0], turned), angle, atol=8 * EPS)
+    np.testing.assert_allclose(so3.angle_between(Q[0], -turned), angle, atol=8 * EPS)
+
+
+def test_epoch_of_the_recordings_defeats_float_seconds():
+    # The premise of the tests with stamps of today: a sum in float loses tens of nanoseconds.
+    seconds, nanoseconds = divmod(EPOCH_NS, 10 ** 9)
+    assert abs(round((seconds + 1e-9 * nanoseconds) * 1e9) - EPOCH_NS) > 10

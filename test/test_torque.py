@@ -1,0 +1,105 @@
+"""Torque logs: what holds between the samples."""
+
+from conftest import EPOCH_NS, SECOND
+import numpy as np
+import pytest
+
+from rigid_body_ros import TorqueLog
+from rigid_body_ros.torque import INTERPOLATIONS
+
+RANDOM = np.random.default_rng(23)
+TIMES = EPOCH_NS + np.cumsum(RANDOM.integers(SECOND // 20, SECOND // 5, 40))
+TORQUES = RANDOM.normal(size=(40, 3))
+
+
+def spread(times_ns, count):
+    # Not between absolute times: as floats they are 238 ns apart.
+    return times_ns[0] + np.linspace(0, times_ns[-1] - times_ns[0], count).astype(np.int64)
+
+
+def smooth(times_ns):
+    seconds = (np.asarray(times_ns) - EPOCH_NS)[:, None] * 1e-9
+    return np.sin(seconds * [1.0, 1.7, 0.6] + [0.0, 1.0, 2.0])
+
+
+@pytest.mark.parametrize('interpolation', INTERPOLATIONS)
+def test_samples_are_met_and_the_last_is_held(interpolation):
+    log = TorqueLog(TIMES, TORQUES, interpolation=interpolation)
+    np.testing.assert_allclose(log.at(TIMES)[0], TORQUES, rtol=1e-15)
+    np.testing.assert_array_equal(log.at([TIMES[-1] + 10 ** 12])[0], TORQUES[-1:])
+    np.testing.assert_array_equal(log.at([TIMES[0] - 1])[0], [[0.0, 0.0, 0.0]])
+
+
+def test_hold_keeps_a_torque_up_to_the_next_sample():
+    log = TorqueLog(TIMES, TORQUES)
+    np.testing.assert_array_equal(log.at(TIMES[1:] - 1)[0], TORQUES[:-1])
+
+
+def test_linear_is_the_straight_line():
+    log = TorqueLog(TIMES, TORQUES, interpolation='linear')
+    times = spread(TIMES, 501)
+    expected = [np.interp(times - EPOCH_NS, TIMES - EPOCH_NS, column) for column in TORQUES.T]
+    np.testing.assert_allclose(log.at(times)[0], np.transpose(expected), atol=1e-13)
+
+
+def test_cubic_reproduces_cubics_at_irregular_stamps():
+    def cubic(times_ns):
+        x = (np.asarray(times_ns) - TIMES[20])[:, None] * 1e-9
+        return 1.0 + x * [0.3, -0.2, 0.9] + x ** 2 * [0.1, 1.0, -0.4] + x ** 3 * [-0.2, 0.4, 0.7]
+    log = TorqueLog(TIMES, cubic(TIMES), interpolation='cubic')
+    times = TIMES[:-1] + np.diff(TIMES) // 3
+    np.testing.assert_allclose(log.at(times)[0], cubic(times), rtol=1e-12, atol=1e-12)
+
+
+def test_cubic_is_of_fourth_order():
+    counts = np.array([80, 160, 320, 640, 1280])
+    worst = []
+    for count in counts:
+        stamps = EPOCH_NS + np.arange(count + 1) * (10 * SECOND // count)
+        between = stamps[2:-3] + 3 * SECOND // count
+        log = TorqueLog(stamps, smooth(stamps), interpolation='cubic')
+        worst.append(np.abs(log.at(between)[0] - smooth(between)).max())
+    slope, _ = np.polyfit(np.log(1.0 / counts), np.log(worst), 1)
+    assert abs(slope - 4.0) < 0.2
+
+
+@pytest.mark.parametrize('count', [1, 2, 3, 4])
+def test_cubic_takes_the_samples_there_are(count):
+    log = TorqueLog(TIMES[:count], TORQUES[:count], interpolation='cubic')
+    times = spread(TIMES[:count], 7)
+    degree = np.polynomial.Polynomial.fit(
+        TIMES[:count] - TIMES[0] if count > 1 else [0.0], TORQUES[:count, 0], count - 1)
+    np.testing.assert_allclose(log.at(times)[0][:, 0], degree(times - TIMES[0]), atol=1e-12)
+
+
+def test_of_equal_stamps_the_later_sample_counts():
+    log = TorqueLog([5, 7, 5, 6, 5], np.arange(15.0).reshape(5, 3))
+    assert log.times_ns.tolist() == [5, 6, 7]
+    assert log.torques[:, 0].tolist() == [12.0, 9.0, 3.0]
+
+
+def test_timeout_ends_a_torque_that_is_not_renewed():
+    log = TorqueLog([0, 10, 40], np.ones((3, 3)))
+    starts, samples = log.segments(20)
+    assert starts.tolist() == [0, 10, 30, 40, 60]
+    assert samples.tolist() == [0, 1, -1, 2, -1]
+    assert log.at([29, 30, 39, 40, 59, 60], 20)[0][:, 0].tolist() == [1, 0, 0, 1, 1, 0]
+
+
+def test_frames_may_differ_from_sample_to_sample():
+    log = TorqueLog([1, 0], np.eye(3)[:2], ['space', 'body'])
+    assert log.in_space.tolist() == [False, True]
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    (([0, 1], [[1, 2, 3]]), r'torques: expected shape \(2, 3\), found \(1, 3\)'),
+    (([0.5], [[1, 2, 3]]), 'times_ns: expected integer nanoseconds'),
+    (([3], [[1, np.nan, 3]]), 'torque 0 at 3 ns: expected finite numbers, found .*nan'),
+    (([3], [[1, 2, 3]], 'base_link'), "frame: expected 'body' or 'space', found 'base_link'"),
+    (([3, 4], np.ones((2, 3)), ['body', 'x']), "frame: expected 'body' or 'space', found 'x'"),
+    (([3, 4], np.ones((2, 3)), ['body']), 'frame: expected one name or 2, found 1'),
+    (([3], [[1, 2, 3]], 'body', 'spline'), "interpolation: expected .*cubic, found 'spline'"),
+    (([3, 4], np.ones((2, 3)), ['body', 'space'], 'linear'), 'expected torques of one frame')])
+def test_impossible_logs_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        TorqueLog(*arguments)
