@@ -38,7 +38,7 @@ setup(
         'ros': ['ros-rclpy', 'ros-rmw-fastrtps-cpp', 'ros-geometry-msgs', 'ros-sensor-msgs',
                 'ros-nav-msgs', 'ros-std-msgs', 'ros-std-srvs', 'ros-diagnostic-msgs'],
         'test': ['hypothesis', 'import-linter', 'mcap-ros2-support', 'mypy', 'pytest', 'rosbags',
-                 'ruff', 'scipy', 'types-PyYAML', 'types-tqdm'],
+                 'ruff', 'scipy', 'setuptools>=70', 'types-PyYAML', 'types-tqdm'],
         'bench': ['scipy'],
     },
     zip_safe=True,

@@ -5,11 +5,15 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
+import signal
 import sys
+from types import FrameType
 
 from rigid_body_ros.scene import InputError
 
-OK, USER_ERROR, INTERRUPTED = 0, 2, 130
+OK, USER_ERROR = 0, 2
+#: What a shell adds to the number of a signal that ended a command.
+SIGNALLED = 128
 
 
 def attitude_replay(arguments: Sequence[str] | None = None) -> int:
@@ -24,15 +28,22 @@ def attitude_node(arguments: Sequence[str] | None = None) -> int:
 
 
 def _guarded(name: str, command: Callable[[], None]) -> int:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
     try:
         command()
     except InputError as error:
         print(f'{name}: error: {error}', file=sys.stderr)
         return USER_ERROR
-    except KeyboardInterrupt:
-        print(f'{name}: interrupted; nothing was written', file=sys.stderr)
-        return INTERRUPTED
+    except KeyboardInterrupt as interrupt:
+        print(f'{name}: interrupted; nothing incomplete was left', file=sys.stderr)
+        return SIGNALLED + int(interrupt.args[0])
     return OK
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    # As an exception, so that files are closed and half-written ones removed.
+    raise KeyboardInterrupt(number)
 
 
 def _node(arguments: Sequence[str] | None) -> None:

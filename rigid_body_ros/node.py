@@ -261,15 +261,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     """
     stop: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
-    command_line = sys.argv if arguments is None else ['attitude_node', *arguments]
-    argparse.ArgumentParser(
-        'attitude_node', description='Turn the torques of a topic into attitude, in real time.',
-        epilog='The scene comes as ROS parameters: --ros-args --params-file FILE').parse_args(
-            remove_ros_args(command_line)[1:])
     try:
-        _initialize(command_line)
+        _initialize(sys.argv if arguments is None else ['attitude_node', *arguments])
         node = AttitudeNode()
         # From here on a signal must not cut a callback short.
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -281,19 +274,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
         node.finish()
         node.destroy_node()
     except KeyboardInterrupt:
-        pass  # before the node was there: nothing to finish
+        pass  # the command's handler, before the node was there: nothing to finish
     finally:
         rclpy.try_shutdown()
 
 
-def _interrupt(number: int, frame: Any) -> None:
-    raise KeyboardInterrupt
-
-
-def _initialize(arguments: Sequence[str]) -> None:
+def _initialize(command_line: Sequence[str]) -> None:
     try:
+        others = remove_ros_args(command_line)[1:]
+        argparse.ArgumentParser(
+            'attitude_node',
+            description='Turn the torques of a topic into attitude, in real time.',
+            epilog='The scene comes as ROS parameters: --ros-args --params-file FILE',
+        ).parse_args(others)
         # The handlers of rclpy would shut ROS down before the last states are published.
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=command_line, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         raise InputError(' '.join(str(error).split())) from error
 

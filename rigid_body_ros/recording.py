@@ -148,7 +148,7 @@ class Writer:
 
     def __init__(self, path: str | Path) -> None:
         self._path = Path(path)
-        self._part = self._path.with_name(f'.{self._path.name}.{os.getpid()}.part')
+        self._part = self._path.parent / f'.{self._path.name}.{os.getpid()}.part'
         self._channels: dict[str, int] = {}
         self._sequence: dict[str, int] = {}
 
@@ -194,7 +194,7 @@ class Writer:
 
 def _opened(path: str | Path, stream: Any) -> tuple[McapReader, Summary]:
     try:
-        reader = make_reader(stream)
+        reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
     except Exception as error:  # on damaged bytes mcap raises a dozen kinds
         raise InputError(f'{path}: expected an MCAP file, complete to its end, found none '

@@ -220,33 +220,34 @@ def _reason(error: Exception) -> str:
 
 def _parameters(root: yaml.Node | None) -> dict[str, Any]:
     """Return the flat values that a parameter file has for the node."""
-    nodes = {key.strip('/') or key: value for key, value in _entries(root, 'the file').items()}
-    wanted = [key for key in nodes if key == '**' or key.split('/')[-1] == NODE]
-    if not wanted:
-        wanted = [*nodes] if len(nodes) == 1 else []
+    nodes = [(key.strip('/') or key, value) for key, value in _entries(root, 'the file')]
+    wanted = {key for key, _ in nodes if key == '**' or key.split('/')[-1] == NODE}
+    if not wanted and len({key for key, _ in nodes}) == 1:
+        wanted = {nodes[0][0]}
     if not wanted:
         raise InputError(f'expected parameters of /** or {NODE}, found those of '
-                         f'{", ".join(nodes) or "no node"}')
+                         f'{", ".join(key for key, _ in nodes) or "no node"}')
     values: dict[str, Any] = {}
-    for key in sorted(wanted, key=lambda key: key != '**'):
-        entries = _entries(nodes[key], key)
-        if [*entries] != ['ros__parameters']:
-            raise InputError(f'{key}: expected the one key ros__parameters, '
-                             f'found {", ".join(entries) or "nothing"}')
-        values.update(_flat(entries['ros__parameters'], ''))
+    for key, node in sorted(nodes, key=lambda entry: entry[0] != '**'):
+        if key in wanted:
+            for name, entry in _entries(node, key):
+                if name != 'ros__parameters':
+                    raise InputError(f'{key}: expected the one key ros__parameters, found {name}')
+                values.update(_flat(entry, ''))
     return values
 
 
-def _entries(node: yaml.Node | None, what: str) -> dict[str, yaml.Node]:
+def _entries(node: yaml.Node | None, what: str) -> list[tuple[str, yaml.Node]]:
+    # Pairs, not a dictionary: of a key that stands twice, rcl merges what is below.
     if not isinstance(node, yaml.MappingNode):
         raise InputError(f'{what}: expected keys and values '
                          '(/**: ros__parameters: inertia: ...)')
-    return {str(key.value): value for key, value in node.value}
+    return [(str(key.value), value) for key, value in node.value]
 
 
 def _flat(node: yaml.Node, prefix: str) -> dict[str, Any]:
     values: dict[str, Any] = {}
-    for key, value in _entries(node, prefix.rstrip('.') or 'ros__parameters').items():
+    for key, value in _entries(node, prefix.rstrip('.') or 'ros__parameters'):
         if isinstance(value, yaml.MappingNode):
             values.update(_flat(value, f'{prefix}{key}.'))
         else:

@@ -1,0 +1,82 @@
+"""Kernels compile wherever the package runs, and run where numba does not."""
+
+import os
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from rigid_body_ros import RigidBody, State, TorqueLog, propagate
+
+PACKAGE = Path(sys.modules['rigid_body_ros'].__file__).parent
+SCRIPT = '''
+import sys
+{before}
+import numpy as np
+from rigid_body_ros import RigidBody, State, TorqueLog, propagate
+log = TorqueLog([0, 10 ** 9], [[0.1, 0.2, -0.1], [0.0, 0.3, 0.0]], ['body', 'space'])
+body = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
+motion = propagate(body, State(0, angular_velocity=(0.5, -0.7, 0.9)), log, at=[3 * 10 ** 9])
+print(*(x.hex() for x in motion.attitude[0].tolist()))
+'''
+
+
+def run(before='', **environment):
+    result = subprocess.run([sys.executable, '-c', SCRIPT.format(before=before)],
+                            env={**os.environ, **environment}, cwd='/', capture_output=True,
+                            text=True, check=True)
+    return np.array([float.fromhex(text) for text in result.stdout.split()]), result.stderr
+
+
+def here():
+    log = TorqueLog([0, 10 ** 9], [[0.1, 0.2, -0.1], [0.0, 0.3, 0.0]], ['body', 'space'])
+    body = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
+    return propagate(body, State(0, angular_velocity=(0.5, -0.7, 0.9)), log,
+                     at=[3 * 10 ** 9]).attitude[0]
+
+
+def test_another_process_gives_the_same_bits():
+    attitude, words = run()
+    np.testing.assert_array_equal(attitude, here())
+    assert words == ''
+
+
+def test_without_numba_the_same_motion_comes_out():
+    attitude, _ = run("sys.modules['numba'] = None")
+    np.testing.assert_allclose(attitude, here(), rtol=0, atol=1e-15)
+
+
+@pytest.fixture
+def read_only_package(tmp_path):
+    folder = tmp_path / 'site'
+    shutil.copytree(PACKAGE, folder / 'rigid_body_ros',
+                    ignore=shutil.ignore_patterns('__pycache__'))
+    # A file where the cache folder should be: what a read-only install looks like, even to root.
+    (folder / 'rigid_body_ros' / '__pycache__').touch()
+    return folder
+
+
+def test_a_read_only_install_without_a_home_works_and_warns_once(read_only_package):
+    nowhere = str(read_only_package / 'rigid_body_ros' / '__pycache__' / 'nowhere')
+    attitude, words = run(PYTHONPATH=str(read_only_package), HOME=nowhere,
+                          XDG_CACHE_HOME=nowhere, PYTHONDONTWRITEBYTECODE='1')
+    np.testing.assert_array_equal(attitude, here())
+    assert words.count('no folder for compiled kernels can be written') == 1
+
+
+def test_a_change_in_one_module_drops_what_was_compiled_of_all(tmp_path):
+    from rigid_body_ros import _jit
+    (tmp_path / '__pycache__').mkdir()
+    index, source = tmp_path / '__pycache__' / 'taylor.step.nbi', tmp_path / 'so3.py'
+    index.touch()
+    source.touch()
+    os.utime(index, ns=(10, 10))
+    os.utime(source, ns=(5, 5))
+    _jit._drop_stale_cache(tmp_path)
+    assert index.exists()
+    os.utime(source, ns=(20, 20))
+    _jit._drop_stale_cache(tmp_path)
+    assert not index.exists()

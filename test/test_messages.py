@@ -1,0 +1,94 @@
+"""Messages: the bytes and definitions that other tools know."""
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from rigid_body_ros import State, messages
+from rigid_body_ros.messages import TYPES
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+STAMP_NS = 1_767_225_600_123_456_789
+KINDS = list(TYPES.values())
+
+
+def values(kind):
+    return np.random.default_rng(kind.doubles).normal(size=kind.doubles)
+
+
+def doubles(message):
+    """Return the doubles of a rosbags message in field order."""
+    if isinstance(message, float):
+        return [message]
+    if isinstance(message, np.ndarray):
+        return list(message)
+    fields = [value for name, value in vars(message).items()
+              if name not in ('header', 'child_frame_id', '__msgtype__')]
+    return [number for field in fields for number in doubles(field)]
+
+
+@pytest.mark.parametrize('kind', KINDS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize('frame', ['', 'a', 'world', 'base_link', 'ünïcode'])
+def test_others_read_what_we_encode(kind, frame):
+    message = STORE.deserialize_cdr(kind.encode(STAMP_NS, frame, values(kind), 'child'), kind.name)
+    assert message.header.stamp.sec * 10 ** 9 + message.header.stamp.nanosec == STAMP_NS
+    assert message.header.frame_id == frame
+    assert getattr(message, 'child_frame_id', 'child') == 'child'
+    assert doubles(message) == list(values(kind))
+
+
+@pytest.mark.parametrize('kind', KINDS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize('little_endian', [True, False])
+def test_we_read_what_others_encode(kind, little_endian):
+    ours = kind.encode(STAMP_NS, 'base_link', values(kind), 'other')
+    theirs = bytes(STORE.serialize_cdr(STORE.deserialize_cdr(ours, kind.name), kind.name,
+                                       little_endian=little_endian))
+    decoded = kind.decode(theirs)
+    assert decoded[:2] == (STAMP_NS, 'base_link')
+    assert decoded.child_frame_id == ('other' if kind.has_child_frame else '')
+    np.testing.assert_array_equal(decoded.values, values(kind))
+
+
+@pytest.mark.parametrize('kind', KINDS, ids=lambda kind: kind.name)
+def test_definitions_are_those_of_ros(kind):
+    ours = get_types_from_msg(kind.definition, kind.name)
+    for name, (_, fields) in ours.items():
+        assert [field[0] for field in fields] == [field[0] for field in STORE.fielddefs[name][1]]
+    store = get_typestore(Stores.EMPTY)
+    store.register(ours)
+    assert store.hash_rihs01(kind.name) == STORE.hash_rihs01(kind.name)
+
+
+@pytest.mark.parametrize('data', [b'', b'\0', b'\0\1\0\0', b'\0\7\0\0' + bytes(80), bytes(200),
+                                  messages.wrench(STAMP_NS, 'world', [1, 2, 3])[:-1],
+                                  b'\0\1\0\0' + bytes(8) + b'\xff\xff\xff\x7f' + bytes(80)])
+def test_bytes_that_are_no_message_are_refused(data):
+    with pytest.raises(ValueError, match=f'expected a geometry_msgs/msg/WrenchStamped in CDR, '
+                                         f'found {len(data)} bytes'):
+        messages.WRENCH.decode(data)
+
+
+def test_a_wrench_carries_a_torque_and_no_force():
+    wrench = messages.WRENCH.decode(messages.wrench(STAMP_NS, 'world', [1.0, 2.0, 3.0]))
+    assert wrench.values.tolist() == [0, 0, 0, 1, 2, 3]
+    assert messages.torque(wrench).tolist() == [1, 2, 3]
+
+
+def test_odometry_carries_attitude_and_body_rates():
+    state = State(STAMP_NS, (0.5, -0.5, 0.5, 0.5), (1.0, 2.0, 3.0))
+    message = STORE.deserialize_cdr(messages.odometry(state, 'world', 'base_link'),
+                                    'nav_msgs/msg/Odometry')
+    assert (message.header.frame_id, message.child_frame_id) == ('world', 'base_link')
+    assert doubles(message.pose.pose.orientation) == [0.5, -0.5, 0.5, 0.5]
+    assert doubles(message.twist.twist.angular) == [1.0, 2.0, 3.0]
+    assert np.count_nonzero(doubles(message)) == 7
+
+
+@pytest.mark.parametrize(('frame_id', 'frame'), [('', 'body'), ('b', 'body'), ('s', 'space')])
+def test_the_frame_id_tells_the_axes(frame_id, frame):
+    assert messages.torque_frame(frame_id, 'b', 's') == frame
+
+
+def test_another_frame_id_is_refused():
+    with pytest.raises(ValueError, match="frame_id: expected 'b' or nothing .*'s' .*found 'map'"):
+        messages.torque_frame('map', 'b', 's')

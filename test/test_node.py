@@ -1,0 +1,253 @@
+"""attitude_node as a real process over real DDS."""
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+
+from conftest import CONFIG, RECORDINGS, SECOND
+import numpy as np
+import pytest
+
+from rigid_body_ros import State, TorqueLog, messages, propagate, recording, scene
+
+pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
+
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession  # noqa: E402
+from rcl_interfaces.msg import ParameterType  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.parameter_client import AsyncParameterClient  # noqa: E402
+
+pytestmark = pytest.mark.ros
+TUMBLER = CONFIG / 'tumbler.yaml'
+DOMAINS = itertools.count(os.getpid())
+
+
+@pytest.fixture
+def domain():
+    """Return a ROS domain that no other test of this machine is likely to use."""
+    return 1 + next(DOMAINS) % 100
+
+
+def decoded(live, topic, kind):
+    return [kind.decode(data) for data in live.received[topic]]
+
+
+def replayed(tmp_path, live):
+    """Return the committed states, and those of a replay of what was accepted."""
+    live.write(tmp_path / 'live.mcap')
+    run = scene.load(tmp_path / 'live.yaml')
+    accepted = recording.read(tmp_path / 'live.mcap', ACCEPTED)
+    log = recording.torque_log('live.mcap', accepted, run.values['body_frame'],
+                               run.values['space_frame'])
+    committed = recording.read(tmp_path / 'live.mcap', COMMITTED, messages.ODOMETRY)
+    motion = propagate(run.body, run.start, log, at=committed.stamps_ns, **run.options)
+    return committed, accepted, np.hstack([motion.attitude, motion.angular_velocity])
+
+
+def live_values(committed):
+    return np.hstack([committed.values[:, messages.ORIENTATION],
+                      committed.values[:, messages.ANGULAR_VELOCITY]])
+
+
+@pytest.mark.parametrize('timeout', [0.0, 0.02])
+def test_live_is_replay_bit_for_bit_though_torques_come_late_and_out_of_order(
+        tmp_path, domain, timeout):
+    random = np.random.default_rng(17)
+    with LiveSession(TUMBLER, domain, '-p', f'torque_timeout:={timeout}') as live:
+        start_ns, torques = live.now_ns(), []
+        for number in range(800):
+            stamp_ns = start_ns + number * SECOND // 200 + int(random.integers(0, SECOND // 500))
+            delay_ns = int(random.integers(0, SECOND // 2)) * int(random.integers(0, 2))
+            torque = random.normal(size=3) * 0.02 * (random.random() > 0.3)
+            frame_id = ('', 'base_link', 'world')[random.integers(3)]
+            torques.append((stamp_ns + delay_ns, stamp_ns, frame_id, torque))
+        for due_ns, stamp_ns, frame_id, torque in sorted(torques, key=lambda row: row[0]):
+            live.spin((due_ns - live.now_ns()) * 1e-9)
+            live.publish(stamp_ns, frame_id, torque)
+        live.spin(0.3)
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        committed, accepted, replay = replayed(tmp_path, live)
+    stamps = np.unique([row[1] for row in torques])
+    assert sorted(accepted.stamps_ns) == sorted(row[1] for row in torques)
+    assert np.any(np.diff(accepted.stamps_ns) < 0)  # they did come out of order
+    np.testing.assert_array_equal(committed.stamps_ns[1:], stamps)
+    np.testing.assert_array_equal(live_values(committed), replay)
+    # The start state comes first, at the time that the dumped parameters name.
+    assert committed.stamps_ns[0] == scene.load(tmp_path / 'live.yaml').start.time_ns
+
+
+def test_what_is_published_between_stamps_is_the_motion_at_those_times(domain):
+    torques = recording.read(RECORDINGS / 'tumbler.mcap')
+    start_ns, count = int(torques.stamps_ns[0]), 501
+    # The clock waits until every torque is there, so that no prediction lacks one.
+    with LiveSession(TUMBLER, domain, '-p', 'use_sim_time:=true', '-p', f'start_time:={start_ns}',
+                     '-p', 'max_future:=11.0', '-p', 'history:=12.0') as live:
+        run_clock(live, start_ns, until=lambda: live.received[COMMITTED])
+        for row in range(count):
+            live.publish(int(torques.stamps_ns[row]), 'base_link', torques.values[row, 3:])
+        run_clock(live, start_ns, until=lambda: len(live.received[ACCEPTED]) == count)
+        run_clock(live, start_ns, seconds=10)
+        assert live.stop() == 0
+    scene_ = scene.load(TUMBLER)
+    start = State(start_ns, scene_.start.attitude, scene_.start.angular_velocity)
+    log = TorqueLog(torques.stamps_ns[:count], torques.values[:count, 3:])
+    published = decoded(live, ATTITUDE, messages.QUATERNION)
+    motion = propagate(scene_.body, start, log, at=[message.stamp_ns for message in published])
+    assert len(published) > 100
+    assert {message.frame_id for message in published} == {'world'}
+    np.testing.assert_array_equal([message.values for message in published], motion.attitude)
+
+
+def run_clock(live, start_ns, until=lambda: False, seconds=100):
+    """Let simulated time go on, or stand at the start until something holds."""
+    for tick in range(seconds * 100 + 1):
+        live.set_clock(start_ns + (tick * SECOND // 100 if seconds < 100 else 0))
+        live.spin(0.002)
+        if until():
+            return
+
+
+def test_bad_torques_are_refused_counted_and_change_nothing(tmp_path, domain):
+    with LiveSession(TUMBLER, domain) as live:
+        live.publish(live.now_ns(), 'base_link', [0.01, 0.0, 0.0])
+        live.spin(0.2)
+        now_ns = live.now_ns()
+        for frame_id, torque in (('base_link', [np.nan, 0, 0]), ('base_link', [0, np.inf, 0]),
+                                 ('map', [1, 0, 0])):
+            live.publish(now_ns, frame_id, torque)
+        live.publish(now_ns + 2 * SECOND, '', [1.0, 0, 0])
+        live.publish(now_ns - 3600 * SECOND, '', [1.0, 0, 0])
+        live.publish_bytes(b'\0\1\0\0' + bytes(8))
+        live.publish_bytes(messages.WRENCH.encode(now_ns, '', [9.0, 0, 0, 0, 0.01, 0]))
+        live.publish(0, '', [0, 0, 0.01])  # stamped by its arrival
+        live.spin(0.5)
+        live.dump_parameters(tmp_path / 'live.yaml')
+        live.process.send_signal(signal.SIGINT)
+        words = live.process.communicate(timeout=10)[1]
+        live.spin(0.5)
+        committed, accepted, replay = replayed(tmp_path, live)
+    assert accepted.values[:, 3:].tolist() == [[0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.01]]
+    assert now_ns < accepted.stamps_ns[-1] < now_ns + SECOND
+    np.testing.assert_array_equal(live_values(committed), replay)
+    for part in ('refused (not finite, 1 so far): expected a finite torque, found [nan, 0.0, 0.0]',
+                 "found 'map'", 'refused (future, 1 so far): a torque is stamped', 's ahead of',
+                 'refused (late, 1 so far): ', 's behind the clock',
+                 'the force of a WrenchStamped is ignored'):
+        assert part in words, words
+
+
+def test_nothing_is_published_before_the_clock_is_valid(domain):
+    with LiveSession(TUMBLER, domain, '-p', 'use_sim_time:=true') as live:
+        live.publish(5 * SECOND, '', [1.0, 0.0, 0.0])
+        live.spin(0.5)
+        assert not any(live.received.values())
+        for _ in range(20):
+            live.set_clock(7 * SECOND)
+            live.spin(0.02)
+        assert live.stop() == 0
+        first = decoded(live, COMMITTED, messages.ODOMETRY)[0]
+        assert first.stamp_ns == 7 * SECOND
+        assert not live.received[ACCEPTED]
+
+
+def call(live, request):
+    client = AsyncParameterClient(live._node, 'attitude_node')
+    return live._result(request(client))
+
+
+def test_parameters_tell_what_they_are_and_keep_the_scene(domain):
+    with LiveSession(TUMBLER, domain) as live:
+        names = list(scene.PARAMETERS)
+        descriptors = call(live, lambda client: client.describe_parameters(names)).descriptors
+        for descriptor in descriptors:
+            parameter = scene.PARAMETERS[descriptor.name]
+            assert descriptor.description.startswith(parameter.description)
+            limits = descriptor.floating_point_range or descriptor.integer_range
+            assert bool(limits) == bool(parameter.range)
+        changes = {'inertia.ixx': 0.05, 'solver': 'taylor', 'start_time': 5, 'publish_rate': 1e9}
+        for name, value in changes.items():
+            result, = call(live, lambda client, name=name, value=value: client.set_parameters(
+                [Parameter(name, value=value)])).results
+            assert not result.successful
+            assert name in result.reason
+        result, = call(live, lambda client: client.set_parameters(
+            [Parameter('publish_rate', value=20)])).results
+        assert result.successful, result.reason
+        rate, = call(live, lambda client: client.get_parameters(['publish_rate'])).values
+        assert rate.type == ParameterType.PARAMETER_INTEGER
+
+
+def test_the_rate_may_change_while_running(domain):
+    start_ns = 100 * SECOND
+    with LiveSession(TUMBLER, domain, '-p', 'use_sim_time:=true') as live:
+        run_clock(live, start_ns, seconds=2)
+        call(live, lambda client: client.set_parameters([Parameter('publish_rate', value=10)]))
+        changed = len(live.received[ATTITUDE])
+        run_clock(live, start_ns + 2 * SECOND, seconds=5)
+        assert live.stop() == 0
+    stamps = [message.stamp_ns for message in decoded(live, ATTITUDE, messages.QUATERNION)]
+    # By the simulated clock, which moves in steps of 10 ms.
+    assert np.median(np.diff(stamps[:changed])) == SECOND // 100
+    assert np.median(np.diff(stamps[changed + 1:])) == SECOND // 10
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_it_cleanly(domain, number):
+    with LiveSession(TUMBLER, domain) as live:
+        live.spin(0.3)
+        live.process.send_signal(number)
+        words = live.process.communicate(timeout=10)[1]
+        assert live.process.returncode == 0
+        assert 'Traceback' not in words
+        assert 'rror' not in words
+
+
+def run_node(domain, *arguments):
+    """Run the node with arguments that end it at once."""
+    command = LiveSession(TUMBLER, domain)
+    return subprocess.run([*command._command[:3], *arguments], env=command._environment,
+                          capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    ((), 'inertia.ixx: missing; expected a number (kg m^2)'),
+    (('-p', 'inertia.ixx:=1', '-p', 'inertia.iyy:=1', '-p', 'inertia.izz:=5'),
+     'found principal moments 1, 1, 5 kg m^2'),
+    (('--params-file', str(TUMBLER), '-p', 'intertia.ixx:=1.0'),
+     'intertia.ixx: unknown key; did you mean inertia.ixx?'),
+    (('--params-file', str(TUMBLER), '-p', 'tolerance:=tight'),
+     "tolerance: expected a number, found 'tight'"),
+    (('--params-file', str(TUMBLER), '-p', 'interpolation:=cubic'),
+     "interpolation: expected hold, as the next torque is not known yet, found 'cubic'"),
+    (('--params-file', 'none.yaml'), 'none.yaml')])
+def test_a_mistake_is_answered_by_one_line(domain, arguments, message):
+    result = run_node(domain, '--ros-args', *arguments)
+    lines = [line for line in result.stderr.splitlines() if not line.startswith('[')]
+    assert result.returncode == 2
+    assert len(lines) == 1
+    assert lines[0].startswith('attitude_node: error: ')
+    assert message in lines[0]
+
+
+def test_unknown_arguments_are_answered_by_the_usage(domain):
+    result = run_node(domain, '--rate', '5')
+    assert result.returncode == 2
+    assert 'unrecognized arguments: --rate 5' in result.stderr
+
+
+def test_integers_and_plain_exponents_are_numbers(domain):
+    with LiveSession(TUMBLER, domain, '-p', 'initial_attitude.w:=-1', '-p', 'tolerance:=1e-9',
+                     '-p', 'initial_angular_velocity.y:=2') as live:
+        first = decoded(live, COMMITTED, messages.ODOMETRY)[0].values
+        assert first[messages.ORIENTATION].tolist() == [0.0, 0.0, 0.0, -1.0]
+        assert first[messages.ANGULAR_VELOCITY].tolist() == [0.15, 2.0, -0.10]
+
+
+def test_the_demo_runs():
+    result = subprocess.run([sys.executable, 'examples/demo.py'], cwd=CONFIG.parent,
+                            capture_output=True, text=True, timeout=300, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert 'Live and replay agree bit for bit at 3001 of 3001 stamps.' in result.stdout

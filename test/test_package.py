@@ -1,0 +1,82 @@
+"""The package: what is installed where, and one version."""
+
+from importlib import metadata
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+import zipfile
+
+import pytest
+
+from conftest import ROOT
+
+NAME = 'rigid_body_ros'
+COMMANDS = ('attitude_node', 'attitude_replay')
+
+
+@pytest.fixture(scope='module')
+def installed(tmp_path_factory):
+    """Install the package as `pip install .` does, into a prefix of its own."""
+    folder = tmp_path_factory.mktemp('install')
+    pip = [sys.executable, '-m', 'pip', '--disable-pip-version-check', '--quiet']
+    subprocess.run([*pip, 'wheel', '--no-deps', '--no-build-isolation', '-w', folder, ROOT],
+                   check=True)
+    wheel, = folder.glob('*.whl')
+    with zipfile.ZipFile(wheel) as archive:
+        assert f'{NAME}/py.typed' in archive.namelist()
+    subprocess.run([*pip, 'install', '--no-deps', '--prefix', folder / 'prefix', wheel],
+                   check=True)
+    return folder / 'prefix'
+
+
+@pytest.mark.parametrize('command', COMMANDS)
+def test_ros2_run_finds_the_commands_of_a_pip_install(installed, command):
+    # What `ros2 run` does: the package's prefix from the ament index, then an executable file
+    # in lib/<package>.
+    assert (installed / 'share/ament_index/resource_index/packages' / NAME).exists()
+    assert (installed / 'share' / NAME / 'package.xml').exists()
+    executable = installed / 'lib' / NAME / command
+    assert os.access(executable, os.X_OK)
+    packages, = installed.glob('lib/python*/site-packages')
+    environment = {**os.environ, 'PYTHONPATH': str(packages),
+                   'PATH': os.path.dirname(sys.executable) + os.pathsep + os.environ['PATH']}
+    if command == 'attitude_node':
+        pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
+    result = subprocess.run([executable, '--help'], env=environment, cwd='/', check=True,
+                            capture_output=True, text=True)
+    assert f'usage: {command}' in result.stdout
+
+
+def test_scenes_are_installed(installed):
+    assert (installed / 'share' / NAME / 'config' / 'iss.yaml').exists()
+
+
+def test_the_version_is_that_of_package_xml(installed):
+    version = ElementTree.parse(ROOT / 'package.xml').getroot().findtext('version')
+    packages, = installed.glob('lib/python*/site-packages')
+    found, = metadata.distributions(name=NAME, path=[str(packages)])
+    assert found.version == version
+    assert f'\n{version} (' in (ROOT / 'CHANGELOG.rst').read_text()
+
+
+def test_the_node_says_what_it_needs_where_ros_is_not():
+    script = ("import sys; sys.modules['rclpy'] = None; "
+              'from rigid_body_ros.cli import attitude_node; sys.exit(attitude_node())')
+    result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                            check=False)
+    assert result.returncode == 2
+    line, = result.stderr.splitlines()
+    assert line.startswith('attitude_node: error: attitude_node needs ROS 2')
+    assert 'pip install "rigid_body_ros[ros]"' in line
+
+
+@pytest.mark.parametrize('module', ['rigid_body_ros', 'rigid_body_ros.replay',
+                                    'rigid_body_ros.recording'])
+def test_the_library_and_the_offline_commands_need_no_ros(module):
+    script = (f'import sys; import {module}; '
+              "print([name for name in sys.modules if name.split('.')[0] in "
+              "('rclpy', 'geometry_msgs', 'nav_msgs', 'rcl_interfaces')])")
+    result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                            check=True)
+    assert result.stdout.strip() == '[]'

@@ -1,0 +1,320 @@
+"""The time loop: what a caller asks for, and in which order, changes no number."""
+
+import sys
+
+from conftest import EPOCH_NS, SECOND, Reference, chord
+from hypothesis import given, settings, strategies
+import numpy as np
+import pytest
+
+from rigid_body_ros import Propagator, RigidBody, State, TorqueLog, propagate, so3
+
+#: As an attribute of the package the name is that of the function.
+MODULE = sys.modules['rigid_body_ros.propagate']
+BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
+START = State(EPOCH_NS, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9))
+HISTORY_NS = SECOND
+
+
+def random_log(seed, count=40, seconds=4.0):
+    """Return stamps from a little before the start on, torques (some of zero) and frames."""
+    random = np.random.default_rng(seed)
+    offsets = random.choice(int(seconds * SECOND), count, replace=False)
+    stamps = EPOCH_NS - SECOND // 2 + np.sort(offsets)
+    torques = random.normal(size=(count, 3)) * (random.random((count, 1)) > 0.4)
+    frames = np.where(random.random(count) > 0.5, 'space', 'body').tolist()
+    return stamps, torques, frames
+
+
+def same(state, motion, row):
+    return (np.array_equal(state.attitude, motion.attitude[row])
+            and np.array_equal(state.angular_velocity, motion.angular_velocity[row]))
+
+
+@settings(max_examples=60)
+@given(seed=strategies.integers(0, 2 ** 32 - 1), timeout=strategies.sampled_from([0.0, 0.03, 0.4]))
+def test_any_order_of_arrival_and_any_questions_give_the_states_of_the_log(seed, timeout):
+    random = np.random.default_rng(seed)
+    stamps, torques, frames = random_log(seed)
+    after = stamps[stamps >= EPOCH_NS]
+    motion = propagate(BODY, START, TorqueLog(stamps, torques, frames), at=after,
+                       torque_timeout=timeout)
+    propagator = Propagator(BODY, START, torque_timeout=timeout, history=HISTORY_NS * 1e-9)
+    newest, states = EPOCH_NS, {}
+    arrival = np.argsort(stamps + random.integers(0, HISTORY_NS, len(stamps)), kind='stable')
+    for row in arrival:
+        newest = max(newest, int(stamps[row]))
+        # What comes now can change nothing that is `history` older.
+        for stamp in after[(after <= newest - HISTORY_NS)].tolist():
+            if stamp not in states:
+                states[stamp] = propagator.at(stamp)
+        assert propagator.apply(int(stamps[row]), torques[row], frames[row])
+        for asked in newest + random.integers(-HISTORY_NS, HISTORY_NS, random.integers(0, 4)):
+            propagator.at(max(int(asked), propagator.earliest_ns))
+    for row, stamp in enumerate(after.tolist()):
+        assert same(states.get(stamp) or propagator.at(stamp), motion, row)
+
+
+@pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
+def test_one_call_for_each_sample_gives_the_numbers_of_one_call_for_all(interpolation):
+    stamps, torques, _ = random_log(1)
+    log = TorqueLog(stamps, torques, interpolation=interpolation)
+    times = EPOCH_NS + np.random.default_rng(2).integers(0, 5 * SECOND, 60)
+    together = propagate(BODY, START, log, at=times)
+    for row, time_ns in enumerate(times):
+        alone = propagate(BODY, START, log, at=[time_ns])
+        np.testing.assert_array_equal(alone.attitude[0], together.attitude[row])
+        np.testing.assert_array_equal(alone.angular_velocity[0], together.angular_velocity[row])
+
+
+def test_a_log_longer_than_a_chunk_has_no_seam(monkeypatch):
+    stamps, torques, frames = random_log(3)
+    log = TorqueLog(stamps, torques, frames)
+    whole = propagate(BODY, START, log, at=stamps[stamps >= EPOCH_NS], torque_timeout=0.05)
+    for size in (1, 2, 7):
+        monkeypatch.setattr(MODULE, '_CHUNK', size)
+        cut = propagate(BODY, START, log, at=whole.times_ns, torque_timeout=0.05)
+        np.testing.assert_array_equal(cut.attitude, whole.attitude)
+
+
+def test_a_run_restarted_at_a_stamp_goes_on_bit_for_bit():
+    stamps, torques, frames = random_log(4)
+    whole = Propagator(BODY, START, history=10.0)
+    for stamp, torque, frame in zip(stamps.tolist(), torques, frames):
+        whole.apply(stamp, torque, frame)
+    middle = next(row for row in range(20, 40) if torques[row].any())
+    resumed = Propagator(BODY, whole.at(int(stamps[middle])), history=10.0)
+    for stamp, torque, frame in list(zip(stamps.tolist(), torques, frames))[middle:]:
+        resumed.apply(stamp, torque, frame)
+    for time_ns in (*stamps[middle:].tolist(), int(stamps[-1]) + SECOND):
+        np.testing.assert_array_equal(resumed.at(time_ns).attitude, whole.at(time_ns).attitude)
+
+
+def test_zero_samples_change_no_bit_of_a_coast():
+    times = EPOCH_NS + np.arange(0, 60 * SECOND, SECOND // 10)
+    free = propagate(BODY, START, at=times)
+    stamps = EPOCH_NS + np.arange(0, 60 * SECOND, SECOND // 1000)
+    sampled = propagate(BODY, START, TorqueLog(stamps, np.zeros((len(stamps), 3))), at=times)
+    np.testing.assert_array_equal(sampled.attitude, free.attitude)
+    np.testing.assert_array_equal(sampled.angular_velocity, free.angular_velocity)
+
+
+def test_splitting_a_held_torque_changes_rounding_only():
+    times = EPOCH_NS + np.arange(1, 11) * SECOND
+    once = propagate(BODY, START, TorqueLog([EPOCH_NS], [[0.1, 0.2, -0.1]]), at=times)
+    stamps = EPOCH_NS + np.arange(0, 10 * SECOND, 7_654_321)
+    split = propagate(BODY, START, TorqueLog(stamps, np.tile([0.1, 0.2, -0.1], (len(stamps), 1))),
+                      at=times)
+    assert chord(once.attitude, split.attitude).max() < 1e-15 * (10 + 20)
+
+
+def test_body_and_space_torque_agree_on_a_body_that_does_not_turn_away():
+    # Along a principal axis that stays put in space both are the same torque.
+    body = RigidBody.from_moments(1.0, 2.0, 2.5)
+    start = State(0, angular_velocity=(0.0, 0.0, 1.0))
+    ends = [propagate(body, start, TorqueLog([0], [[0.0, 0.0, 0.3]], frame), at=[20 * SECOND])
+            for frame in ('body', 'space')]
+    assert chord(ends[0].attitude, ends[1].attitude).max() < 1e-15 * (10 + 80)
+
+
+def test_space_torque_adds_to_the_space_momentum():
+    torque = np.array([0.02, -0.05, 0.03])
+    times = EPOCH_NS + np.arange(0, 101) * SECOND
+    motion = propagate(BODY, START, TorqueLog([EPOCH_NS], [torque], 'space'), at=times)
+    expected = motion.angular_momentum_space[0] + np.outer((times - EPOCH_NS) * 1e-9, torque)
+    scale = np.linalg.norm(expected, axis=1).max()
+    assert np.abs(motion.angular_momentum_space - expected).max() < 1e-14 * scale
+
+
+@pytest.mark.parametrize('interpolation', ['linear', 'cubic'])
+def test_interpolated_space_torque_adds_its_integral_to_the_momentum(interpolation):
+    # Both interpolants are exact for a straight line; its integral is a parabola.
+    stamps = EPOCH_NS + np.cumsum(np.random.default_rng(5).integers(SECOND // 50, SECOND, 30))
+    seconds = (stamps - EPOCH_NS) * 1e-9
+    slope = np.array([0.01, 0.02, -0.015])
+    log = TorqueLog(stamps, np.outer(seconds, slope), 'space', interpolation)
+    motion = propagate(BODY, START, log, at=stamps)
+    momentum = motion.angular_momentum_space
+    expected = momentum[0] + np.outer(0.5 * (seconds ** 2 - seconds[0] ** 2), slope)
+    assert np.abs(momentum - expected).max() < 1e-14 * np.linalg.norm(expected, axis=1).max()
+
+
+def test_free_motion_keeps_momentum_and_energy():
+    motion = propagate(BODY, START, at=EPOCH_NS + np.arange(0, 1000, 10) * SECOND)
+    momentum, energy = motion.angular_momentum_space, motion.kinetic_energy
+    assert np.abs(momentum - momentum[0]).max() < 1e-15 * 1000 * np.linalg.norm(momentum[0])
+    assert np.abs(energy / energy[0] - 1.0).max() < 1e-14
+
+
+def test_turned_space_axes_give_the_turned_motion():
+    turn = so3.normalize([0.3, -0.1, 0.7, 0.4])
+    stamps, torques, _ = random_log(6)
+    stamps = stamps[stamps >= EPOCH_NS]
+    torques = torques[:len(stamps)]
+    turned = State(EPOCH_NS, so3.multiply(turn, START.attitude), START.angular_velocity)
+    there = propagate(BODY, turned, TorqueLog(stamps, so3.rotate(turn, torques), 'space'),
+                      at=stamps)
+    here = propagate(BODY, START, TorqueLog(stamps, torques, 'space'), at=stamps)
+    assert chord(so3.multiply(turn, here.attitude), there.attitude).max() < 3e-15
+
+
+def test_renamed_axes_give_the_renamed_motion():
+    cycle = so3.normalize([1.0, 1.0, 1.0, 1.0])  # x to y to z to x
+    body = RigidBody(so3.matrix(cycle) @ BODY.inertia @ so3.matrix(cycle).T)
+    start = State(EPOCH_NS, so3.multiply(START.attitude, so3.conjugate(cycle)),
+                  so3.rotate(cycle, START.angular_velocity))
+    times = EPOCH_NS + np.arange(0, 30) * SECOND
+    renamed = propagate(body, start, at=times).attitude
+    assert chord(so3.multiply(renamed, cycle), propagate(BODY, START, at=times).attitude
+                 ).max() < 1e-15 * (10 + 40)
+
+
+def test_attitude_is_the_continuous_lift():
+    body = RigidBody.from_moments(1.0, 2.0, 2.5)
+    turn = round(2 * np.pi * 1e9)
+    motion = propagate(body, State(0, angular_velocity=(0, 0, 1.0)), at=[0, turn, 2 * turn])
+    np.testing.assert_allclose(motion.attitude[:, 3], [1.0, -1.0, 1.0], rtol=1e-15)
+    fine = propagate(BODY, START, at=EPOCH_NS + np.arange(0, 100 * SECOND, SECOND // 10))
+    assert np.sum(fine.attitude[1:] * fine.attitude[:-1], axis=1).min() > 0.9
+
+
+def test_a_body_at_rest_stays_for_a_day_and_for_thirty_years():
+    times = [0, 86400 * SECOND, 30 * 365 * 86400 * SECOND]
+    motion = propagate(BODY, State(), at=times)
+    np.testing.assert_array_equal(motion.attitude, np.tile([0.0, 0.0, 0.0, 1.0], (3, 1)))
+
+
+@pytest.mark.parametrize('frame', ['body', 'space'])
+@pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
+def test_a_torque_that_grows_from_nothing_starts_a_body_at_rest(interpolation, frame):
+    # The first terms of the series vanish here, and more of them the smoother the torque.
+    stamps = np.arange(0, 11) * SECOND
+    seconds = np.arange(0.0, 11.0)
+    body = RigidBody.from_moments(2.0, 3.0, 4.0)
+    log = TorqueLog(stamps, np.outer(seconds ** 3, [0.0, 0.0, 0.01]), frame, interpolation)
+    motion = propagate(body, State(), log, at=stamps)
+    if interpolation == 'cubic':
+        rate, angle = 0.01 * seconds ** 4 / 16.0, 0.01 * seconds ** 5 / 80.0
+        np.testing.assert_allclose(motion.angular_velocity[:, 2], rate, atol=1e-14)
+        assert chord(so3.exp(np.outer(angle, [0, 0, 1])), motion.attitude).max() < 2e-14
+    assert motion.angular_velocity[-1, 2] > 5.0
+
+
+def test_torque_before_the_first_sample_is_zero():
+    log = TorqueLog([EPOCH_NS + SECOND], [[1.0, 0.0, 0.0]])
+    times = EPOCH_NS + np.arange(0, SECOND + 1, SECOND // 4)
+    np.testing.assert_array_equal(propagate(BODY, START, log, at=times).attitude,
+                                  propagate(BODY, START, at=times).attitude)
+
+
+def test_the_torque_in_force_at_the_start_counts():
+    early = TorqueLog([EPOCH_NS - 2, EPOCH_NS - 1], [[5.0, 0, 0], [1.0, 0.0, 0.0]])
+    prompt = TorqueLog([EPOCH_NS], [[1.0, 0.0, 0.0]])
+    ends = [propagate(BODY, START, log, at=[EPOCH_NS + SECOND]) for log in (early, prompt)]
+    np.testing.assert_array_equal(ends[0].attitude, ends[1].attitude)
+
+
+def test_timeout_is_a_zero_sample_at_its_end():
+    stamps = EPOCH_NS + np.array([0, 1, 5]) * SECOND
+    torques = np.array([[0.3, 0, 0], [0, 0.3, 0], [0, 0, 0.3]])
+    times = EPOCH_NS + np.arange(0, 9) * SECOND
+    cut = propagate(BODY, START, TorqueLog(stamps, torques), at=times, torque_timeout=1.5)
+    ends = stamps[1:] + 3 * SECOND // 2
+    explicit = TorqueLog([*stamps, *ends], [*torques, [0, 0, 0], [0, 0, 0]])
+    np.testing.assert_array_equal(cut.attitude,
+                                  propagate(BODY, START, explicit, at=times).attitude)
+
+
+def test_a_looser_tolerance_is_kept():
+    reference = Reference('torque_free_asymmetric')
+    phase = reference.phase()
+    for tolerance in (1e-4, 1e-6, 1e-9, 1e-12):
+        apart = chord(reference.attitude, reference.propagate(tolerance=tolerance).attitude)
+        assert np.all(apart <= tolerance * (10.0 + phase))
+        assert apart.max() > 1e-5 * tolerance  # it does save work
+
+
+def test_a_smaller_step_changes_rounding_only():
+    reference = Reference('constant_space_torque')
+    fine = reference.propagate(max_step=0.01)
+    assert chord(fine.attitude, reference.propagate().attitude).max() < 2e-14
+
+
+class TestPropagator:
+    def test_a_late_torque_is_put_in_its_place_and_one_too_late_is_dropped(self):
+        propagator = Propagator(BODY, START, history=1.0)
+        assert propagator.apply(EPOCH_NS + 5 * SECOND, [1, 0, 0])
+        assert not propagator.apply(EPOCH_NS + 4 * SECOND, [0, 1, 0])
+        assert propagator.apply(EPOCH_NS + 4 * SECOND + 1, [0, 1, 0])
+        log = TorqueLog(EPOCH_NS + np.array([4 * SECOND + 1, 5 * SECOND]), [[0, 1, 0], [1, 0, 0]])
+        end = EPOCH_NS + 9 * SECOND
+        assert same(propagator.at(end), propagate(BODY, START, log, at=[end]), 0)
+
+    @pytest.mark.parametrize('history', [0.0, 1.0])
+    def test_of_equal_stamps_the_last_to_come_counts(self, history):
+        propagator = Propagator(BODY, START, history=history)
+        for torque in ([9, 9, 9], [0, 0, 0], [0, 0.5, 0]):
+            assert propagator.apply(EPOCH_NS + SECOND, torque)
+            propagator.at(EPOCH_NS + 2 * SECOND)
+        log = TorqueLog([EPOCH_NS + SECOND], [[0, 0.5, 0]])
+        end = EPOCH_NS + 3 * SECOND
+        assert same(propagator.at(end), propagate(BODY, START, log, at=[end]), 0)
+
+    def test_memory_does_not_grow_with_the_stream(self):
+        propagator = Propagator(BODY, START, history=0.05)
+        for number in range(2000):
+            time_ns = EPOCH_NS + number * SECOND // 1000
+            propagator.apply(time_ns, [0.1, 0.0, 0.1 * (number % 3)])
+            propagator.at(time_ns + SECOND // 2000)
+        assert len(propagator._changes) <= 52
+        assert propagator.earliest_ns >= EPOCH_NS + 1949 * SECOND // 1000
+        with pytest.raises(ValueError, match=f'from {propagator.earliest_ns} ns on, found'):
+            propagator.at(EPOCH_NS)
+
+    def test_an_open_segment_costs_only_what_is_new(self, monkeypatch):
+        # An hour of coast asked for at 10 Hz: each call goes on from the one before.
+        spans = []
+        move = MODULE._move
+
+        def recorded(state, grid_ns, time_ns, *rest):
+            spans.append(time_ns - grid_ns)
+            return move(state, grid_ns, time_ns, *rest)
+        monkeypatch.setattr(MODULE, '_move', recorded)
+        propagator = Propagator(BODY, START, history=1.0)
+        for number in range(0, 36_000, 3):
+            propagator.at(EPOCH_NS + number * SECOND // 10)
+        assert max(spans) < 2 * SECOND
+        assert len(propagator._changes[0].segment._grid_ns) < 20
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    ({'at': [EPOCH_NS - 1]}, f'from the start, {EPOCH_NS} ns, on, found {EPOCH_NS - 1} ns'),
+    ({'at': [0.5]}, 'at: expected integer nanoseconds'),
+    ({'solver': 'euler'}, "solver: expected one of auto, taylor, found 'euler'"),
+    ({'tolerance': 1e-16}, 'tolerance: .* 1e-15 to 1, found 1e-16'),
+    ({'max_step': 0.0}, 'max_step: expected seconds greater than zero, found 0'),
+    ({'torque_timeout': -1.0}, 'torque_timeout: expected seconds from 0 on, found -1')])
+def test_impossible_requests_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        propagate(BODY, START, **{'at': [EPOCH_NS], **arguments})
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    ((0, [1, 2]), 'expected 3 finite numbers, found'), ((0, [1, 2, np.inf]), 'torque at 0 ns'),
+    ((0, [1, 2, 3], 'map'), "'body' or 'space', found 'map'")])
+def test_impossible_torques_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Propagator(BODY, State()).apply(*arguments)
+
+
+def test_the_trajectory_says_what_answered_and_why():
+    model, = propagate(BODY, START, at=[EPOCH_NS, EPOCH_NS + 5]).models
+    assert model[:3] == ('taylor', EPOCH_NS, EPOCH_NS + 5)
+    assert model.reason.startswith('auto: ')
+
+
+def test_trajectories_give_euler_angles():
+    motion = Reference('through_gimbal_lock').propagate()
+    assert motion.degenerate().tolist() == [row % 8 == 0 for row in range(33)]
+    np.testing.assert_allclose(np.abs(np.diff(motion.euler_angles(continuous=True)[:, 1])),
+                               np.diff(motion.times_ns) * 1e-9, atol=1e-14)

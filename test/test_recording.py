@@ -1,0 +1,254 @@
+"""Recordings: what others write we read, what we write others read, damage is told."""
+
+import struct
+
+from conftest import EPOCH_NS, RECORDINGS, SECOND
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer as McapWriter
+from mcap_ros2.decoder import DecoderFactory
+from mcap_ros2.writer import Writer as Ros2Writer
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+import yaml
+
+from rigid_body_ros import messages, recording
+from rigid_body_ros.scene import InputError
+
+TORQUES = np.random.default_rng(3).normal(size=(50, 3))
+STAMPS = EPOCH_NS + np.arange(50) * SECOND // 100
+ENDINGS = [messages.QUATERNION, messages.VECTOR3, messages.ODOMETRY]
+
+
+def write(path, rows, topic='/torque'):
+    """Write WrenchStamped rows of stamp, frame_id and torque."""
+    with recording.Writer(path) as writer:
+        writer.add_topic(topic, messages.WRENCH)
+        for stamp_ns, frame_id, torque in rows:
+            writer.write(topic, int(stamp_ns), messages.wrench(int(stamp_ns), frame_id, torque))
+    return path
+
+
+def torque_log(path, **options):
+    return recording.torque_log(path, recording.read(path, **options), 'base_link', 'world')
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    return write(tmp_path / 'torque.mcap',
+                 [(stamp, 'base_link', torque) for stamp, torque in zip(STAMPS, TORQUES)])
+
+
+def test_what_is_written_is_read(recorded):
+    log = torque_log(recorded)
+    np.testing.assert_array_equal(log.times_ns, STAMPS)
+    np.testing.assert_array_equal(log.torques, TORQUES)
+    assert [path.name for path in recorded.parent.iterdir()] == ['torque.mcap']
+
+
+def test_rosbags_reads_what_we_write(recorded):
+    with AnyReader([recorded]) as reader:
+        connection, = reader.connections
+        assert (connection.topic, connection.msgtype) == ('/torque', messages.WRENCH.name)
+        read = [(time_ns, reader.deserialize(data, connection.msgtype))
+                for _, time_ns, data in reader.messages()]
+    assert [time_ns for time_ns, _ in read] == STAMPS.tolist()
+    torques = [message.wrench.torque for _, message in read]
+    np.testing.assert_array_equal([(t.x, t.y, t.z) for t in torques], TORQUES)
+
+
+@pytest.mark.parametrize('kind', ENDINGS, ids=lambda kind: kind.name)
+def test_mcap_ros2_support_reads_every_type_that_we_write(tmp_path, kind):
+    values = np.arange(1.0, kind.doubles + 1.0)
+    with recording.Writer(tmp_path / 'motion.mcap') as writer:
+        writer.add_topic('/motion', kind)
+        writer.write('/motion', EPOCH_NS, kind.encode(EPOCH_NS, 'world', values, 'base_link'))
+    with open(tmp_path / 'motion.mcap', 'rb') as stream:
+        (schema, _, _, message), = make_reader(
+            stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+    assert schema.name == kind.name
+    stamp = message.header.stamp
+    assert stamp.sec * SECOND + stamp.nanosec == EPOCH_NS
+    first = {'Quaternion': lambda: message.quaternion.x, 'Vector3': lambda: message.vector.x,
+             'Odometry': lambda: message.pose.pose.position.x}
+    assert next(get() for name, get in first.items() if name in kind.name) == 1.0
+
+
+def test_the_file_has_what_ros2_bag_play_and_foxglove_need(recorded):
+    with open(recorded, 'rb') as stream:
+        reader = make_reader(stream)
+        assert reader.get_header().profile == 'ros2'
+        summary = reader.get_summary()
+    assert summary.statistics.message_count == 50
+    channel, = summary.channels.values()
+    schema = summary.schemas[channel.schema_id]
+    assert (schema.encoding, channel.message_encoding) == ('ros2msg', 'cdr')
+    assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (
+        STAMPS[0], STAMPS[-1])
+    assert all(chunk.message_index_length > 0 for chunk in summary.chunk_indexes)
+    profile, = yaml.safe_load(channel.metadata['offered_qos_profiles'])
+    assert (profile['history'], profile['depth'], profile['reliability'],
+            profile['durability']) == (1, 10, 1, 2)
+
+
+@pytest.mark.parametrize('compression', list(CompressionType))
+@pytest.mark.parametrize('chunked', [True, False])
+def test_we_read_what_others_write(tmp_path, compression, chunked):
+    path = tmp_path / 'theirs.mcap'
+    with open(path, 'wb') as stream:
+        writer = Ros2Writer(stream, compression=compression)
+        writer._writer._use_chunking = chunked
+        wrench = writer.register_msgdef(messages.WRENCH.name, messages.WRENCH.definition)
+        point = writer.register_msgdef('geometry_msgs/msg/Point', 'float64 x\nfloat64 y\n')
+        for stamp, torque in zip(STAMPS.tolist(), TORQUES.tolist()):
+            sec, nanosec = divmod(stamp, SECOND)
+            writer.write_message('/noise', point, {'x': 1.0, 'y': 2.0}, stamp, stamp)
+            writer.write_message('/torque', wrench, {
+                'header': {'stamp': {'sec': sec, 'nanosec': nanosec}, 'frame_id': 'world'},
+                'wrench': {'force': {'x': 0.0, 'y': 0.0, 'z': 0.0},
+                           'torque': dict(zip('xyz', torque))}}, stamp, stamp)
+        writer.finish()
+    log = torque_log(path)
+    np.testing.assert_array_equal(log.times_ns, STAMPS)
+    np.testing.assert_array_equal(log.torques, TORQUES)
+    assert log.in_space.all()
+
+
+def test_frames_come_from_each_message(tmp_path):
+    path = write(tmp_path / 'mixed.mcap', [(1, '', [1, 0, 0]), (2, 'world', [0, 1, 0]),
+                                           (3, 'base_link', [0, 0, 1])])
+    assert torque_log(path).in_space.tolist() == [False, True, False]
+
+
+def test_of_equal_stamps_the_later_in_the_file_counts(tmp_path):
+    path = write(tmp_path / 'twice.mcap', [(5, '', [1, 0, 0]), (3, '', [2, 0, 0]),
+                                           (5, '', [3, 0, 0])])
+    log = torque_log(path)
+    assert (log.times_ns.tolist(), log.torques[:, 0].tolist()) == ([3, 5], [2.0, 3.0])
+
+
+def test_the_topic_is_needed_only_where_there_are_several(tmp_path):
+    path = tmp_path / 'two.mcap'
+    with recording.Writer(path) as writer:
+        for topic in ('/left', '/right'):
+            writer.add_topic(topic, messages.WRENCH)
+            writer.write(topic, 1, messages.wrench(1, '', [1.0, 0.0, 0.0]))
+    with pytest.raises(InputError, match='expected one topic of .*--topic; found /left, /right'):
+        recording.read(path)
+    assert recording.read(path, '/right').topic == '/right'
+
+
+@pytest.mark.parametrize(('rows', 'message'), [
+    ([], 'bad.mcap: /torque: expected torques, found no message'),
+    ([(1, '', [0, 0, 0]), (2, '', [0, np.nan, 0])],
+     r'bad.mcap: /torque: message 2 at 2 ns: expected a finite torque, found \[0.0, nan, 0.0\]'),
+    ([(1, '', [np.inf, 0, 0])], 'message 1 at 1 ns: expected a finite torque'),
+    ([(1, '', [0, 0, 0]), (2, 'map', [0, 0, 0])],
+     "bad.mcap: /torque: message 2: frame_id: expected 'base_link' .*found 'map'"),
+    ([(0, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 1: expected a stamp .*as in 2 messages')])
+def test_torques_that_cannot_be_used_are_refused_by_number(tmp_path, rows, message):
+    path = write(tmp_path / 'bad.mcap', rows)
+    with pytest.raises(InputError, match=message):
+        torque_log(path)
+
+
+@pytest.mark.parametrize(('topic', 'message'), [
+    ('/none', 'no topic /none; found /torque, /truth/attitude, /truth/angular_velocity'),
+    ('/truth/attitude', '/truth/attitude: expected geometry_msgs/msg/WrenchStamped, '
+                        'found geometry_msgs/msg/QuaternionStamped')])
+def test_a_topic_that_does_not_fit_is_named(topic, message):
+    with pytest.raises(InputError, match=f'iss.mcap: {message}'):
+        recording.read(RECORDINGS / 'iss.mcap', topic)
+
+
+def test_a_message_that_is_not_what_its_schema_says_is_named(tmp_path):
+    path = tmp_path / 'short.mcap'
+    with recording.Writer(path) as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        writer.write('/torque', 1, messages.wrench(1, '', [1, 2, 3]))
+        writer.write('/torque', 2, b'\0\1\0\0' + bytes(20))
+    with pytest.raises(InputError, match='/torque: message 2: expected a .*WrenchStamped in CDR'):
+        recording.read(path)
+
+
+def test_another_encoding_is_refused(tmp_path):
+    with open(tmp_path / 'json.mcap', 'wb') as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        schema = writer.register_schema(messages.WRENCH.name, 'jsonschema', b'{}')
+        channel = writer.register_channel('/torque', 'json', schema)
+        writer.add_message(channel, 1, b'{}', 1)
+        writer.finish()
+    with pytest.raises(InputError, match="encoding cdr, found 'json'"):
+        recording.read(tmp_path / 'json.mcap')
+
+
+@pytest.mark.parametrize('content', [b'', b'not MCAP', b'\x89MCAP0\r\n', bytes(1000)])
+def test_what_is_no_mcap_file_is_refused(tmp_path, content):
+    (tmp_path / 'other.bag').write_bytes(content)
+    with pytest.raises(InputError, match='other.bag: expected an MCAP file'):
+        recording.read(tmp_path / 'other.bag')
+
+
+@pytest.mark.parametrize('share', [0.1, 0.5, 0.9, 0.99])
+def test_a_truncated_file_is_refused(tmp_path, recorded, share):
+    data = recorded.read_bytes()
+    (tmp_path / 'cut.mcap').write_bytes(data[:int(len(data) * share)])
+    with pytest.raises(InputError, match='cut.mcap: (expected an MCAP file|damaged)'):
+        recording.read(tmp_path / 'cut.mcap')
+
+
+def test_damaged_bytes_give_the_right_result_or_one_line(tmp_path, recorded):
+    data, random = recorded.read_bytes(), np.random.default_rng(9)
+    whole = torque_log(recorded)
+    for place in random.integers(0, len(data), 300):
+        damaged = bytearray(data)
+        damaged[place] ^= int(random.integers(1, 256))
+        (tmp_path / 'flip.mcap').write_bytes(damaged)
+        try:
+            log = torque_log(tmp_path / 'flip.mcap')
+            np.testing.assert_array_equal(log.torques, whole.torques, str(place))
+            np.testing.assert_array_equal(log.times_ns, whole.times_ns)
+        except InputError as error:
+            assert str(error).startswith(str(tmp_path / 'flip.mcap'))
+            assert '\n' not in str(error)
+
+
+@pytest.mark.parametrize('path', ['none.mcap', '.'])
+def test_a_file_that_cannot_be_opened_is_named(tmp_path, path):
+    with pytest.raises(InputError, match='cannot read the recording: '):
+        recording.read(tmp_path / path)
+
+
+def test_a_failure_leaves_no_file_and_keeps_the_old_one(tmp_path, recorded):
+    before = recorded.read_bytes()
+    with pytest.raises(RuntimeError), recording.Writer(recorded) as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        raise RuntimeError
+    assert recorded.read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ['torque.mcap']
+
+
+def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, monkeypatch):
+    def full(*arguments):
+        raise OSError(28, 'No space left on device')
+    path = tmp_path / 'full.mcap'
+    with pytest.raises(InputError, match='full.mcap: cannot write: No space left'), \
+            recording.Writer(path) as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        monkeypatch.setattr(writer._writer, 'finish', full)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(('path', 'message'), [
+    ('none/out.mcap', 'none/out.mcap: cannot write: No such file or directory'),
+    ('.', 'expected a file to write, found a folder')])
+def test_a_place_that_cannot_be_written_is_named(tmp_path, path, message):
+    with pytest.raises(InputError, match=message), recording.Writer(tmp_path / path):
+        pass
+
+
+def test_a_double_survives_the_file_to_the_last_bit(tmp_path):
+    torque = [5e-324, -0.0, 1.7976931348623157e308]
+    path = write(tmp_path / 'extreme.mcap', [(EPOCH_NS, '', torque)])
+    assert struct.pack('<3d', *torque_log(path).torques[0]) == struct.pack('<3d', *torque)

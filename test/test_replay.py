@@ -1,0 +1,226 @@
+"""attitude_replay: the numbers of the library, a summary, a picture, and errors of one line."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+from conftest import CONFIG, EPOCH_NS, RECORDINGS, SECOND, Reference
+import matplotlib.image
+import numpy as np
+import pytest
+
+from rigid_body_ros import cli, messages, propagate, recording, scene
+from rigid_body_ros.replay import energy_balance, replay
+
+ISS = (str(RECORDINGS / 'iss.mcap'), '--scene', str(CONFIG / 'iss.yaml'))
+COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.cli import attitude_replay; '
+                                 'sys.exit(attitude_replay())']
+
+
+@pytest.fixture
+def output(tmp_path):
+    return tmp_path / 'motion.mcap'
+
+
+def write_torques(path, rows, topic='/torque'):
+    with recording.Writer(path) as writer:
+        writer.add_topic(topic, messages.WRENCH)
+        for stamp_ns, frame_id, torque in rows:
+            writer.write(topic, stamp_ns, messages.wrench(stamp_ns, frame_id, torque))
+    return str(path)
+
+
+def test_the_written_motion_is_that_of_the_library(output):
+    assert cli.attitude_replay([*ISS, '-o', str(output)]) == 0
+    station = Reference('iss')
+    motion = propagate(station.scene.body, station.start, station.log, at=station.log.times_ns)
+    for topic, kind, frame, expected in (
+            ('/attitude', messages.QUATERNION, 'eci', motion.attitude),
+            ('/euler_angles', messages.VECTOR3, 'eci', motion.euler_angles()),
+            ('/angular_velocity', messages.VECTOR3, 'iss', motion.angular_velocity)):
+        written = recording.read(output, topic, kind)
+        np.testing.assert_array_equal(written.stamps_ns, station.log.times_ns)
+        np.testing.assert_array_equal(written.values, expected)
+        assert set(written.frame_ids) == {frame}
+
+
+@pytest.mark.parametrize(('options', 'seconds'), [
+    ((), np.arange(0, 28801, 20)),
+    (('--rate', '0.01'), np.arange(0, 28801, 100)),
+    (('--rate', '3', '--until', '1'), [0, 1 / 3, 2 / 3, 1]),
+    (('--until', '50'), [0, 20, 40, 50]),
+    (('--until', '28830.5'), [*range(0, 28801, 20), 28830.5])])
+def test_output_times(output, options, seconds):
+    assert cli.attitude_replay([*ISS, '-o', str(output), *options]) == 0
+    stamps = recording.read(output, '/attitude', messages.QUATERNION).stamps_ns
+    np.testing.assert_array_equal(stamps - EPOCH_NS, np.round(np.array(seconds) * 1e9))
+
+
+def test_the_start_time_of_the_scene_counts(tmp_path, output):
+    config = tmp_path / 'late.yaml'
+    config.write_text((CONFIG / 'iss.yaml').read_text()
+                      + f'    start_time: {EPOCH_NS + 1010 * SECOND}\n')
+    assert cli.attitude_replay([ISS[0], '--scene', str(config), '-o', str(output)]) == 0
+    stamps = recording.read(output, '/attitude', messages.QUATERNION).stamps_ns
+    assert stamps[0] == EPOCH_NS + 1020 * SECOND
+    config.write_text((CONFIG / 'iss.yaml').read_text()
+                      + f'    start_time: {EPOCH_NS + 30000 * SECOND}\n')
+    assert cli.attitude_replay([ISS[0], '--scene', str(config), '-o', str(output)]) == 2
+
+
+def test_interpolation_is_that_of_the_option_or_of_the_scene(tmp_path, output):
+    config = tmp_path / 'cubic.yaml'
+    config.write_text((CONFIG / 'tumbler.yaml').read_text() + '    interpolation: cubic\n')
+    recorded = RECORDINGS / 'tumbler.mcap'
+    ends = {name: replay(recorded, scene.load(path), interpolation=name).trajectory.attitude[-1]
+            for path, name in ((CONFIG / 'tumbler.yaml', 'cubic'), (config, None),
+                               (config, 'hold'), (CONFIG / 'tumbler.yaml', 'linear'))}
+    np.testing.assert_array_equal(ends['cubic'], ends[None])
+    assert not np.array_equal(ends['cubic'], ends['hold'])
+
+
+def test_the_summary_tells_what_happened(output, capsys):
+    assert cli.attitude_replay([*ISS, '-o', str(output)]) == 0
+    text = capsys.readouterr().out
+    for part in ('1441 on /torque, over 28800 s', 'hold (linear would end 0.0022 rad away',
+                 'asymmetric top', 'taylor (auto: ', '28800 s after the start',
+                 'work and energy differ by', 'times real time', str(output)):
+        assert part in text
+    assert cli.attitude_replay([
+        str(RECORDINGS / 'torque_free_asymmetric.mcap'), '--scene',
+        str(RECORDINGS / 'torque_free_asymmetric.yaml'), '-o', str(output)]) == 0
+    assert 'space angular momentum drifts by' in capsys.readouterr().out
+
+
+def test_rounded_digits_of_a_tensor_are_told(output, capsys):
+    path = RECORDINGS / 'constant_space_torque'
+    assert cli.attitude_replay([f'{path}.mcap', '--scene', f'{path}.yaml',
+                                '-o', str(output)]) == 0
+    assert 'exceeds the sum of the others by 0.028 of it' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
+@pytest.mark.parametrize('name', ['tumbler', 'thruster_pulses_irregular', 'constant_space_torque',
+                                  'torque_stream_1khz', 'iss'])
+def test_work_and_energy_agree(name, interpolation):
+    config = CONFIG / f'{name}.yaml'
+    config = config if config.exists() else RECORDINGS / f'{name}.yaml'
+    result = replay(RECORDINGS / f'{name}.mcap', scene.load(config), interpolation=interpolation)
+    imbalance, seconds = energy_balance(result)
+    assert imbalance < 1e-9
+    span = result.trajectory.times_ns[-1] - result.start.time_ns
+    assert seconds == pytest.approx(span * 1e-9)
+
+
+def test_a_wrong_torque_unbalances_work_and_energy():
+    result = replay(RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml'))
+    object.__setattr__(result, 'log', type(result.log)(result.log.times_ns + 20_000_000,
+                                                       result.log.torques))
+    shifted = energy_balance(result)[0]
+    assert shifted < 1e-9  # the motion is made from the log: a shifted one is balanced too
+    result.scene.body.inertia.flags.writeable = True
+    result.scene.body.inertia[0, 0] *= 1.001
+    assert energy_balance(result)[0] > 1e-5
+
+
+def test_the_picture_is_a_picture(tmp_path, output):
+    picture = tmp_path / 'motion.png'
+    assert cli.attitude_replay([*ISS, '-o', str(output), '--plot', str(picture)]) == 0
+    pixels = matplotlib.image.imread(picture)
+    assert pixels.shape[:2] == (1200, 1080)
+    assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 100
+
+
+def bad_input(name, tmp_path):
+    """Return arguments with one mistake in them."""
+    good = write_torques(tmp_path / 'good.mcap', [(EPOCH_NS, '', [1.0, 0.0, 0.0])])
+    config = tmp_path / 'scene.yaml'
+    config.write_text((CONFIG / 'tumbler.yaml').read_text())
+    rows = {'nan': [(EPOCH_NS, '', [np.nan, 0, 0])], 'infinite': [(EPOCH_NS, '', [np.inf, 0, 0])],
+            'frame': [(EPOCH_NS, 'map', [1, 0, 0])], 'empty': []}
+    if name in rows:
+        good = write_torques(tmp_path / f'{name}.mcap', rows[name])
+    if name == 'not mcap':
+        (tmp_path / 'not.mcap').write_text('hello')
+        good = str(tmp_path / 'not.mcap')
+    texts = {'quaternion': 'initial_attitude: {w: 0.0}', 'inertia': 'inertia: {izz: 9.0}',
+             'key': 'inertias: {ixx: 1.0}'}
+    if name in texts:
+        config.write_text(config.read_text() + f'    {texts[name]}\n')
+    arguments = [str(tmp_path / 'missing.mcap') if name == 'missing' else good,
+                 '--scene', str(tmp_path / 'none.yaml') if name == 'no scene' else str(config)]
+    if name == 'topic':
+        arguments += ['--topic', '/wrench']
+    if name == 'type':
+        arguments[0] = str(RECORDINGS / 'iss.mcap')
+        arguments += ['--topic', '/truth/attitude']
+    return arguments
+
+
+@pytest.mark.parametrize(('name', 'message'), [
+    ('missing', 'missing.mcap: cannot read the recording: No such file or directory'),
+    ('not mcap', 'not.mcap: expected an MCAP file'),
+    ('topic', 'good.mcap: no topic /wrench; found /torque'),
+    ('type', '/truth/attitude: expected geometry_msgs/msg/WrenchStamped, found geometry_msgs'),
+    ('empty', 'empty.mcap: /torque: expected torques, found no message'),
+    ('nan', f'nan.mcap: /torque: message 1 at {EPOCH_NS} ns: expected a finite torque'),
+    ('infinite', 'infinite.mcap: /torque: message 1 at'),
+    ('frame', "frame.mcap: /torque: message 1: frame_id: expected 'base_link'"),
+    ('quaternion', 'scene.yaml: attitude quaternion (x, y, z, w): expected a rotation'),
+    ('inertia', 'scene.yaml: inertia: found principal moments'),
+    ('key', 'scene.yaml: inertias.ixx: unknown key; did you mean inertia.ixx?'),
+    ('no scene', 'none.yaml: cannot read the scene: No such file or directory')])
+def test_a_mistake_is_answered_by_one_line(name, message, tmp_path, output, capsys):
+    assert cli.attitude_replay([*bad_input(name, tmp_path), '-o', str(output)]) == 2
+    captured = capsys.readouterr()
+    line, = captured.err.splitlines()
+    assert line.startswith('attitude_replay: error: ')
+    assert message in line
+    assert not captured.out
+    assert not output.exists()
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    (('-o', 'none/motion.mcap'), 'none/motion.mcap: cannot write: No such file or directory'),
+    (('-o', '.'), '.: expected a file to write, found a folder'),
+    (('-o', ISS[0]), 'expected another file for the motion than that of the torques'),
+    (('-o', 'motion.mcap', '--plot', 'none/p.png'), 'none/p.png: cannot write: No such file')])
+def test_a_place_that_cannot_be_written_is_named(arguments, message, tmp_path, monkeypatch,
+                                                 capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.attitude_replay([*ISS, *arguments]) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert message in line
+
+
+@pytest.mark.parametrize('arguments', [(), ('--rate', '0'), ('--until', '-1'), ('--rate', 'x'),
+                                       ('--interpolation', 'spline')])
+def test_wrong_arguments_are_answered_by_the_usage(arguments, output, capsys):
+    with pytest.raises(SystemExit) as end:
+        cli.attitude_replay([*ISS, *(('-o', str(output)) if arguments else ()), *arguments])
+    assert end.value.code == 2
+    assert 'usage: attitude_replay' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_replay_leaves_nothing_under_the_final_name(tmp_path, output, number):
+    rows = [(EPOCH_NS + k * SECOND // 1000, '', [1e-3, 0.0, 0.0]) for k in range(60_000)]
+    torques = write_torques(tmp_path / 'long.mcap', rows)
+    process = subprocess.Popen([*COMMAND, torques, '--scene', str(CONFIG / 'tumbler.yaml'),
+                                '-o', str(output)], stderr=subprocess.PIPE, text=True,
+                               start_new_session=True)
+    while not list(tmp_path.glob('.motion.mcap.*')) and process.poll() is None:
+        time.sleep(0.001)
+    os.kill(process.pid, number)
+    _, words = process.communicate(timeout=60)
+    assert process.returncode == 128 + number
+    assert words.strip() == 'attitude_replay: interrupted; nothing incomplete was left'
+    assert not list(tmp_path.glob('*motion*'))
+
+
+def test_no_progress_bar_where_nobody_watches(output):
+    result = subprocess.run([*COMMAND, *ISS, '-o', str(output)], capture_output=True, text=True,
+                            check=True)
+    assert result.stderr == ''

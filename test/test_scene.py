@@ -1,0 +1,115 @@
+"""Scene files: read as ROS reads them, refused with one line that helps."""
+
+import pytest
+
+from conftest import CONFIG
+from rigid_body_ros import scene
+from rigid_body_ros.scene import InputError, Scene
+
+INERTIA = {'inertia.ixx': 1.0, 'inertia.iyy': 2.0, 'inertia.izz': 2.5}
+
+
+def load(tmp_path, text):
+    path = tmp_path / 'scene.yaml'
+    path.write_text(text)
+    return scene.load(path)
+
+
+def parameters(body):
+    return '/**:\n  ros__parameters:\n    inertia: {ixx: 1.0, iyy: 2.0, izz: 2.5}\n' + body
+
+
+@pytest.mark.parametrize(('text', 'value'), [
+    ('1e-9', 1e-9), ('1', 1.0), ('1.5E2', 150.0), ('.5', 0.5), ('+3.', 3.0), ('0x10', 16.0)])
+def test_numbers_are_read_as_rcl_reads_them(tmp_path, text, value):
+    found = load(tmp_path, parameters(f'    torque_timeout: {text}'))
+    assert found.values['torque_timeout'] == value
+    assert isinstance(found.values['torque_timeout'], float)
+
+
+def test_integers_keep_every_digit(tmp_path):
+    found = load(tmp_path, parameters('    start_time: 1767225600123456789'))
+    assert found.start.time_ns == 1767225600123456789
+
+
+def test_nested_and_dotted_names_are_the_same(tmp_path):
+    found = load(tmp_path, parameters(
+        '    initial_attitude.w: 0\n    initial_attitude: {x: 1}\n'
+        '    initial_angular_velocity:\n      z: 0.5'))
+    assert found.start.attitude.tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert found.start.angular_velocity.tolist() == [0.0, 0.0, 0.5]
+
+
+def test_a_group_that_stands_twice_is_merged_as_by_rcl(tmp_path):
+    found = load(tmp_path, parameters('    inertia: {izz: 2.25}'))
+    assert found.body.inertia.diagonal().tolist() == [1.0, 2.0, 2.25]
+
+
+def test_quoted_text_stays_text(tmp_path):
+    assert load(tmp_path, parameters('    body_frame: "1"')).values['body_frame'] == '1'
+
+
+def test_parameters_of_the_node_come_on_top_of_those_for_all(tmp_path):
+    found = load(tmp_path, 'attitude_node:\n  ros__parameters: {tolerance: 1e-6}\n'
+                 + parameters('    tolerance: 1e-3\n')
+                 + '/camera:\n  ros__parameters: {exposure: 3}\n')
+    assert found.values['tolerance'] == 1e-6
+
+
+def test_a_dump_of_a_renamed_node_is_taken_alone(tmp_path):
+    text = parameters('    use_sim_time: true\n    start_type_description_service: true\n'
+                      '    qos_overrides: {/torque: {subscription: {depth: 5}}}')
+    assert load(tmp_path, text.replace('/**', '/robot/plant')).values['inertia.izz'] == 2.5
+
+
+@pytest.mark.parametrize('name', ['iss', 'tumbler'])
+def test_the_scenes_of_the_package_load(name):
+    assert scene.load(CONFIG / f'{name}.yaml').body.symmetry == 'asymmetric top'
+
+
+@pytest.mark.parametrize(('change', 'message'), [
+    ({'inertia.ixx': '1.0'}, r"inertia.ixx: expected a number \(kg m\^2\), found '1.0'"),
+    ({'inertia.ixx': True}, r'inertia.ixx: expected a number \(kg m\^2\), found True'),
+    ({'inertia.ixx': [1.0]}, r'inertia.ixx: expected a number \(kg m\^2\), found \[1.0\]'),
+    ({'inertia.ixx': -1.0}, r'inertia.ixx: expected a finite number greater than 0 .*found -1.0'),
+    ({'inertia.ixy': float('nan')}, 'inertia.ixy: expected a finite number .*found nan'),
+    ({'inertia.izz': 4.0}, 'moments 1, 2, 4 kg m.*sum of the other two'),
+    ({'inertia.ixy': 3.0}, 'positive definite'),
+    ({'inertia.ixz_': 3.0}, 'inertia.ixz_: unknown key; did you mean inertia.ixz?'),
+    ({'gravity': 3.0}, 'gravity: unknown key; expected one of inertia.ixx, '),
+    ({'initial_attitude.w': 0.0}, 'attitude quaternion .*expected a rotation'),
+    ({'initial_angular_velocity.x': float('inf')}, 'initial_angular_velocity.x: .*rad/s.*inf'),
+    ({'start_time': 0.5}, r'start_time: expected an integer \(ns\), found 0.5'),
+    ({'solver': 'rk5'}, "solver: expected one of auto, taylor, found 'rk5'"),
+    ({'tolerance': 0.0}, 'tolerance: expected 1e-15 to 1, found 0.0'),
+    ({'interpolation': 'spline'}, 'interpolation: expected one of hold, linear, cubic'),
+    ({'euler_sequence': 'ZZX'}, "Euler sequence: .*found 'ZZX'"),
+    ({'publish_rate': 0}, r'publish_rate: expected 0.001 to 2000 \(Hz\), found 0.0'),
+    ({'body_frame': 'world'}, "space_frame, body_frame: expected two names, found 'world' twice"),
+    ({'max_future': 2.0}, r'max_future: expected less than history \(1.0 s\), found 2.0')])
+def test_impossible_values_are_refused_with_name_and_value(change, message):
+    with pytest.raises(InputError, match=message):
+        Scene.from_values({**INERTIA, **change})
+
+
+def test_a_missing_moment_is_named_with_its_unit():
+    with pytest.raises(InputError, match=r'inertia.izz: missing; expected a number \(kg m\^2\)'):
+        Scene.from_values({'inertia.ixx': 1.0, 'inertia.iyy': 2.0})
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    ('', 'the file: expected keys and values'),
+    ('- 1', 'the file: expected keys and values'),
+    ('a: [', 'expected YAML'),
+    ('inertia: {ixx: 1.0}\nb: 2', r'expected parameters of /\*\* or attitude_node, found .*inertia, b'),
+    ('/**: 3', r'\*\*: expected keys and values'),
+    ('/**: {inertia: {}}', r'\*\*: expected the one key ros__parameters, found inertia'),
+    ('/**: {ros__parameters: 3}', 'ros__parameters: expected keys and values')])
+def test_files_that_are_no_scene_are_refused_by_name(tmp_path, text, message):
+    with pytest.raises(InputError, match=f'scene.yaml: {message}'):
+        load(tmp_path, text)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(InputError, match='none.yaml: cannot read the scene: No such file'):
+        scene.load(tmp_path / 'none.yaml')
