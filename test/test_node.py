@@ -14,10 +14,10 @@ from rigid_body_ros import State, TorqueLog, messages, propagate, recording, sce
 
 pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
 
-from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession  # noqa: E402
-from rcl_interfaces.msg import ParameterType  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.parameter_client import AsyncParameterClient  # noqa: E402
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession
+from rcl_interfaces.msg import ParameterType
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 
 pytestmark = pytest.mark.ros
 TUMBLER = CONFIG / 'tumbler.yaml'

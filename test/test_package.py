@@ -7,9 +7,8 @@ import sys
 import xml.etree.ElementTree as ElementTree
 import zipfile
 
-import pytest
-
 from conftest import ROOT
+import pytest
 
 NAME = 'rigid_body_ros'
 COMMANDS = ('attitude_node', 'attitude_replay')

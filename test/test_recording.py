@@ -4,7 +4,8 @@ import struct
 
 from conftest import EPOCH_NS, RECORDINGS, SECOND
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer as McapWriter
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as Ros2Writer
 import numpy as np

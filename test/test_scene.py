@@ -1,8 +1,8 @@
 """Scene files: read as ROS reads them, refused with one line that helps."""
 
+from conftest import CONFIG
 import pytest
 
-from conftest import CONFIG
 from rigid_body_ros import scene
 from rigid_body_ros.scene import InputError, Scene
 
@@ -101,7 +101,8 @@ def test_a_missing_moment_is_named_with_its_unit():
     ('', 'the file: expected keys and values'),
     ('- 1', 'the file: expected keys and values'),
     ('a: [', 'expected YAML'),
-    ('inertia: {ixx: 1.0}\nb: 2', r'expected parameters of /\*\* or attitude_node, found .*inertia, b'),
+    ('inertia: {ixx: 1.0}\nb: 2',
+     r'expected parameters of /\*\* or attitude_node, found .*inertia, b'),
     ('/**: 3', r'\*\*: expected keys and values'),
     ('/**: {inertia: {}}', r'\*\*: expected the one key ros__parameters, found inertia'),
     ('/**: {ros__parameters: 3}', 'ros__parameters: expected keys and values')])
