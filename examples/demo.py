@@ -7,7 +7,7 @@ from pathlib import Path
 import sys
 import time
 
-from live_session import ACCEPTED, COMMITTED, LiveSession
+from live_session import ACCEPTED, COMMITTED, RELIABLE, LiveSession
 import numpy as np
 from tqdm import tqdm
 
@@ -58,8 +58,11 @@ def run_live():
     source = recording.read(RECORDINGS / 'tumbler.mcap')
     start_ns, end_ns = source.stamps_ns[[0, -1]].tolist()
     domain = 1 + os.getpid() % 100
-    with LiveSession(CONFIG / 'tumbler.yaml', domain, '-p', 'use_sim_time:=true',
+    with LiveSession(CONFIG / 'tumbler.yaml', domain, *RELIABLE, '-p', 'use_sim_time:=true',
                      '-p', f'start_time:={start_ns}') as live:
+        while not live.received[COMMITTED]:  # the start state
+            live.set_clock(start_ns)
+            live.spin(0.05)
         began, now_ns, row = time.monotonic(), start_ns, 0
         with tqdm(total=len(source.stamps_ns), desc='streaming', unit=' torques', leave=False,
                   disable=None) as bar:
@@ -86,9 +89,10 @@ def compare_with_live():
     committed = recording.read(OUTPUT / 'live.mcap', COMMITTED, messages.ODOMETRY)
     attitude = recording.read(OUTPUT / 'replay.mcap', '/attitude', messages.QUATERNION)
     rates = recording.read(OUTPUT / 'replay.mcap', '/angular_velocity', messages.VECTOR3)
-    rows = np.searchsorted(attitude.stamps_ns, committed.stamps_ns)
-    same = np.all(attitude.values[rows] == committed.values[:, messages.ORIENTATION], axis=1)
-    same &= np.all(rates.values[rows] == committed.values[:, messages.ANGULAR_VELOCITY], axis=1)
+    _, rows, live = np.intersect1d(attitude.stamps_ns, committed.stamps_ns, return_indices=True)
+    states = committed.values[live]
+    same = np.all(attitude.values[rows] == states[:, messages.ORIENTATION], axis=1)
+    same &= np.all(rates.values[rows] == states[:, messages.ANGULAR_VELOCITY], axis=1)
     print(f'\nLive and replay agree bit for bit at {same.sum()} of {same.size} stamps.')
     print(f'Look at {os.path.relpath(OUTPUT)}: recordings (.mcap) and pictures (.png).')
     return 0 if same.all() else 1

@@ -28,6 +28,8 @@ from rigid_body_ros import messages, recording
 NODE = 'attitude_node'
 ACCEPTED, COMMITTED, ATTITUDE = f'/{NODE}/accepted_torque', f'/{NODE}/committed', '/attitude'
 _KINDS = {ACCEPTED: messages.WRENCH, COMMITTED: messages.ODOMETRY, ATTITUDE: messages.QUATERNION}
+#: Lose no torque on a busy machine; the node's default is to hear any publisher, best effort.
+RELIABLE = ('-p', 'qos_overrides./torque.subscription.reliability:=reliable')
 #: The first start on a machine compiles the kernels.
 _PATIENCE_S = 120.0
 
@@ -68,6 +70,14 @@ class LiveSession:
     def __enter__(self):
         self.process = subprocess.Popen(self._command, env=self._environment, text=True,
                                         stderr=subprocess.PIPE)
+        try:
+            self._connect()
+        except BaseException:
+            self.process.kill()
+            raise
+        return self
+
+    def _connect(self):
         os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=self._domain)
@@ -85,7 +95,6 @@ class LiveSession:
         if not self._simulated:
             self._wait_until(lambda: self.received[COMMITTED], 'the start state')
             self._wait_until(lambda: self.received[ATTITUDE], 'the first attitude')
-        return self
 
     def __exit__(self, kind, error, trace):
         if self.process.poll() is None:

@@ -157,10 +157,13 @@ class Writer:
             raise InputError(f'{self._path}: expected a file to write, found a folder')
         try:
             self._stream = open(self._part, 'wb')
-        except OSError as error:
-            raise InputError(f'{self._path}: cannot write: {error.strerror}') from error
-        self._writer = McapWriter(self._stream)
-        self._writer.start(profile='ros2', library='rigid_body_ros')
+            self._writer = McapWriter(self._stream)
+            self._writer.start(profile='ros2', library='rigid_body_ros')
+        except BaseException as error:  # __exit__ is not called for what happens here
+            self._part.unlink(missing_ok=True)
+            if isinstance(error, OSError):
+                raise InputError(f'{self._path}: cannot write: {error.strerror}') from error
+            raise
         return self
 
     def add_topic(self, topic: str, kind: MessageType) -> None:

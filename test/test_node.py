@@ -14,7 +14,7 @@ from rigid_body_ros import State, TorqueLog, messages, propagate, recording, sce
 
 pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
 
-from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE, LiveSession  # noqa: E402
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
@@ -55,7 +55,8 @@ def live_values(committed):
 def test_live_is_replay_bit_for_bit_though_torques_come_late_and_out_of_order(
         tmp_path, domain, timeout):
     random = np.random.default_rng(17)
-    with LiveSession(TUMBLER, domain, '-p', f'torque_timeout:={timeout}') as live:
+    with LiveSession(TUMBLER, domain, *RELIABLE,
+                     '-p', f'torque_timeout:={timeout}') as live:
         start_ns, torques = live.now_ns(), []
         for number in range(800):
             stamp_ns = start_ns + number * SECOND // 200 + int(random.integers(0, SECOND // 500))
@@ -83,8 +84,9 @@ def test_what_is_published_between_stamps_is_the_motion_at_those_times(domain):
     torques = recording.read(RECORDINGS / 'tumbler.mcap')
     start_ns, count = int(torques.stamps_ns[0]), 501
     # The clock waits until every torque is there, so that no prediction lacks one.
-    with LiveSession(TUMBLER, domain, '-p', 'use_sim_time:=true', '-p', f'start_time:={start_ns}',
-                     '-p', 'max_future:=11.0', '-p', 'history:=12.0') as live:
+    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'use_sim_time:=true',
+                     '-p', f'start_time:={start_ns}', '-p', 'max_future:=11.0',
+                     '-p', 'history:=12.0') as live:
         run_clock(live, start_ns, until=lambda: live.received[COMMITTED])
         for row in range(count):
             live.publish(int(torques.stamps_ns[row]), 'base_link', torques.values[row, 3:])
