@@ -96,7 +96,8 @@ def replay(path: str | Path, scene: Scene, *, topic: str | None = None,
                                interpolation or scene.values['interpolation'])
     start = replace(scene.start, time_ns=scene.start.time_ns or int(log.times_ns[0]))
     times = _output_times(path, log, start.time_ns, rate, until)
-    warm_up()
+    for prepare in _bar('kernels, compiled on first use')([warm_up], 1):
+        prepare()
     began = time.perf_counter()
     trajectory = propagate(scene.body, start, log, at=times, **scene.options)
     seconds = time.perf_counter() - began

@@ -14,7 +14,7 @@ from rigid_body_ros import State, TorqueLog, messages, propagate, recording, sce
 
 pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
 
-from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE, LiveSession  # noqa: E402
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE, LiveSession
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
