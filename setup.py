@@ -4,21 +4,22 @@ from glob import glob
 from pathlib import Path
 import xml.etree.ElementTree as ElementTree
 
-from setuptools import setup
+from setuptools import find_packages, setup
 
-PACKAGE = ElementTree.parse(Path(__file__).parent / 'package.xml').getroot()
+HERE = Path(__file__).resolve().parent  # colcon --symlink-install runs this through a link
+PACKAGE = ElementTree.parse(HERE / 'package.xml').getroot()
 NAME = PACKAGE.findtext('name')
 
 setup(
     name=NAME,
     version=PACKAGE.findtext('version'),
     description=PACKAGE.findtext('description'),
-    long_description=(Path(__file__).parent / 'README.md').read_text(encoding='utf-8'),
+    long_description=(HERE / 'README.md').read_text(encoding='utf-8'),
     long_description_content_type='text/markdown',
     maintainer=PACKAGE.findtext('maintainer'),
     maintainer_email=PACKAGE.find('maintainer').get('email'),
     license=PACKAGE.findtext('license'),
-    packages=[NAME],
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
     package_data={NAME: ['py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
@@ -36,10 +37,11 @@ setup(
     extras_require={
         # ROS 2 Kilted with Fast DDS, as wheels.
         'ros': ['ros-rclpy', 'ros-rmw-fastrtps-cpp', 'ros-geometry-msgs', 'ros-sensor-msgs',
-                'ros-nav-msgs', 'ros-std-msgs', 'ros-std-srvs', 'ros-diagnostic-msgs'],
+                'ros-nav-msgs', 'ros-std-msgs', 'ros-std-srvs', 'ros-diagnostic-msgs',
+                'ros-rcl-interfaces', 'ros-rosgraph-msgs'],
         'test': ['hypothesis', 'import-linter', 'mcap-ros2-support', 'mypy', 'pytest', 'rosbags',
                  'ruff', 'scipy', 'setuptools>=70', 'types-PyYAML', 'types-tqdm'],
         'bench': ['scipy'],
     },
-    zip_safe=True,
+    zip_safe=False,
 )

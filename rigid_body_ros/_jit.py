@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 import warnings
@@ -27,10 +28,12 @@ def njit(kernel: Kernel) -> Kernel:
     if numba is None:
         return kernel
     try:
-        return numba.njit(cache=True, error_model='numpy')(kernel)
+        compiled = numba.njit(cache=True, error_model='numpy')(kernel)
     except RuntimeError:
         _warn_uncached()
         return numba.njit(error_model='numpy')(kernel)
+    _drop_stale(Path(compiled.stats.cache_path), kernel, _newest_source())
+    return compiled
 
 
 def _warn_uncached() -> None:
@@ -43,16 +46,19 @@ def _warn_uncached() -> None:
     )
 
 
-def _drop_stale_cache(package: Path) -> None:
+@cache
+def _newest_source() -> float:
+    sources = Path(__file__).parent.rglob('*.py')
+    return max((source.stat().st_mtime for source in sources), default=0.0)
+
+
+def _drop_stale(folder: Path, kernel: Callable[..., Any], newest: float) -> None:
     # numba compares a cached kernel with its own file only, not with the files of the kernels
     # inlined into it: after a change in one module the others would go on running the old code.
-    newest = max(source.stat().st_mtime for source in package.glob('*.py'))
-    for index in package.glob('__pycache__/*.nbi'):
+    name = f'{Path(kernel.__code__.co_filename).stem}.{kernel.__qualname__}'
+    for index in folder.glob(f'{name}-*.nbi'):
         try:
             if index.stat().st_mtime < newest:
                 index.unlink()
         except OSError:
-            pass  # another process was faster, or the folder is read-only and its cache unused
-
-
-_drop_stale_cache(Path(__file__).parent)
+            pass  # another process was faster

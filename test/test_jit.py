@@ -67,16 +67,13 @@ def test_a_read_only_install_without_a_home_works_and_warns_once(read_only_packa
     assert words.count('no folder for compiled kernels can be written') == 1
 
 
-def test_a_change_in_one_module_drops_what_was_compiled_of_all(tmp_path):
-    from rigid_body_ros import _jit
-    (tmp_path / '__pycache__').mkdir()
-    index, source = tmp_path / '__pycache__' / 'taylor.step.nbi', tmp_path / 'so3.py'
-    index.touch()
-    source.touch()
-    os.utime(index, ns=(10, 10))
-    os.utime(source, ns=(5, 5))
-    _jit._drop_stale_cache(tmp_path)
-    assert index.exists()
-    os.utime(source, ns=(20, 20))
-    _jit._drop_stale_cache(tmp_path)
-    assert not index.exists()
+def test_a_change_in_one_module_reaches_the_kernels_of_all(tmp_path):
+    # The step is inlined into kernels of other files, whose cached code would go on.
+    site = tmp_path / 'site'
+    shutil.copytree(PACKAGE, site / 'rigid_body_ros', ignore=shutil.ignore_patterns('__pycache__'))
+    environment = {'PYTHONPATH': str(site), 'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
+    np.testing.assert_array_equal(run(**environment)[0], here())
+    source = site / 'rigid_body_ros' / 'taylor.py'
+    source.write_text(source.read_text().replace('q (w, 0) / 2', 'q (w, 0) / 1').replace(
+        '0.5 * factor * q', '1.0 * factor * q'))
+    assert not np.allclose(run(**environment)[0], here())

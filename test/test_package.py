@@ -24,8 +24,9 @@ def installed(tmp_path_factory):
     wheel, = folder.glob('*.whl')
     with zipfile.ZipFile(wheel) as archive:
         assert f'{NAME}/py.typed' in archive.namelist()
-    subprocess.run([*pip, 'install', '--no-deps', '--prefix', folder / 'prefix', wheel],
-                   check=True)
+    # Without --ignore-installed pip would remove the package from the environment of the tests.
+    subprocess.run([*pip, 'install', '--no-deps', '--ignore-installed', '--prefix',
+                    folder / 'prefix', wheel], check=True)
     return folder / 'prefix'
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rigid_body_ros import Propagator, RigidBody, State, TorqueLog, propagate, so3
+from rigid_body_ros.propagate import loop, warm_up
 
 #: As an attribute of the package the name is that of the function.
 MODULE = sys.modules['rigid_body_ros.propagate']
@@ -178,6 +179,34 @@ def test_attitude_is_the_continuous_lift():
     assert np.sum(fine.attitude[1:] * fine.attitude[:-1], axis=1).min() > 0.9
 
 
+@pytest.mark.parametrize('budget', [1, 2, 5])
+def test_a_kernel_that_returns_midway_goes_on_with_the_same_bits(monkeypatch, budget):
+    stamps, torques, frames = random_log(8)
+    log = TorqueLog(stamps, torques, frames)
+    times = EPOCH_NS + np.arange(0, 30 * SECOND, SECOND // 3)
+    whole = propagate(BODY, START, log, at=times)
+    monkeypatch.setattr(MODULE, 'BUDGET', budget)
+    monkeypatch.setattr(loop, 'BUDGET', budget)
+    np.testing.assert_array_equal(propagate(BODY, START, log, at=times).attitude, whole.attitude)
+    propagator = Propagator(BODY, START, history=100.0)
+    for stamp, torque, frame in zip(stamps.tolist(), torques, frames):
+        propagator.apply(stamp, torque, frame)
+    assert same(propagator.at(int(times[-1])), whole, -1)
+
+
+def test_a_step_longer_than_what_is_left_of_int64_does_not_wrap():
+    motion = propagate(RigidBody(np.eye(3)), State(0, angular_velocity=(0, 0, 1e-10)),
+                       at=[9 * 10 ** 18])
+    np.testing.assert_allclose(motion.attitude[0], [0, 0, np.sin(0.45), np.cos(0.45)], rtol=1e-14)
+
+
+def test_norm_is_kept_over_many_loose_steps():
+    times = EPOCH_NS + np.arange(0, 100_000, 1000) * SECOND
+    for tolerance in (1e-3, 1e-15):
+        motion = propagate(BODY, START, at=times, tolerance=tolerance)
+        assert np.abs(np.linalg.norm(motion.attitude, axis=1) - 1.0).max() < 1e-15
+
+
 def test_a_body_at_rest_stays_for_a_day_and_for_thirty_years():
     times = [0, 86400 * SECOND, 30 * 365 * 86400 * SECOND]
     motion = propagate(BODY, State(), at=times)
@@ -273,13 +302,12 @@ class TestPropagator:
 
     def test_an_open_segment_costs_only_what_is_new(self, monkeypatch):
         # An hour of coast asked for at 10 Hz: each call goes on from the one before.
-        spans = []
-        move = MODULE._move
+        spans, move = [], loop.move
 
         def recorded(state, grid_ns, time_ns, *rest):
             spans.append(time_ns - grid_ns)
             return move(state, grid_ns, time_ns, *rest)
-        monkeypatch.setattr(MODULE, '_move', recorded)
+        monkeypatch.setattr(loop, 'move', recorded)
         propagator = Propagator(BODY, START, history=1.0)
         for number in range(0, 36_000, 3):
             propagator.at(EPOCH_NS + number * SECOND // 10)
@@ -293,7 +321,9 @@ class TestPropagator:
     ({'solver': 'euler'}, "solver: expected one of auto, taylor, found 'euler'"),
     ({'tolerance': 1e-16}, 'tolerance: .* 1e-15 to 1, found 1e-16'),
     ({'max_step': 0.0}, 'max_step: expected seconds greater than zero, found 0'),
-    ({'torque_timeout': -1.0}, 'torque_timeout: expected seconds from 0 on, found -1')])
+    ({'torque_timeout': -1.0}, r'torque_timeout: expected seconds from 0 to 1e\+09, found -1'),
+    ({'torque_timeout': 1e10}, r'torque_timeout: expected seconds from 0 to 1e\+09, found 1'),
+    ({'at': [2 ** 63 - 1]}, f'from the start, {EPOCH_NS} ns, on, found {2 ** 63 - 1} ns')])
 def test_impossible_requests_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         propagate(BODY, START, **{'at': [EPOCH_NS], **arguments})
@@ -305,6 +335,20 @@ def test_impossible_requests_are_refused(arguments, message):
 def test_impossible_torques_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         Propagator(BODY, State()).apply(*arguments)
+
+
+def test_nothing_is_left_to_compile_after_the_warm_up():
+    warm_up()
+    before = [len(kernel.signatures) for kernel in (loop.move, loop.run)]
+    stamps, torques, frames = random_log(9)
+    for interpolation in ('hold', 'linear', 'cubic'):
+        log = TorqueLog(stamps, torques, interpolation=interpolation)
+        propagate(BODY, START, log, at=EPOCH_NS + np.arange(5), torque_timeout=0.1)
+    propagator = Propagator(BODY, START, torque_timeout=0.1)
+    for stamp, torque, frame in zip(stamps.tolist(), torques, frames):
+        propagator.apply(np.int64(stamp), torque, frame)
+        propagator.at(EPOCH_NS + 5 * SECOND)
+    assert [len(kernel.signatures) for kernel in (loop.move, loop.run)] == before
 
 
 def test_the_trajectory_says_what_answered_and_why():

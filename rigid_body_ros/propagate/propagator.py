@@ -1,0 +1,228 @@
+"""The motion under a torque that grows sample by sample."""
+
+from __future__ import annotations
+
+import bisect
+from dataclasses import dataclass
+import operator
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rigid_body_ros import taylor
+from rigid_body_ros.body import RigidBody, State
+from rigid_body_ros.propagate import loop
+from rigid_body_ros.propagate.loop import Options
+from rigid_body_ros.so3 import Floats
+from rigid_body_ros.torque import FRAMES
+
+_NO_TORQUE = np.zeros((1, 3))
+
+
+class Propagator:
+    """
+    The motion under a torque that grows sample by sample.
+
+    A torque fixes the state at its stamp under the torque before it; the state between stamps
+    is a prediction that nothing later is built on. A torque that comes late, by less than
+    `history`, is put in its place and the later ones are applied again; of equal stamps the
+    last to come counts. So the states at the stamps are those of `propagate` with the whole log,
+    bit for bit, whatever the order of arrival.
+
+    Parameters
+    ----------
+    body : RigidBody
+    start : State
+    solver, tolerance, max_step, torque_timeout
+        As for `propagate`.
+    history : float, s
+        How much older than the newest stamp a torque may be. States further back are forgotten.
+
+    Raises
+    ------
+    ValueError
+        An option is out of its range.
+
+    """
+
+    def __init__(self, body: RigidBody, start: State, *, solver: str = 'auto',
+                 tolerance: float = 1e-15, max_step: float | None = None,
+                 torque_timeout: float = 0.0, history: float = 1.0) -> None:
+        self._options = Options(solver, tolerance, max_step, torque_timeout)
+        #: How much older than the newest stamp a torque is dropped; never that stamp itself.
+        self.history_ns = max(1, loop.duration_ns(history, 'history'))
+        self._body = body
+        first = _Change(start.time_ns, start.time_ns, _NO_TORQUE, False)
+        first.segment = self._segment(start.time_ns, loop.pack(start), first.torque, False)
+        self._changes = [first]
+        #: Stamp of the torque in force at the start, if one came.
+        self._before_start: int | None = None
+
+    @property
+    def earliest_ns(self) -> int:
+        """The earliest time that `at` still answers for."""
+        return self._changes[0].time_ns
+
+    def apply(self, time_ns: int, torque: ArrayLike, frame: str = 'body') -> bool:
+        """
+        Hold a torque from a stamp on, up to the next stamp.
+
+        Parameters
+        ----------
+        time_ns : int
+        torque : array, shape (3,), N m
+        frame : str
+            'body' or 'space'.
+
+        Returns
+        -------
+        bool
+            False if the torque was dropped: it is older than the newest stamp by `history` or
+            more.
+
+        Raises
+        ------
+        ValueError
+            The torque is not finite, or the frame is unknown.
+        TypeError
+            The time is no integer.
+
+        """
+        time_ns = operator.index(time_ns)
+        values = np.array(torque, float).reshape(1, -1)
+        if values.shape != (1, 3) or not np.all(np.isfinite(values)):
+            raise ValueError(f'torque at {time_ns} ns: expected 3 finite numbers, '
+                             f'found {values[0].tolist()}')
+        if frame not in FRAMES:
+            raise ValueError(f"frame: expected 'body' or 'space', found {frame!r}")
+        if self._changes[-1].time_ns - time_ns >= self.history_ns:
+            return False
+        if time_ns <= self._changes[0].time_ns:
+            self._apply_before_start(time_ns, values, frame == 'space')
+        else:
+            self._insert(_Change(time_ns, time_ns, values, frame == 'space'))
+        return True
+
+    def at(self, time_ns: int) -> State:
+        """
+        Return the state at a time under the torques known so far.
+
+        Raises
+        ------
+        ValueError
+            The time lies before the start, or further back than is remembered.
+
+        """
+        index = bisect.bisect_right(self._changes, time_ns, key=_time_ns) - 1
+        if index < 0:
+            raise ValueError(f'expected a time from {self.earliest_ns} ns on, found {time_ns} ns')
+        self._resolve(index)
+        return loop.unpack(time_ns, self._active(self._changes[index], time_ns).state_at(time_ns))
+
+    def _apply_before_start(self, time_ns: int, torque: Floats, in_space: bool) -> None:
+        # Nothing is forgotten before a stamp is `history` past the start, and a stamp as old as
+        # the start is dropped from then on: so the first change is still the start.
+        if self._before_start is not None and time_ns < self._before_start:
+            return
+        self._before_start = time_ns
+        start = self._changes[0]
+        assert start.segment is not None
+        state = start.segment.state_at(start.time_ns)
+        timeout = self._options.timeout_ns
+        if timeout and time_ns + timeout <= start.time_ns:
+            torque, in_space = _NO_TORQUE, False
+        self._changes[0] = _Change(start.time_ns, time_ns, torque, in_space)
+        self._changes[0].segment = self._segment(start.time_ns, state, torque, in_space)
+        self._forget_from(1)
+
+    def _insert(self, change: _Change) -> None:
+        index = bisect.bisect_left(self._changes, change.time_ns, key=_time_ns)
+        found = index < len(self._changes) and self._changes[index].time_ns == change.time_ns
+        self._changes[index:index + found] = [change]
+        self._forget_from(index)
+        horizon = self._changes[-1].time_ns - self.history_ns
+        oldest = bisect.bisect_right(self._changes, horizon, key=_time_ns) - 1
+        if oldest > 0:
+            self._resolve(oldest)
+            del self._changes[:oldest]
+
+    def _forget_from(self, index: int) -> None:
+        for change in self._changes[index:]:
+            change.segment = change.silence = None
+
+    def _resolve(self, index: int) -> None:
+        """Give every change up to this one its segment."""
+        first = index
+        while self._changes[first].segment is None:
+            first -= 1
+        for before, change in zip(self._changes[first:index], self._changes[first + 1:index + 1]):
+            active = self._active(before, change.time_ns)
+            if active.coasts and not change.torque.any():
+                change.segment = active
+            else:
+                state = active.state_at(change.time_ns)
+                change.segment = self._segment(change.time_ns, state, change.torque,
+                                               change.in_space)
+
+    def _active(self, change: _Change, time_ns: int) -> _Segment:
+        """Return the segment that holds at a time from a change on, before the next change."""
+        assert change.segment is not None
+        due = change.stamp_ns + self._options.timeout_ns
+        if not self._options.timeout_ns or change.segment.coasts or time_ns < due:
+            return change.segment
+        if change.silence is None:
+            state = change.segment.state_at(due)
+            change.silence = self._segment(due, state, _NO_TORQUE, False)
+        return change.silence
+
+    def _segment(self, start_ns: int, state: Floats, torque: Floats, in_space: bool) -> _Segment:
+        return _Segment(self._body, self._options, self.history_ns, start_ns, state, torque,
+                        in_space)
+
+
+@dataclass
+class _Change:
+    """A torque from a time on; the stamp is earlier than the time only for the start."""
+
+    time_ns: int
+    stamp_ns: int
+    torque: Floats
+    in_space: bool
+    segment: _Segment | None = None
+    #: The coast that follows when the torque times out.
+    silence: _Segment | None = None
+
+
+def _time_ns(change: _Change) -> int:
+    return change.time_ns
+
+
+class _Segment:
+    """The motion from a start on under one held torque, with the grid points reached so far."""
+
+    def __init__(self, body: RigidBody, options: Options, history_ns: int, start_ns: int,
+                 state: Floats, torque: Floats, in_space: bool) -> None:
+        self.coasts = not torque.any()
+        self._history_ns = history_ns
+        self._grid_ns = [start_ns]
+        self._states = [state]
+        self._arguments = (body._matrices, torque, in_space, start_ns, 1.0,
+                           options.tolerance, options.max_step_ns)
+
+    def state_at(self, time_ns: int) -> Floats:
+        nearest = bisect.bisect_right(self._grid_ns, time_ns) - 1
+        state, grid_ns = self._states[nearest].copy(), self._grid_ns[nearest]
+        out, series, reached = np.empty(taylor.STATE), taylor.workspace(), False
+        while not reached:
+            grid_ns, _, reached = loop.move(state, grid_ns, time_ns, *self._arguments, series,
+                                            out, loop.BUDGET)
+        if grid_ns > self._grid_ns[-1]:
+            self._grid_ns.append(grid_ns)
+            self._states.append(state)
+            self._thin(grid_ns - self._history_ns)
+        return out
+
+    def _thin(self, horizon_ns: int) -> None:
+        # A late torque asks at most `history` back; the start stays for whoever asks further.
+        while len(self._grid_ns) > 2 and self._grid_ns[2] <= horizon_ns:
+            del self._grid_ns[1], self._states[1]
