@@ -8,6 +8,7 @@ Body axes unless a name says `_space`. Formulas as in Goldstein, Classical Mecha
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+import operator
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -176,6 +177,8 @@ class State:
     ------
     ValueError
         A component is not finite, or the quaternion is zero.
+    TypeError
+        The time is no integer.
 
     """
 
@@ -197,8 +200,9 @@ class State:
         w = _checked_vector(angular_velocity, 3, 'angular velocity')
         for array in (q, w):
             array.flags.writeable = False
-        for name, value in (('time_ns', int(time_ns)), ('attitude', q), ('angular_velocity', w),
-                            ('_carry', np.zeros(7) if _carry is None else _carry)):
+        carry = np.zeros(7) if _carry is None else _carry
+        for name, value in (('time_ns', operator.index(time_ns)), ('attitude', q),
+                            ('angular_velocity', w), ('_carry', carry)):
             object.__setattr__(self, name, value)
 
 

@@ -21,6 +21,8 @@ from rigid_body_ros.so3 import Floats
 #: reported as not determined apart.
 DEGENERATE = 1e-7
 _TURN = 2.0 * np.pi
+#: Divided by less, a rate would overflow.
+_VANISHING = 1e-290
 #: The same within rounding: the attitude says nothing of one of their combinations.
 _UNDETERMINED = 1e-15
 
@@ -217,7 +219,7 @@ def rates(angles: ArrayLike, angular_velocity: ArrayLike, sequence: str = 'ZXZ')
     outer, node, across, sine, cosine = _triad(angles, axes)
     w = np.asarray(angular_velocity, float)
     along, second, third = (np.sum(w * axis, axis=-1) for axis in (across, node, outer))
-    regular = sine != 0.0
+    regular = np.abs(sine) > _VANISHING
     even = 0.5 * third * np.sign(cosine)
     first = np.divide(along, sine, out=np.broadcast_to(even, np.shape(along)).copy(),
                       where=regular)
@@ -249,7 +251,7 @@ def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     given, axes = np.asarray(angles, float), _axes(sequence)
     sine, cosine = _sine_cosine(given[:, 1], axes)
     free = np.abs(sine) < _UNDETERMINED
-    anchor = int(np.argmin(free))
+    anchor = int(np.argmin(free)) if free.size else 0
     result = given.copy()
     for row in [*range(anchor + 1, len(result)), *range(anchor - 1, -1, -1)]:
         last = result[row - 1 if row > anchor else row + 1]

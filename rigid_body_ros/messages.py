@@ -18,6 +18,9 @@ from numpy.typing import ArrayLike
 from rigid_body_ros.body import State
 from rigid_body_ros.so3 import Floats
 
+#: The last nanosecond that a ROS stamp can name, in January 2038.
+LAST_NS = 2 ** 31 * 10 ** 9 - 1
+
 _FIELDS = {
     'builtin_interfaces/Time': 'int32 sec\nuint32 nanosec\n',
     'std_msgs/Header': 'builtin_interfaces/Time stamp\nstring frame_id\n',
@@ -96,6 +99,8 @@ class MessageType:
         order = '<' if data[1] else '>'
         body = memoryview(data)[4:]
         seconds, nanoseconds = struct.unpack_from(order + 'iI', body)
+        if seconds < 0 or nanoseconds >= 10 ** 9:
+            raise ValueError(f'a stamp of {seconds} s and {nanoseconds} ns')
         frame_id, offset = _string(body, 8, order)
         child_frame_id = ''
         if self.has_child_frame:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 import os
 from pathlib import Path
@@ -24,6 +25,8 @@ from rigid_body_ros.torque import TorqueLog
 #: Wraps an iterable of so many messages, to show progress.
 Track = Callable[[Iterable[Any], int], Iterable[Any]]
 
+#: Ten years, more than a simulation lasts and less than the wall clock shows.
+_SIMULATED_NS = 315_576_000 * 10 ** 9
 # The QoS that a player offers again: reliable, volatile, keep last 10, in the numbers that
 # rosbag2 has read since Humble (later versions also read names).
 _QOS = '\n'.join([
@@ -115,9 +118,10 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
         raise InputError(f'{where}: message {row + 1} at {recorded.stamps_ns[row]} ns: expected '
                          f'a finite torque, found {torques[row].tolist()}')
     unstamped = np.flatnonzero(recorded.stamps_ns == 0)
-    if unstamped.size > 1:  # one may be at the beginning of simulated time
+    # One may be at the beginning of simulated time, which does not reach wall time.
+    if unstamped.size > 1 or (unstamped.size and recorded.stamps_ns.max() > _SIMULATED_NS):
         raise InputError(f'{where}: message {unstamped[0] + 1}: expected a stamp in its header, '
-                         f'found 0, as in {unstamped.size} messages')
+                         f'found 0, as in {unstamped.size} of {len(torques)} messages')
     known: dict[str, str] = {}
     for number, frame_id in enumerate(recorded.frame_ids, 1):
         if frame_id not in known:
@@ -153,8 +157,9 @@ class Writer:
         self._sequence: dict[str, int] = {}
 
     def __enter__(self) -> Writer:
-        if self._path.is_dir():
-            raise InputError(f'{self._path}: expected a file to write, found a folder')
+        if self._path.exists() and not self._path.is_file():
+            kind = 'a folder' if self._path.is_dir() else 'something else'
+            raise InputError(f'{self._path}: expected a file to write, found {kind}')
         try:
             self._stream = open(self._part, 'wb')
             self._writer = McapWriter(self._stream)
@@ -187,9 +192,10 @@ class Writer:
                 self._stream.close()
                 os.replace(self._part, self._path)
         except OSError as failure:
-            raise InputError(f'{self._path}: cannot write: {failure.strerror}') from failure
+            error = failure
         finally:
-            self._stream.close()
+            with suppress(OSError):  # closing flushes, which fails again on a full disk
+                self._stream.close()
             self._part.unlink(missing_ok=True)
         if isinstance(error, OSError):
             raise InputError(f'{self._path}: cannot write: {error.strerror}') from error
@@ -233,7 +239,7 @@ def _bodies(path: str | Path, reader: McapReader, topic: str) -> Iterator[bytes]
     number = 0
     try:
         # In the order of the file: of equal stamps the later in the file counts.
-        for _, channel, message in reader.iter_messages(topic, log_time_order=False):
+        for _, channel, message in reader.iter_messages([topic], log_time_order=False):
             number += 1
             if channel.message_encoding != 'cdr':
                 raise InputError(f'{path}: {topic}: expected the message encoding cdr, '

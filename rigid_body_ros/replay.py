@@ -21,6 +21,8 @@ from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
 
 ATTITUDE, EULER_ANGLES, ANGULAR_VELOCITY = '/attitude', '/euler_angles', '/angular_velocity'
 
+#: What one run can hold in memory.
+_MOST_OUTPUTS = 10 ** 8
 #: The balance of work and energy is taken over at most so many pieces of at most this angle, rad.
 _PIECES = 200_000
 _PIECE_ANGLE = 0.05
@@ -207,11 +209,17 @@ def energy_balance(result: Replay) -> tuple[float, float]:
 def _output_times(path: str | Path, log: TorqueLog, start_ns: int, rate: float | None,
                   until: float | None) -> NDArray[np.int64]:
     end_ns = int(log.times_ns[-1]) if until is None else start_ns + round(until * 1e9)
+    if end_ns > messages.LAST_NS:
+        raise InputError(f'--until: expected an end that a ROS stamp can name, before '
+                         f'{messages.LAST_NS} ns, found {until} s after {start_ns} ns')
     if end_ns < start_ns:
         raise InputError(f'{path}: the last torque, at {end_ns} ns, lies before the start of the '
                          f'scene, {start_ns} ns')
     if rate is not None:
         count = int((end_ns - start_ns) * 1e-9 * rate * (1.0 + 1e-15)) + 1
+        if count > _MOST_OUTPUTS:
+            raise InputError(f'--rate: expected at most {_MOST_OUTPUTS} outputs, found {rate} Hz '
+                             f'over {(end_ns - start_ns) * 1e-9:.9g} s')
         return start_ns + np.round(np.arange(count) * (1e9 / rate)).astype(np.int64)
     stamps = log.times_ns[(log.times_ns >= start_ns) & (log.times_ns <= end_ns)]
     return np.union1d(stamps, [end_ns])
@@ -278,7 +286,9 @@ def _piece_edges(result: Replay) -> NDArray[np.int64]:
     lengths = np.diff(edges)
     speed = float(np.linalg.norm(result.trajectory.angular_velocity, axis=1).max())
     counts = np.ceil(lengths * 1e-9 * speed / _PIECE_ANGLE).clip(1, _PIECES).astype(int)
+    counts = counts[:np.searchsorted(np.cumsum(counts), _PIECES) + 1]
+    lengths = lengths[:len(counts)]
     number = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
     offsets = np.round(number / np.repeat(counts, counts) * np.repeat(lengths, counts))
-    pieces = np.repeat(edges[:-1], counts) + offsets.astype(np.int64)
-    return np.append(pieces, edges[-1])[:_PIECES + 1]
+    pieces = np.repeat(edges[:len(counts)], counts) + offsets.astype(np.int64)
+    return np.append(pieces, edges[len(counts)])[:_PIECES + 1]

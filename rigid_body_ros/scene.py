@@ -12,13 +12,14 @@ from dataclasses import dataclass
 import difflib
 import math
 from pathlib import Path
+import re
 from typing import Any, NamedTuple
 
 import yaml
 
 from rigid_body_ros import euler
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.propagate import SOLVERS, TOLERANCES
+from rigid_body_ros.propagate import LONGEST, SOLVERS, TOLERANCES
 from rigid_body_ros.torque import INTERPOLATIONS
 
 NODE = 'attitude_node'
@@ -63,14 +64,14 @@ PARAMETERS = {parameter.name: parameter for parameter in (
       for name in 'xyz'),
     Parameter('start_time', 0, 'ns', 'when the initial state holds; 0: the first torque in a '
               'replay, the first valid clock reading in the node, which reports the value in use',
-              (0, 2 ** 63 - 1)),
+              (0, 2 ** 31 * 10 ** 9 - 1)),
     Parameter('solver', 'auto', '', 'how the motion is integrated', choices=SOLVERS),
     Parameter('tolerance', 1e-15, '', 'attitude error per radian turned', TOLERANCES),
     Parameter('max_step', 0.0, 's', 'upper limit of an integration step; 0: none', (0.0, _BIG)),
     Parameter('interpolation', 'hold', '', 'what a torque does between its samples; the node, '
               'which does not know the next one, holds', choices=INTERPOLATIONS),
     Parameter('torque_timeout', 0.0, 's', 'the torque is zero from this long after a sample on; '
-              '0: it is held for ever', (0.0, 1e9)),
+              '0: it is held for ever', (0.0, LONGEST)),
     Parameter('history', 1.0, 's', 'how much older than the newest stamp a torque may be',
               (0.0, 3600.0)),
     Parameter('max_future', 0.5, 's', 'a torque stamped further ahead of the clock is refused',
@@ -82,6 +83,10 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('space_frame', 'world', '', 'frame_id of the fixed axes'),
     Parameter('body_frame', 'base_link', '', 'frame_id of the body axes'),
 )}
+# What C's strtoll (base 0) and strtod take, which rcl asks.
+_INTEGER = re.compile(r'[+-]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)')
+_FLOAT = re.compile(r'[+-]?([0-9]+\.?[0-9]*([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?'
+                    r'|\.?(inf|Inf|INF|nan|NaN|NAN))')
 #: What ROS itself declares on every node; a parameter dump has them.
 _ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
 
@@ -158,11 +163,15 @@ def load(path: str | Path) -> Scene:
 
     """
     try:
-        root = yaml.compose(Path(path).read_text(encoding='utf-8'), Loader=yaml.SafeLoader)
+        text = Path(path).read_text(encoding='utf-8')
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+        aliased = any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text))
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f'{path}: cannot read the scene: {_reason(error)}') from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, RecursionError) as error:
         raise InputError(f'{path}: expected YAML: {" ".join(str(error).split())}') from error
+    if aliased:
+        raise InputError(f'{path}: expected YAML without aliases (*name), as ROS does')
     try:
         return Scene.from_values(_parameters(root))
     except InputError as error:
@@ -220,21 +229,30 @@ def _reason(error: Exception) -> str:
 
 def _parameters(root: yaml.Node | None) -> dict[str, Any]:
     """Return the flat values that a parameter file has for the node."""
-    nodes = [(key.strip('/') or key, value) for key, value in _entries(root, 'the file')]
-    wanted = {key for key, _ in nodes if key == '**' or key.split('/')[-1] == NODE}
-    if not wanted and len({key for key, _ in nodes}) == 1:
-        wanted = {nodes[0][0]}
-    if not wanted:
-        raise InputError(f'expected parameters of /** or {NODE}, found those of '
-                         f'{", ".join(key for key, _ in nodes) or "no node"}')
+    nodes = _nodes(root, '')
+    names = {name for name, _ in nodes}
+    ours = {name for name in names if name.split('/')[-1] == NODE}
+    if not ours and '**' not in names:
+        ours = names  # of a renamed node
+    if len(ours) > 1 or not names:
+        raise InputError(f'expected parameters of /** or of one {NODE}, found those of '
+                         f'{", ".join(sorted(names)) or "no node"}')
     values: dict[str, Any] = {}
-    for key, node in sorted(nodes, key=lambda entry: entry[0] != '**'):
-        if key in wanted:
-            for name, entry in _entries(node, key):
-                if name != 'ros__parameters':
-                    raise InputError(f'{key}: expected the one key ros__parameters, found {name}')
-                values.update(_flat(entry, ''))
+    for name, entry in sorted(nodes, key=lambda node: node[0] != '**'):
+        if name == '**' or name in ours:
+            values.update(_flat(entry, ''))
     return values
+
+
+def _nodes(node: yaml.Node | None, prefix: str) -> list[tuple[str, yaml.Node]]:
+    """Return the names of the nodes of a parameter file, and what stands below each."""
+    found = []
+    for key, value in _entries(node, prefix or 'the file'):
+        if key == 'ros__parameters' and prefix:
+            found.append((prefix, value))
+        else:  # a node, or a namespace
+            found += _nodes(value, f'{prefix}/{key.strip("/")}'.strip('/'))
+    return found
 
 
 def _entries(node: yaml.Node | None, what: str) -> list[tuple[str, yaml.Node]]:
@@ -260,18 +278,20 @@ def _value(node: yaml.Node) -> Any:
     if isinstance(node, yaml.SequenceNode):
         return [_value(item) for item in node.value]
     text = str(node.value)
-    if isinstance(node, yaml.ScalarNode) and node.style:  # quoted
+    if isinstance(node, yaml.ScalarNode) and node.style in ('"', "'"):
         return text
     if text in ('y', 'Y', 'yes', 'Yes', 'YES', 'true', 'True', 'TRUE', 'on', 'On', 'ON'):
         return True
     if text in ('n', 'N', 'no', 'No', 'NO', 'false', 'False', 'FALSE', 'off', 'Off', 'OFF'):
         return False
-    try:
-        if -2 ** 63 <= (number := int(text, 0)) < 2 ** 63:
-            return number
-    except ValueError:
-        pass
-    try:
-        return float(text.replace('.inf', 'inf').replace('.nan', 'nan'))
-    except ValueError:
-        return text
+    if _INTEGER.fullmatch(text) and -2 ** 63 <= (number := _integer(text)) < 2 ** 63:
+        return number
+    if _FLOAT.fullmatch(text):
+        return float(text.lower().replace('.inf', 'inf').replace('.nan', 'nan'))
+    return text
+
+
+def _integer(text: str) -> int:
+    digits = text.lstrip('+-')
+    base = 16 if digits[:2] in ('0x', '0X') else 8 if digits[0] == '0' else 10
+    return int(text, base)

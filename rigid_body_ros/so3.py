@@ -94,8 +94,8 @@ def exp(rotation_vector: ArrayLike) -> Floats:
     """
     rotation_vector = np.asarray(rotation_vector, float)
     half = 0.5 * np.linalg.norm(rotation_vector, axis=-1, keepdims=True)
-    # numpy's sinc(x) is sin(pi x) / (pi x), and 1 at zero.
-    imaginary = 0.5 * np.sinc(half / np.pi) * rotation_vector
+    sinc = np.divide(np.sin(half), half, out=np.ones_like(half), where=half > 0.0)
+    imaginary = 0.5 * sinc * rotation_vector
     return np.concatenate([imaginary, np.cos(half)], axis=-1)
 
 

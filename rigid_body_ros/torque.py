@@ -115,12 +115,12 @@ class TorqueLog:
         return starts[order], np.concatenate([samples, np.full(silent.sum(), -1)])[order]
 
     def rules(self, samples: NDArray[np.intp]) -> Rules:
-        """Return the rules of samples, such as `segments` gives: ascending, or -1 for zero."""
+        """Return the rules of samples, such as `segments` gives; -1 stands for zero torque."""
         given = np.flatnonzero(samples >= 0)
         if not given.size:
             zeros = np.zeros(samples.size, np.int64)
             return Rules(np.zeros((samples.size, 1, 3)), zeros > 0, zeros, np.ones(samples.size))
-        first, last = samples[given[0]], samples[given[-1]]
+        first, last = samples[given].min(), samples[given].max()
         row = np.where(samples < 0, 0, samples - first)
         polynomials = self._polynomials(first, last + 1)[row]
         polynomials[samples < 0] = 0.0
@@ -135,7 +135,6 @@ class TorqueLog:
         Parameters
         ----------
         times_ns : array of int, shape (m,)
-            In ascending order.
         timeout_ns : int
             As for `segments`.
 

@@ -118,6 +118,11 @@ def test_impossible_states_are_refused(attitude, velocity, message):
         State(0, attitude, velocity)
 
 
+def test_a_time_in_seconds_is_refused():
+    with pytest.raises(TypeError):
+        State(1767225600.5)
+
+
 def test_a_start_is_normalised_but_one_of_unit_length_is_left_alone():
     np.testing.assert_allclose(State(0, (0, 0, 0, 5.0)).attitude, [0, 0, 0, 1], rtol=0)
     unit = so3.normalize(np.array([0.1, -0.3, 0.2, 0.9]))

@@ -166,6 +166,15 @@ def test_unwrapped_angles_name_the_same_attitudes_without_jumps(sequence):
     assert np.abs(np.diff(angles, axis=0)).max() < 0.5
 
 
+def test_rates_are_finite_however_close_to_a_pole():
+    for theta in (0.0, 5e-324, 1e-320, 1e-300, 1e-200):
+        assert np.all(np.isfinite(euler.rates([0.0, theta, 0.0], [1e6, 1e6, 0.0])))
+
+
+def test_nothing_to_unwrap_is_nothing():
+    assert euler.unwrap(np.zeros((0, 3))).shape == (0, 3)
+
+
 def test_unwrapped_theta_goes_on_through_zero():
     times = np.linspace(-1.0, 1.0, 41)[:, None]
     angles = euler.unwrap(euler.from_quaternion(so3.exp(times * [1.0, 0.0, 0.0])))

@@ -61,6 +61,8 @@ def test_definitions_are_those_of_ros(kind):
 
 @pytest.mark.parametrize('data', [b'', b'\0', b'\0\1\0\0', b'\0\7\0\0' + bytes(80), bytes(200),
                                   messages.wrench(STAMP_NS, 'world', [1, 2, 3])[:-1],
+                                  b'\0\1\0\0' + b'\xff' * 4 + bytes(80),
+                                  b'\0\1\0\0' + bytes(4) + b'\0\x28\x6b\xee' + bytes(80),
                                   b'\0\1\0\0' + bytes(8) + b'\xff\xff\xff\x7f' + bytes(80)])
 def test_bytes_that_are_no_message_are_refused(data):
     with pytest.raises(ValueError, match=f'expected a geometry_msgs/msg/WrenchStamped in CDR, '

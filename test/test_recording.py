@@ -1,5 +1,6 @@
 """Recordings: what others write we read, what we write others read, damage is told."""
 
+import resource
 import struct
 
 from conftest import EPOCH_NS, RECORDINGS, SECOND
@@ -146,7 +147,8 @@ def test_the_topic_is_needed_only_where_there_are_several(tmp_path):
     ([(1, '', [np.inf, 0, 0])], 'message 1 at 1 ns: expected a finite torque'),
     ([(1, '', [0, 0, 0]), (2, 'map', [0, 0, 0])],
      "bad.mcap: /torque: message 2: frame_id: expected 'base_link' .*found 'map'"),
-    ([(0, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 1: expected a stamp .*as in 2 messages')])
+    ([(0, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 1: expected a stamp .*in 2 of 2'),
+    ([(EPOCH_NS, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 2: .* found 0, as in 1 of 2')])
 def test_torques_that_cannot_be_used_are_refused_by_number(tmp_path, rows, message):
     path = write(tmp_path / 'bad.mcap', rows)
     with pytest.raises(InputError, match=message):
@@ -230,14 +232,17 @@ def test_a_failure_leaves_no_file_and_keeps_the_old_one(tmp_path, recorded):
     assert [path.name for path in tmp_path.iterdir()] == ['torque.mcap']
 
 
-def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, monkeypatch):
-    def full(*arguments):
-        raise OSError(28, 'No space left on device')
-    path = tmp_path / 'full.mcap'
-    with pytest.raises(InputError, match='full.mcap: cannot write: No space left'), \
-            recording.Writer(path) as writer:
-        writer.add_topic('/torque', messages.WRENCH)
-        monkeypatch.setattr(writer._writer, 'finish', full)
+@pytest.mark.parametrize('count', [1, 400, 40_000])
+def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, count):
+    # A limit of the file size stands for the disk: it is met at the end or on the way.
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    random = np.random.default_rng(1)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (512, before[1]))
+    try:
+        with pytest.raises(InputError, match='full.mcap: cannot write: File too large'):
+            write(tmp_path / 'full.mcap', [(k, '', random.normal(size=3)) for k in range(count)])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert not list(tmp_path.iterdir())
 
 

@@ -20,11 +20,24 @@ def parameters(body):
 
 
 @pytest.mark.parametrize(('text', 'value'), [
-    ('1e-9', 1e-9), ('1', 1.0), ('1.5E2', 150.0), ('.5', 0.5), ('+3.', 3.0), ('0x10', 16.0)])
+    ('1e-9', 1e-9), ('1', 1.0), ('1.5E2', 150.0), ('.5', 0.5), ('+3.', 3.0), ('0x10', 16.0),
+    ('010', 8.0), ('0', 0.0), ('99999999999999999999e-19', 9.9999999999999999999)])
 def test_numbers_are_read_as_rcl_reads_them(tmp_path, text, value):
     found = load(tmp_path, parameters(f'    torque_timeout: {text}'))
     assert found.values['torque_timeout'] == value
     assert isinstance(found.values['torque_timeout'], float)
+
+
+@pytest.mark.parametrize('text', ['1_0', '0b11', '0o17', '١', '1,5', '1e', '.'])
+def test_what_is_no_number_to_rcl_is_none_here(tmp_path, text):
+    with pytest.raises(InputError, match='torque_timeout: expected a number'):
+        load(tmp_path, parameters(f'    torque_timeout: {text}'))
+
+
+def test_a_node_in_a_namespace_is_found(tmp_path):
+    lines = ['robot:', '  attitude_node:',
+             *('  ' + line for line in parameters('').splitlines()[1:])]
+    assert load(tmp_path, '\n'.join(lines)).values['inertia.izz'] == 2.5
 
 
 def test_integers_keep_every_digit(tmp_path):
@@ -101,10 +114,16 @@ def test_a_missing_moment_is_named_with_its_unit():
     ('', 'the file: expected keys and values'),
     ('- 1', 'the file: expected keys and values'),
     ('a: [', 'expected YAML'),
-    ('inertia: {ixx: 1.0}\nb: 2',
-     r'expected parameters of /\*\* or attitude_node, found .*inertia, b'),
+    ('inertia: {ixx: 1.0}', 'inertia/ixx: expected keys and values'),
+    ('a:\n  ros__parameters: {}\nb:\n  ros__parameters: {}',
+     r'expected parameters of /\*\* or of one attitude_node, found those of a, b'),
+    ('/a/attitude_node:\n  ros__parameters: {}\n/b/attitude_node:\n  ros__parameters: {}',
+     'expected .* of one attitude_node, found those of a/attitude_node, b/attitude_node'),
+    ('/**: {ros__parameters: {inertia: &a {ixx: 1.0}, other: *a}}',
+     'expected YAML without aliases'),
+    ('[' * 5000, 'expected YAML'),
     ('/**: 3', r'\*\*: expected keys and values'),
-    ('/**: {inertia: {}}', r'\*\*: expected the one key ros__parameters, found inertia'),
+    ('/**: {inertia: {}}', r'expected parameters of /\*\* .*found those of no node'),
     ('/**: {ros__parameters: 3}', 'ros__parameters: expected keys and values')])
 def test_files_that_are_no_scene_are_refused_by_name(tmp_path, text, message):
     with pytest.raises(InputError, match=f'scene.yaml: {message}'):

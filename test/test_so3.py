@@ -54,6 +54,10 @@ def test_exp_goes_on_beyond_a_turn():
                                atol=2 * EPS)
 
 
+def test_exp_of_many_turns_has_unit_norm():
+    assert abs(np.linalg.norm(so3.exp([1e6, 2e6, -3e5])) - 1.0) < 4 * EPS
+
+
 def test_normalize_takes_quaternions_of_any_size():
     for size in (1e-300, 1e-160, 1.0, 1e200):
         np.testing.assert_allclose(so3.normalize(size * Q[0]), Q[0], atol=2 * EPS)

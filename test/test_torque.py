@@ -78,6 +78,12 @@ def test_of_equal_stamps_the_later_sample_counts():
     assert log.torques[:, 0].tolist() == [12.0, 9.0, 3.0]
 
 
+def test_times_may_be_asked_for_in_any_order():
+    log = TorqueLog([0, 10, 40], np.eye(3), interpolation='linear')
+    at = log.at([40, -1, 10, 0, 25])[0]
+    np.testing.assert_array_equal(at, [[0, 0, 1], [0, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0.5, 0.5]])
+
+
 def test_timeout_ends_a_torque_that_is_not_renewed():
     log = TorqueLog([0, 10, 40], np.ones((3, 3)))
     starts, samples = log.segments(20)
