@@ -85,7 +85,8 @@ def run_live():
 
 
 def compare_with_live():
-    """Print whether replay and committed states have the same bits; return an exit status."""
+    """Print whether replay and committed states have the same bits at every torque."""
+    source = recording.read(RECORDINGS / 'tumbler.mcap')
     committed = recording.read(OUTPUT / 'live.mcap', COMMITTED, messages.ODOMETRY)
     attitude = recording.read(OUTPUT / 'replay.mcap', '/attitude', messages.QUATERNION)
     rates = recording.read(OUTPUT / 'replay.mcap', '/angular_velocity', messages.VECTOR3)
@@ -95,7 +96,7 @@ def compare_with_live():
     same &= np.all(rates.values[rows] == states[:, messages.ANGULAR_VELOCITY], axis=1)
     print(f'\nLive and replay agree bit for bit at {same.sum()} of {same.size} stamps.')
     print(f'Look at {os.path.relpath(OUTPUT)}: recordings (.mcap) and pictures (.png).')
-    return 0 if same.all() else 1
+    return 0 if same.all() and same.size == len(source.stamps_ns) else 1
 
 
 if __name__ == '__main__':

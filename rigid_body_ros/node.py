@@ -6,6 +6,8 @@ import argparse
 import bisect
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
+from copy import copy
 from dataclasses import replace
 import signal
 import sys
@@ -46,6 +48,10 @@ _STATE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 _LOG_QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _REPORT_EVERY_S = 5.0
+#: rad/s^2. A torque held at this turns any body by a radian a nanosecond within a second.
+_LARGEST_ACCELERATION = 1e9
+#: How long a clean end may take.
+_PATIENCE_S = 0.7
 
 
 class AttitudeNode(Node):
@@ -64,9 +70,9 @@ class AttitudeNode(Node):
         self._scene = self._declare_parameters()
         values = self._scene.values
         self._space_frame, self._body_frame = values['space_frame'], values['body_frame']
-        self._history_ns = round(values['history'] * 1e9)
         self._max_future_ns = round(values['max_future'] * 1e9)
         self._propagator: Propagator | None = None
+        self._largest_torque = _LARGEST_ACCELERATION * self._scene.body.principal_moments[0]
         self._start_ns = self._scene.start.time_ns
         #: Stamps whose states a late torque may still change, ascending.
         self._pending: list[int] = []
@@ -74,15 +80,23 @@ class AttitudeNode(Node):
         self._reported: dict[str, int] = {}
         warm_up()
         self._announce()
-        self._create_publishers()
-        self.add_on_set_parameters_callback(self._on_set_parameters)
-        self._begin()
-        self._create_inputs()
+        try:
+            self._create_publishers()
+            self.add_on_set_parameters_callback(self._on_set_parameters)
+            self._begin()
+            self._create_inputs()
+        except RuntimeError as error:  # such as a QoS override that is none
+            raise InputError(' '.join(str(error).split())) from error
 
     def finish(self) -> None:
         """Publish the states that were held back for late torques, and see them delivered."""
-        self._commit(None)
-        for publisher in (self._accepted, self._committed):
+        while self._pending:  # no more at once than the queue holds
+            self._commit(self._pending[:_LOG_QOS.depth][-1])
+            self._await_delivery(self._committed)
+        self._await_delivery(self._accepted)
+
+    def _await_delivery(self, publisher: Publisher) -> None:
+        with suppress(RuntimeError):  # not every middleware can tell
             publisher.wait_for_all_acked(Duration(nanoseconds=300_000_000))
 
     def _declare_parameters(self) -> Scene:
@@ -112,8 +126,9 @@ class AttitudeNode(Node):
 
     def _create_publishers(self) -> None:
         def publisher(kind: type, topic: str, qos: QoSProfile) -> Publisher:
+            # A copy: rclpy writes the overrides of one topic into the profile it is given.
             return self.create_publisher(
-                kind, topic, qos,
+                kind, topic, copy(qos),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
         self._attitude = publisher(QuaternionStamped, 'attitude', _STATE_QOS)
         self._euler_angles = publisher(Vector3Stamped, 'euler_angles', _STATE_QOS)
@@ -123,7 +138,7 @@ class AttitudeNode(Node):
 
     def _create_inputs(self) -> None:
         self._torques = self.create_subscription(
-            WrenchStamped, 'torque', self._on_torque, _TORQUE_QOS, raw=True,
+            WrenchStamped, 'torque', self._on_torque, copy(_TORQUE_QOS), raw=True,
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
         # A wall clock may be set back, which would stop a timer that follows it.
         simulated = self.get_parameter('use_sim_time').value
@@ -148,17 +163,16 @@ class AttitudeNode(Node):
         return True
 
     def _on_set_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            name, value = parameter.name, parameter.value
-            if name == 'start_time' and value != self._start_ns:
-                return SetParametersResult(successful=False, reason='start_time: read-only in a '
-                                           'running node: it defines the trajectory')
-            if name in _CHANGEABLE:
-                try:
-                    value = scene.checked(scene.PARAMETERS[name], value)
-                except InputError as error:
-                    return SetParametersResult(successful=False, reason=str(error))
-                self._timer.timer_period_ns = round(1e9 / value)
+        values = {parameter.name: parameter.value for parameter in parameters}
+        if values.get('start_time', self._start_ns) != self._start_ns:
+            return SetParametersResult(successful=False, reason='start_time: read-only in a '
+                                       'running node: it defines the trajectory')
+        if 'publish_rate' in values:
+            try:
+                rate = scene.checked(scene.PARAMETERS['publish_rate'], values['publish_rate'])
+            except InputError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            self._timer.timer_period_ns = round(1e9 / rate)
         return SetParametersResult(successful=True)
 
     def _on_torque(self, data: bytes) -> None:
@@ -176,7 +190,12 @@ class AttitudeNode(Node):
         if not np.isfinite(torque).all():
             self._refuse('not finite', f'expected a finite torque, found {torque.tolist()}')
             return
+        if np.linalg.norm(torque) > self._largest_torque:
+            self._refuse('too large', f'expected a torque of at most {self._largest_torque:.3g} '
+                         f'N m for this inertia, found {torque.tolist()}')
+            return
         if wrench.values[:3].any():
+            self._refused['force'] += 1
             self._report('force', 'the force of a WrenchStamped is ignored: torques are about '
                          'the centre of mass', once=True)
         self._take(wrench.stamp_ns or now_ns, torque, frame, now_ns)
@@ -188,10 +207,10 @@ class AttitudeNode(Node):
                          'of the clock')
             return
         # What this stamp puts beyond the reach of later ones is final before it is applied.
-        self._commit(stamp_ns - self._history_ns)
+        self._commit(stamp_ns - self._propagator.history_ns)
         if not self._propagator.apply(stamp_ns, torque, frame):
             self._refuse('late', 'a torque is older than the newest stamp by history '
-                         f'({self._history_ns * 1e-9:g} s) or more, and '
+                         f'({self._propagator.history_ns * 1e-9:g} s) or more, and '
                          f'{(now_ns - stamp_ns) * 1e-9:.9g} s behind the clock')
             return
         frame_id = self._body_frame if frame == 'body' else self._space_frame
@@ -201,10 +220,9 @@ class AttitudeNode(Node):
             if self._pending[place:place + 1] != [stamp_ns]:
                 self._pending.insert(place, stamp_ns)
 
-    def _commit(self, horizon_ns: int | None) -> None:
-        """Publish the states at the stamps up to a time, or all of them."""
-        count = len(self._pending) if horizon_ns is None else \
-            bisect.bisect_right(self._pending, horizon_ns)
+    def _commit(self, horizon_ns: int) -> None:
+        """Publish the states at the stamps up to a time."""
+        count = bisect.bisect_right(self._pending, horizon_ns)
         for stamp_ns in self._pending[:count]:
             state = self._state(stamp_ns)
             if state is not None:
@@ -215,7 +233,7 @@ class AttitudeNode(Node):
         if not self._begin():
             return
         now_ns = self.get_clock().now().nanoseconds
-        state = self._state(now_ns) if now_ns >= self._start_ns else None
+        state = self._state(now_ns)
         if state is None:
             return
         angles = euler.from_quaternion(state.attitude, self._scene.values['euler_sequence'])
@@ -261,12 +279,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     """
     stop: list[int] = []
+
+    def request_stop(number: int, frame: Any) -> None:
+        stop.append(number)
+        signal.setitimer(signal.ITIMER_REAL, _PATIENCE_S)
+
     try:
         _initialize(sys.argv if arguments is None else ['attitude_node', *arguments])
         node = AttitudeNode()
-        # From here on a signal must not cut a callback short.
+        # From here on a signal does not cut a callback short, unless that takes too long.
+        signal.signal(signal.SIGALRM, signal.getsignal(signal.SIGINT))
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda number, frame: stop.append(number))
+            signal.signal(number, request_stop)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while not stop:
@@ -274,8 +298,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         node.finish()
         node.destroy_node()
     except KeyboardInterrupt:
-        pass  # the command's handler, before the node was there: nothing to finish
+        if stop:
+            print('attitude_node: cut short: the last states could not be worked out and '
+                  f'delivered within {_PATIENCE_S} s', file=sys.stderr)
     finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
         rclpy.try_shutdown()
 
 

@@ -118,7 +118,7 @@ def test_bad_torques_are_refused_counted_and_change_nothing(tmp_path, domain):
         live.spin(0.2)
         now_ns = live.now_ns()
         for frame_id, torque in (('base_link', [np.nan, 0, 0]), ('base_link', [0, np.inf, 0]),
-                                 ('map', [1, 0, 0])):
+                                 ('map', [1, 0, 0]), ('base_link', [0, 1e30, 0])):
             live.publish(now_ns, frame_id, torque)
         live.publish(now_ns + 2 * SECOND, '', [1.0, 0, 0])
         live.publish(now_ns - 3600 * SECOND, '', [1.0, 0, 0])
@@ -134,7 +134,8 @@ def test_bad_torques_are_refused_counted_and_change_nothing(tmp_path, domain):
     assert accepted.values[:, 3:].tolist() == [[0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.01]]
     assert now_ns < accepted.stamps_ns[-1] < now_ns + SECOND
     np.testing.assert_array_equal(live_values(committed), replay)
-    for part in ('refused (not finite, 1 so far): expected a finite torque, found [nan, 0.0, 0.0]',
+    for part in ('refused (too large, 1 so far): expected a torque of at most 4.49e+07 N m',
+                 'refused (not finite, 1 so far): expected a finite torque, found [nan, 0.0, 0.0]',
                  "found 'map'", 'refused (future, 1 so far): a torque is stamped', 's ahead of',
                  'refused (late, 1 so far): ', 's behind the clock',
                  'the force of a WrenchStamped is ignored'):
@@ -196,6 +197,41 @@ def test_the_rate_may_change_while_running(domain):
     assert np.median(np.diff(stamps[changed + 1:])) == SECOND // 10
 
 
+def test_equal_stamps_and_torques_from_before_the_start(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'history:=30.0') as live:
+        start_ns = decoded(live, COMMITTED, messages.ODOMETRY)[0].stamp_ns
+        later_ns = start_ns + SECOND // 10
+        for stamp_ns, torque in ((start_ns - SECOND, 0.03), (start_ns - 2 * SECOND, 0.09),
+                                 (start_ns, 0.01), (later_ns, 0.05), (later_ns, 0.02)):
+            live.publish(stamp_ns, 'base_link', [torque, 0.0, 0.0])
+        live.spin(0.5)
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        committed, accepted, replay = replayed(tmp_path, live)
+    assert len(accepted.stamps_ns) == 5
+    assert committed.stamps_ns.tolist() == [start_ns, later_ns]
+    np.testing.assert_array_equal(live_values(committed), replay)
+
+
+def test_an_override_of_one_topic_leaves_the_others_alone(domain):
+    with LiveSession(TUMBLER, domain,
+                     '-p', 'qos_overrides./attitude.publisher.depth:=3') as live:
+        names = [f'qos_overrides./{topic}.publisher.depth'
+                 for topic in ('attitude', 'euler_angles', 'angular_velocity')]
+        values = call(live, lambda client: client.get_parameters(names)).values
+        assert [value.integer_value for value in values] == [3, 10, 10]
+
+
+def test_a_motion_beyond_real_time_hangs_no_shutdown(domain):
+    with LiveSession(TUMBLER, domain) as live:
+        live.publish(live.now_ns(), '', [1e6, 0.0, 0.0])  # 2e7 rad/s after a second
+        live.spin(2.0)
+        live.process.send_signal(signal.SIGINT)
+        words = live.process.communicate(timeout=30)[1]
+        assert live.process.returncode == 0
+        assert 'Traceback' not in words
+
+
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_it_cleanly(domain, number):
     with LiveSession(TUMBLER, domain) as live:
@@ -224,6 +260,8 @@ def run_node(domain, *arguments):
      "tolerance: expected a number, found 'tight'"),
     (('--params-file', str(TUMBLER), '-p', 'interpolation:=cubic'),
      "interpolation: expected hold, as the next torque is not known yet, found 'cubic'"),
+    (('--params-file', str(TUMBLER), '-p', 'qos_overrides./torque.subscription.history:=all'),
+     'history'),
     (('--params-file', 'none.yaml'), 'none.yaml')])
 def test_a_mistake_is_answered_by_one_line(domain, arguments, message):
     result = run_node(domain, '--ros-args', *arguments)
