@@ -14,7 +14,7 @@ test: $(VENV)/done ## every check and every test
 
 check: $(VENV)/done ## the fast ones, without ROS
 	$(MAKE) --no-print-directory lint
-	$(BIN)/python -m pytest -m "not ros"
+	$(BIN)/python -m pytest -m "not ros and not slow"
 
 .PHONY: lint
 lint: $(VENV)/done

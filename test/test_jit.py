@@ -59,6 +59,7 @@ def read_only_package(tmp_path):
     return folder
 
 
+@pytest.mark.slow
 def test_a_read_only_install_without_a_home_works_and_warns_once(read_only_package):
     nowhere = str(read_only_package / 'rigid_body_ros' / '__pycache__' / 'nowhere')
     attitude, words = run(PYTHONPATH=str(read_only_package), HOME=nowhere,
@@ -67,6 +68,7 @@ def test_a_read_only_install_without_a_home_works_and_warns_once(read_only_packa
     assert words.count('no folder for compiled kernels can be written') == 1
 
 
+@pytest.mark.slow
 def test_a_change_in_one_module_reaches_the_kernels_of_all(tmp_path):
     # The step is inlined into kernels of other files, whose cached code would go on.
     site = tmp_path / 'site'

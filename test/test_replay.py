@@ -212,7 +212,7 @@ def test_a_signal_is_heard_while_the_motion_is_worked_out(tmp_path, output, numb
                                 str(output), '--until', '86400'], stderr=subprocess.PIPE,
                                text=True, start_new_session=True)
     with pytest.raises(subprocess.TimeoutExpired):
-        process.communicate(timeout=5)
+        process.communicate(timeout=3)
     os.kill(process.pid, number)
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + number
