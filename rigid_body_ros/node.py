@@ -11,6 +11,7 @@ from copy import copy
 from dataclasses import replace
 import signal
 import sys
+import time
 from typing import Any
 
 from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
@@ -50,8 +51,8 @@ _LOG_QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE,
 _REPORT_EVERY_S = 5.0
 #: rad/s^2. A torque held at this turns any body by a radian a nanosecond within a second.
 _LARGEST_ACCELERATION = 1e9
-#: How long a clean end may take.
-_PATIENCE_S = 0.7
+#: How long a clean end may take, and of that to wait for a recorder that does not answer.
+_PATIENCE_S, _DELIVERY_S = 0.6, 0.2
 
 
 class AttitudeNode(Node):
@@ -90,14 +91,16 @@ class AttitudeNode(Node):
 
     def finish(self) -> None:
         """Publish the states that were held back for late torques, and see them delivered."""
+        until = time.monotonic() + _DELIVERY_S
         while self._pending:  # no more at once than the queue holds
             self._commit(self._pending[:_LOG_QOS.depth][-1])
-            self._await_delivery(self._committed)
-        self._await_delivery(self._accepted)
+            self._await_delivery(self._committed, until)
+        self._await_delivery(self._accepted, until)
 
-    def _await_delivery(self, publisher: Publisher) -> None:
+    def _await_delivery(self, publisher: Publisher, until: float) -> None:
+        rest = max(0.0, until - time.monotonic())
         with suppress(RuntimeError):  # not every middleware can tell
-            publisher.wait_for_all_acked(Duration(nanoseconds=300_000_000))
+            publisher.wait_for_all_acked(Duration(nanoseconds=round(rest * 1e9)))
 
     def _declare_parameters(self) -> Scene:
         # What the user gave is declared already, as the types that were given. Check it as one
