@@ -101,7 +101,10 @@ def replay(path: str | Path, scene: Scene, *, topic: str | None = None,
     for prepare in _bar('kernels, compiled on first use')([warm_up], 1):
         prepare()
     began = time.perf_counter()
-    trajectory = propagate(scene.body, start, log, at=times, **scene.options)
+    try:
+        trajectory = propagate(scene.body, start, log, at=times, **scene.options)
+    except ValueError as error:
+        raise InputError(f'{path}: {recorded.topic}: {error}') from error
     seconds = time.perf_counter() - began
     return Replay(scene, log, start, trajectory, recorded.topic, len(recorded.stamps_ns), seconds)
 

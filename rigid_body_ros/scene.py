@@ -260,6 +260,10 @@ def _entries(node: yaml.Node | None, what: str) -> list[tuple[str, yaml.Node]]:
     if not isinstance(node, yaml.MappingNode):
         raise InputError(f'{what}: expected keys and values '
                          '(/**: ros__parameters: inertia: ...)')
+    for key, _ in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            raise InputError(f'{what}: expected names as keys, found a group at line '
+                             f'{key.start_mark.line + 1}')
     return [(str(key.value), value) for key, value in node.value]
 
 

@@ -351,6 +351,18 @@ def test_nothing_is_left_to_compile_after_the_warm_up():
     assert [len(kernel.signatures) for kernel in (loop.move, loop.run)] == before
 
 
+@pytest.mark.parametrize('torque', [1e12, 1e100, 1e308])
+def test_a_motion_that_no_step_resolves_is_refused_not_returned(torque):
+    log = TorqueLog([EPOCH_NS], [[torque, 0.0, 0.0]])
+    with np.errstate(all='ignore'), pytest.raises(ValueError, match=r'faster than 1e\+09 rad/s'):
+        propagate(BODY, START, log, at=[EPOCH_NS + SECOND])
+    propagator = Propagator(BODY, START)
+    propagator.apply(EPOCH_NS + 1, [torque, 0.0, 0.0])
+    assert propagator.at(EPOCH_NS + 1).time_ns == EPOCH_NS + 1
+    with np.errstate(all='ignore'), pytest.raises(ValueError, match=r'faster than 1e\+09 rad/s'):
+        propagator.at(EPOCH_NS + SECOND)
+
+
 def test_the_trajectory_says_what_answered_and_why():
     model, = propagate(BODY, START, at=[EPOCH_NS, EPOCH_NS + 5]).models
     assert model[:3] == ('taylor', EPOCH_NS, EPOCH_NS + 5)

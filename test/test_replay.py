@@ -137,6 +137,7 @@ def bad_input(name, tmp_path):
     config = tmp_path / 'scene.yaml'
     config.write_text((CONFIG / 'tumbler.yaml').read_text())
     rows = {'nan': [(EPOCH_NS, '', [np.nan, 0, 0])], 'infinite': [(EPOCH_NS, '', [np.inf, 0, 0])],
+            'overflow': [(EPOCH_NS, '', [1e300, 0, 0]), (EPOCH_NS + SECOND, '', [0, 0, 0])],
             'frame': [(EPOCH_NS, 'map', [1, 0, 0])], 'empty': []}
     if name in rows:
         good = write_torques(tmp_path / f'{name}.mcap', rows[name])
@@ -165,6 +166,7 @@ def bad_input(name, tmp_path):
     ('empty', 'empty.mcap: /torque: expected torques, found no message'),
     ('nan', f'nan.mcap: /torque: message 1 at {EPOCH_NS} ns: expected a finite torque'),
     ('infinite', 'infinite.mcap: /torque: message 1 at'),
+    ('overflow', 'overflow.mcap: /torque: at '),
     ('frame', "frame.mcap: /torque: message 1: frame_id: expected 'base_link'"),
     ('quaternion', 'scene.yaml: attitude quaternion (x, y, z, w): expected a rotation'),
     ('inertia', 'scene.yaml: inertia: found principal moments'),

@@ -122,6 +122,7 @@ def test_a_missing_moment_is_named_with_its_unit():
     ('/**: {ros__parameters: {inertia: &a {ixx: 1.0}, other: *a}}',
      'expected YAML without aliases'),
     ('[' * 2000, 'expected YAML'),
+    ('/**:\n  ? [1]\n  : 2', r'\*\*: expected names as keys, found a group at line 2'),
     ('/**: 3', r'\*\*: expected keys and values'),
     ('/**: {inertia: {}}', r'expected parameters of /\*\* .*found those of no node'),
     ('/**: {ros__parameters: 3}', 'ros__parameters: expected keys and values')])

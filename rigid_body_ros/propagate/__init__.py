@@ -25,6 +25,7 @@ from rigid_body_ros.propagate.loop import (
     SOLVERS,
     TOLERANCES,
     Options,
+    check_speed,
     pack,
     run,
 )
@@ -121,7 +122,8 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
     Raises
     ------
     ValueError
-        A time lies before the start or is no integer, or an option is out of its range.
+        A time lies before the start or is no integer, an option is out of its range, or the
+        torques bring the body beyond 1e9 rad/s.
 
     """
     options = Options(solver, tolerance, max_step, torque_timeout)
@@ -137,6 +139,8 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
     order = np.argsort(times, kind='stable')
     in_order = np.empty((times.size, 7))
     _run_log(body, start, log or TorqueLog([], []), options, times[order], in_order)
+    for row in np.flatnonzero(~np.isfinite(in_order).all(axis=1))[:1]:
+        check_speed(np.full(3, np.inf), int(times[order][row]))
     motion = np.empty_like(in_order)
     motion[order] = in_order
     end = int(times.max()) if times.size else start.time_ns
@@ -162,6 +166,7 @@ def _run_log(body: RigidBody, start: State, log: TorqueLog, options: Options,
             grid_ns, done, segment = run(
                 state, grid_ns, done, segment, times_ns, motion, bounds, joins, body._matrices,
                 *rules, options.tolerance, options.max_step_ns, series, BUDGET)
+            check_speed(state, grid_ns)
         coasting = bool(coasts[count - 1])
 
 

@@ -12,6 +12,8 @@ from rigid_body_ros.so3 import Floats
 
 SOLVERS = ('auto', 'taylor')
 TOLERANCES = (1e-15, 1.0)
+#: rad/s; the series converges in a step of a nanosecond up to here.
+FASTEST = 1e9
 #: Seconds that fit int64 nanoseconds at any epoch.
 LONGEST = 1e9
 
@@ -46,6 +48,13 @@ def duration_ns(seconds: float, name: str) -> int:
     if not 0.0 <= seconds <= LONGEST:
         raise ValueError(f'{name}: expected seconds from 0 to {LONGEST:g}, found {seconds}')
     return round(seconds * 1e9)
+
+
+def check_speed(state: Floats, time_ns: int) -> None:
+    """Raise ValueError where a nanosecond, the shortest step, does not resolve the motion."""
+    if not taylor.speed(state) <= FASTEST:  # nor NaN
+        raise ValueError(f'at {time_ns} ns the body turns faster than {FASTEST:g} rad/s: expected '
+                         'a torque and an inertia in N m and kg m^2 that do not lead there')
 
 
 def pack(state: State) -> Floats:

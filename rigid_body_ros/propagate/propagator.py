@@ -110,7 +110,8 @@ class Propagator:
         Raises
         ------
         ValueError
-            The time lies before the start, or further back than is remembered.
+            The time lies before the start, or further back than is remembered, or the torques
+            bring the body beyond 1e9 rad/s.
 
         """
         index = bisect.bisect_right(self._changes, time_ns, key=_time_ns) - 1
@@ -216,6 +217,8 @@ class _Segment:
         while not reached:
             grid_ns, _, reached = loop.move(state, grid_ns, time_ns, *self._arguments, series,
                                             out, loop.BUDGET)
+            loop.check_speed(state, grid_ns)
+        loop.check_speed(out, time_ns)
         if grid_ns > self._grid_ns[-1]:
             self._grid_ns.append(grid_ns)
             self._states.append(state)
