@@ -62,6 +62,9 @@ class RigidBody:
         middle = np.median(np.diagonal(self.inertia))
         #: The inverse tensor and the tensor less its middle moment, as the kernels want them.
         self._matrices = np.stack([_inverse(self.inertia), self.inertia - middle * np.eye(3)])
+        if not np.all(np.isfinite(self._matrices)):
+            raise ValueError('inertia: expected moments whose inverse is a finite number, '
+                             f'found {self.inertia.tolist()}')
         self.inertia.flags.writeable = False
 
     @classmethod
@@ -255,6 +258,7 @@ def _inverse(tensor: Floats) -> Floats:
     # By cofactors after scaling to unit diagonal: exact to rounding for a diagonal tensor of any
     # ratio of moments, where a general inverse is not.
     scale = 1.0 / np.sqrt(np.diagonal(tensor))
-    a, b, c = tensor * np.outer(scale, scale)
+    a, b, c = tensor * scale * scale[:, None]
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
-    return cofactors / (a @ cofactors[0]) * np.outer(scale, scale)
+    with np.errstate(over='ignore', invalid='ignore'):  # the caller looks
+        return cofactors / (a @ cofactors[0]) * np.outer(scale, scale)

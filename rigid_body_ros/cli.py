@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+import os
 from pathlib import Path
 import signal
 import sys
@@ -35,6 +36,11 @@ def _guarded(name: str, command: Callable[[], None]) -> int:
     except InputError as error:
         print(f'{name}: error: {error}', file=sys.stderr)
         return USER_ERROR
+    except OSError as error:  # files are answered for where they are opened
+        print(f'{name}: error: cannot write to standard output: {error.strerror}',
+              file=sys.stderr)
+        sys.stdout = None  # or Python tries again at its end
+        return USER_ERROR
     except KeyboardInterrupt as interrupt:
         print(f'{name}: interrupted; nothing incomplete was left', file=sys.stderr)
         return SIGNALLED + int(interrupt.args[0])
@@ -58,9 +64,7 @@ def _node(arguments: Sequence[str] | None) -> None:
 
 def _replay(options: argparse.Namespace) -> None:
     from rigid_body_ros import replay, scene
-    if Path(options.output).resolve() == Path(options.input).resolve():
-        raise InputError(f'{options.output}: expected another file for the motion than that of '
-                         'the torques')
+    _check_apart(options)
     result = replay.replay(options.input, scene.load(options.scene), topic=options.topic,
                            interpolation=options.interpolation, rate=options.rate,
                            until=options.until)
@@ -69,7 +73,18 @@ def _replay(options: argparse.Namespace) -> None:
         replay.plot(options.plot, result, Path(options.input).name)
     print(replay.summary(result))
     written = [options.output, *filter(None, [options.plot])]
-    print(f'{"wrote":14}{", ".join(written)}')
+    print(f'{"wrote":14}{", ".join(written)}', flush=True)
+
+
+def _check_apart(options: argparse.Namespace) -> None:
+    files: dict[Path, str] = {}
+    for what in ('input', 'scene', 'output', 'plot'):
+        name = getattr(options, what)
+        if name is not None:
+            other = files.setdefault(Path(os.path.realpath(name)), what)
+            if other != what:
+                raise InputError(f'{name}: expected another file for the {what} than for the '
+                                 f'{other}')
 
 
 def _replay_parser() -> argparse.ArgumentParser:
@@ -92,7 +107,10 @@ def _replay_parser() -> argparse.ArgumentParser:
 
 
 def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < float('inf'):
-        raise argparse.ArgumentTypeError(f'expected a number greater than 0, found {text}')
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 1e-9 <= value <= 1e9:
+        raise argparse.ArgumentTypeError(f'expected a number from 1e-9 to 1e9, found {text!r}')
     return value

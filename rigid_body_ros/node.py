@@ -86,7 +86,7 @@ class AttitudeNode(Node):
             self.add_on_set_parameters_callback(self._on_set_parameters)
             self._begin()
             self._create_inputs()
-        except RuntimeError as error:  # such as a QoS override that is none
+        except (RuntimeError, AssertionError) as error:  # such as a QoS override that is none
             raise InputError(' '.join(str(error).split())) from error
 
     def finish(self) -> None:
@@ -235,10 +235,14 @@ class AttitudeNode(Node):
     def _publish(self) -> None:
         if not self._begin():
             return
+        began = time.monotonic()
         now_ns = self.get_clock().now().nanoseconds
         state = self._state(now_ns)
         if state is None:
             return
+        if (seconds := time.monotonic() - began) > self._timer.timer_period_ns * 1e-9:
+            self._report('slow', f'the motion, at {np.linalg.norm(state.angular_velocity):.3g} '
+                         f'rad/s, takes {seconds:.2g} s to work out: no longer in real time')
         angles = euler.from_quaternion(state.attitude, self._scene.values['euler_sequence'])
         for publisher, kind, frame_id, values in (
                 (self._attitude, messages.QUATERNION, self._space_frame, state.attitude),

@@ -45,7 +45,8 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog, sequence: s
     names = (('φ', 'θ', 'ψ') if sequence == 'ZXZ' else
              tuple(f'{axis}{number}' for number, axis in enumerate(sequence, 1)))
     figure = Figure(figsize=(9.0, 10.0), layout='constrained')
-    figure.suptitle(title)
+    # A file name is no formula, and need not be text.
+    figure.suptitle(title.encode(errors='replace').decode(), parse_math=False)
     panels = figure.subplots(4, 1, sharex=True)
     _curves(panels[0], seconds, _without_jumps(angles), names, f'Euler angles {sequence} (rad)')
     _angle_ticks(panels[0], angles)

@@ -152,16 +152,21 @@ class Writer:
 
     def __init__(self, path: str | Path) -> None:
         self._path = Path(path)
-        self._part = self._path.parent / f'.{self._path.name}.{os.getpid()}.part'
+        # Where a link leads to, so that the link stays one.
+        self._target = Path(os.path.realpath(path))
+        self._part = self._target.with_name(f'.{self._target.name[:100]}.{os.getpid()}.part')
         self._channels: dict[str, int] = {}
         self._sequence: dict[str, int] = {}
 
     def __enter__(self) -> Writer:
-        if self._path.exists() and not self._path.is_file():
-            kind = 'a folder' if self._path.is_dir() else 'something else'
-            raise InputError(f'{self._path}: expected a file to write, found {kind}')
         try:
+            if self._target.exists() and not self._target.is_file():
+                kind = 'a folder' if self._target.is_dir() else 'something else'
+                raise InputError(f'{self._path}: expected a file to write, found {kind}')
             self._stream = open(self._part, 'wb')
+        except OSError as error:
+            raise InputError(f'{self._path}: cannot write: {error.strerror}') from error
+        try:
             self._writer = McapWriter(self._stream)
             self._writer.start(profile='ros2', library='rigid_body_ros')
         except BaseException as error:  # __exit__ is not called for what happens here
@@ -190,7 +195,7 @@ class Writer:
             if error is None:
                 self._writer.finish()
                 self._stream.close()
-                os.replace(self._part, self._path)
+                os.replace(self._part, self._target)
         except OSError as failure:
             error = failure
         finally:

@@ -88,7 +88,7 @@ _INTEGER = re.compile(r'[+-]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)')
 _FLOAT = re.compile(r'[+-]?([0-9]+\.?[0-9]*([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?'
                     r'|\.?(inf|Inf|INF|nan|NaN|NAN))')
 #: What ROS itself declares on every node; a parameter dump has them.
-_ROS = ('use_sim_time', 'start_type_description_service', 'qos_overrides.')
+_ROS, _QOS = ('use_sim_time', 'start_type_description_service'), 'qos_overrides.'
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class Scene:
 
         """
         for name in given:
-            if name not in PARAMETERS and not name.startswith(_ROS):
+            if name not in PARAMETERS and name not in _ROS and not name.startswith(_QOS):
                 raise InputError(f'{name}: unknown key{_suggestion(name)}')
         values = {name: checked(parameter, given.get(name, parameter.default))
                   for name, parameter in PARAMETERS.items()}
@@ -204,6 +204,9 @@ def _limits(low: float, high: float) -> str:
 
 def _check_together(values: Mapping[str, Any]) -> None:
     euler.from_quaternion((0.0, 0.0, 0.0, 1.0), values['euler_sequence'])
+    for name in ('space_frame', 'body_frame'):
+        if '\0' in values[name] or values[name].encode(errors='ignore').decode() != values[name]:
+            raise InputError(f'{name}: expected text in UTF-8, found {values[name]!r}')
     if values['space_frame'] == values['body_frame']:
         raise InputError('space_frame, body_frame: expected two names, '
                          f'found {values["body_frame"]!r} twice')
@@ -288,8 +291,10 @@ def _value(node: yaml.Node) -> Any:
         return True
     if text in ('n', 'N', 'no', 'No', 'NO', 'false', 'False', 'FALSE', 'off', 'Off', 'OFF'):
         return False
-    if _INTEGER.fullmatch(text) and -2 ** 63 <= (number := _integer(text)) < 2 ** 63:
-        return number
+    if _INTEGER.fullmatch(text) and len(text) < 100:
+        number = _integer(text)
+        if -2 ** 63 <= number < 2 ** 63:
+            return number
     if _FLOAT.fullmatch(text):
         return float(text.lower().replace('.inf', 'inf').replace('.nan', 'nan'))
     return text

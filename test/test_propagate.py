@@ -330,6 +330,7 @@ def test_impossible_requests_are_refused(arguments, message):
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [
+    ((2 ** 70, [1, 2, 3]), 'expected a time in int64 nanoseconds'),
     ((0, [1, 2]), 'expected 3 finite numbers, found'), ((0, [1, 2, np.inf]), 'torque at 0 ns'),
     ((0, [1, 2, 3], 'map'), "'body' or 'space', found 'map'")])
 def test_impossible_torques_are_refused(arguments, message):

@@ -186,9 +186,14 @@ def test_a_mistake_is_answered_by_one_line(name, message, tmp_path, output, caps
     (('-o', 'none/motion.mcap'), 'none/motion.mcap: cannot write: No such file or directory'),
     (('-o', '.'), '.: expected a file to write, found a folder'),
     (('-o', '/dev/null'), '/dev/null: expected a file to write, found something else'),
-    (('-o', 'motion.mcap', '--until', '1e10'), '--until: expected an end that a ROS stamp can'),
+    (('-o', 'motion.mcap', '--until', '1e9'), '--until: expected an end that a ROS stamp can'),
     (('-o', 'motion.mcap', '--rate', '1e9'), '--rate: expected at most 100000000 outputs'),
-    (('-o', ISS[0]), 'expected another file for the motion than that of the torques'),
+    (('-o', ISS[0]), 'expected another file for the output than for the input'),
+    (('-o', ISS[2]), 'expected another file for the output than for the scene'),
+    (('-o', 'motion.mcap', '--plot', ISS[2]), 'another file for the plot than for the scene'),
+    (('-o', 'motion.mcap', '--plot', 'motion.mcap'), 'for the plot than for the output'),
+    (('-o', f'{ISS[0]}/x.mcap'), 'cannot write: Not a directory'),
+    (('-o', 'x' * 300), 'cannot write: File name too long'),
     (('-o', 'motion.mcap', '--plot', 'none/p.png'), 'none/p.png: cannot write: No such file')])
 def test_what_cannot_be_written_is_named(arguments, message, tmp_path, monkeypatch,
                                                  capsys):
@@ -198,7 +203,22 @@ def test_what_cannot_be_written_is_named(arguments, message, tmp_path, monkeypat
     assert message in line
 
 
-@pytest.mark.parametrize('arguments', [(), ('--rate', '0'), ('--until', '-1'), ('--rate', 'x'),
+def test_a_link_stays_a_link(tmp_path, output):
+    output.symlink_to(tmp_path / 'real.mcap')
+    assert cli.attitude_replay([*ISS, '-o', str(output)]) == 0
+    assert output.is_symlink()
+    assert (tmp_path / 'real.mcap').is_file()
+
+
+def test_any_file_name_makes_a_title(tmp_path, output):
+    recorded = tmp_path / os.fsdecode(b'$\\frac$ _{{ \xff.mcap')
+    recorded.write_bytes((RECORDINGS / 'iss.mcap').read_bytes())
+    assert cli.attitude_replay([str(recorded), *ISS[1:], '-o', str(output),
+                                '--plot', str(tmp_path / 'p.png')]) == 0
+
+
+@pytest.mark.parametrize('arguments', [(), ('--rate', '0'), ('--until', '1e300'),
+                                       ('--rate', '1e-300'), ('--until', '-1'), ('--rate', 'x'),
                                        ('--interpolation', 'spline')])
 def test_wrong_arguments_are_answered_by_the_usage(arguments, output, capsys):
     with pytest.raises(SystemExit) as end:

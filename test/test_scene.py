@@ -21,7 +21,8 @@ def parameters(body):
 
 @pytest.mark.parametrize(('text', 'value'), [
     ('1e-9', 1e-9), ('1', 1.0), ('1.5E2', 150.0), ('.5', 0.5), ('+3.', 3.0), ('0x10', 16.0),
-    ('010', 8.0), ('0', 0.0), ('99999999999999999999e-19', 9.9999999999999999999)])
+    ('010', 8.0), ('0' * 4999 + '1', 1.0), ('0', 0.0),
+    ('99999999999999999999e-19', 9.9999999999999999999)])
 def test_numbers_are_read_as_rcl_reads_them(tmp_path, text, value):
     found = load(tmp_path, parameters(f'    torque_timeout: {text}'))
     assert found.values['torque_timeout'] == value
@@ -98,6 +99,9 @@ def test_the_scenes_of_the_package_load(name):
     ({'interpolation': 'spline'}, 'interpolation: expected one of hold, linear, cubic'),
     ({'euler_sequence': 'ZZX'}, "Euler sequence: .*found 'ZZX'"),
     ({'publish_rate': 0}, r'publish_rate: expected 0.001 to 2000 \(Hz\), found 0.0'),
+    ({'use_sim_timeX': 3}, 'use_sim_timeX: unknown key'),
+    ({'start_time': 2.0 ** 70}, 'start_time: expected an integer'),
+    ({'space_frame': '\ud800'}, 'space_frame: expected text in UTF-8'),
     ({'body_frame': 'world'}, "space_frame, body_frame: expected two names, found 'world' twice"),
     ({'max_future': 2.0}, r'max_future: expected less than history \(1.0 s\), found 2.0')])
 def test_impossible_values_are_refused_with_name_and_value(change, message):

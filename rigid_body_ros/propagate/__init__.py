@@ -22,6 +22,7 @@ from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.propagate.loop import (
     BUDGET,
     LONGEST,
+    NEVER_NS,
     SOLVERS,
     TOLERANCES,
     Options,
@@ -38,7 +39,6 @@ __all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Model', 'Propagator', 'Trajector
 
 #: Segments whose torques are worked out at a time.
 _CHUNK = 65536
-_NEVER_NS = np.iinfo(np.int64).max
 
 
 class Model(NamedTuple):
@@ -133,7 +133,7 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
                          f'found {times.dtype} of shape {times.shape}')
     times = times.astype(np.int64)
     for time_ns in (times.min(), times.max()) if times.size else ():
-        if not start.time_ns <= time_ns < _NEVER_NS:
+        if not start.time_ns <= time_ns < NEVER_NS:
             raise ValueError(f'at: expected times from the start, {start.time_ns} ns, on, '
                              f'found {time_ns} ns')
     order = np.argsort(times, kind='stable')
@@ -157,7 +157,7 @@ def _run_log(body: RigidBody, start: State, log: TorqueLog, options: Options,
     for first in range(0, len(starts), _CHUNK):
         count = min(_CHUNK, len(starts) - first)
         # One segment more than is run: whether a coast goes on shows in the next one.
-        bounds = np.append(starts[first:first + count + 1], _NEVER_NS)[:count + 1]
+        bounds = np.append(starts[first:first + count + 1], NEVER_NS)[:count + 1]
         rules = log.rules(samples[first:first + count + 1])
         coasts = np.logical_not(np.any(rules.polynomials, axis=(1, 2)))
         joins = np.append(coasts & np.append(coasting, coasts[:-1]), True)

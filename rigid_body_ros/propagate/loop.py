@@ -14,6 +14,8 @@ SOLVERS = ('auto', 'taylor')
 TOLERANCES = (1e-15, 1.0)
 #: rad/s; the series converges in a step of a nanosecond up to here.
 FASTEST = 1e9
+#: Later than any time that can be asked for.
+NEVER_NS = 2 ** 63 - 1
 #: Seconds that fit int64 nanoseconds at any epoch.
 LONGEST = 1e9
 

@@ -93,6 +93,8 @@ class Propagator:
         if values.shape != (1, 3) or not np.all(np.isfinite(values)):
             raise ValueError(f'torque at {time_ns} ns: expected 3 finite numbers, '
                              f'found {values[0].tolist()}')
+        if abs(time_ns) >= loop.NEVER_NS:
+            raise ValueError(f'expected a time in int64 nanoseconds, found {time_ns}')
         if frame not in FRAMES:
             raise ValueError(f"frame: expected 'body' or 'space', found {frame!r}")
         if self._changes[-1].time_ns - time_ns >= self.history_ns:
@@ -114,8 +116,9 @@ class Propagator:
             bring the body beyond 1e9 rad/s.
 
         """
+        time_ns = operator.index(time_ns)
         index = bisect.bisect_right(self._changes, time_ns, key=_time_ns) - 1
-        if index < 0:
+        if index < 0 or time_ns >= loop.NEVER_NS:
             raise ValueError(f'expected a time from {self.earliest_ns} ns on, found {time_ns} ns')
         self._resolve(index)
         return loop.unpack(time_ns, self._active(self._changes[index], time_ns).state_at(time_ns))
