@@ -36,11 +36,6 @@ def _guarded(name: str, command: Callable[[], None]) -> int:
     except InputError as error:
         print(f'{name}: error: {error}', file=sys.stderr)
         return USER_ERROR
-    except OSError as error:  # files are answered for where they are opened
-        print(f'{name}: error: cannot write to standard output: {error.strerror}',
-              file=sys.stderr)
-        sys.stdout = None  # or Python tries again at its end
-        return USER_ERROR
     except KeyboardInterrupt as interrupt:
         print(f'{name}: interrupted; nothing incomplete was left', file=sys.stderr)
         return SIGNALLED + int(interrupt.args[0])
@@ -71,9 +66,13 @@ def _replay(options: argparse.Namespace) -> None:
     replay.write(options.output, result)
     if options.plot:
         replay.plot(options.plot, result, Path(options.input).name)
-    print(replay.summary(result))
     written = [options.output, *filter(None, [options.plot])]
-    print(f'{"wrote":14}{", ".join(written)}', flush=True)
+    text = f'{replay.summary(result)}\n{"wrote":14}{", ".join(written)}'
+    try:
+        print(text, flush=True)
+    except OSError as error:
+        sys.stdout = None  # or Python tries again at its end
+        raise InputError(f'cannot write to standard output: {error.strerror}') from error
 
 
 def _check_apart(options: argparse.Namespace) -> None:

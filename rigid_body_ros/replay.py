@@ -262,8 +262,12 @@ def _reading(result: Replay) -> str:
     for name in INTERPOLATIONS:
         if name != log.interpolation:
             other = TorqueLog(log.times_ns, log.torques, frame, name)
-            ends = propagate(result.scene.body, result.start, other, at=end,
-                             **result.scene.options)
+            try:
+                ends = propagate(result.scene.body, result.start, other, at=end,
+                                 **result.scene.options)
+            except ValueError:  # this reading alone spins the body beyond all bounds
+                others.append(f'{name} would spin it up beyond what can be worked out')
+                continue
             apart = so3.angle_between(ends.attitude[0], result.trajectory.attitude[-1])
             others.append(f'{name} would end {apart:.2g} rad away')
     return f'{log.interpolation} ({", ".join(others)})'

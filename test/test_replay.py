@@ -94,6 +94,24 @@ def test_the_summary_tells_what_happened(output, capsys):
     assert 'space angular momentum drifts by' in capsys.readouterr().out
 
 
+def test_another_reading_that_spins_beyond_bounds_is_told(tmp_path, output, capsys):
+    rows = [(EPOCH_NS, '', [1e-3, 0, 0]), (EPOCH_NS + SECOND, '', [1e100, 0, 0])]
+    torques = write_torques(tmp_path / 'last.mcap', rows)
+    with np.errstate(all='ignore'):
+        assert cli.attitude_replay([torques, '--scene', str(CONFIG / 'tumbler.yaml'),
+                                    '-o', str(output)]) == 0
+    assert 'linear would spin it up beyond' in capsys.readouterr().out
+
+
+def test_output_that_nobody_takes_is_told(output):
+    with open('/dev/full', 'w') as full:
+        result = subprocess.run([*COMMAND, *ISS, '-o', str(output)], stdout=full, check=False,
+                                stderr=subprocess.PIPE, text=True)
+    assert result.returncode == 2
+    line, = result.stderr.splitlines()
+    assert 'cannot write to standard output: No space left on device' in line
+
+
 def test_rounded_digits_of_a_tensor_are_told(output, capsys):
     path = RECORDINGS / 'constant_space_torque'
     assert cli.attitude_replay([f'{path}.mcap', '--scene', f'{path}.yaml',
