@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from fractions import Fraction
 from functools import cache
+import math
 from pathlib import Path
 from typing import Any, TypeVar
 import warnings
 
 try:
     import numba
+    from numba.extending import intrinsic
 except ImportError:
     numba = None
 
@@ -25,13 +28,27 @@ def njit(kernel: Kernel) -> Kernel:
     hundreds of times slower. Where no cache folder can be written, as in a read-only install
     without a home, kernels are compiled anew by every process, and one warning says so.
     """
+    return _compiled(kernel)
+
+
+def inlined(kernel: Kernel) -> Kernel:
+    """
+    Compile like `njit`, but always into the kernel that calls.
+
+    A call hands tuples over in memory, which costs a short step as much as its arithmetic.
+    """
+    return _compiled(kernel, forceinline=True)
+
+
+def _compiled(kernel: Kernel, **options: Any) -> Kernel:
     if numba is None:
         return kernel
+    options['error_model'] = 'numpy'
     try:
-        compiled = numba.njit(cache=True, error_model='numpy')(kernel)
+        compiled = numba.njit(cache=True, **options)(kernel)
     except RuntimeError:
         _warn_uncached()
-        return numba.njit(error_model='numpy')(kernel)
+        return numba.njit(**options)(kernel)
     _drop_stale(Path(compiled.stats.cache_path), kernel, _newest_source())
     return compiled
 
@@ -62,3 +79,24 @@ def _drop_stale(folder: Path, kernel: Callable[..., Any], newest: float) -> None
                 index.unlink()
         except OSError:
             pass  # another process was faster
+
+
+if numba is not None:
+    @intrinsic
+    def fma(_context: Any, a: Any, b: Any, c: Any) -> Any:
+        """
+        Return a b + c, rounded once.
+
+        Half the work of a product and a sum, and what makes the rounding error of a product
+        available: fma(a, b, -(a * b)). Asked for by name, and not left to the compiler, because
+        that may fuse the same formula here and not there.
+        """
+        def generate(_: Any, builder: Any, signature: Any, values: Any) -> Any:
+            return builder.fma(*values)
+        return numba.float64(numba.float64, numba.float64, numba.float64), generate
+else:
+    def fma(a: float, b: float, c: float) -> float:
+        """Return a b + c, rounded once."""
+        if not (math.isfinite(a) and math.isfinite(b) and math.isfinite(c)):
+            return a * b + c
+        return float(Fraction(a) * Fraction(b) + Fraction(c))

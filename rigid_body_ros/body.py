@@ -13,7 +13,7 @@ import operator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rigid_body_ros import so3
+from rigid_body_ros import so3, tensor as constants
 from rigid_body_ros.so3 import Floats
 
 #: Relative size of what rounding may do to a tensor that was rotated or put together in doubles.
@@ -56,15 +56,13 @@ class RigidBody:
 
     def __init__(self, tensor: ArrayLike) -> None:
         self.inertia = _checked_tensor(tensor)
-        self.principal_moments, self.principal_axes = _principal(self.inertia)
+        #: Principal moments (2, 3) and axes (2, 3, 3), each with what rounding took from them.
+        self._principal = constants.principal(self.inertia)
+        self.principal_moments, self.principal_axes = (high for high, _ in self._principal)
         self.triangle_excess = _checked_excess(self.principal_moments)
         self.symmetry = _symmetry(self.principal_moments)
-        middle = np.median(np.diagonal(self.inertia))
-        #: The inverse tensor and the tensor less its middle moment, as the kernels want them.
-        self._matrices = np.stack([_inverse(self.inertia), self.inertia - middle * np.eye(3)])
-        if not np.all(np.isfinite(self._matrices)):
-            raise ValueError('inertia: expected moments whose inverse is a finite number, '
-                             f'found {self.inertia.tolist()}')
+        #: Euler's equations (3, 9) as the kernels want them.
+        self._coefficients = _checked_coefficients(self.inertia)
         self.inertia.flags.writeable = False
 
     @classmethod
@@ -130,9 +128,9 @@ class RigidBody:
         array, shape (..., 3)
 
         """
-        w = np.asarray(angular_velocity, float)
-        inverse, shifted = self._matrices
-        return (np.cross(w @ shifted, w) + np.asarray(torque, float)) @ inverse
+        w, torque = np.broadcast_arrays(np.asarray(angular_velocity, float), torque)
+        products = np.concatenate([np.roll(w, -1, -1) * np.roll(w, -2, -1), w * w, torque], -1)
+        return products @ self._coefficients.T
 
     def torque(self, angular_velocity: ArrayLike, angular_acceleration: ArrayLike) -> Floats:
         """Return the body torque tau = (dL/dt)_space in body axes, N m, shape (..., 3)."""
@@ -225,18 +223,6 @@ def _checked_tensor(values: ArrayLike) -> Floats:
     return 0.5 * (tensor + tensor.T)
 
 
-def _principal(tensor: Floats) -> tuple[Floats, Floats]:
-    diagonal = np.diagonal(tensor)
-    if np.array_equal(tensor, np.diag(diagonal)):  # exact, where eigh rounds to the largest
-        order = np.argsort(diagonal, kind='stable')
-        moments, axes = diagonal[order], np.eye(3)[:, order]
-    else:
-        moments, axes = np.linalg.eigh(tensor)
-    if np.linalg.det(axes) < 0.0:
-        axes[:, 2] *= -1.0
-    return moments, axes
-
-
 def _checked_excess(moments: Floats) -> float:
     smallest, middle, largest = moments
     found = f'found principal moments {smallest:.17g}, {middle:.17g}, {largest:.17g} kg m^2'
@@ -254,11 +240,9 @@ def _symmetry(moments: Floats) -> str:
     return ('asymmetric top', 'symmetric top', 'sphere')[int(close.sum())]
 
 
-def _inverse(tensor: Floats) -> Floats:
-    # By cofactors after scaling to unit diagonal: exact to rounding for a diagonal tensor of any
-    # ratio of moments, where a general inverse is not.
-    scale = 1.0 / np.sqrt(np.diagonal(tensor))
-    a, b, c = tensor * scale * scale[:, None]
-    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
-    with np.errstate(over='ignore', invalid='ignore'):  # the caller looks
-        return cofactors / (a @ cofactors[0]) * np.outer(scale, scale)
+def _checked_coefficients(tensor: Floats) -> Floats:
+    try:
+        return constants.euler_coefficients(tensor)
+    except OverflowError:
+        raise ValueError('inertia: expected moments whose inverse is a finite number, '
+                         f'found {tensor.tolist()}') from None

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,29 +13,8 @@ FRAMES = ('body', 'space')
 INTERPOLATIONS = ('hold', 'linear', 'cubic')
 #: Samples that a slope of the cubic is taken from.
 _NEAREST = 5
-
-
-class Rules(NamedTuple):
-    """
-    The torque in each of m spans of time.
-
-    Attributes
-    ----------
-    polynomials : array, shape (m, degree + 1, 3), N m
-        Coefficients in the fraction of the span that has passed.
-    in_space : array of bool, shape (m,)
-        Whether they are given in space axes.
-    origins_ns : array of int64, shape (m,)
-        Where the fraction is 0.
-    spans : array, shape (m,), s
-        The time from there to where it is 1.
-
-    """
-
-    polynomials: Floats
-    in_space: NDArray[np.bool_]
-    origins_ns: NDArray[np.int64]
-    spans: Floats
+#: Samples whose polynomials are worked out at a time.
+_CHUNK = 65536
 
 
 class TorqueLog:
@@ -75,13 +53,13 @@ class TorqueLog:
         if interpolation != 'hold' and np.unique(in_space).size > 1:
             raise ValueError(f'interpolation {interpolation}: expected torques of one frame, '
                              'found body and space torques in one log')
-        order = np.argsort(times, kind='stable')
-        times = times[order]
-        last = np.append(times[1:] != times[:-1], True)[:len(times)]
-        chosen = order[last]
-        self.times_ns: NDArray[np.int64] = times[last]
-        self.torques: Floats = values[chosen]
-        self.in_space: NDArray[np.bool_] = in_space[chosen]
+        if not np.all(times[1:] > times[:-1]):
+            order = np.argsort(times, kind='stable')
+            chosen = order[np.append(np.diff(times[order]) != 0, True)]
+            times, values, in_space = times[chosen], values[chosen], in_space[chosen]
+        self.times_ns: NDArray[np.int64] = times
+        self.torques: Floats = values
+        self.in_space: NDArray[np.bool_] = in_space
         self.interpolation = interpolation
         for array in (self.times_ns, self.torques, self.in_space):
             array.flags.writeable = False
@@ -114,19 +92,32 @@ class TorqueLog:
         order = np.argsort(starts, kind='stable')
         return starts[order], np.concatenate([samples, np.full(silent.sum(), -1)])[order]
 
-    def rules(self, samples: NDArray[np.intp]) -> Rules:
-        """Return the rules of samples, such as `segments` gives; -1 stands for zero torque."""
-        given = np.flatnonzero(samples >= 0)
-        if not given.size:
-            zeros = np.zeros(samples.size, np.int64)
-            return Rules(np.zeros((samples.size, 1, 3)), zeros > 0, zeros, np.ones(samples.size))
-        first, last = samples[given].min(), samples[given].max()
-        row = np.where(samples < 0, 0, samples - first)
-        polynomials = self._polynomials(first, last + 1)[row]
-        polynomials[samples < 0] = 0.0
-        times = self.times_ns[first:last + 2]
-        spans = np.append(np.diff(times), 1)[:last + 1 - first] * 1e-9
-        return Rules(polynomials, self.in_space[first:last + 1][row], times[row], spans[row])
+    def in_force(self, time_ns: int, timeout_ns: int = 0) -> tuple[int, bool]:
+        """Return the sample (-1: none yet) that rules at a time, and whether it timed out."""
+        sample = int(np.searchsorted(self.times_ns, time_ns, side='right')) - 1
+        return sample, 0 <= sample and 0 < timeout_ns <= time_ns - int(self.times_ns[sample])
+
+    def polynomials(self, first: int) -> Iterator[tuple[int, int, Floats]]:
+        """
+        Generate what lies between the samples, from a sample on, a chunk at a time.
+
+        Yields
+        ------
+        start, stop : int
+            The samples of the chunk.
+        coefficients : array, shape (stop - start + 1, degree + 1, 3), N m
+            In the fraction of the time from a sample to the next; one row more than the chunk
+            has, unless it is the last.
+
+        """
+        if self.interpolation == 'hold' or not len(self):
+            yield 0, len(self), self.torques[:, None, :]
+            return
+        for start in range(max(first, 0), len(self), _CHUNK):
+            stop = min(start + _CHUNK, len(self))
+            coefficients = self._polynomials(start, min(stop + 1, len(self)))
+            coefficients.flags.writeable = False  # as those of `hold`: one type for the kernels
+            yield start, stop, coefficients
 
     def at(self, times_ns: ArrayLike, timeout_ns: int = 0) -> tuple[Floats, NDArray[np.bool_]]:
         """
@@ -146,13 +137,24 @@ class TorqueLog:
 
         """
         times = np.asarray(times_ns, np.int64)
-        starts, samples = self.segments(timeout_ns)
-        rules = self.rules(np.append(samples, -1)[np.searchsorted(starts, times, 'right') - 1])
-        fraction = ((times - rules.origins_ns) * 1e-9 / rules.spans)[:, None]
-        torques = rules.polynomials[:, -1]
-        for k in range(rules.polynomials.shape[1] - 2, -1, -1):
-            torques = rules.polynomials[:, k] + fraction * torques
-        return torques, rules.in_space
+        torques, in_space = np.zeros((times.size, 3)), np.zeros(times.size, np.bool_)
+        samples = np.searchsorted(self.times_ns, times, 'right') - 1
+        given = samples >= 0
+        if timeout_ns > 0 and len(self):
+            given &= times - self.times_ns[samples] < timeout_ns
+        if not given.any():
+            return torques, in_space
+        samples, times = samples[given], times[given]
+        first, stop = samples.min(), samples.max() + 1
+        stamps = self.times_ns[first:stop + 1]
+        spans = np.append(np.diff(stamps), 10 ** 9)[samples - first]
+        fraction = ((times - self.times_ns[samples]) / spans)[:, None]
+        coefficients = self._polynomials(first, stop)[samples - first]
+        value = coefficients[:, -1]
+        for k in range(coefficients.shape[1] - 2, -1, -1):
+            value = coefficients[:, k] + fraction * value
+        torques[given], in_space[given] = value, self.in_space[samples]
+        return torques, in_space
 
     def _polynomials(self, first: int, stop: int) -> Floats:
         here = self.torques[first:stop]

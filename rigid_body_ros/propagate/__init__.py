@@ -12,24 +12,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rigid_body_ros import euler, so3, taylor
+from rigid_body_ros import euler, so3
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.propagate.loop import (
     BUDGET,
     LONGEST,
     NEVER_NS,
+    SIZE,
     SOLVERS,
     TOLERANCES,
     Options,
-    check_speed,
     pack,
     run,
 )
+from rigid_body_ros.propagate.models import Answers, Model
 from rigid_body_ros.propagate.propagator import Propagator
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import TorqueLog
@@ -37,17 +37,7 @@ from rigid_body_ros.torque import TorqueLog
 __all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Model', 'Propagator', 'Trajectory', 'propagate',
            'warm_up']
 
-#: Segments whose torques are worked out at a time.
-_CHUNK = 65536
-
-
-class Model(NamedTuple):
-    """What answered for a span of time, and why."""
-
-    solver: str
-    start_ns: int
-    end_ns: int
-    reason: str
+_NO_LOG = TorqueLog([], [])
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +52,6 @@ class Trajectory:
     attitude : array, shape (m, 4)
         x y z w, body to space; the continuous lift from the start, never flipped.
     angular_velocity : array, shape (m, 3), rad/s, body axes
-    models : tuple of Model
 
     """
 
@@ -70,7 +59,7 @@ class Trajectory:
     times_ns: NDArray[np.int64]
     attitude: Floats
     angular_velocity: Floats
-    models: tuple[Model, ...]
+    _answers: Answers
 
     def euler_angles(self, sequence: str = 'ZXZ', continuous: bool = False) -> Floats:
         """Return Euler angles, rad, shape (m, 3); see `euler.from_quaternion`, `euler.unwrap`."""
@@ -80,6 +69,11 @@ class Trajectory:
     def degenerate(self, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
         """Return where two of the Euler angles are not determined apart, shape (m,)."""
         return euler.degenerate(euler.from_quaternion(self.attitude, sequence), sequence)
+
+    @cached_property
+    def models(self) -> tuple[Model, ...]:
+        """Which solver answered, over which spans, and why."""
+        return self._answers.models()
 
     @cached_property
     def angular_momentum_space(self) -> Floats:
@@ -107,11 +101,13 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
     at : array of int, shape (m,), ns
         Times to return, in any order, none before the start.
     solver : str
-        'taylor', or 'auto' for the least model that the scene needs.
+        'auto': the least model that the scene needs, a long coast in closed form, anything else
+        by a Taylor series; 'taylor'; 'exact', for motion without torque; or one of 'rk4',
+        'strang' and 'explicit_euler', which take fixed steps.
     tolerance : float
         Attitude error per radian turned, 1e-15 to 1.
     max_step : float, optional, s
-        Upper limit of a step.
+        Upper limit of a step, or the step of a solver of fixed step, which needs it.
     torque_timeout : float, s
         If positive, the torque is zero from this long after a sample to the next one.
 
@@ -122,8 +118,8 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
     Raises
     ------
     ValueError
-        A time lies before the start or is no integer, an option is out of its range, or the
-        torques bring the body beyond 1e9 rad/s.
+        A time lies before the start or is no integer, an option is out of its range, the solver
+        'exact' is given torques, or the torques bring the body beyond 1e9 rad/s.
 
     """
     options = Options(solver, tolerance, max_step, torque_timeout)
@@ -136,47 +132,38 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
         if not start.time_ns <= time_ns < NEVER_NS:
             raise ValueError(f'at: expected times from the start, {start.time_ns} ns, on, '
                              f'found {time_ns} ns')
-    order = np.argsort(times, kind='stable')
-    in_order = np.empty((times.size, 7))
-    _run_log(body, start, log or TorqueLog([], []), options, times[order], in_order)
-    for row in np.flatnonzero(~np.isfinite(in_order).all(axis=1))[:1]:
-        check_speed(np.full(3, np.inf), int(times[order][row]))
-    motion = np.empty_like(in_order)
-    motion[order] = in_order
-    end = int(times.max()) if times.size else start.time_ns
-    return Trajectory(body, times, motion[:, 3:], motion[:, :3],
-                      (Model('taylor', start.time_ns, end, options.reason),))
+    log = _NO_LOG if log is None else log
+    _check_solver(options, log)
+    attitude, rates = np.empty((times.size, 4)), np.empty((times.size, 3))
+    closed = _run_log(body, start, log, options, times, attitude, rates)
+    end_ns = int(times.max()) if times.size else start.time_ns
+    return Trajectory(body, times, attitude, rates,
+                      Answers(body, log, options, start.time_ns, end_ns, closed))
+
+
+def _check_solver(options: Options, log: TorqueLog) -> None:
+    if options.solver == 'exact' and log.torques.any():
+        row = int(np.flatnonzero(log.torques.any(axis=1))[0])
+        raise ValueError(f"solver 'exact' is for motion without torque, found torque {row} of "
+                         f'{log.torques[row].tolist()} N m at {log.times_ns[row]} ns')
 
 
 def _run_log(body: RigidBody, start: State, log: TorqueLog, options: Options,
-             times_ns: NDArray[np.int64], motion: Floats) -> None:
-    """Fill w, q (m, 7) at sorted times."""
-    starts, samples = _from_start(*log.segments(options.timeout_ns), start.time_ns)
-    state, grid_ns, done, coasting = pack(start), start.time_ns, 0, False
-    series = taylor.workspace()
-    for first in range(0, len(starts), _CHUNK):
-        count = min(_CHUNK, len(starts) - first)
-        # One segment more than is run: whether a coast goes on shows in the next one.
-        bounds = np.append(starts[first:first + count + 1], NEVER_NS)[:count + 1]
-        rules = log.rules(samples[first:first + count + 1])
-        coasts = np.logical_not(np.any(rules.polynomials, axis=(1, 2)))
-        joins = np.append(coasts & np.append(coasting, coasts[:-1]), True)
-        segment = 0
-        while segment < count and done < len(times_ns):
-            grid_ns, done, segment = run(
-                state, grid_ns, done, segment, times_ns, motion, bounds, joins, body._matrices,
-                *rules, options.tolerance, options.max_step_ns, series, BUDGET)
-            check_speed(state, grid_ns)
-        coasting = bool(coasts[count - 1])
-
-
-def _from_start(starts: NDArray[np.int64], samples: NDArray[np.intp],
-                start_ns: int) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-    """Cut the list of segments so that it begins with the start state."""
-    first = np.searchsorted(starts, start_ns, side='right') - 1
-    if first < 0:
-        return np.append(start_ns, starts), np.append(-1, samples)
-    return np.append(start_ns, starts[first + 1:]), samples[first:]
+             times: NDArray[np.int64], attitude: Floats, rates: Floats) -> NDArray[np.bool_]:
+    """Fill attitude and rates, and tell in which samples a coast was answered in closed form."""
+    ascending = bool(np.all(times[1:] >= times[:-1]))
+    rows = np.empty(0, np.intp) if ascending else np.argsort(times, kind='stable')
+    closed = np.zeros(len(log) + 1, np.bool_)
+    packed, last = pack(start), np.empty(SIZE)
+    begin = packed.copy()
+    sample, silent = log.in_force(start.time_ns, options.timeout_ns)
+    at, arguments = (start.time_ns, start.time_ns, sample, silent, 0), options.kernel_arguments(body)
+    for first, stop, torques in log.polynomials(sample):
+        while at[2] < stop and at[4] < times.size:
+            at = run(packed, begin, *at, times, rows, attitude, rates, last, closed, log.times_ns,
+                     torques, log.in_space, first, stop, options.timeout_ns, *arguments, BUDGET)
+            options.check_speed(packed, at[0])
+    return closed
 
 
 def warm_up() -> None:

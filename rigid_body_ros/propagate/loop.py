@@ -1,16 +1,27 @@
-"""The steps between two torque changes, and what they are set to."""
+"""
+The steps between two torque changes, and what they are set to.
+
+A torque sample rules from its stamp to the next one; with a timeout, silence (no torque) follows
+from some time after it. Sample -1 is the time before the first. Consecutive stretches without
+torque are one *coast*.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rigid_body_ros import taylor
-from rigid_body_ros._jit import njit
-from rigid_body_ros.body import State
+from rigid_body_ros import body as bodies, free_motion, steppers, taylor, vector
+from rigid_body_ros._jit import inlined, njit
+from rigid_body_ros.body import RigidBody
 from rigid_body_ros.so3 import Floats
 
-SOLVERS = ('auto', 'taylor')
+SOLVERS = ('auto', 'taylor', 'exact', 'rk4', 'strang', 'explicit_euler')
+_AUTO, _TAYLOR, _EXACT, _RK4, _STRANG, _EXPLICIT_EULER = range(len(SOLVERS))
+#: Those that take steps of a given length.
+FIXED_STEP = SOLVERS[_RK4:]
 TOLERANCES = (1e-15, 1.0)
 #: rad/s; the series converges in a step of a nanosecond up to here.
 FASTEST = 1e9
@@ -18,11 +29,16 @@ FASTEST = 1e9
 NEVER_NS = 2 ** 63 - 1
 #: Seconds that fit int64 nanoseconds at any epoch.
 LONGEST = 1e9
+#: Size of a state as an array: w (3), q (4), and what rounding took from them (7).
+SIZE = 14
+#: Steps, some 50 ms of work, after which a kernel returns, so that signals are heard.
+BUDGET = 20_000
+#: rad; `auto` answers a coast in closed form where it turns by more. Up to here the series is as
+#: exact, and cheaper.
+LONG_COAST = 16.0
 
 #: A body at rest has no natural step.
 _LONGEST_NS = 10 ** 18
-#: Steps, some 50 ms of work, after which a kernel returns, so that signals are heard.
-BUDGET = 20_000
 
 
 class Options:
@@ -37,12 +53,30 @@ class Options:
                              f'{TOLERANCES[0]:g} to {TOLERANCES[1]:g}, found {tolerance}')
         if max_step is not None and not max_step > 0.0:
             raise ValueError(f'max_step: expected seconds greater than zero, found {max_step}')
+        if max_step is None and solver in FIXED_STEP:
+            raise ValueError(f'max_step: solver {solver!r} takes steps of this length, expected '
+                             'seconds greater than zero, found none')
+        self.solver = solver
+        self.code = SOLVERS.index(solver)
         self.tolerance = float(tolerance)
         longest = _LONGEST_NS if max_step is None else min(max_step * 1e9, _LONGEST_NS)
-        self.max_step_ns = max(1, int(longest))
+        self.max_step_ns = max(1, round(longest))
         self.timeout_ns = duration_ns(torque_timeout, 'torque_timeout')
-        self.reason = 'as asked' if solver == 'taylor' else \
-            f'auto: one series for torque and coast, to {tolerance:g} rad per radian turned'
+
+    def kernel_arguments(self, body: RigidBody) -> tuple[Floats, Floats, Floats, int, float, int]:
+        """Return what every kernel needs to know."""
+        return (body._coefficients, *body._principal, self.code, self.tolerance, self.max_step_ns)
+
+    def check_speed(self, state: Floats, time_ns: int) -> None:
+        """Raise ValueError where a nanosecond, the shortest step, does not resolve the motion."""
+        w = state[:3]
+        if w @ w <= FASTEST * FASTEST:  # nor NaN
+            return
+        cause = f'steps of {self.max_step_ns * 1e-9:g} s may be too long for {self.solver}: ' \
+            if self.solver in FIXED_STEP else ''
+        raise ValueError(f'at {time_ns} ns the body turns faster than {FASTEST:g} rad/s: {cause}'
+                         'expected a torque and an inertia in N m and kg m^2 that do not lead '
+                         'there')
 
 
 def duration_ns(seconds: float, name: str) -> int:
@@ -52,102 +86,261 @@ def duration_ns(seconds: float, name: str) -> int:
     return round(seconds * 1e9)
 
 
-def check_speed(state: Floats, time_ns: int) -> None:
-    """Raise ValueError where a nanosecond, the shortest step, does not resolve the motion."""
-    if not taylor.speed(state) <= FASTEST:  # nor NaN
-        raise ValueError(f'at {time_ns} ns the body turns faster than {FASTEST:g} rad/s: expected '
-                         'a torque and an inertia in N m and kg m^2 that do not lead there')
-
-
-def pack(state: State) -> Floats:
+def pack(state: bodies.State) -> Floats:
     """Return a state as the kernels want it, shape (14,)."""
     return np.concatenate([state.angular_velocity, state.attitude, state._carry])
 
 
-def unpack(time_ns: int, packed: Floats) -> State:
+def unpack(time_ns: int, packed: Floats) -> bodies.State:
     """Return the state of the kernels, shape (14,), at a time."""
-    return State(time_ns, packed[3:7], packed[:3], packed[7:])
+    return bodies.State(time_ns, packed[3:7], packed[:3], packed[7:])
 
 
 @njit
-def run(state: Floats, grid_ns: int, done: int, segment: int, times_ns: NDArray[np.int64],
-        motion: Floats, bounds: NDArray[np.int64], joins: NDArray[np.bool_], matrices: Floats,
-        polynomials: Floats, in_space: NDArray[np.bool_], origins: NDArray[np.int64],
-        spans: Floats, tolerance: float, max_step_ns: int, series: Floats,
-        budget: int) -> tuple[int, int, int]:
+def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sample: int,
+        silent: bool, done: int, at_ns: NDArray[np.int64], rows: NDArray[np.intp],
+        attitude: Floats, rates: Floats, last: Floats, closed: NDArray[np.bool_],
+        stamps_ns: NDArray[np.int64], torques: Floats, in_space: NDArray[np.bool_], first: int,
+        stop: int, timeout_ns: int, coefficients: Floats,
+        moments: Floats, axes: Floats, solver: int, tolerance: float, max_step_ns: int,
+        budget: int) -> tuple[int, int, int, bool, int]:
     """
-    Go through segments in turn and fill w, q at sorted times.
+    Go from torque to torque, and fill attitude and rates at sorted times.
 
-    `state` is on the grid of a segment, at grid_ns; `done` times are filled already. Where the
-    next segment joins (a coast goes on) nothing is committed at its bound. Returns grid_ns,
-    done and segment: where it got until all was done or the budget of steps was used up.
+    Parameters
+    ----------
+    packed, packed_begin : float64 (14,)
+        The state on the grid of steps, and the one that the segment began with; changed.
+    grid_ns, begin_ns, sample, silent, done : int, int, int, bool, int
+        Their times, the sample in force and whether it timed out, and how many times are filled.
+    at_ns : int64 (m,)
+    rows : int (m,) or (0,)
+        Where each time's motion goes; empty if in their order.
+    attitude, rates : float64 (m, 4), (m, 3)
+    last : float64 (14,)
+        Filled with the state that was answered last.
+    closed : bool (n + 1,)
+        Set where a coast was answered in closed form, by sample + 1.
+    stamps_ns, in_space : int64 (n,), bool (n,)
+    torques : float64 (k, degree + 1, 3)
+        Polynomials in the fraction of their time, for samples from `first` on.
+    stop : int
+        The sample not to begin with.
+
+    Returns
+    -------
+    grid_ns, begin_ns, sample, silent, done
+        Where it got until all was done or the budget of steps was used up.
+
     """
-    out = np.empty(taylor.STATE)
-    while segment < len(bounds) - 1 and done < len(times_ns):
-        asked = times_ns[done] < bounds[segment + 1]
-        if asked or not joins[segment + 1]:
-            time_ns = times_ns[done] if asked else bounds[segment + 1]
-            grid_ns, budget, reached = move(
-                state, grid_ns, time_ns, matrices, polynomials[segment], in_space[segment],
-                origins[segment], spans[segment], tolerance, max_step_ns, series, out, budget)
-            if not reached:
-                break
-            if asked:
-                motion[done] = out[:7]
+    state, begin = _load(packed), _load(packed_begin)
+    equations, frame = _equations(coefficients), _frame(moments, axes)
+    diagonal, angle = _is_diagonal(coefficients), taylor.step_angle(tolerance)
+    table = np.empty((taylor.ROWS, taylor.MAX_ORDER + 1))
+    free, prepared, out = free_motion.unprepared(begin), False, state
+    degree, none = torques.shape[1] - 1, (0.0, 0.0, 0.0)
+    while sample < stop and done < len(at_ns):
+        # Arrays are read here and not in functions: to hand one over costs half a short step.
+        idle = silent or sample < 0
+        next_ns = stamps_ns[sample + 1] if sample + 1 < len(stamps_ns) else NEVER_NS
+        end_ns, falls_silent = next_ns, False
+        if timeout_ns > 0 and not idle and stamps_ns[sample] + timeout_ns < next_ns:
+            end_ns, falls_silent = stamps_ns[sample] + timeout_ns, True
+        torque, index, space = (none, none, none, none), sample - first, False
+        if not idle:
+            space = in_space[sample]
+            torque = _row(torques, index, 0), none, none, none
+            if degree > 0:
+                torque = torque[0], _row(torques, index, 1), none, none
+            if degree > 1:
+                torque = (torque[0], torque[1], _row(torques, index, 2), _row(torques, index, 3))
+        coasts = _is_zero(torque)
+        goes_on = coasts and (falls_silent or (next_ns < NEVER_NS
+                                               and not np.any(torques[index + 1])))
+        row = done if len(rows) == 0 else rows[done]
+        asked = at_ns[row] < end_ns
+        if asked or not goes_on:
+            time_ns = at_ns[row] if asked else end_ns
+            rest_ns, seconds = time_ns - grid_ns, (time_ns - grid_ns) / 1e9
+            push = taylor.response(equations, torque[0])
+            bound = math.sqrt(vector.dot(push, push))
+            formula = coasts and _is_long(solver, begin, time_ns - begin_ns)
+            if formula and not prepared:
+                free, prepared = free_motion.prepare(begin, frame), True
+            if formula and free.kind != free_motion.LOST:
+                out = free_motion.at(free, time_ns - begin_ns)
+                closed[sample + 1] = True
+            elif rest_ns == 0:
+                out = state
+            elif (grid_ns == begin_ns and rest_ns <= max_step_ns and solver <= _EXACT
+                  and (coasts or (degree == 0 and not space))
+                  and taylor.is_short(state, seconds, bound, tolerance)):
+                out = taylor.short_step(state, seconds, equations, diagonal, push, bound,
+                                        tolerance)
             else:
-                state[:] = out
-                grid_ns = time_ns
-        if asked:
-            done += 1
-        else:
-            segment += 1
-    return grid_ns, done, segment
+                origin_ns, span = _span(stamps_ns, sample)
+                state, grid_ns, out, reached, budget = _move(
+                    state, grid_ns, time_ns, torque, 0 if coasts else degree,
+                    space and not coasts, origin_ns, span, equations, diagonal, frame, solver,
+                    tolerance, angle, max_step_ns, table, budget)
+                if not reached:
+                    break
+            if asked:
+                w, q = out[0], out[1]
+                rates[row, 0], rates[row, 1], rates[row, 2] = w
+                attitude[row, 0], attitude[row, 1], attitude[row, 2], attitude[row, 3] = q
+                done += 1
+            else:
+                state, grid_ns, begin, begin_ns, prepared = out, end_ns, out, end_ns, False
+        if not asked:
+            sample, silent = (sample, True) if falls_silent else (sample + 1, False)
+    _store(state, packed)
+    _store(begin, packed_begin)
+    _store(out, last)
+    return grid_ns, begin_ns, sample, silent, done
+
+
+@inlined
+def _row(torques: Floats, index: int, k: int) -> vector.Vector:
+    return torques[index, k, 0], torques[index, k, 1], torques[index, k, 2]
+
+
+@inlined
+def _is_zero(torque: vector.Polynomial) -> bool:
+    a, b, c, d = torque
+    return a == b == c == d == (0.0, 0.0, 0.0)
+
+
+@inlined
+def _is_long(solver: int, begin: vector.State, span_ns: int) -> bool:
+    # Whether a coast is answered in closed form.
+    if solver != _AUTO:
+        return solver == _EXACT
+    angle = LONG_COAST * 1e9 / span_ns if span_ns > 0 else math.inf
+    return vector.dot(begin[0], begin[0]) > angle * angle
 
 
 @njit
-def move(state: Floats, grid_ns: int, time_ns: int, matrices: Floats, polynomial: Floats,
-         in_space: bool, origin_ns: int, span: float, tolerance: float, max_step_ns: int,
-         series: Floats, out: Floats, budget: int) -> tuple[int, int, bool]:
-    """
-    Take `state` on to the last grid point before a time, and `out` from there to the time.
+def _span(stamps_ns: NDArray[np.int64], sample: int) -> tuple[int, float]:
+    # Where the fraction of a polynomial is 0, and the time, s, to where it is 1.
+    if sample < 0:
+        return 0, 1.0
+    if sample + 1 == len(stamps_ns):
+        return stamps_ns[sample], 1.0
+    return stamps_ns[sample], (stamps_ns[sample + 1] - stamps_ns[sample]) / 1e9
 
-    Returns the time of the grid point, what is left of the budget of steps, and whether the
-    time was reached: if not, `out` is not filled, and the next call goes on from there.
-    """
-    acceleration = taylor.acceleration_bound(polynomial, in_space, matrices)
-    torque = polynomial.copy()
-    while True:
-        seconds = taylor.step_seconds(state, acceleration)
-        step_ns = max(1, int(min(seconds * 1e9, max_step_ns)))
+
+@njit
+def _move(state: vector.State, grid_ns: int, time_ns: int, torque: vector.Polynomial, degree: int,
+          in_space: bool, origin_ns: int, span: float, equations: vector.Coefficients,
+          diagonal: bool, frame: vector.Frame, solver: int, tolerance: float, angle: float,
+          max_step_ns: int, table: Floats,
+          budget: int) -> tuple[vector.State, int, vector.State, bool, int]:
+    # Go on to the last grid point before a time, and from there to the time. Returns the state
+    # on the grid, when that is, the state at the time, whether it was reached before the budget
+    # of steps was used up, and what is left of that.
+    bound = taylor.acceleration_bound(torque, in_space, equations)
+    out = state
+    while grid_ns < time_ns:
         if budget <= 0:
-            return grid_ns, budget, False
-        if step_ns > time_ns - grid_ns:
-            break
-        _local_torque(polynomial, (grid_ns - origin_ns) * 1e-9 / span, step_ns * 1e-9 / span,
-                      torque)
-        taylor.step(state, step_ns * 1e-9, matrices, torque, in_space, acceleration, tolerance,
-                    series)
-        grid_ns += step_ns
+            return state, grid_ns, out, False, budget
         budget -= 1
-    out[:] = state
-    if time_ns > grid_ns:
         rest_ns = time_ns - grid_ns
-        _local_torque(polynomial, (grid_ns - origin_ns) * 1e-9 / span, rest_ns * 1e-9 / span,
-                      torque)
-        taylor.step(out, rest_ns * 1e-9, matrices, torque, in_space, acceleration, tolerance,
-                    series)
-    return grid_ns, budget - 1, True
+        step_ns = _natural_ns(state, rest_ns, bound, solver, angle, max_step_ns)
+        last = step_ns >= rest_ns
+        if last:
+            step_ns = rest_ns
+        seconds = step_ns / 1e9
+        local = torque if degree == 0 else _local(
+            torque, (grid_ns - origin_ns) / 1e9 / span, seconds / span)
+        out = _step(state, seconds, equations, diagonal, frame, local, degree, in_space, bound,
+                    solver, tolerance, table)
+        if last:
+            break
+        state = out
+        grid_ns += step_ns
+    return state, grid_ns, out, True, budget
+
+
+@inlined
+def _natural_ns(state: vector.State, rest_ns: int, bound: float, solver: int, angle: float,
+                max_step_ns: int) -> int:
+    # Length of the next step on the grid, whatever is left to go, if it is not longer than that.
+    if solver >= _RK4:
+        return max_step_ns
+    square, rest = vector.dot(state[0], state[0]), rest_ns / 1e9
+    if rest_ns <= max_step_ns and rest * rest * (square + bound) < 0.01:
+        return rest_ns  # turns by about 0.1 rad at most
+    seconds = taylor.step_seconds(math.sqrt(square), bound, angle)
+    return max(1, int(min(seconds * 1e9, float(max_step_ns))))
+
+
+@inlined
+def _step(state: vector.State, seconds: float, equations: vector.Coefficients, diagonal: bool,
+          frame: vector.Frame, torque: vector.Polynomial, degree: int, in_space: bool,
+          bound: float, solver: int, tolerance: float, table: Floats) -> vector.State:
+    if solver == _RK4:
+        return steppers.rk4(state, seconds, equations, torque, in_space)
+    if solver == _STRANG:
+        return steppers.strang(state, seconds, equations, frame, torque, in_space)
+    if solver == _EXPLICIT_EULER:
+        return steppers.explicit_euler(state, seconds, equations, torque, in_space)
+    return taylor.step(state, seconds, equations, diagonal, torque, degree, in_space, bound,
+                       tolerance, table)
 
 
 @njit
-def _local_torque(polynomial: Floats, offset: float, ratio: float, out: Floats) -> None:
-    # From p(s) to p(offset + ratio s), by repeated synthetic division (a Taylor shift).
-    degree = polynomial.shape[0] - 1
-    out[:] = polynomial
-    for i in range(degree):
-        for k in range(degree - 1, i - 1, -1):
-            out[k] += offset * out[k + 1]
-    scale = 1.0
-    for k in range(1, degree + 1):
-        scale *= ratio
-        out[k] *= scale
+def _local(torque: vector.Polynomial, offset: float, ratio: float) -> vector.Polynomial:
+    # From p(s) to p(offset + ratio s), by Horner's rule (a Taylor shift).
+    a, b, c, d = torque
+    a = vector.add_scaled(a, offset, vector.add_scaled(b, offset, vector.add_scaled(c, offset, d)))
+    b = vector.add_scaled(b, offset, vector.add_scaled(vector.scale(2.0, c), 3.0 * offset, d))
+    c = vector.add_scaled(c, 3.0 * offset, d)
+    square = ratio * ratio
+    return a, vector.scale(ratio, b), vector.scale(square, c), vector.scale(square * ratio, d)
+
+
+@njit
+def _equations(rows: Floats) -> vector.Coefficients:
+    return _nine(rows[0]), _nine(rows[1]), _nine(rows[2])
+
+
+@njit
+def _nine(row: Floats) -> vector.Nine:
+    return row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8]
+
+
+@njit
+def _is_diagonal(rows: Floats) -> bool:
+    for i in range(3):
+        for j in range(6):
+            if i != j and rows[i, j] != 0.0:
+                return False
+    return True
+
+
+@njit
+def _frame(moments: Floats, axes: Floats) -> vector.Frame:
+    return (_three(moments[0]), _three(moments[1]),
+            (_three(axes[0, :, 0]), _three(axes[0, :, 1]), _three(axes[0, :, 2])),
+            (_three(axes[1, :, 0]), _three(axes[1, :, 1]), _three(axes[1, :, 2])))
+
+
+@njit
+def _three(values: Floats) -> vector.Vector:
+    return values[0], values[1], values[2]
+
+
+@njit
+def _load(packed: Floats) -> vector.State:
+    return ((packed[0], packed[1], packed[2]), (packed[3], packed[4], packed[5], packed[6]),
+            (packed[7], packed[8], packed[9]), (packed[10], packed[11], packed[12], packed[13]))
+
+
+@njit
+def _store(state: vector.State, packed: Floats) -> None:
+    w, q, low_w, low_q = state
+    packed[0], packed[1], packed[2] = w
+    packed[3], packed[4], packed[5], packed[6] = q
+    packed[7], packed[8], packed[9] = low_w
+    packed[10], packed[11], packed[12], packed[13] = low_q

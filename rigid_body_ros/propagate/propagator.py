@@ -9,7 +9,6 @@ import operator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rigid_body_ros import taylor
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.propagate import loop
 from rigid_body_ros.propagate.loop import Options
@@ -17,6 +16,7 @@ from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import FRAMES
 
 _NO_TORQUE = np.zeros((1, 3))
+_IN_ORDER = np.empty(0, np.intp)
 
 
 class Propagator:
@@ -95,6 +95,9 @@ class Propagator:
                              f'found {values[0].tolist()}')
         if abs(time_ns) >= loop.NEVER_NS:
             raise ValueError(f'expected a time in int64 nanoseconds, found {time_ns}')
+        if self._options.solver == 'exact' and values.any():
+            raise ValueError("solver 'exact' is for motion without torque, found a torque of "
+                             f'{values[0].tolist()} N m at {time_ns} ns')
         if frame not in FRAMES:
             raise ValueError(f"frame: expected 'body' or 'space', found {frame!r}")
         if self._changes[-1].time_ns - time_ns >= self.history_ns:
@@ -207,25 +210,26 @@ class _Segment:
     def __init__(self, body: RigidBody, options: Options, history_ns: int, start_ns: int,
                  state: Floats, torque: Floats, in_space: bool) -> None:
         self.coasts = not torque.any()
-        self._history_ns = history_ns
+        self._options, self._history_ns = options, history_ns
         self._grid_ns = [start_ns]
         self._states = [state]
-        self._arguments = (body._matrices, torque, in_space, start_ns, 1.0,
-                           options.tolerance, options.max_step_ns)
+        self._log = (np.array([start_ns]), torque[None], np.array([in_space]), 0, 1, 0)
+        self._arguments = options.kernel_arguments(body)
 
     def state_at(self, time_ns: int) -> Floats:
         nearest = bisect.bisect_right(self._grid_ns, time_ns) - 1
-        state, grid_ns = self._states[nearest].copy(), self._grid_ns[nearest]
-        out, series, reached = np.empty(taylor.STATE), taylor.workspace(), False
-        while not reached:
-            grid_ns, _, reached = loop.move(state, grid_ns, time_ns, *self._arguments, series,
-                                            out, loop.BUDGET)
-            loop.check_speed(state, grid_ns)
-        loop.check_speed(out, time_ns)
-        if grid_ns > self._grid_ns[-1]:
-            self._grid_ns.append(grid_ns)
+        state, begin, out = self._states[nearest].copy(), self._states[0].copy(), np.empty(loop.SIZE)
+        at = (self._grid_ns[nearest], self._grid_ns[0], 0, False, 0)
+        while not at[-1]:
+            at = loop.run(state, begin, *at, np.array([time_ns]), _IN_ORDER, np.empty((1, 4)),
+                          np.empty((1, 3)), out, np.empty(2, np.bool_), *self._log,
+                          *self._arguments, loop.BUDGET)
+            self._options.check_speed(state, at[0])
+        self._options.check_speed(out, time_ns)
+        if at[0] > self._grid_ns[-1]:
+            self._grid_ns.append(at[0])
             self._states.append(state)
-            self._thin(grid_ns - self._history_ns)
+            self._thin(at[0] - self._history_ns)
         return out
 
     def _thin(self, horizon_ns: int) -> None:

@@ -1,0 +1,88 @@
+"""
+Arithmetic with about 32 digits for the compiled kernels: a number is a sum of two doubles.
+
+Algorithms as in Hida, Li and Bailey, "Algorithms for quad-double precision floating point
+arithmetic", 2001, with fused products.
+"""
+
+from __future__ import annotations
+
+import math
+
+from rigid_body_ros._jit import fma, njit
+
+#: The larger part, and what is missing in it.
+Double = tuple[float, float]
+
+PI = (3.141592653589793, 1.2246467991473532e-16)
+
+
+@njit
+def _quick_sum(a: float, b: float) -> Double:
+    total = a + b
+    return total, b - (total - a)
+
+
+@njit
+def two_sum(a: float, b: float) -> Double:
+    """Return the exact sum of two doubles."""
+    total = a + b
+    part = total - a
+    return total, (a - (total - part)) + (b - part)
+
+
+@njit
+def two_product(a: float, b: float) -> Double:
+    """Return the exact product of two doubles."""
+    product = a * b
+    return product, fma(a, b, -product)
+
+
+@njit
+def add(a: Double, b: Double) -> Double:
+    """Return a + b."""
+    high, low = two_sum(a[0], b[0])
+    more, rest = two_sum(a[1], b[1])
+    high, low = _quick_sum(high, low + more)
+    return _quick_sum(high, low + rest)
+
+
+@njit
+def subtract(a: Double, b: Double) -> Double:
+    """Return a - b."""
+    return add(a, (-b[0], -b[1]))
+
+
+@njit
+def multiply(a: Double, b: Double) -> Double:
+    """Return a b."""
+    high, low = two_product(a[0], b[0])
+    return _quick_sum(high, low + fma(a[0], b[1], a[1] * b[0]))
+
+
+@njit
+def divide(a: Double, b: Double) -> Double:
+    """Return a / b."""
+    first = a[0] / b[0]
+    rest = subtract(a, multiply((first, 0.0), b))
+    second = rest[0] / b[0]
+    rest = subtract(rest, multiply((second, 0.0), b))
+    high, low = _quick_sum(first, second)
+    return add((high, low), (rest[0] / b[0], 0.0))
+
+
+@njit
+def root(a: Double) -> Double:
+    """Return the square root of a number that is not negative (Karp's trick)."""
+    if a[0] <= 0.0:
+        return 0.0, 0.0
+    high = math.sqrt(a[0])
+    rest = subtract(a, two_product(high, high))
+    return _quick_sum(high, rest[0] / (2.0 * high))
+
+
+@njit
+def seconds(span_ns: int) -> Double:
+    """Return a number of nanoseconds in seconds."""
+    return divide(two_sum(float(span_ns >> 32) * 4294967296.0, float(span_ns & 0xFFFFFFFF)),
+                  (1e9, 0.0))

@@ -1,0 +1,79 @@
+"""What answered, over which spans, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigid_body_ros.body import RigidBody
+from rigid_body_ros.propagate.loop import LONG_COAST, Options
+from rigid_body_ros.torque import TorqueLog
+
+
+class Model(NamedTuple):
+    """What answered for a span of time, and why."""
+
+    solver: str
+    start_ns: int
+    end_ns: int
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """A run, and in which samples (by sample + 1) a coast was answered in closed form."""
+
+    body: RigidBody
+    log: TorqueLog
+    options: Options
+    start_ns: int
+    end_ns: int
+    closed: NDArray[np.bool_]
+
+    def models(self) -> tuple[Model, ...]:
+        """Return the spans from the start to the last time asked for, in order."""
+        starts, closed = self._segments()
+        changes = np.flatnonzero(np.append(True, closed[1:] != closed[:-1]))
+        bounds = [*starts[changes].tolist(), self.end_ns]
+        return tuple(self._model(bool(closed[change]), begin, end)
+                     for change, begin, end in zip(changes, bounds, bounds[1:]))
+
+    def _segments(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return when the rule for the torque changes, and whether the closed form answered."""
+        timeout_ns = self.options.timeout_ns
+        starts, samples = self.log.segments(timeout_ns)
+        window = slice(*np.searchsorted(starts, [self.start_ns, self.end_ns], side='right'))
+        sample, silent = self.log.in_force(self.start_ns, timeout_ns)
+        starts = np.append(self.start_ns, starts[window])
+        owners = np.append(sample, np.maximum.accumulate(samples)[window])
+        samples = np.append(-1 if silent else sample, samples[window])
+        coasts = samples < 0
+        coasts[~coasts] = ~self.log.torques[samples[~coasts]].any(axis=1)
+        closed = coasts & self.closed[owners + 1]
+        # Within a coast nothing is worked out but what is asked for.
+        coast = np.cumsum(np.append(False, ~(coasts[1:] & coasts[:-1])))
+        answered = np.zeros(coast[-1] + 1, np.bool_)
+        np.logical_or.at(answered, coast, closed)
+        return starts, answered[coast]
+
+    def _model(self, closed: bool, start_ns: int, end_ns: int) -> Model:
+        solver = self.options.solver
+        if solver == 'auto':
+            if closed:
+                return Model('exact', start_ns, end_ns,
+                             f'auto: coast of a body that is a{_an(self.body.symmetry)}, '
+                             'in closed form from its beginning')
+            return Model('taylor', start_ns, end_ns,
+                         f'auto: torque, or a coast of up to {LONG_COAST:g} rad or too near the '
+                         f'separatrix, to {self.options.tolerance:g} rad per radian turned')
+        if solver == 'exact' and not closed and end_ns > start_ns:
+            return Model('taylor', start_ns, end_ns,
+                         'too near the separatrix for the closed form')
+        return Model(solver, start_ns, end_ns, 'as asked')
+
+
+def _an(name: str) -> str:
+    return f'n {name}' if name[0] in 'aeiou' else f' {name}'

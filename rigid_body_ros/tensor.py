@@ -1,0 +1,112 @@
+"""
+Constants of an inertia tensor, worked out beyond double precision and rounded once.
+
+A long run multiplies the error of a constant by the angle turned, and a thin rod's by the ratio
+of its moments: (J w) x w of a rod is a difference of terms a million times its size.
+"""
+
+from __future__ import annotations
+
+from decimal import Decimal, localcontext
+from fractions import Fraction
+
+import numpy as np
+
+from rigid_body_ros.so3 import Floats
+
+#: Digits of the principal axes: twice those of a double, and as many again for cancellation.
+_DIGITS = 64
+_SWEEPS = 20
+
+
+def euler_coefficients(tensor: Floats) -> Floats:
+    """
+    Return the coefficients of Euler's equations, solved for the acceleration.
+
+    dw/dt is linear in the products (w2 w3, w3 w1, w1 w2, w1^2, w2^2, w3^2) and in the torque
+    (tau1, tau2, tau3), because (J w) x w only has differences of moments, and products of
+    inertia. For a diagonal tensor the first three make (I2 - I3) / I1 and so on.
+
+    Parameters
+    ----------
+    tensor : array, shape (3, 3), kg m^2
+
+    Returns
+    -------
+    array, shape (3, 9)
+        Every entry is the exact value, correctly rounded.
+
+    Raises
+    ------
+    OverflowError
+        An entry is too large for a double.
+
+    """
+    j = [[Fraction(float(entry)) for entry in row] for row in tensor]
+    gyroscopic = [
+        [j[1][1] - j[2][2], j[0][1], -j[0][2], 0, -j[1][2], j[1][2]],
+        [-j[0][1], j[2][2] - j[0][0], j[1][2], j[0][2], 0, -j[0][2]],
+        [j[0][2], -j[1][2], j[0][0] - j[1][1], -j[0][1], j[0][1], 0],
+    ]
+    cofactors = [[j[(a + 1) % 3][(b + 1) % 3] * j[(a + 2) % 3][(b + 2) % 3]
+                  - j[(a + 1) % 3][(b + 2) % 3] * j[(a + 2) % 3][(b + 1) % 3]
+                  for b in range(3)] for a in range(3)]
+    determinant = sum(j[0][b] * cofactors[0][b] for b in range(3))
+    solved = [[sum(row[k] * gyroscopic[k][column] for k in range(3)) for column in range(6)] + row
+              for row in cofactors]  # the tensor is symmetric, and so are its cofactors
+    return np.array([[float(entry / determinant) for entry in row] for row in solved])
+
+
+def principal(tensor: Floats) -> tuple[Floats, Floats]:
+    """
+    Return principal moments and axes by Jacobi's rotations, each as a sum of two doubles.
+
+    Parameters
+    ----------
+    tensor : array, shape (3, 3), kg m^2
+
+    Returns
+    -------
+    moments : array, shape (2, 3), kg m^2
+        In ascending order: the moments, and what rounding took from them.
+    axes : array, shape (2, 3, 3)
+        The axes as columns, right-handed, in body axes: likewise.
+
+    """
+    with localcontext() as context:
+        context.prec = _DIGITS
+        matrix = [[Decimal(float(entry)) for entry in row] for row in tensor]
+        axes = [[Decimal(int(a == b)) for b in range(3)] for a in range(3)]
+        for _ in range(_SWEEPS):
+            for p, q in ((0, 1), (0, 2), (1, 2)):
+                _rotate(matrix, axes, p, q)
+        order = sorted(range(3), key=lambda a: matrix[a][a])
+        if order not in ([0, 1, 2], [1, 2, 0], [2, 0, 1]):  # an odd permutation
+            for row in axes:
+                row[order[2]] = -row[order[2]]
+        return (_split([matrix[a][a] for a in order]),
+                _split([[row[a] for a in order] for row in axes]))
+
+
+def _rotate(matrix: list[list[Decimal]], axes: list[list[Decimal]], p: int, q: int) -> None:
+    # Golub and Van Loan, Matrix Computations, section 8.5.2.
+    least = min(abs(matrix[p][p]), abs(matrix[q][q]))
+    if abs(matrix[p][q]) <= Decimal(10) ** (10 - _DIGITS) * least:
+        return
+    half = (matrix[q][q] - matrix[p][p]) / (2 * matrix[p][q])
+    tangent = (1 if half >= 0 else -1) / (abs(half) + (half * half + 1).sqrt())
+    cosine = 1 / (tangent * tangent + 1).sqrt()
+    sine = tangent * cosine
+    for rows in (matrix, axes):
+        for row in rows:
+            row[p], row[q] = cosine * row[p] - sine * row[q], sine * row[p] + cosine * row[q]
+    for a in range(3):
+        up, uq = matrix[p][a], matrix[q][a]
+        matrix[p][a], matrix[q][a] = cosine * up - sine * uq, sine * up + cosine * uq
+
+
+def _split(values: list[Decimal] | list[list[Decimal]]) -> Floats:
+    exact = np.array(values, dtype=object)
+    high = exact.astype(float)
+    rest = exact - np.vectorize(Decimal, otypes=[object])(high)
+    return np.stack([high, rest.astype(float)])
