@@ -26,6 +26,7 @@ from rigid_body_ros.propagate.loop import (
     SOLVERS,
     TOLERANCES,
     Options,
+    order,
     pack,
     run,
 )
@@ -38,6 +39,7 @@ __all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Model', 'Propagator', 'Trajector
            'warm_up']
 
 _NO_LOG = TorqueLog([], [])
+_IN_ORDER = np.empty(0, np.intp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,22 +125,29 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
 
     """
     options = Options(solver, tolerance, max_step, torque_timeout)
+    times, ascends, end_ns = _checked_times(at, start.time_ns)
+    log = _NO_LOG if log is None else log
+    _check_solver(options, log)
+    rows = _IN_ORDER if ascends else np.argsort(times, kind='stable')
+    attitude, rates = np.empty((times.size, 4)), np.empty((times.size, 3))
+    closed = _run_log(body, start, log, options, times, rows, attitude, rates)
+    return Trajectory(body, times, attitude, rates,
+                      Answers(body, log, options, start.time_ns, end_ns, closed))
+
+
+def _checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], bool, int]:
+    """Return times, whether they ascend, and the last of them."""
     times = np.asarray(at)
-    if times.ndim != 1 or (times.size and not np.issubdtype(times.dtype, np.integer)):
+    if times.ndim != 1 or (times.size and times.dtype.kind not in 'iu'):
         raise ValueError('at: expected integer nanoseconds of shape (m,), '
                          f'found {times.dtype} of shape {times.shape}')
     times = times.astype(np.int64)
-    for time_ns in (times.min(), times.max()) if times.size else ():
-        if not start.time_ns <= time_ns < NEVER_NS:
-            raise ValueError(f'at: expected times from the start, {start.time_ns} ns, on, '
+    ascends, first_ns, last_ns = order(times) if times.size else (True, start_ns, start_ns)
+    for time_ns in (first_ns, last_ns):
+        if not start_ns <= time_ns < NEVER_NS:
+            raise ValueError(f'at: expected times from the start, {start_ns} ns, on, '
                              f'found {time_ns} ns')
-    log = _NO_LOG if log is None else log
-    _check_solver(options, log)
-    attitude, rates = np.empty((times.size, 4)), np.empty((times.size, 3))
-    closed = _run_log(body, start, log, options, times, attitude, rates)
-    end_ns = int(times.max()) if times.size else start.time_ns
-    return Trajectory(body, times, attitude, rates,
-                      Answers(body, log, options, start.time_ns, end_ns, closed))
+    return times, ascends, last_ns
 
 
 def _check_solver(options: Options, log: TorqueLog) -> None:
@@ -149,13 +158,11 @@ def _check_solver(options: Options, log: TorqueLog) -> None:
 
 
 def _run_log(body: RigidBody, start: State, log: TorqueLog, options: Options,
-             times: NDArray[np.int64], attitude: Floats, rates: Floats) -> NDArray[np.bool_]:
+             times: NDArray[np.int64], rows: NDArray[np.intp], attitude: Floats,
+             rates: Floats) -> NDArray[np.bool_]:
     """Fill attitude and rates, and tell in which samples a coast was answered in closed form."""
-    ascending = bool(np.all(times[1:] >= times[:-1]))
-    rows = np.empty(0, np.intp) if ascending else np.argsort(times, kind='stable')
     closed = np.zeros(len(log) + 1, np.bool_)
-    packed, last = pack(start), np.empty(SIZE)
-    begin = packed.copy()
+    packed, begin, last = pack(start), pack(start), np.empty(SIZE)
     sample, silent = log.in_force(start.time_ns, options.timeout_ns)
     at, arguments = (start.time_ns, start.time_ns, sample, silent, 0), options.kernel_arguments(body)
     for first, stop, torques in log.polynomials(sample):
@@ -163,6 +170,8 @@ def _run_log(body: RigidBody, start: State, log: TorqueLog, options: Options,
             at = run(packed, begin, *at, times, rows, attitude, rates, last, closed, log.times_ns,
                      torques, log.in_space, first, stop, options.timeout_ns, *arguments, BUDGET)
             options.check_speed(packed, at[0])
+    if times.size:
+        options.check_speed(last, int(times[-1]))
     return closed
 
 

@@ -69,8 +69,8 @@ class Options:
 
     def check_speed(self, state: Floats, time_ns: int) -> None:
         """Raise ValueError where a nanosecond, the shortest step, does not resolve the motion."""
-        w = state[:3]
-        if w @ w <= FASTEST * FASTEST:  # nor NaN
+        x, y, z = state[:3].tolist()
+        if math.hypot(x, y, z) <= FASTEST:  # nor NaN
             return
         cause = f'steps of {self.max_step_ns * 1e-9:g} s may be too long for {self.solver}: ' \
             if self.solver in FIXED_STEP else ''
@@ -94,6 +94,16 @@ def pack(state: bodies.State) -> Floats:
 def unpack(time_ns: int, packed: Floats) -> bodies.State:
     """Return the state of the kernels, shape (14,), at a time."""
     return bodies.State(time_ns, packed[3:7], packed[:3], packed[7:])
+
+
+@njit
+def order(times_ns: NDArray[np.int64]) -> tuple[bool, int, int]:
+    """Return whether times ascend, the first and the last of them."""
+    ascends, first, last = True, times_ns[0], times_ns[0]
+    for k in range(1, len(times_ns)):
+        ascends = ascends and times_ns[k] >= times_ns[k - 1]
+        first, last = min(first, times_ns[k]), max(last, times_ns[k])
+    return ascends, first, last
 
 
 @njit
@@ -158,7 +168,7 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
         goes_on = coasts and (falls_silent or (next_ns < NEVER_NS
                                                and not np.any(torques[index + 1])))
         row = done if len(rows) == 0 else rows[done]
-        asked = at_ns[row] < end_ns
+        asked = at_ns[row] <= end_ns
         if asked or not goes_on:
             time_ns = at_ns[row] if asked else end_ns
             rest_ns, seconds = time_ns - grid_ns, (time_ns - grid_ns) / 1e9
@@ -190,9 +200,9 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
                 rates[row, 0], rates[row, 1], rates[row, 2] = w
                 attitude[row, 0], attitude[row, 1], attitude[row, 2], attitude[row, 3] = q
                 done += 1
-            else:
+            if time_ns == end_ns and not goes_on:
                 state, grid_ns, begin, begin_ns, prepared = out, end_ns, out, end_ns, False
-        if not asked:
+        if not asked or begin_ns == end_ns:
             sample, silent = (sample, True) if falls_silent else (sample + 1, False)
     _store(state, packed)
     _store(begin, packed_begin)
@@ -214,9 +224,11 @@ def _is_zero(torque: vector.Polynomial) -> bool:
 @inlined
 def _is_long(solver: int, begin: vector.State, span_ns: int) -> bool:
     # Whether a coast is answered in closed form.
-    if solver != _AUTO:
-        return solver == _EXACT
-    angle = LONG_COAST * 1e9 / span_ns if span_ns > 0 else math.inf
+    if span_ns == 0 or solver > _EXACT or solver == _TAYLOR:
+        return False
+    if solver == _EXACT:
+        return True
+    angle = LONG_COAST * 1e9 / span_ns
     return vector.dot(begin[0], begin[0]) > angle * angle
 
 
