@@ -1,5 +1,8 @@
 """Euler angles: all sequences against their definition."""
 
+from decimal import Decimal, localcontext
+from itertools import product
+
 from conftest import chord
 import numpy as np
 import pytest
@@ -12,27 +15,87 @@ PROPER = ('XYX', 'XZX', 'YXY', 'YZY', 'ZXZ', 'ZYZ')
 TAIT_BRYAN = ('XYZ', 'XZY', 'YXZ', 'YZX', 'ZXY', 'ZYX')
 INTRINSIC = PROPER + TAIT_BRYAN
 ALL = INTRINSIC + tuple(name.lower() for name in INTRINSIC)
+EXTENDED = np.finfo(np.longdouble).eps < EPS  # not on Windows, say
+ROUND_TRIP = 1e-15 if EXTENDED else 3e-15
 RANDOM = np.random.default_rng(313)
 Q = so3.normalize(RANDOM.normal(size=(500, 4)))
 W = RANDOM.normal(size=(500, 3))
+#: Every axis on every other, and half way between, with both zeros.
+LATTICE = np.array([q for q in product((-1.0, -0.5, -0.0, 0.0, 0.5, 1.0), repeat=4) if any(q)])
 
 
-def near_poles(sequence):
+def poles(sequence):
+    return (0.0, np.pi) if sequence.upper() in PROPER else (-np.pi / 2, np.pi / 2)
+
+
+def near_poles(sequence, outer=20):
     """Return attitudes at and close to the two poles of a sequence."""
-    poles = (0.0, np.pi) if sequence.upper() in PROPER else (-np.pi / 2, np.pi / 2)
-    offsets = np.array([0.0, 1e-18, 1e-15, 1e-9, 1e-7, 1e-4])
-    angles = [(a, pole + side * offset, c) for a, c in RANDOM.uniform(-3, 3, (20, 2))
-              for pole, side in zip(poles, (1, -1)) for offset in offsets]
+    offsets = np.array([0.0, 5e-324, 1e-200, 1e-18, 1e-16, 1e-15, 1e-12, 1e-9, 1e-7, 1e-4, 1e-3])
+    angles = [(a, pole + side * offset, c) for a, c in RANDOM.uniform(-3, 3, (outer, 2))
+              for pole, side in zip(poles(sequence), (1, -1)) for offset in offsets]
     return euler.to_quaternion(angles, sequence)
+
+
+def at_edges(sequence):
+    """Return attitudes whose outer angles lie about the ends of their domain."""
+    low, high = poles(sequence)
+    ends = [end + nudge for end in (0.0, np.pi, -np.pi)
+            for nudge in (0.0, 1e-17, -1e-17, 3e-16, -3e-16, 5e-16, -5e-16, 9e-16, -9e-16)]
+    return euler.to_quaternion([*product(ends, np.linspace(low, high, 9), [*ends, 2.0])], sequence)
+
+
+def hamilton(p, q):
+    """Return Hamilton's product in the numbers that the factors are made of."""
+    (px, py, pz, pw), (qx, qy, qz, qw) = p, q
+    return (pw * qx + px * qw + py * qz - pz * qy, pw * qy + py * qw + pz * qx - px * qz,
+            pw * qz + pz * qw + px * qy - py * qx, pw * qw - px * qx - py * qy - pz * qz)
+
+
+def turned(p, q):
+    """Return the angle, rad, between attitudes of any norm, without rounding where possible."""
+    x, y, z, w = hamilton(so3.conjugate(p).T.astype(np.longdouble), q.T)
+    return 2.0 * np.arctan2(np.sqrt(x * x + y * y + z * z), np.abs(w)).astype(float)
+
+
+def exact_quaternion(angles, sequence):
+    """Return the three turns multiplied, each a power series, in 40 digits."""
+    turns = []
+    for letter, angle in zip(sequence.lower(), angles):
+        half, terms = Decimal(angle) / 2, [Decimal(1)]
+        while abs(terms[-1]) > Decimal('1e-40') or len(terms) < 4:
+            terms.append(terms[-1] * half / len(terms))
+        sine, cosine = sum(terms[1::4]) - sum(terms[3::4]), sum(terms[::4]) - sum(terms[2::4])
+        turns.append([*(sine * (letter == axis) for axis in 'xyz'), cosine])
+    first, second, third = turns if sequence.isupper() else turns[::-1]
+    return hamilton(hamilton(first, second), third)
 
 
 def test_313_is_space_z_then_line_of_nodes_then_body_z():
     phi, theta, psi = 0.3, 1.1, -0.7
     about_z, about_x = so3.exp([0, 0, phi]), so3.exp([theta, 0, 0])
     expected = so3.multiply(so3.multiply(about_z, about_x), so3.exp([0, 0, psi]))
-    np.testing.assert_array_equal(euler.to_quaternion([phi, theta, psi]), expected)
+    np.testing.assert_allclose(euler.to_quaternion([phi, theta, psi]), expected, atol=EPS)
     # Applied in the other order, the same three turns are about axes fixed in space.
-    np.testing.assert_array_equal(euler.to_quaternion([psi, theta, phi], 'zxz'), expected)
+    np.testing.assert_array_equal(euler.to_quaternion([psi, theta, phi], 'zxz'),
+                                  euler.to_quaternion([phi, theta, psi]))
+
+
+@pytest.mark.parametrize('sequence', ALL)
+def test_the_attitude_of_given_angles_is_rounded_once(sequence):
+    angles = [*RANDOM.uniform(-7.0, 7.0, (30, 3)), *RANDOM.uniform(-2e-9, 2e-9, (5, 3)),
+              *product((0.0, 2.0 * np.pi), poles(sequence), (-np.pi / 2, 3.0))]
+    with localcontext() as context:
+        context.prec = 50
+        apart = [float(Decimal(ours) - exact) for triple in angles for ours, exact in
+                 zip(euler.to_quaternion(triple, sequence), exact_quaternion(triple, sequence))]
+    assert np.abs(apart).max() < (EPS / 4 * 1.001 if EXTENDED else 2 * EPS)
+
+
+@pytest.mark.parametrize('sequence', ALL)
+def test_no_turn_is_the_identity_without_negative_zeros(sequence):
+    attitude = euler.to_quaternion([0.0, 0.0, 0.0], sequence)
+    np.testing.assert_array_equal(attitude, [0.0, 0.0, 0.0, 1.0])
+    assert not np.signbit(attitude).any()
 
 
 @pytest.mark.parametrize('sequence', ALL)
@@ -47,16 +110,16 @@ def test_angles_are_scipys(sequence):
 
 @pytest.mark.parametrize('sequence', ALL)
 def test_round_trip_keeps_the_attitude_everywhere(sequence):
-    attitudes = np.concatenate([Q, near_poles(sequence)])
+    attitudes = np.concatenate([so3.normalize(RANDOM.normal(size=(40_000, 4))), LATTICE,
+                                near_poles(sequence, outer=100), at_edges(sequence)])
     back = euler.to_quaternion(euler.from_quaternion(attitudes, sequence), sequence)
-    # Below 2 pi two neighbouring doubles are 9e-16 apart.
-    assert so3.angle_between(back, attitudes).max() < 2e-15
+    assert turned(back, attitudes).max() < ROUND_TRIP
 
 
 @pytest.mark.parametrize('sequence', ALL)
 def test_angles_lie_in_their_domains(sequence):
-    first, middle, third = euler.from_quaternion(
-        np.concatenate([Q, near_poles(sequence)]), sequence).T
+    first, middle, third = euler.from_quaternion(np.concatenate(
+        [Q, LATTICE, near_poles(sequence), at_edges(sequence)]), sequence).T
     for outer in (first, third):
         if sequence.upper() in PROPER:
             assert outer.min() >= 0.0
@@ -64,14 +127,29 @@ def test_angles_lie_in_their_domains(sequence):
         else:
             assert outer.min() > -np.pi
             assert outer.max() <= np.pi
-    low = 0.0 if sequence.upper() in PROPER else -np.pi / 2
+        assert not np.signbit(outer[outer == 0.0]).any()
+    low, high = poles(sequence)
     assert middle.min() >= low
-    assert middle.max() <= low + np.pi
+    assert middle.max() <= high
+
+
+@pytest.mark.parametrize('sequence', ALL)
+def test_the_sign_of_a_zero_says_nothing(sequence):
+    np.testing.assert_array_equal(euler.from_quaternion(LATTICE, sequence),
+                                  euler.from_quaternion(LATTICE + 0.0, sequence))
 
 
 def test_a_tiny_negative_angle_is_not_a_whole_turn():
     angles = euler.from_quaternion(so3.exp([0.0, 0.0, -1e-17]))
     np.testing.assert_array_equal(angles, [0.0, 0.0, 0.0])
+
+
+def test_just_below_zero_an_angle_goes_to_the_nearer_end_of_the_domain():
+    # The last double below 2 pi is 1.13e-15 from zero.
+    half = 0.5 * np.array([1e-17, 3e-16, 8e-16, 1.1e-15])
+    attitudes = np.stack([np.cos(half), -np.sin(half), -np.sin(half), np.cos(half)], axis=-1)
+    last = np.nextafter(2.0 * np.pi, 0.0)
+    np.testing.assert_array_equal(euler.from_quaternion(attitudes)[:, 0], [0.0, 0.0, last, last])
 
 
 @pytest.mark.parametrize('sign', [1.0, -1.0])
@@ -93,6 +171,19 @@ def test_degenerate_marks_the_poles():
     assert euler.degenerate(angles).tolist() == [True, True, False, True]
     assert euler.degenerate([[0.0, np.pi / 2, 0.0], [0.0, 0.0, 0.0]], 'ZYX').tolist() == [
         True, False]
+
+
+@pytest.mark.parametrize('sequence', ALL)
+def test_rates_grow_large_only_where_degenerate_says_so(sequence):
+    angles = euler.from_quaternion(near_poles(sequence), sequence)
+    turning = RANDOM.normal(size=angles.shape)
+    size = np.abs(euler.rates(angles, turning, sequence)).max(axis=1)
+    marked = euler.degenerate(angles, sequence)
+    assert np.all(np.isfinite(size))
+    assert size[marked].max() > 1e7
+    bound = 2.0 * np.linalg.norm(turning, axis=1) / euler.DEGENERATE
+    assert np.all(marked | (size < bound))
+    assert 0 < np.count_nonzero(marked) < len(marked)
 
 
 def test_the_three_axes_of_313_are_space_z_line_of_nodes_body_z():
@@ -140,8 +231,7 @@ def test_rates_and_angular_velocity_undo_each_other(sequence):
 
 @pytest.mark.parametrize('sequence', ALL)
 def test_rates_at_the_poles_are_finite_and_keep_what_is_determined(sequence):
-    proper = sequence.upper() in PROPER
-    for middle in ((0.0, np.pi) if proper else (-np.pi / 2, np.pi / 2)):
+    for middle in poles(sequence):
         angles = np.array([0.3, middle, 0.8])
         axes = euler.rotation_axes(angles, sequence)
         turning = 0.7 * axes[0] + 0.2 * axes[1]
