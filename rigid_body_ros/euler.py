@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rigid_body_ros._jit import njit
 from rigid_body_ros.so3 import Floats
 
 Extended = NDArray[np.longdouble]
@@ -270,33 +271,48 @@ def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     array, shape (m, 3), rad
 
     """
-    given, axes = np.asarray(angles, float), _axes(sequence)
-    sine, cosine = _sine_cosine(given[:, 1], axes)
+    result, axes = np.array(angles, float, order='C'), _axes(sequence)
+    sine, cosine = _sine_cosine(result[:, 1], axes)
     free = np.abs(sine) < _UNDETERMINED
-    anchor = int(np.argmin(free)) if free.size else 0
-    result = given.copy()
-    for row in [*range(anchor + 1, len(result)), *range(anchor - 1, -1, -1)]:
-        last = result[row - 1 if row > anchor else row + 1]
-        result[row] = (_pole_nearest(given[row], last, float(np.sign(cosine[row])))
-                       if free[row] else _nearest(given[row], last, axes.proper))
+    if free.size:
+        _chain(result, int(np.argmin(free)), np.where(free, np.sign(cosine), 0.0), axes.proper)
     return result
 
 
-def _nearest(triple: Floats, last: Floats, proper: bool) -> Floats:
-    a, b, c = triple
-    candidates = np.array([triple, [a + np.pi, -b if proper else np.pi - b, c + np.pi]])
-    candidates += _TURN * np.round((last - candidates) / _TURN)
-    return candidates[np.argmin(np.sum((candidates - last) ** 2, axis=1))]
+@njit
+def _chain(angles: Floats, anchor: int, poles: Floats, proper: bool) -> None:
+    # Rows after the anchor follow the one before them, rows before it the one after them.
+    for row in range(anchor + 1, len(angles)):
+        _follow(angles[row], angles[row - 1], poles[row], proper)
+    for row in range(anchor - 1, -1, -1):
+        _follow(angles[row], angles[row + 1], poles[row], proper)
 
 
-def _pole_nearest(triple: Floats, last: Floats, sign: float) -> Floats:
-    # a + sign c is determined, a - sign c is free to stay as it was.
+@njit
+def _follow(triple: Floats, last: Floats, pole: float, proper: bool) -> None:
     a, b, c = triple
-    free = last[0] - sign * last[2]
-    determined = a + sign * c
-    determined += _TURN * np.round((last[0] + sign * last[2] - determined) / _TURN)
-    return np.array([0.5 * (determined + free), b + _TURN * np.round((last[1] - b) / _TURN),
-                     0.5 * sign * (determined - free)])
+    if pole != 0.0:  # a + pole c is determined, a - pole c is free to stay as it was
+        free = last[0] - pole * last[2]
+        determined = _nearest(a + pole * c, last[0] + pole * last[2])
+        triple[0] = 0.5 * (determined + free)
+        triple[1] = _nearest(b, last[1])
+        triple[2] = 0.5 * pole * (determined - free)
+        return
+    same = _nearest(a, last[0]), _nearest(b, last[1]), _nearest(c, last[2])
+    other = (_nearest(a + np.pi, last[0]), _nearest(-b if proper else np.pi - b, last[1]),
+             _nearest(c + np.pi, last[2]))
+    triple[0], triple[1], triple[2] = (
+        other if _distance(other, last) < _distance(same, last) else same)
+
+
+@njit
+def _nearest(angle: float, last: float) -> float:
+    return angle + _TURN * np.rint((last - angle) / _TURN)
+
+
+@njit
+def _distance(triple: tuple[float, float, float], last: Floats) -> float:
+    return (triple[0] - last[0]) ** 2 + (triple[1] - last[1]) ** 2 + (triple[2] - last[2]) ** 2
 
 
 def _intrinsic(angles: ArrayLike, axes: _Axes) -> Floats:

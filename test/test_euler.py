@@ -256,6 +256,36 @@ def test_unwrapped_angles_name_the_same_attitudes_without_jumps(sequence):
     assert np.abs(np.diff(angles, axis=0)).max() < 0.5
 
 
+@pytest.mark.parametrize('sequence', ALL)
+@pytest.mark.parametrize('start', [0.0, 1e-3])
+def test_unwrapped_angles_go_through_both_poles_and_around(sequence, start):
+    # With samples at the poles, and with none.
+    middle = start + np.arange(-500, 501) * (np.pi / 100)
+    given = np.stack([0 * middle + 0.8, middle, 0 * middle - 2.1], axis=1)
+    attitude = euler.to_quaternion(given, sequence)
+    angles = euler.unwrap(euler.from_quaternion(attitude, sequence), sequence)
+    sense = np.sign(angles[1, 1] - angles[0, 1])
+    off = np.abs(angles - angles[0] - (given - given[0]) * [1.0, sense, 1.0])
+    # The closer to a pole, the less a rounded attitude tells the outer angles apart.
+    noise = np.minimum(0.5, 8 * EPS / np.maximum(EPS, np.abs(np.sin(2 * middle))))
+    assert np.all(off[:, 1] < 32 * EPS)
+    assert np.all(off[:, ::2] < noise[:, None] + 32 * EPS)
+    assert turned(euler.to_quaternion(angles, sequence), attitude).max() < 32 * EPS
+
+
+@pytest.mark.parametrize('sequence', ALL)
+def test_at_a_pole_the_neighbouring_sample_tells_what_is_left_open(sequence):
+    middle = np.mean(poles(sequence))
+    for pole in poles(sequence):
+        beside, at_pole = np.array([[0.8, 0.9 * pole + 0.1 * middle, -2.1], [0.8, pole, -2.1]])
+        attitude = euler.to_quaternion(at_pole, sequence)
+        alike = next(angles for angles in at_pole + np.array([[0.7, 0, 0.7], [0.7, 0, -0.7]])
+                     if turned(euler.to_quaternion(angles, sequence), attitude) < 4 * EPS)
+        for forth in (1, -1):
+            angles = euler.unwrap([beside, alike][::forth], sequence)[::forth]
+            np.testing.assert_allclose(angles, [beside, at_pole], rtol=0, atol=4 * EPS)
+
+
 def test_rates_are_finite_however_close_to_a_pole():
     for theta in (0.0, 5e-324, 1e-320, 1e-300, 1e-200):
         assert np.all(np.isfinite(euler.rates([0.0, theta, 0.0], [1e6, 1e6, 0.0])))
