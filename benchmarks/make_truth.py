@@ -1,0 +1,36 @@
+"""
+Write truth.json: the final attitudes of the problems in 30 digits.
+
+    python benchmarks/make_truth.py [PROBLEM ...]
+
+P4 takes some minutes, for its 60 000 torques; the others seconds.
+"""
+
+import json
+import sys
+
+from mpmath import mp
+import numpy as np
+from problems import IDENTITY, PROBLEMS, TRUTH, truth
+
+
+def final_attitude(problem):
+    """Return the attitude at the end: in closed form where no torque acts."""
+    tensor = np.diag(problem.moments)
+    if not len(problem.torques):
+        return truth.free(tensor, IDENTITY, problem.rates, problem.end_ns)[0]
+    torques = [(problem.hold_ns, torque, False) for torque in problem.torques]
+    return truth.series(tensor, IDENTITY, problem.rates, torques, digits=40)[-1][0]
+
+
+def main():
+    """Compute those named, or all, and keep the others."""
+    recorded = json.loads(TRUTH.read_text()) if TRUTH.exists() else {}
+    for name in sys.argv[1:] or PROBLEMS:
+        attitude = [mp.nstr(x, 30) for x in final_attitude(PROBLEMS[name])]
+        recorded[name] = {'fingerprint': PROBLEMS[name].fingerprint, 'attitude': attitude}
+        TRUTH.write_text(json.dumps(recorded, indent=2) + '\n')
+
+
+if __name__ == '__main__':
+    main()
