@@ -41,7 +41,7 @@ setup(
                 'ros-rcl-interfaces', 'ros-rosgraph-msgs'],
         'test': ['hypothesis', 'import-linter', 'mcap-ros2-support', 'mpmath', 'mypy', 'pytest',
                  'rosbags', 'ruff', 'scipy', 'setuptools>=70', 'types-PyYAML', 'types-tqdm'],
-        'bench': ['scipy'],
+        'bench': ['cyrk', 'heyoka', 'mpmath', 'scipy'],
     },
     zip_safe=False,
 )

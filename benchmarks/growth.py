@@ -1,0 +1,86 @@
+"""
+Time and memory of one long motion, in a process that does nothing else.
+
+    python benchmarks/growth.py SAMPLES {end,each}
+
+Torques held at 1 kHz; the state at the end, or at each sample. Prints JSON: the time per sample,
+and the memory, MiB, that making the log of arrays and the motion of the log took at their peaks
+beyond what they were given and what they returned. Linux only.
+"""
+
+import ctypes
+import json
+from pathlib import Path
+import sys
+import time
+
+import numpy as np
+
+from rigid_body_ros import RigidBody, State, TorqueLog, propagate
+
+BODY = RigidBody.from_moments(1.0, 2.0, 3.0)
+START = State(0, angular_velocity=(0.3, -0.2, 0.5))
+#: A run shorter than this, s, is repeated to be timed.
+LEAST = 0.5
+
+
+def samples(count):
+    """Return stamps and torques, made without temporary arrays."""
+    times_ns = np.arange(count) * 1_000_000
+    torques = np.empty((count, 3))
+    for column, frequency in zip(torques.T, (0.7, 1.1, 1.9)):
+        np.multiply(times_ns, 2e-9 * np.pi * frequency, out=column)
+        np.sin(column, out=column)
+        column *= 0.5
+    return times_ns, torques
+
+
+def memory(field):
+    """Return a field of the kernel's account of this process, MiB."""
+    # Not ru_maxrss: a process inherits that from the one that started it.
+    lines = Path('/proc/self/status').read_text().splitlines()
+    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith(field))
+
+
+def peak(function, *arguments, **options):
+    """Return what a function returns, and the most that memory grew by meanwhile, MiB."""
+    ctypes.CDLL(None).malloc_trim(0)  # what was freed is given back, or growth could hide in it
+    Path('/proc/self/clear_refs').write_text('5')  # the peak is what is in use now
+    before = memory('VmRSS')
+    result = function(*arguments, **options)
+    return result, memory('VmHWM') - before
+
+
+def array_size(*arrays):
+    """Return the size of arrays, MiB."""
+    return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray)) / 2 ** 20
+
+
+def main():
+    """Measure."""
+    count, each = int(sys.argv[1]), sys.argv[2] == 'each'
+    propagate(BODY, START, TorqueLog(*samples(10)), at=[1_000_000])
+    times_ns, torques = samples(count)
+    at = times_ns if each else times_ns[-1:] + 1_000_000
+    log, log_mib = peak(TorqueLog, times_ns, torques)
+    log_mib -= array_size(*vars(log).values())
+    runs = []
+
+    def run():
+        start = time.process_time()
+        motion = propagate(BODY, START, log, at=at)
+        runs.append(time.process_time() - start)
+        # Times that are those given take no memory again.
+        new_times = [] if np.shares_memory(motion.times_ns, at) else [motion.times_ns]
+        return array_size(motion.attitude, motion.angular_velocity, *new_times)
+
+    outputs, motion_mib = peak(run)
+    while sum(runs) < LEAST:
+        run()
+    print(json.dumps({'samples': count, 'output': 'each' if each else 'end',
+                      'ns_per_sample': 1e9 * float(np.median(runs)) / count, 'runs': runs,
+                      'log_mib': log_mib, 'motion_mib': motion_mib - outputs}))
+
+
+if __name__ == '__main__':
+    main()

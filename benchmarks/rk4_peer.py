@@ -1,0 +1,62 @@
+"""The loop that is written by hand: RK4 in numba, one step per torque, normalised."""
+
+import numba
+import numpy as np
+
+NAME = f'RK4 in numba {numba.__version__}'
+
+
+class Stream:
+    """The attitude at the end; it keeps no other."""
+
+    def __init__(self, problem):
+        """One step per torque is all it does."""
+        self.label = 'one step per sample'
+        self._arguments = (*problem.start_vector, *problem.coupling, problem.accelerations,
+                           problem.hold_ns * 1e-9)
+
+    def reset(self):
+        """Go back to the start: nothing is kept that would have to."""
+
+    def run(self):
+        """Integrate."""
+        self._attitude = _rk4(*self._arguments)
+
+    def attitude(self):
+        """Return x y z w."""
+        return np.array(self._attitude)
+
+
+@numba.njit(cache=True)
+def _derivative(a, b, c, x, y, z, w, k1, k2, k3, t1, t2, t3):
+    return (k1 * b * c + t1, k2 * c * a + t2, k3 * a * b + t3,
+            0.5 * (w * a + y * c - z * b), 0.5 * (w * b + z * a - x * c),
+            0.5 * (w * c + x * b - y * a), -0.5 * (x * a + y * b + z * c))
+
+
+@numba.njit(cache=True)
+def _rk4(a, b, c, x, y, z, w, k1, k2, k3, accelerations, h):
+    for i in range(len(accelerations)):
+        k = (k1, k2, k3, accelerations[i, 0], accelerations[i, 1], accelerations[i, 2])
+        a1, b1, c1, x1, y1, z1, w1 = _derivative(a, b, c, x, y, z, w, *k)
+        g = 0.5 * h
+        a2, b2, c2, x2, y2, z2, w2 = _derivative(
+            a + g * a1, b + g * b1, c + g * c1, x + g * x1, y + g * y1, z + g * z1, w + g * w1,
+            *k)
+        a3, b3, c3, x3, y3, z3, w3 = _derivative(
+            a + g * a2, b + g * b2, c + g * c2, x + g * x2, y + g * y2, z + g * z2, w + g * w2,
+            *k)
+        a4, b4, c4, x4, y4, z4, w4 = _derivative(
+            a + h * a3, b + h * b3, c + h * c3, x + h * x3, y + h * y3, z + h * z3, w + h * w3,
+            *k)
+        g = h / 6.0
+        a += g * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+        b += g * (b1 + 2.0 * b2 + 2.0 * b3 + b4)
+        c += g * (c1 + 2.0 * c2 + 2.0 * c3 + c4)
+        x += g * (x1 + 2.0 * x2 + 2.0 * x3 + x4)
+        y += g * (y1 + 2.0 * y2 + 2.0 * y3 + y4)
+        z += g * (z1 + 2.0 * z2 + 2.0 * z3 + z4)
+        w += g * (w1 + 2.0 * w2 + 2.0 * w3 + w4)
+        n = 1.0 / np.sqrt(x * x + y * y + z * z + w * w)
+        x, y, z, w = x * n, y * n, z * n, w * n
+    return x, y, z, w
