@@ -185,6 +185,12 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
             elif (grid_ns == begin_ns and rest_ns <= max_step_ns and solver <= _EXACT
                   and (coasts or (degree == 0 and not space))
                   and taylor.is_short(state, seconds, bound, tolerance)):
+                if not asked and not coasts and not falls_silent:
+                    state, grid_ns, sample, done = _stream(
+                        state, grid_ns, sample, done, at_ns, rows, attitude, rates, stamps_ns,
+                        torques, in_space, timeout_ns, equations, diagonal, tolerance, max_step_ns)
+                    begin, begin_ns, prepared = state, grid_ns, False
+                    continue
                 out = taylor.short_step(state, seconds, equations, diagonal, push, bound,
                                         tolerance)
             else:
@@ -208,6 +214,36 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
     _store(begin, packed_begin)
     _store(out, last)
     return grid_ns, begin_ns, sample, silent, done
+
+
+@njit
+def _stream(state: vector.State, grid_ns: int, sample: int, done: int, at_ns: NDArray[np.int64],
+            rows: NDArray[np.intp], attitude: Floats, rates: Floats,
+            stamps_ns: NDArray[np.int64], torques: Floats, in_space: NDArray[np.bool_],
+            timeout_ns: int, equations: vector.Coefficients, diagonal: bool, tolerance: float,
+            max_step_ns: int) -> tuple[vector.State, int, int, int]:
+    # Go from stamp to stamp under held body torques for as long as one short step each will do,
+    # and nothing is asked for in between. Apart from `run`, because there is nothing else in
+    # this loop the compiler keeps the state in registers. Returns state, grid_ns, sample, done.
+    while sample + 1 < len(stamps_ns) and done < len(at_ns):
+        next_ns, torque = stamps_ns[sample + 1], _row(torques, sample, 0)
+        row = done if len(rows) == 0 else rows[done]
+        if at_ns[row] == grid_ns:
+            w, q, _, _ = state
+            rates[row, 0], rates[row, 1], rates[row, 2] = w
+            attitude[row, 0], attitude[row, 1], attitude[row, 2], attitude[row, 3] = q
+            done += 1
+            continue
+        push, span_ns = taylor.response(equations, torque), next_ns - grid_ns
+        bound, seconds = math.sqrt(vector.dot(push, push)), span_ns / 1e9
+        if (at_ns[row] < next_ns or span_ns > max_step_ns or in_space[sample]
+                or torque == (0.0, 0.0, 0.0) or 0 < timeout_ns < next_ns - stamps_ns[sample]
+                or not taylor.is_short(state, seconds, bound, tolerance)):
+            break
+        state = taylor.short_step(state, seconds, equations, diagonal, push, bound, tolerance)
+        grid_ns = next_ns
+        sample += 1
+    return state, grid_ns, sample, done
 
 
 @inlined
