@@ -81,22 +81,20 @@ def _drop_stale(folder: Path, kernel: Callable[..., Any], newest: float) -> None
             pass  # another process was faster
 
 
-if numba is not None:
-    @intrinsic
-    def fma(_context: Any, a: Any, b: Any, c: Any) -> Any:
-        """
-        Return a b + c, rounded once.
+def _exact_fma(a: float, b: float, c: float) -> float:
+    if not (math.isfinite(a) and math.isfinite(b) and math.isfinite(c)):
+        return a * b + c
+    return float(Fraction(a) * Fraction(b) + Fraction(c))
 
-        Half the work of a product and a sum, and what makes the rounding error of a product
-        available: fma(a, b, -(a * b)). Asked for by name, and not left to the compiler, because
-        that may fuse the same formula here and not there.
-        """
-        def generate(_: Any, builder: Any, signature: Any, values: Any) -> Any:
-            return builder.fma(*values)
-        return numba.float64(numba.float64, numba.float64, numba.float64), generate
-else:
-    def fma(a: float, b: float, c: float) -> float:
-        """Return a b + c, rounded once."""
-        if not (math.isfinite(a) and math.isfinite(b) and math.isfinite(c)):
-            return a * b + c
-        return float(Fraction(a) * Fraction(b) + Fraction(c))
+
+def _generate_fma(_context: Any, a: Any, b: Any, c: Any) -> Any:
+    def generate(_: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.fma(*values)
+    return numba.float64(numba.float64, numba.float64, numba.float64), generate
+
+
+#: fma(a, b, c) is a b + c, rounded once: half the work of a product and a sum, and what makes
+#: the rounding error of a product available, fma(a, b, -(a * b)). It is asked for by name, and
+#: not left to the compiler, which may fuse the same formula here and not there.
+fma: Callable[[float, float, float], float] = \
+    intrinsic(_generate_fma) if numba is not None else _exact_fma

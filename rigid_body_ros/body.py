@@ -13,7 +13,8 @@ import operator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rigid_body_ros import so3, tensor as constants
+from rigid_body_ros import so3
+from rigid_body_ros import tensor as constants
 from rigid_body_ros.so3 import Floats
 
 #: Relative size of what rounding may do to a tensor that was rotated or put together in doubles.

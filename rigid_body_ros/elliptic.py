@@ -84,7 +84,7 @@ def jacobi(u: float, complement: float) -> tuple[float, float, float]:
 
 @njit
 def carlson_f(x: float, y: float, z: float) -> float:
-    """Return R_F (Carlson, "Numerical computation of real or complex elliptic integrals", 1995)."""
+    """Return R_F (Carlson, "Numerical computation of ... elliptic integrals", 1995)."""
     mean = (x + y + z) / 3.0
     bound = 400.0 * max(abs(mean - x), abs(mean - y), abs(mean - z))
     dx, dy, scale = mean - x, mean - y, 1.0

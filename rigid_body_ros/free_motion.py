@@ -32,7 +32,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from rigid_body_ros import double_double as dd, elliptic
+from rigid_body_ros import double_double as dd
+from rigid_body_ros import elliptic
 from rigid_body_ros._jit import njit
 from rigid_body_ros.double_double import Double
 from rigid_body_ros.vector import Frame, Quaternion, State, Vector, combine, multiply

@@ -28,15 +28,17 @@ from rigid_body_ros.vector import (
 
 
 @njit
-def explicit_euler(state: State, seconds: float, coefficients: Coefficients, torque: Polynomial, in_space: bool) -> State:
+def explicit_euler(state: State, seconds: float, equations: Coefficients, torque: Polynomial,
+                   in_space: bool) -> State:
     """Return the state after a step of Euler's method, order 1; conserves the norm of q only."""
     w, q = state[0], state[1]
-    a, v = _derivative(w, q, 0.0, coefficients, torque, in_space)
+    a, v = _derivative(w, q, 0.0, equations, torque, in_space)
     return _state(add_scaled(w, seconds, a), _moved(q, seconds, v))
 
 
 @njit
-def rk4(state: State, seconds: float, coefficients: Coefficients, torque: Polynomial, in_space: bool) -> State:
+def rk4(state: State, seconds: float, equations: Coefficients, torque: Polynomial,
+        in_space: bool) -> State:
     """
     Return the state after a step of the classical Runge-Kutta method, order 4.
 
@@ -44,10 +46,12 @@ def rk4(state: State, seconds: float, coefficients: Coefficients, torque: Polyno
     """
     w, q = state[0], state[1]
     half = 0.5 * seconds
-    a1, v1 = _derivative(w, q, 0.0, coefficients, torque, in_space)
-    a2, v2 = _derivative(add_scaled(w, half, a1), _moved(q, half, v1), 0.5, coefficients, torque, in_space)
-    a3, v3 = _derivative(add_scaled(w, half, a2), _moved(q, half, v2), 0.5, coefficients, torque, in_space)
-    a4, v4 = _derivative(add_scaled(w, seconds, a3), _moved(q, seconds, v3), 1.0, coefficients,
+    a1, v1 = _derivative(w, q, 0.0, equations, torque, in_space)
+    a2, v2 = _derivative(add_scaled(w, half, a1), _moved(q, half, v1), 0.5, equations, torque,
+                         in_space)
+    a3, v3 = _derivative(add_scaled(w, half, a2), _moved(q, half, v2), 0.5, equations, torque,
+                         in_space)
+    a4, v4 = _derivative(add_scaled(w, seconds, a3), _moved(q, seconds, v3), 1.0, equations,
                          torque, in_space)
     a = add(add(a1, a4), scale(2.0, add(a2, a3)))
     v = (v1[0] + v4[0] + 2.0 * (v2[0] + v3[0]), v1[1] + v4[1] + 2.0 * (v2[1] + v3[1]),
@@ -56,7 +60,7 @@ def rk4(state: State, seconds: float, coefficients: Coefficients, torque: Polyno
 
 
 @njit
-def strang(state: State, seconds: float, coefficients: Coefficients, frame: Frame,
+def strang(state: State, seconds: float, equations: Coefficients, frame: Frame,
            torque: Polynomial, in_space: bool) -> State:
     """
     Return the state after a symmetric splitting into rotations about principal axes, order 2.
@@ -67,7 +71,7 @@ def strang(state: State, seconds: float, coefficients: Coefficients, frame: Fram
     """
     w, q = state[0], state[1]
     half = 0.5 * seconds
-    w = add_scaled(w, half, _push(q, 0.0, coefficients, torque, in_space))
+    w = add_scaled(w, half, _push(q, 0.0, equations, torque, in_space))
     (i, j, k), _, axes, _ = frame
     m = (i * dot(axes[0], w), j * dot(axes[1], w), k * dot(axes[2], w))
     turn = (0.0, 0.0, 0.0, 1.0)
@@ -79,27 +83,29 @@ def strang(state: State, seconds: float, coefficients: Coefficients, frame: Fram
     w = combine(axes, (m[0] / i, m[1] / j, m[2] / k))
     x, y, z = combine(axes, (turn[0], turn[1], turn[2]))
     q = _unit(multiply(q, (x, y, z, turn[3])))
-    return _state(add_scaled(w, half, _push(q, 1.0, coefficients, torque, in_space)), q)
+    return _state(add_scaled(w, half, _push(q, 1.0, equations, torque, in_space)), q)
 
 
 @njit
-def _derivative(w: Vector, q: Quaternion, fraction: float, coefficients: Coefficients, torque: Polynomial, in_space: bool) -> tuple[Vector, Quaternion]:
-    a, b, c = coefficients
+def _derivative(w: Vector, q: Quaternion, fraction: float, equations: Coefficients,
+                torque: Polynomial, in_space: bool) -> tuple[Vector, Quaternion]:
+    a, b, c = equations
     products = (w[1] * w[2], w[2] * w[0], w[0] * w[1], w[0] * w[0], w[1] * w[1], w[2] * w[2])
-    x, y, z = _push(q, fraction, coefficients, torque, in_space)
+    x, y, z = _push(q, fraction, equations, torque, in_space)
     for k in range(6):
         x, y, z = x + a[k] * products[k], y + b[k] * products[k], z + c[k] * products[k]
     return (x, y, z), multiply(q, (0.5 * w[0], 0.5 * w[1], 0.5 * w[2], 0.0))
 
 
 @njit
-def _push(q: Quaternion, fraction: float, coefficients: Coefficients, torque: Polynomial, in_space: bool) -> Vector:
+def _push(q: Quaternion, fraction: float, equations: Coefficients, torque: Polynomial,
+          in_space: bool) -> Vector:
     # The angular acceleration by the torque.
     tau = add_scaled(torque[0], fraction, add_scaled(torque[1], fraction, add_scaled(
         torque[2], fraction, torque[3])))
     if in_space:
         tau = to_body(_unit(q), tau)
-    a, b, c = coefficients
+    a, b, c = equations
     return (dot((a[6], a[7], a[8]), tau), dot((b[6], b[7], b[8]), tau),
             dot((c[6], c[7], c[8]), tau))
 

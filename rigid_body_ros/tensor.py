@@ -43,7 +43,7 @@ def euler_coefficients(tensor: Floats) -> Floats:
 
     """
     j = [[Fraction(float(entry)) for entry in row] for row in tensor]
-    gyroscopic = [
+    gyroscopic: list[list[Fraction | int]] = [
         [j[1][1] - j[2][2], j[0][1], -j[0][2], 0, -j[1][2], j[1][2]],
         [-j[0][1], j[2][2] - j[0][0], j[1][2], j[0][2], 0, -j[0][2]],
         [j[0][2], -j[1][2], j[0][0] - j[1][1], -j[0][1], j[0][1], 0],
@@ -51,8 +51,9 @@ def euler_coefficients(tensor: Floats) -> Floats:
     cofactors = [[j[(a + 1) % 3][(b + 1) % 3] * j[(a + 2) % 3][(b + 2) % 3]
                   - j[(a + 1) % 3][(b + 2) % 3] * j[(a + 2) % 3][(b + 1) % 3]
                   for b in range(3)] for a in range(3)]
-    determinant = sum(j[0][b] * cofactors[0][b] for b in range(3))
-    solved = [[sum(row[k] * gyroscopic[k][column] for k in range(3)) for column in range(6)] + row
+    determinant = sum((j[0][b] * cofactors[0][b] for b in range(3)), Fraction(0))
+    solved = [[sum((row[k] * gyroscopic[k][column] for k in range(3)), Fraction(0))
+               for column in range(6)] + row
               for row in cofactors]  # the tensor is symmetric, and so are its cofactors
     return np.array([[float(entry / determinant) for entry in row] for row in solved])
 

@@ -7,8 +7,9 @@ from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
 
-from rigid_body_ros import Propagator, RigidBody, State, TorqueLog, propagate, so3, torque
+from rigid_body_ros import Propagator, RigidBody, State, TorqueLog, propagate, so3
 from rigid_body_ros.propagate import loop, warm_up
+import rigid_body_ros.torque as torque_module
 
 #: As an attribute of the package the name is that of the function.
 MODULE = sys.modules['rigid_body_ros.propagate']
@@ -74,7 +75,7 @@ def test_a_log_longer_than_a_chunk_has_no_seam(monkeypatch, interpolation):
     log = TorqueLog(stamps, torques, interpolation=interpolation)
     whole = propagate(BODY, START, log, at=stamps[stamps >= EPOCH_NS], torque_timeout=0.05)
     for size in (1, 2, 7):
-        monkeypatch.setattr(torque, '_CHUNK', size)
+        monkeypatch.setattr(torque_module, '_CHUNK', size)
         cut = propagate(BODY, START, log, at=whole.times_ns, torque_timeout=0.05)
         np.testing.assert_array_equal(cut.attitude, whole.attitude)
 

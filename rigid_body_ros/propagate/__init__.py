@@ -164,11 +164,13 @@ def _run_log(body: RigidBody, start: State, log: TorqueLog, options: Options,
     closed = np.zeros(len(log) + 1, np.bool_)
     packed, begin, last = pack(start), pack(start), np.empty(SIZE)
     sample, silent = log.in_force(start.time_ns, options.timeout_ns)
-    at, arguments = (start.time_ns, start.time_ns, sample, silent, 0), options.kernel_arguments(body)
+    at = (start.time_ns, start.time_ns, sample, silent, 0)
+    arguments = options.kernel_arguments(body)
     for first, stop, torques in log.polynomials(sample):
         while at[2] < stop and at[4] < times.size:
-            at = run(packed, begin, *at, times, rows, attitude, rates, last, closed, log.times_ns,
-                     torques, log.in_space, first, stop, options.timeout_ns, *arguments, BUDGET)
+            at = run(*(packed, begin, *at, times, rows, attitude, rates, last, closed,
+                       log.times_ns, torques, log.in_space, first, stop, options.timeout_ns,
+                       *arguments, BUDGET))
             options.check_speed(packed, at[0])
     if times.size:
         options.check_speed(last, int(times[-1]))

@@ -13,7 +13,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rigid_body_ros import body as bodies, free_motion, steppers, taylor, vector
+from rigid_body_ros import body as bodies
+from rigid_body_ros import free_motion, steppers, taylor, vector
 from rigid_body_ros._jit import inlined, njit
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.so3 import Floats

@@ -5,9 +5,10 @@ from __future__ import annotations
 import bisect
 from dataclasses import dataclass
 import operator
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.propagate import loop
@@ -204,6 +205,13 @@ def _time_ns(change: _Change) -> int:
     return change.time_ns
 
 
+def _frozen(values: ArrayLike) -> NDArray[Any]:
+    """Return an array of the kind that logs hold: the kernels are compiled for one kind."""
+    array = np.array(values)
+    array.flags.writeable = False
+    return array
+
+
 class _Segment:
     """The motion from a start on under one held torque, with the grid points reached so far."""
 
@@ -213,17 +221,18 @@ class _Segment:
         self._options, self._history_ns = options, history_ns
         self._grid_ns = [start_ns]
         self._states = [state]
-        self._log = (np.array([start_ns]), torque[None], np.array([in_space]), 0, 1, 0)
+        self._log = (_frozen([start_ns]), _frozen([torque]), _frozen([in_space]), 0, 1, 0)
         self._arguments = options.kernel_arguments(body)
 
     def state_at(self, time_ns: int) -> Floats:
         nearest = bisect.bisect_right(self._grid_ns, time_ns) - 1
-        state, begin, out = self._states[nearest].copy(), self._states[0].copy(), np.empty(loop.SIZE)
+        state, begin = self._states[nearest].copy(), self._states[0].copy()
+        out = np.empty(loop.SIZE)
         at = (self._grid_ns[nearest], self._grid_ns[0], 0, False, 0)
         while not at[-1]:
-            at = loop.run(state, begin, *at, np.array([time_ns]), _IN_ORDER, np.empty((1, 4)),
-                          np.empty((1, 3)), out, np.empty(2, np.bool_), *self._log,
-                          *self._arguments, loop.BUDGET)
+            at = loop.run(*(state, begin, *at, np.array([time_ns]), _IN_ORDER, np.empty((1, 4)),
+                            np.empty((1, 3)), out, np.empty(2, np.bool_), *self._log,
+                            *self._arguments, loop.BUDGET))
             self._options.check_speed(state, at[0])
         self._options.check_speed(out, time_ns)
         if at[0] > self._grid_ns[-1]:
