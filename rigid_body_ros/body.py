@@ -189,10 +189,12 @@ class State:
     angular_velocity: Floats
     #: What rounding left over of w and q: with it a restarted run goes on bit for bit.
     _carry: Floats = field(repr=False)
+    #: And if it lies between two torque changes, where the steps to it began.
+    _origin: object = field(repr=False)
 
     def __init__(self, time_ns: int = 0, attitude: ArrayLike = (0.0, 0.0, 0.0, 1.0),
                  angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-                 _carry: Floats | None = None) -> None:
+                 _carry: Floats | None = None, _origin: object = None) -> None:
         q = _checked_vector(attitude, 4, 'attitude quaternion (x, y, z, w)')
         if not q.any():
             raise ValueError('attitude quaternion (x, y, z, w): expected a rotation, '
@@ -204,7 +206,7 @@ class State:
             array.flags.writeable = False
         carry = np.zeros(7) if _carry is None else _carry
         for name, value in (('time_ns', operator.index(time_ns)), ('attitude', q),
-                            ('angular_velocity', w), ('_carry', carry)):
+                            ('angular_velocity', w), ('_carry', carry), ('_origin', _origin)):
             object.__setattr__(self, name, value)
 
 

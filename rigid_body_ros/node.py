@@ -108,6 +108,8 @@ class AttitudeNode(Node):
         given = {name: parameter.value
                  for name, parameter in self.get_parameters_by_prefix('').items()}
         checked = Scene.from_values(given)
+        if checked.values['solver'] == 'exact':
+            raise InputError("solver: expected one that takes torques, found 'exact'")
         if checked.values['interpolation'] != 'hold':
             raise InputError('interpolation: expected hold, as the next torque is not known yet, '
                              f'found {checked.values["interpolation"]!r}')

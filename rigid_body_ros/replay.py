@@ -156,7 +156,6 @@ def plot(path: str | Path, result: Replay, title: str) -> None:
 def summary(result: Replay) -> str:
     """Return what happened, in lines for a person to read."""
     last = _last(result.trajectory)
-    model = result.trajectory.models[0]
     sequence = result.scene.values['euler_sequence']
     span = (result.trajectory.times_ns[-1] - result.start.time_ns) * 1e-9
     speed = span / result.seconds
@@ -165,7 +164,7 @@ def summary(result: Replay) -> str:
                     f'{(result.log.times_ns[-1] - result.log.times_ns[0]) * 1e-9:.9g} s'),
         ('between them', _reading(result)),
         ('body', f'{result.scene.body.symmetry}{_excess(result.scene.body)}'),
-        ('solver', f'{model.solver} ({model.reason})'),
+        *(('solver', text) for text in _solvers(result)),
         ('final state', f'{span:.9g} s after the start'),
         ('  attitude', f'{_numbers(last.attitude)}  (x y z w)'),
         (f'  {sequence}', f'{_numbers(result.trajectory.euler_angles(sequence)[-1])}  rad'),
@@ -174,6 +173,16 @@ def summary(result: Replay) -> str:
         ('speed', f'{speed:.3g} times real time ({result.seconds:.3g} s)'),
     ]
     return '\n'.join(f'{name:14}{text}' for name, text in rows)
+
+
+def _solvers(result: Replay) -> list[str]:
+    spans: dict[str, int] = {}
+    for model in result.trajectory.models:
+        name = f'{model.solver} ({model.reason})'
+        spans[name] = spans.get(name, 0) + model.end_ns - model.start_ns
+    if len(spans) == 1:
+        return [*spans]
+    return [f'{span_ns * 1e-9:.9g} s by {name}' for name, span_ns in spans.items()]
 
 
 def energy_balance(result: Replay) -> tuple[float, float]:

@@ -19,7 +19,7 @@ import yaml
 
 from rigid_body_ros import euler
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.propagate import LONGEST, SOLVERS, TOLERANCES
+from rigid_body_ros.propagate import LONGEST, SOLVERS, TOLERANCES, Options
 from rigid_body_ros.torque import INTERPOLATIONS
 
 NODE = 'attitude_node'
@@ -67,7 +67,8 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               (0, 2 ** 31 * 10 ** 9 - 1)),
     Parameter('solver', 'auto', '', 'how the motion is integrated', choices=SOLVERS),
     Parameter('tolerance', 1e-15, '', 'attitude error per radian turned', TOLERANCES),
-    Parameter('max_step', 0.0, 's', 'upper limit of an integration step; 0: none', (0.0, _BIG)),
+    Parameter('max_step', 0.0, 's', 'longest step, which the solvers of fixed step take; 0: none',
+              (0.0, _BIG)),
     Parameter('interpolation', 'hold', '', 'what a torque does between its samples; the node, '
               'which does not know the next one, holds', choices=INTERPOLATIONS),
     Parameter('torque_timeout', 0.0, 's', 'the torque is zero from this long after a sample on; '
@@ -113,9 +114,7 @@ class Scene:
     @property
     def options(self) -> dict[str, Any]:
         """The keyword arguments of `propagate`."""
-        return {'solver': self.values['solver'], 'tolerance': self.values['tolerance'],
-                'max_step': self.values['max_step'] or None,
-                'torque_timeout': self.values['torque_timeout']}
+        return _options(self.values)
 
     @classmethod
     def from_values(cls, given: Mapping[str, Any]) -> Scene:
@@ -141,6 +140,7 @@ class Scene:
                   for name, parameter in PARAMETERS.items()}
         try:
             _check_together(values)
+            Options(**_options(values))
             body = RigidBody.from_moments(**_group(values, 'inertia'))
             start = State(values['start_time'], [*_group(values, 'initial_attitude').values()],
                           [*_group(values, 'initial_angular_velocity').values()])
@@ -176,6 +176,11 @@ def load(path: str | Path) -> Scene:
         return Scene.from_values(_parameters(root))
     except InputError as error:
         raise InputError(f'{path}: {error}') from error
+
+
+def _options(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {'solver': values['solver'], 'tolerance': values['tolerance'],
+            'max_step': values['max_step'] or None, 'torque_timeout': values['torque_timeout']}
 
 
 def checked(parameter: Parameter, given: Any) -> Any:

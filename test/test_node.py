@@ -258,6 +258,8 @@ def run_node(domain, *arguments):
      'intertia.ixx: unknown key; did you mean inertia.ixx?'),
     (('--params-file', str(TUMBLER), '-p', 'tolerance:=tight'),
      "tolerance: expected a number, found 'tight'"),
+    (('--params-file', str(TUMBLER), '-p', 'solver:=exact'),
+     "solver: expected one that takes torques, found 'exact'"),
     (('--params-file', str(TUMBLER), '-p', 'interpolation:=cubic'),
      "interpolation: expected hold, as the next torque is not known yet, found 'cubic'"),
     (('--params-file', str(TUMBLER), '-p', 'qos_overrides./torque.subscription.history:=all'),

@@ -10,6 +10,7 @@ which order, changes no number, and `propagate` and `Propagator` agree bit for b
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,7 +28,7 @@ from rigid_body_ros.propagate.loop import (
     TOLERANCES,
     Options,
     order,
-    pack,
+    origin,
     run,
 )
 from rigid_body_ros.propagate.models import Answers, Model
@@ -35,8 +36,8 @@ from rigid_body_ros.propagate.propagator import Propagator
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import TorqueLog
 
-__all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Model', 'Propagator', 'Trajectory', 'propagate',
-           'warm_up']
+__all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Model', 'Options', 'Propagator', 'Trajectory',
+           'propagate', 'warm_up']
 
 _NO_LOG = TorqueLog([], [])
 _IN_ORDER = np.empty(0, np.intp)
@@ -162,9 +163,10 @@ def _run_log(body: RigidBody, start: State, log: TorqueLog, options: Options,
              rates: Floats) -> NDArray[np.bool_]:
     """Fill attitude and rates, and tell in which samples a coast was answered in closed form."""
     closed = np.zeros(len(log) + 1, np.bool_)
-    packed, begin, last = pack(start), pack(start), np.empty(SIZE)
     sample, silent = log.in_force(start.time_ns, options.timeout_ns)
-    at = (start.time_ns, start.time_ns, sample, silent, 0)
+    start_from = origin(start, _rule_at_start(body, start, log, options, sample, silent))
+    packed, begin, last = start_from.grid.copy(), start_from.begin.copy(), np.empty(SIZE)
+    at = (start_from.grid_ns, start_from.begin_ns, sample, silent, 0)
     arguments = options.kernel_arguments(body)
     for first, stop, torques in log.polynomials(sample):
         while at[2] < stop and at[4] < times.size:
@@ -175,6 +177,16 @@ def _run_log(body: RigidBody, start: State, log: TorqueLog, options: Options,
     if times.size:
         options.check_speed(last, int(times[-1]))
     return closed
+
+
+def _rule_at_start(body: RigidBody, start: State, log: TorqueLog, options: Options, sample: int,
+                   silent: bool) -> Hashable:
+    if start._origin is None:
+        return None
+    torque = log.torques[sample] if sample >= 0 and not silent else np.zeros(3)
+    if log.interpolation != 'hold' and torque.any():
+        return None
+    return options.rule(body, torque, bool(sample >= 0 and log.in_space[sample]))
 
 
 def warm_up() -> None:

@@ -8,7 +8,9 @@ torque are one *coast*.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +70,11 @@ class Options:
         """Return what every kernel needs to know."""
         return (body._coefficients, *body._principal, self.code, self.tolerance, self.max_step_ns)
 
+    def rule(self, body: RigidBody, torque: Floats, in_space: bool) -> Hashable:
+        """Return what the motion under a held torque depends on, besides its start."""
+        return (body._coefficients.tobytes(), self.solver, self.tolerance, self.max_step_ns,
+                tuple(torque.ravel().tolist()), in_space and bool(torque.any()))
+
     def check_speed(self, state: Floats, time_ns: int) -> None:
         """Raise ValueError where a nanosecond, the shortest step, does not resolve the motion."""
         x, y, z = state[:3].tolist()
@@ -87,14 +94,29 @@ def duration_ns(seconds: float, name: str) -> int:
     return round(seconds * 1e9)
 
 
-def pack(state: bodies.State) -> Floats:
-    """Return a state as the kernels want it, shape (14,)."""
-    return np.concatenate([state.angular_velocity, state.attitude, state._carry])
+class Origin(NamedTuple):
+    """Where a state that lies between torque changes comes from; its own bits do not tell."""
+
+    #: What rules there, as `Options.rule` returns it.
+    rule: Hashable
+    begin_ns: int
+    begin: Floats
+    grid_ns: int
+    grid: Floats
 
 
-def unpack(time_ns: int, packed: Floats) -> bodies.State:
+def origin(start: bodies.State, rule: Hashable) -> Origin:
+    """Return where steps go on from: the state itself, unless the same rule led up to it."""
+    found = start._origin
+    if isinstance(found, Origin) and found.rule == rule:
+        return found
+    packed = np.concatenate([start.angular_velocity, start.attitude, start._carry])
+    return Origin(rule, start.time_ns, packed, start.time_ns, packed)
+
+
+def unpack(time_ns: int, packed: Floats, origin: Origin) -> bodies.State:
     """Return the state of the kernels, shape (14,), at a time."""
-    return bodies.State(time_ns, packed[3:7], packed[:3], packed[7:])
+    return bodies.State(time_ns, packed[3:7], packed[:3], packed[7:], origin)
 
 
 @njit

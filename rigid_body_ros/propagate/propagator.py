@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.propagate import loop
-from rigid_body_ros.propagate.loop import Options
+from rigid_body_ros.propagate.loop import Options, Origin
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import FRAMES
 
@@ -54,7 +54,8 @@ class Propagator:
         self.history_ns = max(1, loop.duration_ns(history, 'history'))
         self._body = body
         first = _Change(start.time_ns, start.time_ns, _NO_TORQUE, False)
-        first.segment = self._segment(start.time_ns, loop.pack(start), first.torque, False)
+        self._start = start
+        first.segment = self._segment(start, first.torque, False)
         self._changes = [first]
         #: Stamp of the torque in force at the start, if one came.
         self._before_start: int | None = None
@@ -125,7 +126,7 @@ class Propagator:
         if index < 0 or time_ns >= loop.NEVER_NS:
             raise ValueError(f'expected a time from {self.earliest_ns} ns on, found {time_ns} ns')
         self._resolve(index)
-        return loop.unpack(time_ns, self._active(self._changes[index], time_ns).state_at(time_ns))
+        return self._active(self._changes[index], time_ns).state_at(time_ns)
 
     def _apply_before_start(self, time_ns: int, torque: Floats, in_space: bool) -> None:
         # Nothing is forgotten before a stamp is `history` past the start, and a stamp as old as
@@ -134,13 +135,11 @@ class Propagator:
             return
         self._before_start = time_ns
         start = self._changes[0]
-        assert start.segment is not None
-        state = start.segment.state_at(start.time_ns)
         timeout = self._options.timeout_ns
         if timeout and time_ns + timeout <= start.time_ns:
             torque, in_space = _NO_TORQUE, False
         self._changes[0] = _Change(start.time_ns, time_ns, torque, in_space)
-        self._changes[0].segment = self._segment(start.time_ns, state, torque, in_space)
+        self._changes[0].segment = self._segment(self._start, torque, in_space)
         self._forget_from(1)
 
     def _insert(self, change: _Change) -> None:
@@ -168,8 +167,7 @@ class Propagator:
             if active.coasts and not change.torque.any():
                 change.segment = active
             else:
-                state = active.state_at(change.time_ns)
-                change.segment = self._segment(change.time_ns, state, change.torque,
+                change.segment = self._segment(active.state_at(change.time_ns), change.torque,
                                                change.in_space)
 
     def _active(self, change: _Change, time_ns: int) -> _Segment:
@@ -179,13 +177,11 @@ class Propagator:
         if not self._options.timeout_ns or change.segment.coasts or time_ns < due:
             return change.segment
         if change.silence is None:
-            state = change.segment.state_at(due)
-            change.silence = self._segment(due, state, _NO_TORQUE, False)
+            change.silence = self._segment(change.segment.state_at(due), _NO_TORQUE, False)
         return change.silence
 
-    def _segment(self, start_ns: int, state: Floats, torque: Floats, in_space: bool) -> _Segment:
-        return _Segment(self._body, self._options, self.history_ns, start_ns, state, torque,
-                        in_space)
+    def _segment(self, start: State, torque: Floats, in_space: bool) -> _Segment:
+        return _Segment(self._body, self._options, self.history_ns, start, torque, in_space)
 
 
 @dataclass
@@ -215,31 +211,34 @@ def _frozen(values: ArrayLike) -> NDArray[Any]:
 class _Segment:
     """The motion from a start on under one held torque, with the grid points reached so far."""
 
-    def __init__(self, body: RigidBody, options: Options, history_ns: int, start_ns: int,
-                 state: Floats, torque: Floats, in_space: bool) -> None:
+    def __init__(self, body: RigidBody, options: Options, history_ns: int, start: State,
+                 torque: Floats, in_space: bool) -> None:
         self.coasts = not torque.any()
         self._options, self._history_ns = options, history_ns
-        self._grid_ns = [start_ns]
-        self._states = [state]
-        self._log = (_frozen([start_ns]), _frozen([torque]), _frozen([in_space]), 0, 1, 0)
+        self._rule = options.rule(body, torque, in_space)
+        origin = loop.origin(start, self._rule)
+        self._grid_ns = [*dict.fromkeys((origin.begin_ns, origin.grid_ns))]
+        self._states = [origin.begin, origin.grid][:len(self._grid_ns)]
+        self._log = (_frozen([origin.begin_ns]), _frozen([torque]), _frozen([in_space]), 0, 1, 0)
         self._arguments = options.kernel_arguments(body)
 
-    def state_at(self, time_ns: int) -> Floats:
+    def state_at(self, time_ns: int) -> State:
         nearest = bisect.bisect_right(self._grid_ns, time_ns) - 1
-        state, begin = self._states[nearest].copy(), self._states[0].copy()
+        grid, begin = self._states[nearest].copy(), self._states[0].copy()
         out = np.empty(loop.SIZE)
         at = (self._grid_ns[nearest], self._grid_ns[0], 0, False, 0)
         while not at[-1]:
-            at = loop.run(*(state, begin, *at, np.array([time_ns]), _IN_ORDER, np.empty((1, 4)),
+            at = loop.run(*(grid, begin, *at, np.array([time_ns]), _IN_ORDER, np.empty((1, 4)),
                             np.empty((1, 3)), out, np.empty(2, np.bool_), *self._log,
                             *self._arguments, loop.BUDGET))
-            self._options.check_speed(state, at[0])
+            self._options.check_speed(grid, at[0])
         self._options.check_speed(out, time_ns)
         if at[0] > self._grid_ns[-1]:
             self._grid_ns.append(at[0])
-            self._states.append(state)
+            self._states.append(grid)
             self._thin(at[0] - self._history_ns)
-        return out
+        return loop.unpack(time_ns, out, Origin(self._rule, self._grid_ns[0], self._states[0],
+                                                at[0], grid))
 
     def _thin(self, horizon_ns: int) -> None:
         # A late torque asks at most `history` back; the start stays for whoever asks further.
