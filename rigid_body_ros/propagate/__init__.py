@@ -130,7 +130,10 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
     log = _NO_LOG if log is None else log
     _check_solver(options, log)
     rows = _IN_ORDER if ascends else np.argsort(times, kind='stable')
-    attitude, rates = np.empty((times.size, 4)), np.empty((times.size, 3))
+    # One block of memory: two, freed together, go back to the system, and to get their pages
+    # again costs the next run as much as its arithmetic.
+    attitude, rates = np.split(np.empty(7 * times.size), [4 * times.size])
+    attitude, rates = attitude.reshape(-1, 4), rates.reshape(-1, 3)
     closed = _run_log(body, start, log, options, times, rows, attitude, rates)
     return Trajectory(body, times, attitude, rates,
                       Answers(body, log, options, start.time_ns, end_ns, closed))
