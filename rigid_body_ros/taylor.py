@@ -254,8 +254,10 @@ def _expand(state: State, seconds: float, coefficients: Coefficients, diagonal: 
 @inlined
 def _cauchy(table: Floats, k: int, diagonal: bool) -> tuple[Products, Quaternion]:
     # The terms of order k of the products of u, and of the rotation times (u, 0).
+    # Each sum is kept in two, so that one product need not wait for the other.
     yz = zx = xy = xx = yy = zz = 0.0
     p = q = r = s = 0.0
+    p2 = q2 = r2 = s2 = 0.0
     for j in range(k + 1):
         i = k - j
         a, b, c = table[0, i], table[1, i], table[2, i]
@@ -264,11 +266,11 @@ def _cauchy(table: Floats, k: int, diagonal: bool) -> tuple[Products, Quaternion
         if not diagonal:
             xx, yy, zz = fma(a, d, xx), fma(b, e, yy), fma(c, f, zz)
         x, y, z, w = table[3, j], table[4, j], table[5, j], table[6, j]
-        p = fma(w, a, fma(y, c, fma(-z, b, p)))
-        q = fma(w, b, fma(z, a, fma(-x, c, q)))
-        r = fma(w, c, fma(x, b, fma(-y, a, r)))
-        s = fma(-x, a, fma(-y, b, fma(-z, c, s)))
-    return (yz, zx, xy, xx, yy, zz), (p, q, r, s)
+        p, p2 = fma(w, a, p), fma(y, c, fma(-z, b, p2))
+        q, q2 = fma(w, b, q), fma(z, a, fma(-x, c, q2))
+        r, r2 = fma(w, c, r), fma(x, b, fma(-y, a, r2))
+        s, s2 = fma(-x, a, s), fma(-y, b, fma(-z, c, s2))
+    return (yz, zx, xy, xx, yy, zz), (p + p2, q + q2, r + r2, s + s2)
 
 
 @inlined
