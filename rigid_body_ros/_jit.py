@@ -21,36 +21,53 @@ Kernel = TypeVar('Kernel', bound=Callable[..., Any])
 
 def njit(kernel: Kernel) -> Kernel:
     """
-    Compile a kernel on its first call, and cache the result on disk.
+    Compile a kernel that Python calls on its first call, and cache the result on disk.
 
     IEEE arithmetic is kept (no fast-math), so a kernel gives the same bits wherever it is
     inlined. Without numba the plain function is returned: the same results within rounding,
     hundreds of times slower. Where no cache folder can be written, as in a read-only install
     without a home, kernels are compiled anew by every process, and one warning says so.
     """
-    return _compiled(kernel)
+    if numba is None:
+        return kernel
+    try:
+        compiled = numba.njit(cache=True, error_model='numpy')(kernel)
+    except RuntimeError:
+        _warn_uncached()
+        return numba.njit(error_model='numpy')(kernel)
+    _drop_stale(Path(compiled.stats.cache_path), kernel, _newest_source())
+    return compiled
+
+
+def part(kernel: Kernel) -> Kernel:
+    """Compile a part of kernels, which Python cannot call; it is cached with what calls it."""
+    return _part(kernel)
 
 
 def inlined(kernel: Kernel) -> Kernel:
     """
-    Compile like `njit`, but always into the kernel that calls.
+    Compile a part of kernels into each that calls it.
 
     A call hands tuples over in memory, which costs a short step as much as its arithmetic.
     """
-    return _compiled(kernel, forceinline=True)
+    return _part(kernel, forceinline=True)
 
 
-def _compiled(kernel: Kernel, **options: Any) -> Kernel:
+def _part(kernel: Kernel, **options: bool) -> Kernel:
+    # The wrappers for calls from elsewhere take as long to compile as the parts themselves.
     if numba is None:
         return kernel
-    options['error_model'] = 'numpy'
-    try:
-        compiled = numba.njit(cache=True, **options)(kernel)
-    except RuntimeError:
-        _warn_uncached()
-        return numba.njit(**options)(kernel)
-    _drop_stale(Path(compiled.stats.cache_path), kernel, _newest_source())
+    compiled = numba.njit(error_model='numpy', no_cpython_wrapper=True, no_cfunc_wrapper=True,
+                          **options)(kernel)
+    compiled.__class__ = _without_call(type(compiled))
     return compiled
+
+
+@cache
+def _without_call(dispatcher: Any) -> Any:
+    def refuse(self: Any, *_: Any) -> None:  # a call without a wrapper ends the interpreter
+        raise TypeError(f'{self.py_func.__name__} is a part of kernels: Python cannot call it')
+    return type('Part', (dispatcher,), {'__call__': refuse})
 
 
 def _warn_uncached() -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from rigid_body_ros._jit import fma, njit
+from rigid_body_ros._jit import fma, part
 
 #: The larger part, and what is missing in it.
 Double = tuple[float, float]
@@ -17,13 +17,13 @@ Double = tuple[float, float]
 PI = (3.141592653589793, 1.2246467991473532e-16)
 
 
-@njit
+@part
 def _quick_sum(a: float, b: float) -> Double:
     total = a + b
     return total, b - (total - a)
 
 
-@njit
+@part
 def two_sum(a: float, b: float) -> Double:
     """Return the exact sum of two doubles."""
     total = a + b
@@ -31,14 +31,14 @@ def two_sum(a: float, b: float) -> Double:
     return total, (a - (total - part)) + (b - part)
 
 
-@njit
+@part
 def two_product(a: float, b: float) -> Double:
     """Return the exact product of two doubles."""
     product = a * b
     return product, fma(a, b, -product)
 
 
-@njit
+@part
 def add(a: Double, b: Double) -> Double:
     """Return a + b."""
     high, low = two_sum(a[0], b[0])
@@ -47,20 +47,20 @@ def add(a: Double, b: Double) -> Double:
     return _quick_sum(high, low + rest)
 
 
-@njit
+@part
 def subtract(a: Double, b: Double) -> Double:
     """Return a - b."""
     return add(a, (-b[0], -b[1]))
 
 
-@njit
+@part
 def multiply(a: Double, b: Double) -> Double:
     """Return a b."""
     high, low = two_product(a[0], b[0])
     return _quick_sum(high, low + fma(a[0], b[1], a[1] * b[0]))
 
 
-@njit
+@part
 def divide(a: Double, b: Double) -> Double:
     """Return a / b."""
     first = a[0] / b[0]
@@ -71,7 +71,7 @@ def divide(a: Double, b: Double) -> Double:
     return add((high, low), (rest[0] / b[0], 0.0))
 
 
-@njit
+@part
 def root(a: Double) -> Double:
     """Return the square root of a number that is not negative (Karp's trick)."""
     if a[0] <= 0.0:
@@ -81,7 +81,7 @@ def root(a: Double) -> Double:
     return _quick_sum(high, rest[0] / (2.0 * high))
 
 
-@njit
+@part
 def seconds(span_ns: int) -> Double:
     """Return a number of nanoseconds in seconds."""
     return divide(two_sum(float(span_ns >> 32) * 4294967296.0, float(span_ns & 0xFFFFFFFF)),

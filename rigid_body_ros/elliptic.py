@@ -10,14 +10,14 @@ from __future__ import annotations
 import math
 
 from rigid_body_ros import double_double as dd
-from rigid_body_ros._jit import njit
+from rigid_body_ros._jit import part
 from rigid_body_ros.double_double import Double
 
 #: Landen's transformation squares the difference each time: from m_c = 1e-300 in 13.
 _MOST = 16
 
 
-@njit
+@part
 def complete(complement: Double, p: Double, a: Double, b: Double) -> Double:
     """
     Return the integral of (a cos^2 + b sin^2) / (cos^2 + p sin^2) / sqrt(cos^2 + m_c sin^2).
@@ -47,7 +47,7 @@ def complete(complement: Double, p: Double, a: Double, b: Double) -> Double:
     return dd.divide(top, dd.multiply(em, dd.add(em, p)))
 
 
-@njit
+@part
 def jacobi(u: float, complement: float) -> tuple[float, float, float]:
     """
     Return sn, cn and dn of u for |u| up to K, each to relative precision.
@@ -82,7 +82,7 @@ def jacobi(u: float, complement: float) -> tuple[float, float, float]:
     return sn, c * sn, dn
 
 
-@njit
+@part
 def carlson_f(x: float, y: float, z: float) -> float:
     """Return R_F (Carlson, "Numerical computation of ... elliptic integrals", 1995)."""
     mean = (x + y + z) / 3.0
@@ -102,7 +102,7 @@ def carlson_f(x: float, y: float, z: float) -> float:
     return series / math.sqrt(mean)
 
 
-@njit
+@part
 def carlson_j(x: float, y: float, z: float, p: float) -> float:
     """Return R_J for p no less than x, y and z (Carlson 1995, duplication with R_C(1, 1 + e))."""
     mean = (x + y + z + 2.0 * p) / 5.0
@@ -131,7 +131,7 @@ def carlson_j(x: float, y: float, z: float, p: float) -> float:
     return scale * series / (mean * math.sqrt(mean)) + 6.0 * total
 
 
-@njit
+@part
 def _carlson_c1(e: float) -> float:
     # R_C(1, 1 + e) for e >= 0.
     if e < 1e-2:

@@ -34,7 +34,7 @@ from typing import NamedTuple
 
 from rigid_body_ros import double_double as dd
 from rigid_body_ros import elliptic
-from rigid_body_ros._jit import njit
+from rigid_body_ros._jit import part
 from rigid_body_ros.double_double import Double
 from rigid_body_ros.vector import Frame, Quaternion, State, Vector, combine, multiply
 
@@ -73,7 +73,7 @@ class Motion(NamedTuple):
     gain: Double
 
 
-@njit
+@part
 def prepare(state: State, frame: Frame) -> Motion:
     """
     Return the torque-free motion from a state on.
@@ -113,7 +113,7 @@ def prepare(state: State, frame: Frame) -> Motion:
     return _canonical(state, i, m, rows, d21, d31, d32, first, second, third, sign)
 
 
-@njit
+@part
 def _canonical(state: State, i: Doubles, m: Doubles, rows: tuple[Vector, Vector, Vector],
                d21: Double, d31: Double, d32: Double, first: Double, second: Double,
                third: Double, sign: float) -> Motion:
@@ -158,13 +158,13 @@ def _canonical(state: State, i: Doubles, m: Doubles, rows: tuple[Vector, Vector,
         dd.divide(momentum, i[0] if n[0] >= -1.0 else i[2]), gain)
 
 
-@njit
+@part
 def unprepared(state: State) -> Motion:
     """Return a motion that says nothing."""
     return _unchanging(state, LOST)
 
 
-@njit
+@part
 def at(motion: Motion, span_ns: int) -> State:
     """Return the state a number of nanoseconds after the start; the motion must not be LOST."""
     if motion.kind == STEADY:
@@ -186,7 +186,7 @@ def at(motion: Motion, span_ns: int) -> State:
     return _state(motion, w, in_body)
 
 
-@njit
+@part
 def _reduced(motion: Motion, u: float, odd: bool) -> tuple[float, Quaternion, Vector]:
     # The periodic part of psi, P, and the angular velocity, for |u| <= K.
     sn, cn, dn = elliptic.jacobi(u, motion.complement)
@@ -212,7 +212,7 @@ def _reduced(motion: Motion, u: float, odd: bool) -> tuple[float, Quaternion, Ve
     return psi, tilt, (x * cn, -y * sn, z * dn)
 
 
-@njit
+@part
 def _turned(motion: Motion, span_ns: int) -> State:
     w, low = motion.start[0], motion.start[2]
     square = _ZERO
@@ -226,7 +226,7 @@ def _turned(motion: Motion, span_ns: int) -> State:
     return _state(motion, w, (sine * w[0], sine * w[1], sine * w[2], math.cos(half)))
 
 
-@njit
+@part
 def _state(motion: Motion, w: Vector, turn: Quaternion) -> State:
     _, q, _, low = motion.start
     more = multiply(low, turn)
@@ -237,7 +237,7 @@ def _state(motion: Motion, w: Vector, turn: Quaternion) -> State:
     return w, q, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
 
 
-@njit
+@part
 def _principal(state: State, frame: Frame) -> tuple[Doubles, Doubles, Doubles]:
     # Angular velocity, angular momentum and moments along the principal axes.
     w, low = state[0], state[2]
@@ -249,21 +249,21 @@ def _principal(state: State, frame: Frame) -> tuple[Doubles, Doubles, Doubles]:
                    dd.multiply(moments[2], rates[2])), moments
 
 
-@njit
+@part
 def _along(v: Doubles, axis: Vector, rest: Vector) -> Double:
     total = dd.multiply((axis[0], rest[0]), v[0])
     total = dd.add(total, dd.multiply((axis[1], rest[1]), v[1]))
     return dd.add(total, dd.multiply((axis[2], rest[2]), v[2]))
 
 
-@njit
+@part
 def _modulo(angle: Double) -> Double:
     # 4 pi is the period of a quaternion.
     turns = float(round(angle[0] / (4.0 * dd.PI[0])))
     return dd.subtract(angle, dd.multiply((4.0 * turns, 0.0), dd.PI))
 
 
-@njit
+@part
 def _unchanging(state: State, kind: int) -> Motion:
     unit = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     none = (0.0, 0.0, 0.0)
@@ -271,16 +271,16 @@ def _unchanging(state: State, kind: int) -> Motion:
                   _ZERO)
 
 
-@njit
+@part
 def _double(a: Double) -> Double:
     return 2.0 * a[0], 2.0 * a[1]
 
 
-@njit
+@part
 def _negative(a: Double) -> Double:
     return -a[0], -a[1]
 
 
-@njit
+@part
 def _opposite(a: Vector) -> Vector:
     return -a[0], -a[1], -a[2]

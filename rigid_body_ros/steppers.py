@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from rigid_body_ros._jit import njit
+from rigid_body_ros._jit import part
 from rigid_body_ros.vector import (
     Coefficients,
     Frame,
@@ -27,7 +27,7 @@ from rigid_body_ros.vector import (
 )
 
 
-@njit
+@part
 def explicit_euler(state: State, seconds: float, equations: Coefficients, torque: Polynomial,
                    in_space: bool) -> State:
     """Return the state after a step of Euler's method, order 1; conserves the norm of q only."""
@@ -36,7 +36,7 @@ def explicit_euler(state: State, seconds: float, equations: Coefficients, torque
     return _state(add_scaled(w, seconds, a), _moved(q, seconds, v))
 
 
-@njit
+@part
 def rk4(state: State, seconds: float, equations: Coefficients, torque: Polynomial,
         in_space: bool) -> State:
     """
@@ -59,7 +59,7 @@ def rk4(state: State, seconds: float, equations: Coefficients, torque: Polynomia
     return _state(add_scaled(w, seconds / 6.0, a), _moved(q, seconds / 6.0, v))
 
 
-@njit
+@part
 def strang(state: State, seconds: float, equations: Coefficients, frame: Frame,
            torque: Polynomial, in_space: bool) -> State:
     """
@@ -86,7 +86,7 @@ def strang(state: State, seconds: float, equations: Coefficients, frame: Frame,
     return _state(add_scaled(w, half, _push(q, 1.0, equations, torque, in_space)), q)
 
 
-@njit
+@part
 def _derivative(w: Vector, q: Quaternion, fraction: float, equations: Coefficients,
                 torque: Polynomial, in_space: bool) -> tuple[Vector, Quaternion]:
     a, b, c = equations
@@ -97,7 +97,7 @@ def _derivative(w: Vector, q: Quaternion, fraction: float, equations: Coefficien
     return (x, y, z), multiply(q, (0.5 * w[0], 0.5 * w[1], 0.5 * w[2], 0.0))
 
 
-@njit
+@part
 def _push(q: Quaternion, fraction: float, equations: Coefficients, torque: Polynomial,
           in_space: bool) -> Vector:
     # The angular acceleration by the torque.
@@ -110,24 +110,24 @@ def _push(q: Quaternion, fraction: float, equations: Coefficients, torque: Polyn
             dot((c[6], c[7], c[8]), tau))
 
 
-@njit
+@part
 def _moved(q: Quaternion, seconds: float, rate: Quaternion) -> Quaternion:
     return (q[0] + seconds * rate[0], q[1] + seconds * rate[1], q[2] + seconds * rate[2],
             q[3] + seconds * rate[3])
 
 
-@njit
+@part
 def _unit(q: Quaternion) -> Quaternion:
     factor = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return factor * q[0], factor * q[1], factor * q[2], factor * q[3]
 
 
-@njit
+@part
 def _state(w: Vector, q: Quaternion) -> State:
     return w, _unit(q), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
 
 
-@njit
+@part
 def _about_1(m: Vector, turn: Quaternion, step: float) -> tuple[Vector, Quaternion]:
     # The flow of the energy m1^2 / 2 I1: a rotation of the body about that axis.
     sine, cosine, s, c = _half_and_full(step * m[0])
@@ -135,21 +135,21 @@ def _about_1(m: Vector, turn: Quaternion, step: float) -> tuple[Vector, Quaterni
             multiply(turn, (sine, 0.0, 0.0, cosine)))
 
 
-@njit
+@part
 def _about_2(m: Vector, turn: Quaternion, step: float) -> tuple[Vector, Quaternion]:
     sine, cosine, s, c = _half_and_full(step * m[1])
     return ((c * m[0] - s * m[2], m[1], c * m[2] + s * m[0]),
             multiply(turn, (0.0, sine, 0.0, cosine)))
 
 
-@njit
+@part
 def _about_3(m: Vector, turn: Quaternion, step: float) -> tuple[Vector, Quaternion]:
     sine, cosine, s, c = _half_and_full(step * m[2])
     return ((c * m[0] + s * m[1], c * m[1] - s * m[0], m[2]),
             multiply(turn, (0.0, 0.0, sine, cosine)))
 
 
-@njit
+@part
 def _half_and_full(angle: float) -> tuple[float, float, float, float]:
     sine, cosine = math.sin(0.5 * angle), math.cos(0.5 * angle)
     return sine, cosine, 2.0 * sine * cosine, 1.0 - 2.0 * sine * sine

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 
-from rigid_body_ros._jit import fma, inlined, njit
+from rigid_body_ros._jit import fma, inlined, part
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.vector import (
     Coefficients,
@@ -56,7 +56,7 @@ _ERROR_5 = 0.1
 _LARGEST = 0.01
 
 
-@njit
+@part
 def step_angle(tolerance: float) -> float:
     """
     Return the angle of a full step, rad.
@@ -290,7 +290,7 @@ def _torque_term(table: Floats, k: int, torque: Polynomial, degree: int,
     return x, y, z
 
 
-@njit
+@part
 def _turn_torque(table: Floats, k: int, row: int) -> None:
     # dv/dt = v x w for a vector v that is fixed in space, in body components.
     x = y = z = 0.0

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from rigid_body_ros import RigidBody, State, TorqueLog, propagate
+from rigid_body_ros import RigidBody, State, TorqueLog, propagate, vector
 
 PACKAGE = Path(sys.modules['rigid_body_ros'].__file__).parent
 SCRIPT = '''
@@ -76,6 +76,12 @@ def test_a_change_in_one_module_reaches_the_kernels_of_all(tmp_path):
     environment = {'PYTHONPATH': str(site), 'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
     np.testing.assert_array_equal(run(**environment)[0], here())
     source = site / 'rigid_body_ros' / 'taylor.py'
-    source.write_text(source.read_text().replace('q (w, 0) / 2', 'q (w, 0) / 1').replace(
-        '0.5 * factor * q', '1.0 * factor * q'))
+    text = source.read_text()
+    assert 'factor = 0.5 / (k + 1)' in text
+    source.write_text(text.replace('factor = 0.5 / (k + 1)', 'factor = 1.0 / (k + 1)'))
     assert not np.allclose(run(**environment)[0], here())
+
+
+def test_a_part_of_kernels_cannot_be_called_and_crash_the_interpreter():
+    with pytest.raises(TypeError, match='cross is a part of kernels: Python cannot call it'):
+        vector.cross((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))

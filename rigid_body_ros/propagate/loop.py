@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rigid_body_ros import body as bodies
 from rigid_body_ros import free_motion, steppers, taylor, vector
-from rigid_body_ros._jit import inlined, njit
+from rigid_body_ros._jit import inlined, njit, part
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.so3 import Floats
 
@@ -239,7 +239,7 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
     return grid_ns, begin_ns, sample, silent, done
 
 
-@njit
+@part
 def _stream(state: vector.State, grid_ns: int, sample: int, done: int, at_ns: NDArray[np.int64],
             rows: NDArray[np.intp], attitude: Floats, rates: Floats,
             stamps_ns: NDArray[np.int64], torques: Floats, in_space: NDArray[np.bool_],
@@ -291,7 +291,7 @@ def _is_long(solver: int, begin: vector.State, span_ns: int) -> bool:
     return vector.dot(begin[0], begin[0]) > angle * angle
 
 
-@njit
+@part
 def _span(stamps_ns: NDArray[np.int64], sample: int) -> tuple[int, float]:
     # Where the fraction of a polynomial is 0, and the time, s, to where it is 1.
     if sample < 0:
@@ -301,7 +301,7 @@ def _span(stamps_ns: NDArray[np.int64], sample: int) -> tuple[int, float]:
     return stamps_ns[sample], (stamps_ns[sample + 1] - stamps_ns[sample]) / 1e9
 
 
-@njit
+@part
 def _move(state: vector.State, grid_ns: int, time_ns: int, torque: vector.Polynomial, degree: int,
           in_space: bool, origin_ns: int, span: float, equations: vector.Coefficients,
           diagonal: bool, frame: vector.Frame, solver: int, tolerance: float, angle: float,
@@ -360,7 +360,7 @@ def _step(state: vector.State, seconds: float, equations: vector.Coefficients, d
                        tolerance, table)
 
 
-@njit
+@part
 def _local(torque: vector.Polynomial, offset: float, ratio: float) -> vector.Polynomial:
     # From p(s) to p(offset + ratio s), by Horner's rule (a Taylor shift).
     a, b, c, d = torque
@@ -371,17 +371,17 @@ def _local(torque: vector.Polynomial, offset: float, ratio: float) -> vector.Pol
     return a, vector.scale(ratio, b), vector.scale(square, c), vector.scale(square * ratio, d)
 
 
-@njit
+@part
 def _equations(rows: Floats) -> vector.Coefficients:
     return _nine(rows[0]), _nine(rows[1]), _nine(rows[2])
 
 
-@njit
+@part
 def _nine(row: Floats) -> vector.Nine:
     return row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8]
 
 
-@njit
+@part
 def _is_diagonal(rows: Floats) -> bool:
     for i in range(3):
         for j in range(6):
@@ -390,25 +390,25 @@ def _is_diagonal(rows: Floats) -> bool:
     return True
 
 
-@njit
+@part
 def _frame(moments: Floats, axes: Floats) -> vector.Frame:
     return (_three(moments[0]), _three(moments[1]),
             (_three(axes[0, :, 0]), _three(axes[0, :, 1]), _three(axes[0, :, 2])),
             (_three(axes[1, :, 0]), _three(axes[1, :, 1]), _three(axes[1, :, 2])))
 
 
-@njit
+@part
 def _three(values: Floats) -> vector.Vector:
     return values[0], values[1], values[2]
 
 
-@njit
+@part
 def _load(packed: Floats) -> vector.State:
     return ((packed[0], packed[1], packed[2]), (packed[3], packed[4], packed[5], packed[6]),
             (packed[7], packed[8], packed[9]), (packed[10], packed[11], packed[12], packed[13]))
 
 
-@njit
+@part
 def _store(state: vector.State, packed: Floats) -> None:
     w, q, low_w, low_q = state
     packed[0], packed[1], packed[2] = w
