@@ -59,15 +59,15 @@ def _part(kernel: Kernel, **options: bool) -> Kernel:
         return kernel
     compiled = numba.njit(error_model='numpy', no_cpython_wrapper=True, no_cfunc_wrapper=True,
                           **options)(kernel)
-    compiled.__class__ = _without_call(type(compiled))
+    compiled.__class__ = _part_type()
     return compiled
 
 
 @cache
-def _without_call(dispatcher: Any) -> Any:
+def _part_type() -> Any:
     def refuse(self: Any, *_: Any) -> None:  # a call without a wrapper ends the interpreter
         raise TypeError(f'{self.py_func.__name__} is a part of kernels: Python cannot call it')
-    return type('Part', (dispatcher,), {'__call__': refuse})
+    return type('Part', (type(numba.njit(refuse)),), {'__call__': refuse})
 
 
 def _warn_uncached() -> None:

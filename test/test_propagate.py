@@ -6,6 +6,7 @@ from conftest import EPOCH_NS, SECOND, Reference, chord
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
+import truth
 
 from rigid_body_ros import Propagator, RigidBody, State, TorqueLog, propagate, so3
 from rigid_body_ros.propagate import loop, warm_up
@@ -383,6 +384,34 @@ def test_the_trajectory_says_what_answered_and_why():
     model, = propagate(BODY, START, at=[EPOCH_NS, EPOCH_NS + 5]).models
     assert model[:3] == ('taylor', EPOCH_NS, EPOCH_NS + 5)
     assert model.reason.startswith('auto: ')
+    asked, = propagate(BODY, START, at=[EPOCH_NS + 5], solver='taylor').models
+    assert asked == ('taylor', EPOCH_NS, EPOCH_NS + 5, 'as asked')
+
+
+@pytest.mark.parametrize('timeout', [0.0, 2.0])
+def test_the_trajectory_names_each_coast_that_was_taken_in_closed_form(timeout):
+    # Torque at 0 s, none from 2 s to 100 s (in one sample, or by the timeout and another).
+    zero = 50 if timeout else 2
+    stamps = EPOCH_NS + np.array([0, zero, zero + 1, 100, 101]) * SECOND
+    log = TorqueLog(stamps, np.outer([1, 0, 0, 1, 1], [0.1, 0.2, 0.1]))
+    motion = propagate(BODY, START, log, at=[stamps[-1]], torque_timeout=timeout)
+    assert [(model.solver, (model.start_ns - EPOCH_NS) // SECOND) for model in motion.models] == [
+        ('taylor', 0), ('exact', 2), ('taylor', 100)]
+    assert motion.models[1].end_ns == stamps[3]
+    assert 'asymmetric top' in motion.models[1].reason
+
+
+@pytest.mark.parametrize('seconds', [1, 10, 25, 60, 3600])
+def test_auto_is_no_less_accurate_than_the_series(seconds):
+    start = State(EPOCH_NS, (0.0, 0.0, 0.0, 1.0), (0.5, -0.75, 0.875))
+    body = RigidBody.from_moments(1.0, 2.0, 2.5)
+    span_ns = seconds * SECOND
+    q, _ = truth.free(body.inertia.tolist(), start.attitude.tolist(),
+                      start.angular_velocity.tolist(), span_ns)
+    errors = {solver: truth.chord(q, propagate(body, start, at=[EPOCH_NS + span_ns],
+                                               solver=solver).attitude[0].tolist())
+              for solver in ('auto', 'taylor')}
+    assert errors['auto'] <= errors['taylor'] + 1e-15
 
 
 def test_trajectories_give_euler_angles():

@@ -1,0 +1,102 @@
+"""Elliptic functions and integrals, and numbers of 32 digits, against mpmath."""
+
+import mpmath
+from mpmath import mp, mpf
+import numba
+import numpy as np
+import pytest
+from scipy import special
+
+from rigid_body_ros import double_double as dd
+from rigid_body_ros import elliptic
+
+RANDOM = np.random.default_rng(17)
+#: Complementary parameters from far away from the separatrix to where `free_motion` gives up.
+COMPLEMENTS = [*(10.0 ** RANDOM.uniform(-24, 0, 60)), 1.0, 0.5, 1e-10, 1e-24]
+
+
+@pytest.fixture(autouse=True)
+def _fifty_digits():
+    with mp.workdps(50):
+        yield
+
+
+def callable_(part):
+    """Return a part of kernels as a function that Python can call."""
+    return numba.njit(error_model='numpy')(lambda *arguments: part(*arguments))
+
+
+def split(value):
+    return float(value), float(value - mpf(float(value)))
+
+
+def joined(pair):
+    return mpf(pair[0]) + mpf(pair[1])
+
+
+@pytest.mark.parametrize(('name', 'exact'), [
+    ('add', lambda a, b: a + b), ('subtract', lambda a, b: a - b),
+    ('multiply', lambda a, b: a * b), ('divide', lambda a, b: a / b)])
+def test_arithmetic_has_thirty_digits(name, exact):
+    operation = callable_(getattr(dd, name))
+    for _ in range(200):
+        a, b = (mpf(float(x)) * (1 + mpf(float(y)) * mpf(2) ** -53)
+                for x, y in zip(RANDOM.normal(size=2) * 10.0 ** RANDOM.uniform(-20, 20, 2),
+                                RANDOM.uniform(-1, 1, 2)))
+        pairs = split(a), split(b)
+        expected = exact(joined(pairs[0]), joined(pairs[1]))
+        scale = abs(a) + abs(b) if name in ('add', 'subtract') else abs(expected)
+        assert abs(joined(operation(*pairs)) - expected) < 1e-31 * scale
+
+
+def test_root_and_seconds_have_thirty_digits():
+    root, seconds = callable_(dd.root), callable_(dd.seconds)
+    for x in 10.0 ** RANDOM.uniform(-30, 30, 100):
+        assert abs(joined(root((x, 0.0))) / mpmath.sqrt(mpf(x)) - 1) < 1e-31
+    for span_ns in [0, 1, 2 ** 62 + 12345, *RANDOM.integers(0, 2 ** 63, 50).tolist()]:
+        assert abs(joined(seconds(span_ns)) - mpf(span_ns) / 10 ** 9) <= 1e-31 * span_ns
+
+
+def test_complete_integrals_have_thirty_digits():
+    complete = callable_(elliptic.complete)
+    one, nought = (1.0, 0.0), (0.0, 0.0)
+    for complement in COMPLEMENTS:
+        m_c, n = mpf(complement), -mpf(10.0 ** RANDOM.uniform(-12, 12))
+        k, third = mpmath.ellipk(1 - m_c), mpmath.ellippi(n, 1 - m_c)
+        p = split(1 - n)
+        assert abs(joined(complete((complement, 0.0), one, one, one)) / k - 1) < 1e-30
+        assert abs(joined(complete((complement, 0.0), p, one, one)) / third - 1) < 1e-30
+        if n > -1e3:  # the reference is a difference
+            assert abs(joined(complete((complement, 0.0), p, nought, one))
+                       / ((third - k) / n) - 1) < 1e-29
+
+
+def test_jacobis_functions_keep_their_digits_up_to_the_separatrix():
+    jacobi = callable_(elliptic.jacobi)
+    for complement in COMPLEMENTS:
+        quarter = float(mpmath.ellipk(1 - mpf(complement)))
+        for u in quarter * np.array([0.0, 1e-9, 0.3, -0.7, 0.99, -1 + 1e-9, 1.0]):
+            sn, cn, dn = jacobi(u, complement)
+            exact = [mpmath.ellipfun(name, mpf(u), m=1 - mpf(complement))
+                     for name in ('sn', 'cn', 'dn')]
+            # What a rounding of u does to each, and one of its own; relative where it is small.
+            slopes = (exact[1] * exact[2], exact[0] * exact[2],
+                      (1 - mpf(complement)) * exact[0] * exact[1])
+            for value, right, slope in zip((sn, cn, dn), exact, slopes):
+                assert abs(value - right) < 5e-16 * (abs(u * slope) + abs(right)) + 1e-40
+
+
+def test_jacobis_functions_on_the_separatrix_are_hyperbolic():
+    sn, cn, dn = callable_(elliptic.jacobi)(3.0, 0.0)
+    np.testing.assert_allclose([sn, cn, dn], [np.tanh(3.0), *[1 / np.cosh(3.0)] * 2], rtol=1e-15)
+
+
+def test_carlsons_integrals_are_scipys():
+    first, third = callable_(elliptic.carlson_f), callable_(elliptic.carlson_j)
+    for _ in range(500):
+        x = 10.0 ** RANDOM.uniform(-30, 0)
+        y, p = min(1.0, x + 10.0 ** RANDOM.uniform(-30, 0)), 1.0 + 10.0 ** RANDOM.uniform(-20, 0)
+        np.testing.assert_allclose(first(x, y, 1.0), special.elliprf(x, y, 1.0), rtol=2e-15)
+        np.testing.assert_allclose(third(x, y, 1.0, p), special.elliprj(x, y, 1.0, p), rtol=5e-15)
+        exact = mpmath.elliprj(x, y, 1, p)
+        assert abs(third(x, y, 1.0, p) / exact - 1) < 2e-15

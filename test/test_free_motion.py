@@ -1,0 +1,137 @@
+"""Exact torque-free motion against 50 digits, at any time."""
+
+from conftest import EPOCH_NS, SECOND, chord
+from mpmath import mp
+import numpy as np
+import pytest
+import truth
+
+from rigid_body_ros import Propagator, RigidBody, State, TorqueLog, propagate, so3
+
+ASYMMETRIC = np.diag([1.0, 2.0, 3.0])
+DAY = 86400 * SECOND
+
+
+def error(tensor, attitude, rates, span_ns, solver='exact'):
+    """Return the errors of attitude, rad, and of the rates, of the largest."""
+    start = State(EPOCH_NS, attitude, rates)
+    motion = propagate(RigidBody(tensor), start, at=[EPOCH_NS + span_ns], solver=solver)
+    assert {model.solver for model in motion.models} == {solver}
+    q, w = truth.free(np.asarray(tensor, float).tolist(), start.attitude.tolist(),
+                      start.angular_velocity.tolist(), span_ns, digits=60)
+    apart = [mp.mpf(float(a)) - b for a, b in zip(motion.angular_velocity[0], w)]
+    return (float(truth.chord(q, motion.attitude[0].tolist())),
+            float(mp.norm(apart)) / max(np.abs(motion.angular_velocity).max(), 1e-300))
+
+
+@pytest.mark.parametrize('span_ns', [1, SECOND // 10, SECOND, 100 * SECOND, DAY, 365 * DAY])
+@pytest.mark.parametrize(('moments', 'rates'), [
+    ((1, 2, 3), (1.0, 0.4, 2.0)), ((1, 2, 3), (2.0, 0.4, -0.3)), ((1, 2, 3), (-2.0, 0.4, -0.3)),
+    ((3, 1, 2), (-2.0, 0.4, -1.3)), ((1, 1 + 1e-9, 1 + 2e-9), (1.0, 0.4, 2.0)),
+    ((1, 1 + 1e-12, 1), (1.0, 0.4, 2.0)), ((1e-6, 1, 1.0000005), (50.0, 1.0, 1.0)),
+    ((1e-6, 1, 1.0000005), (0.5, 1.0, 1.0)), ((2, 2, 3), (1.0, 0.4, 2.0)),
+    ((3, 3, 2), (1.0, 0.4, 2.0)), ((3, 2, 2), (1e-9, 0.4, 2.0)), ((2, 2, 2), (1.0, 0.4, 2.0)),
+    ((1, 2, 3), (0.0, 0.0, 2.0)), ((1, 2, 3), (1.0, 2.0, 0.0)), ((1, 2, 3), (0.0, 0.0, 0.0)),
+    ((1, 2, 3), (1e-200, 0.0, 0.0)), ((1, 2, 3), (3e-5, 4e-5, 1e-5))])
+def test_motion_is_that_of_fifty_digits_however_late(moments, rates, span_ns):
+    attitude, speed = error(np.diag(np.array(moments, float)), (0.0, 0.0, 0.0, 1.0), rates,
+                            span_ns)
+    assert attitude < 2e-15
+    assert speed < 1e-15
+
+
+@pytest.mark.parametrize('seed', range(12))
+def test_any_tensor_and_any_start(seed):
+    random = np.random.default_rng(seed)
+    spread = random.normal(size=(3, 3)) * 10.0 ** random.uniform(-2, 2, 3)
+    masses = spread @ spread.T
+    tensor = np.trace(masses) * np.eye(3) - masses
+    rates = random.normal(size=3) * 10.0 ** random.uniform(-3, 3)
+    attitude, speed = error(tensor, so3.normalize(random.normal(size=4)), rates,
+                            int(10.0 ** random.uniform(6, 17)))
+    assert attitude < 3e-15
+    assert speed < 1e-15
+
+
+@pytest.mark.parametrize('rates', [(1.0, 0.4, 2.0), (2.0, 0.4, 0.3)])
+def test_a_million_turns_cost_no_digit(rates):
+    # In both modes; the bar is 1e-8 rad, and one unit in the last place of w would move the
+    # answer by 1e-9.
+    attitude, _ = error(ASYMMETRIC, (0.0, 0.0, 0.0, 1.0), rates, 3_000_000 * SECOND)
+    assert attitude < 2e-15
+
+
+@pytest.mark.parametrize('seconds', [0.1, 5, 30, 1000])
+@pytest.mark.parametrize('offset', [1e-3, 1e-7, 1e-11])
+@pytest.mark.parametrize('side', [-1.0, 1.0])
+def test_near_the_separatrix(side, offset, seconds):
+    # Exactly on it for no offset: 9 (9 - 5) w3^2 = 4 (5 - 4) w1^2.
+    attitude, speed = error(np.diag([4.0, 5.0, 9.0]), (0.0, 0.0, 0.0, 1.0),
+                            (3.0, 0.1, 1.0 + side * offset), round(seconds * SECOND))
+    # The phase is up to K = ln(4 / sqrt(m_c)), and rounded.
+    assert attitude < 2e-14
+    assert speed < 1e-14
+
+
+@pytest.mark.parametrize('rates', [(3.0, 0.1, 1.0), (-3.0, -2.0, -1.0), (3.0, 0.0, -1.0)])
+def test_on_the_separatrix(rates):
+    attitude, speed = error(np.diag([4.0, 5.0, 9.0]), (0.0, 0.0, 0.0, 1.0), rates, 20 * SECOND)
+    assert attitude < 1e-14
+    assert speed < 1e-14
+
+
+def test_rotation_about_the_intermediate_axis_stays_put():
+    motion = propagate(RigidBody(ASYMMETRIC), State(0, angular_velocity=(0.0, 2.0, 0.0)),
+                       at=[10 ** 6 * SECOND], solver='exact')
+    np.testing.assert_array_equal(motion.angular_velocity, [[0.0, 2.0, 0.0]])
+
+
+def test_too_near_the_separatrix_the_series_takes_over_and_says_so():
+    start = State(0, angular_velocity=(1e-13, 2.0, 0.0))
+    motion = propagate(RigidBody(ASYMMETRIC), start, at=[SECOND], solver='exact')
+    series = propagate(RigidBody(ASYMMETRIC), start, at=[SECOND], solver='taylor')
+    np.testing.assert_array_equal(motion.attitude, series.attitude)
+    model, = motion.models
+    assert model.solver == 'taylor'
+    assert 'separatrix' in model.reason
+
+
+def test_the_time_asked_for_is_one_evaluation_whatever_else_is_asked():
+    body, start = RigidBody(ASYMMETRIC), State(EPOCH_NS, angular_velocity=(1.0, 0.4, 2.0))
+    times = EPOCH_NS + np.random.default_rng(3).integers(0, DAY, 50)
+    together = propagate(body, start, at=times, solver='exact')
+    for row, time_ns in enumerate(times.tolist()):
+        alone = propagate(body, start, at=[time_ns], solver='exact')
+        np.testing.assert_array_equal(alone.attitude[0], together.attitude[row])
+
+
+@pytest.mark.parametrize('rates', [(1.0, 0.4, 2.0), (2.0, 0.4, 0.3), (0.0, 0.0, 2.0)])
+def test_attitude_is_the_continuous_lift(rates):
+    times = np.arange(0, 200 * SECOND, SECOND // 20)
+    motion = propagate(RigidBody(ASYMMETRIC), State(0, angular_velocity=rates), at=times,
+                       solver='exact')
+    assert np.sum(motion.attitude[1:] * motion.attitude[:-1], axis=1).min() > 0.9
+    series = propagate(RigidBody(ASYMMETRIC), State(0, angular_velocity=rates), at=times,
+                       solver='taylor')
+    assert chord(series.attitude, motion.attitude).max() < 1e-15 * (10 + 500)
+
+
+def test_what_rounding_took_from_the_start_counts():
+    # A state from the middle of a run carries more digits than its doubles.
+    body, low = RigidBody(ASYMMETRIC), np.array([3e-17, -2e-17, 5e-17])
+    start = State(0, angular_velocity=(1.0, 0.4, 2.0), _carry=np.append(low, np.zeros(4)))
+    span_ns = 10 ** 6 * SECOND
+    motion = propagate(body, start, at=[span_ns], solver='exact')
+    with mp.workdps(60):
+        rates = [mp.mpf(a) + mp.mpf(b) for a, b in zip((1.0, 0.4, 2.0), low.tolist())]
+        q, _ = truth.free(ASYMMETRIC.tolist(), [0.0, 0.0, 0.0, 1.0], rates, span_ns)
+    assert truth.chord(q, motion.attitude[0].tolist()) < 2e-15
+
+
+def test_exact_is_refused_where_a_torque_acts():
+    body, log = RigidBody(ASYMMETRIC), TorqueLog([0, 5], [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    with pytest.raises(ValueError, match=r"'exact' is for motion without torque, found torque 1 "
+                                         r'of \[0.0, 1.0, 0.0\] N m at 5 ns'):
+        propagate(body, State(), log, at=[9], solver='exact')
+    with pytest.raises(ValueError, match=r"'exact' is for motion without torque.* at 7 ns"):
+        Propagator(body, State(), solver='exact').apply(7, [1.0, 0.0, 0.0])

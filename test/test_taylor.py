@@ -1,0 +1,66 @@
+"""The series: as accurate as asked, in one step and over a thousand turns."""
+
+from conftest import SECOND, chord
+import numpy as np
+import pytest
+
+from rigid_body_ros import RigidBody, State, TorqueLog, propagate, so3
+
+RANDOM = np.random.default_rng(31)
+
+
+def some_body(kind):
+    """Return a body: a plate, a rod, a near-sphere, any on its axes, any turned."""
+    if kind < 3:
+        moments = [(1.0, 1.0, 2.0), (1e-6, 1.0, 1.0), (1.0, 1.0 + 1e-9, 1.0)][kind]
+        return RigidBody(np.diag(moments))
+    a, b, c = RANDOM.uniform(0.01, 1.0, 3)
+    tensor = np.diag([a + b, b + c, c + a])
+    if kind == 4:
+        turn = so3.matrix(so3.normalize(RANDOM.normal(size=4)))
+        tensor = turn @ tensor @ turn.T
+    return RigidBody(0.5 * (tensor + tensor.T))
+
+
+@pytest.mark.parametrize('kind', range(5))
+@pytest.mark.parametrize('tolerance', [1e-3, 1e-6, 1e-9, 1e-12])
+def test_one_step_between_samples_keeps_to_the_tolerance(kind, tolerance):
+    span_ns = SECOND // 1000
+    for size in 10.0 ** RANDOM.uniform(-4, -0.5, 40):
+        body, share = some_body(kind), RANDOM.uniform()
+        w, a = (so3.normalize(RANDOM.normal(size=3)) for _ in range(2))
+        w, a = share * size * 1e3 * w, (1.0 - share) ** 2 * size ** 2 * 1e6 * a
+        start = State(0, angular_velocity=w)
+        log = TorqueLog([0, span_ns], [body.torque(np.zeros(3), a), [0.0, 0.0, 0.0]])
+        step = propagate(body, start, log, at=[span_ns], tolerance=tolerance)
+        fine = propagate(body, start, log, at=[span_ns], max_step=1e-4)
+        angle = np.linalg.norm(w) * 1e-3 + 0.5 * np.linalg.norm(a) * 1e-6
+        assert chord(step.attitude, fine.attitude)[0] <= tolerance * angle + 1e-15
+        off = np.linalg.norm(step.angular_velocity - fine.angular_velocity)
+        assert off <= tolerance * (np.linalg.norm(w) + np.linalg.norm(a) * 1e-3) * 1.0001
+
+
+@pytest.mark.parametrize('tolerance', [1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14])
+@pytest.mark.parametrize(('moments', 'rates'), [
+    ((1.0, 2.0, 3.0), (1.0, 0.4, 2.0)), ((1.0, 2.0, 3.0), (0.3, 1.0, 0.2)),
+    ((1e-6, 1.0, 1.0000005), (50.0, 1.0, 1.0))])
+def test_the_tolerance_is_kept_over_hundreds_of_turns(moments, rates, tolerance):
+    body, start = RigidBody(np.diag(moments)), State(0, angular_velocity=rates)
+    times = np.arange(1, 101) * round(20 / np.linalg.norm(rates) * SECOND)
+    exact = propagate(body, start, at=times, solver='exact')
+    series = propagate(body, start, at=times, solver='taylor', tolerance=tolerance)
+    turned = np.linalg.norm(rates) * times * 1e-9
+    assert np.all(chord(exact.attitude, series.attitude) <= tolerance * (1.0 + turned) + 2e-14)
+
+
+@pytest.mark.parametrize('tolerance', [1e-6, 1e-8, 1e-9, 1e-12])
+def test_the_tolerance_is_kept_under_a_stream_of_torques(tolerance):
+    seconds = np.arange(20_000) * 1e-3
+    torques = 10.0 * np.sin(2 * np.pi * np.outer(seconds, [0.7, 1.1, 1.9]))
+    log = TorqueLog(np.arange(20_000) * (SECOND // 1000), torques)
+    body, start = RigidBody.from_moments(1.0, 2.0, 3.0), State(0, angular_velocity=(6, -4, 10))
+    times = np.arange(1, 21) * SECOND
+    fine = propagate(body, start, log, at=times)
+    loose = propagate(body, start, log, at=times, tolerance=tolerance)
+    turned = 12.0 * times * 1e-9
+    assert np.all(chord(fine.attitude, loose.attitude) <= tolerance * turned + 1e-14)

@@ -1,0 +1,65 @@
+"""Constants of a tensor against 60 digits."""
+
+import mpmath
+from mpmath import mp, mpf
+import numpy as np
+import pytest
+
+from rigid_body_ros import so3, tensor
+
+RANDOM = np.random.default_rng(23)
+TURN = so3.matrix(so3.normalize([0.3, -0.1, 0.7, 0.4]))
+ROD = np.eye(3) - (1.0 - 1e-6) * np.outer(TURN[:, 0], TURN[:, 0])
+STATION = np.array([[1.02e8, -6.96e6, -5.48e6], [-6.96e6, 0.91e8, 5.9e5],
+                    [-5.48e6, 5.9e5, 1.64e8]])
+TENSORS = [np.diag([3.0, 1.0, 2.0]), STATION, ROD, np.eye(3) * 2.0, STATION * 1e-30,
+           np.diag([1.0, 1.0 + 1e-12, 1.0]), np.eye(3) + 1e-15 * np.ones((3, 3))]
+
+
+@pytest.fixture(autouse=True)
+def _sixty_digits():
+    with mp.workdps(60):
+        yield
+
+
+@pytest.mark.parametrize('inertia', TENSORS)
+def test_coefficients_are_eulers_equations_rounded_once(inertia):
+    found = tensor.euler_coefficients(inertia)
+    exact = mpmath.matrix(inertia.tolist())
+    for _ in range(3):
+        w, tau = RANDOM.normal(size=3), RANDOM.normal(size=3) * np.abs(inertia).max()
+        x, y, z = (mpf(c) for c in w)
+        h = exact * mpmath.matrix([x, y, z])
+        right = mpmath.matrix([h[1] * z - h[2] * y, h[2] * x - h[0] * z, h[0] * y - h[1] * x])
+        right += mpmath.matrix([mpf(c) for c in tau])
+        terms = np.array([*(w[[1, 2, 0]] * w[[2, 0, 1]]), *w ** 2, *tau])
+        sizes = np.abs(found * terms).sum(axis=1)
+        expected = mpmath.lu_solve(exact, right)
+        for row, value, size in zip(found, expected, sizes):
+            total = sum(mpf(float(a)) * b for a, b in zip(
+                row, [y * z, z * x, x * y, x * x, y * y, z * z, *(mpf(c) for c in tau)]))
+            assert abs(total - value) <= 1.2e-16 * size
+
+
+def test_a_turned_rod_has_no_large_coefficients():
+    # The moments differ a millionfold, the gyroscopic terms do not: |w'| <= w^2.
+    assert np.abs(tensor.euler_coefficients(ROD)[:, :6]).max() < 1.0
+
+
+@pytest.mark.parametrize('inertia', TENSORS)
+def test_principal_axes_have_thirty_digits(inertia):
+    moments, axes = tensor.principal(inertia)
+    turn = mpmath.matrix(axes[0].tolist()) + mpmath.matrix(axes[1].tolist())
+    diagonal = mpmath.diag([mpf(a) + mpf(b) for a, b in moments.T])
+    scale = np.abs(inertia).max()
+    assert mpmath.norm(turn.T * turn - mpmath.eye(3), 1) < 1e-30
+    assert mpmath.norm(turn.T * mpmath.matrix(inertia.tolist()) * turn - diagonal, 1) \
+        < 1e-30 * scale
+    assert abs(mpmath.det(turn) - 1) < 1e-30
+    assert list(moments[0]) == sorted(moments[0])
+
+
+def test_the_smallest_moment_of_a_turned_rod_is_that_of_its_entries():
+    moments, _ = tensor.principal(ROD)
+    exact = mpmath.eigsy(mpmath.matrix(ROD.tolist()), eigvals_only=True)
+    assert abs(mpf(moments[0, 0]) / min(exact) - 1) < 1.2e-16
