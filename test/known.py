@@ -1,0 +1,116 @@
+"""
+Quantities of extreme motions that are known in closed form or were published.
+
+Each function returns the right value and the one found, for `test_extremes.py` to compare and
+`benchmarks/extremes.py` to print.
+"""
+
+from conftest import SECOND
+from mpmath import mp
+import numpy as np
+
+from rigid_body_ros import RigidBody, State, TorqueLog, propagate, so3
+
+PERIODS = 1_000_000
+#: 4 K / lambda, s, to 18 digits: van Zon and Schofield's program, and this project's 34 digits.
+TOPS = {
+    "van Zon's top": ((10.0, 20.0, 26.0), (1.0, 15.0, 1.0), 2.34711299288784672),
+    "Gazebo's boxes": ((10 / 12 * 0.97, 10 / 12 * 0.82, 10 / 12 * 0.17), (0.1, 5.0, 0.1),
+                       6.05684415801567644),
+    'Hairer and Vilmart': ((0.6, 0.8, 1.0), (3.0, 0.5, -0.9), 6.86261617805811641),
+    'Hairer and Vilmart, water': ((0.345, 0.653, 1.0), (1.8 / 0.345, 0.4 / 0.653, -0.9),
+                                  2.2146446558330431),
+}
+
+
+def period(name):
+    """Return the period of the rates, s: where they are after a million periods says how long."""
+    moments, rates, known = TOPS[name]
+    body = RigidBody.from_moments(*moments)
+    time_ns = round(PERIODS * known * 1e9)
+    motion = propagate(body, State(0, angular_velocity=rates), at=[time_ns], solver='exact')
+    change = body.angular_acceleration(rates)
+    late = (motion.angular_velocity[0] - rates) @ change / (change @ change)
+    return known, (time_ns * 1e-9 - late) / PERIODS
+
+
+def escape(offset):
+    """Return when a body 1 : 2 : 3 that turns about axis 2 stands across: K / lambda, s."""
+    body, rates = RigidBody.from_moments(1.0, 2.0, 3.0), np.array([offset, 1.0, 0.0])
+    with mp.workdps(50):
+        square = 2 * mp.mpf(offset) ** 2
+        known = float(mp.ellipk(2 / (2 + square)) / mp.sqrt((2 + square) / 6))
+    time_ns = round(known * 1e9)
+    rates = propagate(body, State(0, angular_velocity=rates), at=[time_ns]).angular_velocity[0]
+    return known, time_ns * 1e-9 - rates[1] / body.angular_acceleration(rates)[1]
+
+
+def landau_zener(half_time):
+    """
+    Return R33 of a sphere that is swept through resonance: w = (1, 0, t), from -T to T.
+
+    A row (a, b) of the matrix of SU(2) obeys a'' + ((1 + t^2) / 4 + i / 2) a = 0: parabolic
+    cylinder functions (Zener 1932). For T without end, R33 = 2 exp(-pi / 2) - 1.
+    """
+    with mp.workdps(30):
+        turn, order = mp.expjpi(0.25), mp.mpc(0, -0.25)
+
+        def pair(t):
+            # Both solutions and their slopes; D_v' = z D_v / 2 - D_(v + 1).
+            columns = []
+            for z, sign in ((turn * t, 1), (-turn * t, -1)):
+                value = mp.pcfd(order, z)
+                columns.append((value, sign * turn * (z * value / 2 - mp.pcfd(order + 1, z))))
+            return mp.matrix(columns).T
+        start = mp.matrix([1, mp.mpc(0, 0.5) * half_time])  # b = 0: a' = -i t a / 2
+        survives = (pair(half_time) * mp.lu_solve(pair(-half_time), start))[0]
+        known = float(2 * abs(survives) ** 2 - 1)
+    start = State(0, angular_velocity=(1.0, 0.0, -half_time))
+    motion = propagate(RigidBody(np.eye(3)), start, TorqueLog([0], [[0.0, 0.0, 1.0]]),
+                       at=[2 * half_time * SECOND])
+    return known, so3.matrix(motion.attitude[0])[2, 2]
+
+
+def boedewadt(seconds):
+    """
+    Return the rates of a symmetric body under a torque held in body axes, rad/s, complex.
+
+    w1 + i w2 = exp(i f) [W + (tau1 + i tau2) / It  int exp(-i f) dt], where
+    f = k (w3 t + tau3 t^2 / 2 I3) and k = (I3 - It) / It (Boedewadt 1952; Longuski 1991).
+    """
+    across, along, rates, torque = 2.0, 3.0, (0.3, -0.2, 1.5), (0.4, 0.1, -0.2)
+    with mp.workdps(30):
+        ratio = mp.mpf(along - across) / mp.mpf(across)
+
+        def angle(t):
+            return ratio * (rates[2] * t + mp.mpf(torque[2]) * t * t / (2 * along))
+        pushed = mp.quad(lambda t: mp.expj(-angle(t)), mp.linspace(0, seconds, 4 * seconds + 1))
+        known = complex(mp.expj(angle(seconds)) * (
+            mp.mpc(*rates[:2]) + mp.mpc(*torque[:2]) / across * pushed))
+    motion = propagate(RigidBody.from_moments(across, across, along),
+                       State(0, angular_velocity=rates), TorqueLog([0], [torque]),
+                       at=[seconds * SECOND])
+    return known, complex(*motion.angular_velocity[0, :2])
+
+
+def spin_up():
+    """Return the cosine of half the angle from -1e4 to 1.5e4 rad/s about a principal axis."""
+    body = RigidBody.from_moments(1.0, 2.0, 2.5)
+    motion = propagate(body, State(0, angular_velocity=(0.0, 0.0, -1e4)),
+                       TorqueLog([0], [[0.0, 0.0, 2.5 * 8192.0]]), at=[3 * SECOND])
+    with mp.workdps(30):
+        known = float(mp.cos((-3e4 + mp.mpf(8192) * 9 / 2) / 2))
+    return known, motion.attitude[0, 3]
+
+
+#: What, the right value and the one found, and how far apart they may be.
+KNOWN = {
+    **{f'period of {name}, s': (lambda name=name: period(name), 1e-15) for name in TOPS},
+    **{f'escape from the intermediate axis, offset {offset:.0e}, s':
+       (lambda offset=offset: escape(offset), 1e-14)
+       for offset in (1e-3, 1e-6, 1e-9, 1e-12, 1e-15)},
+    'Landau-Zener, R33 from -20 s to 20 s': (lambda: landau_zener(20), 1e-13),
+    'Landau-Zener, R33 from -40 s to 40 s': (lambda: landau_zener(40), 1e-12),
+    'Boedewadt, w1 + i w2 after 30 s, rad/s': (lambda: boedewadt(30), 1e-14),
+    'spin from -1e4 to 1.5e4 rad/s, cosine of half the angle': (spin_up, 1e-11),
+}

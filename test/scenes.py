@@ -1,0 +1,262 @@
+"""
+Motions at the edges of what a body can do, each with a right answer in fifty digits.
+
+`test_extremes.py` holds every solver to them, `benchmarks/extremes.py` prints what each one gave.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from conftest import SECOND
+from mpmath import mp
+import numpy as np
+import truth
+
+from rigid_body_ros import RigidBody, State, TorqueLog, propagate, so3
+from rigid_body_ros.propagate import SOLVERS
+
+FIXED_STEP = ('rk4', 'strang', 'explicit_euler')
+ULP = 2.0 ** -52
+#: What a step by step solution loses of the rates per radian turned, relatively. The attitude
+#: adds it up once more, so that its error grows with the square of the angle.
+LOSS = 1.5e-17
+
+
+@dataclass(frozen=True)
+class Scene:
+    """
+    A body, a start from the identity, and torques held one after the other.
+
+    Attributes
+    ----------
+    group, name : str
+    tensor : array, shape (3,) or (3, 3), kg m^2
+        Principal moments, or the whole.
+    rates : (float, float, float), rad/s, body axes
+    seconds : float
+        How long it lasts; without meaning where there are torques.
+    torques : [(duration_ns, torque, in_space)]
+        As for `truth.series`.
+    amplifies : bool
+        Whether the motion itself makes much of a rounding error.
+    lost : bool
+        Whether it is so near the separatrix that the closed form gives way to steps as well.
+
+    """
+
+    group: str
+    name: str
+    tensor: object
+    rates: tuple
+    seconds: float = 0.0
+    torques: tuple = ()
+    amplifies: bool = False
+    lost: bool = False
+
+    @cached_property
+    def body(self):
+        tensor = np.asarray(self.tensor, float)
+        return RigidBody(np.diag(tensor) if tensor.ndim == 1 else tensor)
+
+    @cached_property
+    def start(self):
+        return State(0, angular_velocity=self.rates)
+
+    @cached_property
+    def times_ns(self):
+        """When it is compared with the truth."""
+        if self.torques:
+            return np.cumsum([duration for duration, _, _ in self.torques])
+        end = round(self.seconds * SECOND)
+        return np.array([end // 3, end])
+
+    @cached_property
+    def log(self):
+        if not self.torques:
+            return None
+        durations, torques, in_space = zip(*self.torques)
+        return TorqueLog(np.cumsum((0, *durations[:-1])), torques,
+                         ['space' if space else 'body' for space in in_space])
+
+    @cached_property
+    def solvers(self):
+        """Those that have a way to answer."""
+        return tuple(solver for solver in SOLVERS if solver != 'exact' or not self.torques)
+
+    def propagate(self, solver, at=None, **options):
+        step = self.step if solver in FIXED_STEP else None
+        return propagate(self.body, self.start, self.log, at=self.times_ns if at is None else at,
+                         **{'solver': solver, 'max_step': step, **options})
+
+    @cached_property
+    def truth(self):
+        """The attitudes and the rates at its times."""
+        tensor, attitude = self.body.inertia, self.start.attitude
+        if self.torques:
+            return list(zip(*truth.series(tensor, attitude, self.rates, self.torques)))
+        return list(zip(*(truth.free(tensor, attitude, self.rates, time_ns)
+                          for time_ns in self.times_ns.tolist())))
+
+    def errors(self, motion):
+        """Return by what angles, rad, a motion is off, and by what rates, rad/s."""
+        attitudes, rates = self.truth
+        return (np.array([truth.chord(q, p) for q, p in zip(attitudes, motion.attitude)]),
+                np.array([np.linalg.norm((w - v).astype(float))
+                          for w, v in zip(rates, motion.angular_velocity)]))
+
+    @cached_property
+    def _speeds(self):
+        times = np.linspace(0, int(self.times_ns[-1]), 2001).astype(np.int64)
+        return np.linalg.norm(self.propagate('auto', at=times).angular_velocity, axis=1)
+
+    @cached_property
+    def phase(self):
+        """The integral of |w| dt, rad; of a long motion from a sample of it."""
+        return self._speeds.mean() * int(self.times_ns[-1]) * 1e-9
+
+    @cached_property
+    def fastest(self):
+        """The largest |w|, rad/s."""
+        return self._speeds.max()
+
+    @cached_property
+    def step(self):
+        """The step, s, of solvers that need one: a power of ten, in which it turns < 0.1 rad."""
+        return 10.0 ** np.clip(np.floor(np.log10(0.1 / max(self.fastest, 1e-99))), -9, 6)
+
+    @property
+    def steps(self):
+        """How many of them there are."""
+        return int(self.times_ns[-1]) * 1e-9 / self.step
+
+    @cached_property
+    def bar(self):
+        """The error, rad, of a solver that is exact to rounding."""
+        return 1e-15 * (10.0 + self.phase)
+
+    def bound(self, solver):
+        """Return the error, rad, that a solver may have: more if it steps into the unknown."""
+        if solver != 'taylor' and not self.lost:
+            return self.bar
+        return self.bar + LOSS * self.phase ** 2 + (4.0 * self.growth if self.amplifies else 0.0)
+
+    @cached_property
+    def growth(self):
+        """What becomes, rad, of a last digit of the rates at the worst of five moments."""
+        end = int(self.times_ns[-1])
+        tensor, last = self.body.inertia, self.truth[0][-1]
+        moved = []
+        for moment in range(0, end, end // 5 + 1):
+            attitude, rates = truth.free(tensor, self.start.attitude, self.rates, moment)
+            with mp.workdps(50):
+                rates = rates + truth.exact(ULP * float(max(abs(rates))) * np.ones(3))
+            there, _ = truth.free(tensor, attitude, rates, end - moment)
+            moved.append(truth.chord(there, last.astype(float)))
+        return max(moved)
+
+
+def turned(moments, rates, turn=(0.3, -0.1, 0.7, 0.4)):
+    """Return the tensor and the rates of a body whose principal axes are not those of the body."""
+    rotation = so3.matrix(so3.normalize(turn))
+    tensor = rotation @ np.diag(moments) @ rotation.T
+    return 0.5 * (tensor + tensor.T), tuple(rotation @ rates)
+
+
+def held(seconds, *torque, in_space=False):
+    return (round(seconds * SECOND), torque, in_space)
+
+
+ROD, ROD_RATES = (1e-6, 1.0, 1.0000005), (50.0, 1.0, 1.0)
+PLATE, FREE_RATES = (1.0, 2.0, 3.0), (1.0, 0.4, 2.0)
+FULL = np.array([[1.1, 0.15, -0.2], [0.15, 2.0, 0.05], [-0.2, 0.05, 2.7]])
+FULL_RATES = (0.5, -0.7, 0.9)
+
+
+def bodies():
+    group = 'Rods, plates, near-spheres'
+    yield Scene(group, 'rod, 1e-6 : 1 : 1 + 5e-7', ROD, ROD_RATES, 10.0)
+    yield Scene(group, 'the same rod, full tensor', *turned(ROD, ROD_RATES), 10.0)
+    yield Scene(group, 'rod, 1e-6 : 1 : 1', (1e-6, 1.0, 1.0), ROD_RATES, 10.0)
+    yield Scene(group, 'ruler, I1 + I2 = I3, 1e-6 : 1 : 1 + 1e-6', (1e-6, 1.0, 1.000001),
+                ROD_RATES, 10.0)
+    yield Scene(group, 'plate, I1 + I2 = I3', PLATE, FREE_RATES, 100.0)
+    yield Scene(group, 'the same plate, full tensor', *turned(PLATE, FREE_RATES), 100.0)
+    yield Scene(group, 'plate of rounded digits, I3 > I1 + I2', (1.0, 2.0, 3.05), FREE_RATES,
+                100.0)
+    yield Scene(group, 'disc, 1 : 1 : 2', (1.0, 1.0, 2.0), FREE_RATES, 100.0)
+    yield Scene(group, 'almost a disc, 1 : 1 + 1e-12 : 2', (1.0, 1.0 + 1e-12, 2.0), FREE_RATES,
+                100.0)
+    yield Scene(group, 'sphere', (1.0, 1.0, 1.0), FREE_RATES, 1000.0)
+    for part in (1e-9, 1e-12, 2.0 ** -52):
+        yield Scene(group, f'near-sphere, 1 : 1 + {part:.0e} : 1 + {2 * part:.0e}',
+                    (1.0, 1.0 + part, 1.0 + 2 * part), FREE_RATES, 1000.0)
+    yield Scene(group, 'near-sphere 1e-9, full tensor',
+                *turned((1.0 - 1e-9, 1.0, 1.0 + 1e-9), FREE_RATES), 1000.0)
+
+
+def sizes():
+    group = 'Large and small numbers'
+    yield Scene(group, 'an ordinary body, full tensor', FULL, FULL_RATES, 100.0)
+    for scale in (1e12, 1e-12, 1e30, 1e-30):
+        yield Scene(group, f'its tensor times {scale:.0e}', scale * FULL, FULL_RATES, 100.0)
+    yield Scene(group, 'spin of 1e4 rad/s', FULL, (1e4, 1.0, -1.0), 1.0)
+    yield Scene(group, 'tumbling at 1e4 rad/s', FULL, (5e3, -7e3, 6e3), 1.0)
+    yield Scene(group, 'tumbling at 1e8 rad/s', FULL, (5e7, -7e7, 6e7), 1e-4)
+    yield Scene(group, 'rates of 1e-9 rad/s, ten years', FULL, (5e-10, -7e-10, 6e-10), 3.15e8)
+    yield Scene(group, 'rates of 1e-200 rad/s, a day', FULL, (5e-201, -7e-201, 6e-201), 86400.0)
+    yield Scene(group, 'torque over inertia of 1e8, from rest', FULL, (0.0, 0.0, 0.0),
+                torques=(held(3e-4, 1e8, -2e8, 1e8),))
+    yield Scene(group, 'the same in space axes', FULL, (0.0, 0.0, 0.0),
+                torques=(held(3e-4, 1e8, -2e8, 1e8, in_space=True),))
+    yield Scene(group, 'rod under torque across, 1e8 along', ROD, (0.0, 0.0, 0.0),
+                torques=(held(3e-4, 100.0, 1e3, -1e3),))
+
+
+def times():
+    group = 'Short and long times'
+    yield Scene(group, 'torques 1 ns apart', FULL, (1e4, -2e4, 1e4), torques=tuple(
+        (1, tuple(torque), k % 2 == 0) for k, torque in enumerate(
+            np.random.default_rng(1).normal(scale=1e8, size=(100, 3)))))
+    yield Scene(group, 'torques a day apart', FULL, (2e-5, -1e-5, 1e-5), torques=(
+        held(86400.0, 2e-10, -4e-10, 2e-10), held(86400.0, 0.0, 0.0, 0.0),
+        held(86400.0, -2e-10, 1e-10, 3e-10, in_space=True)))
+    yield Scene(group, 'a coast of a day', FULL, FULL_RATES, 86400.0)
+    yield Scene(group, 'a million turns, plate', PLATE, FREE_RATES, 2.8e6)
+    yield Scene(group, 'a million turns, full tensor', FULL, FULL_RATES, 5.1e6)
+    yield Scene(group, 'a million turns, near-sphere 1e-9', (1.0, 1.0 + 1e-9, 1.0 + 2e-9),
+                FREE_RATES, 2.8e6)
+
+
+def unstable():
+    group = 'Separatrix and intermediate axis'
+    # I1 (I2 - I1) w1^2 = I3 (I3 - I2) w3^2 where w1 = 3 w3: exactly on it, in doubles too.
+    moments = (4.0, 5.0, 9.0)
+    yield Scene(group, 'on the separatrix', moments, (3.0, 0.5, 1.0), 30.0, amplifies=True)
+    for offset in (1e-3, 1e-6, 1e-9, 1e-12):
+        for sign in (1.0, -1.0):
+            yield Scene(group, f'off it by {sign * offset:+.0e}', moments,
+                        (3.0, 0.5, 1.0 + sign * offset), 30.0, amplifies=True)
+    yield Scene(group, 'about the intermediate axis', PLATE, (0.0, 1.0, 0.0), 1000.0)
+    yield Scene(group, 'about it, full tensor', *turned(PLATE, (0.0, 1.0, 0.0)), 50.0,
+                amplifies=True, lost=True)
+    for offset in (1e-3, 1e-8, 1e-15):
+        yield Scene(group, f'off that axis by {offset:.0e}', PLATE, (offset, 1.0, 0.0), 100.0,
+                    amplifies=True, lost=offset < 1e-12)
+
+
+def published():
+    group = 'Where others broke'
+    yield Scene(group, 'MuJoCo #3553, a thin stick', (1.7231e-4, 6.58e-6, 1.7243e-4),
+                (5.0, 20.0, 5.0), 10.0)
+    yield Scene(group, "Gazebo's boxes", (0.80833, 0.68333, 0.14167), (0.1, 5.0, 0.1), 10.0,
+                amplifies=True)
+    yield Scene(group, 'Avian #993, about the largest moment', PLATE, (0.01, 0.01, 5.0), 1e4)
+    yield Scene(group, 'Avian #993, about the smallest', PLATE, (5.0, 0.01, 0.01), 1e4)
+    yield Scene(group, "van Zon's top", (10.0, 20.0, 26.0), (1.0, 15.0, 1.0), 10.0,
+                amplifies=True)
+    # m_c = 9e-11, where SciPy's `ellipj` is off by 2.
+    yield Scene(group, 'SciPy #8480, modulus near 1', PLATE, (1e-5, 1.0, 0.0), 30.0,
+                amplifies=True)
+
+
+SCENES = (*bodies(), *sizes(), *times(), *unstable(), *published())

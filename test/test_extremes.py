@@ -1,0 +1,163 @@
+"""At the edges of what a body can do every solver is right to rounding, or says that it is not."""
+
+import itertools
+
+from conftest import SECOND, chord
+from known import KNOWN, escape
+import numpy as np
+import pytest
+from scenes import FIXED_STEP, FULL, FULL_RATES, SCENES
+
+from rigid_body_ros import RigidBody, State, TorqueLog, euler, propagate, so3
+from rigid_body_ros.propagate import SOLVERS
+
+#: Limits of what a test may cost: rad for a solver that steps, and steps of fixed length.
+LONGEST_PHASE, MOST_STEPS = 2e5, 1e5
+TO_ROUNDING = ('auto', 'taylor', 'exact')
+
+scenes = pytest.mark.parametrize('scene', SCENES, ids=lambda scene: scene.name)
+free_scenes = pytest.mark.parametrize('scene', [scene for scene in SCENES if not scene.torques],
+                                      ids=lambda scene: scene.name)
+
+
+def affordable(scene):
+    return [solver for solver in TO_ROUNDING if solver in scene.solvers
+            and (solver != 'taylor' or scene.phase < LONGEST_PHASE)]
+
+
+@scenes
+def test_motion_is_that_of_fifty_digits(scene):
+    worst = {}
+    for solver in affordable(scene):
+        apart, rates_apart = scene.errors(scene.propagate(solver))
+        assert apart.max() <= scene.bound(solver)
+        assert rates_apart.max() <= scene.bound(solver) * scene.fastest
+        worst[solver] = apart.max()
+    assert worst['auto'] <= worst.get('taylor', np.inf) + 2e-15
+
+
+@free_scenes
+def test_free_motion_keeps_energy_and_momentum(scene):
+    # To be finite is not enough: mujoco_warp's joints were at 1e12 rad/s.
+    times = np.linspace(0, int(scene.times_ns[-1]), 50).astype(np.int64)
+    for solver in affordable(scene):
+        motion = scene.propagate(solver, at=times)
+        energy, momentum = motion.kinetic_energy, motion.angular_momentum_space
+        assert np.abs(energy - energy[0]).max() <= scene.bar * energy[0]
+        assert np.abs(momentum - momentum[0]).max() <= scene.bar * np.abs(momentum[0]).max()
+
+
+@scenes
+@pytest.mark.parametrize('solver', FIXED_STEP)
+def test_a_step_that_is_too_long_gives_numbers_or_is_refused(scene, solver):
+    for step in (scene.step, 100.0 * scene.step):
+        if scene.times_ns[-1] * 1e-9 > MOST_STEPS * step:
+            continue
+        try:
+            motion = scene.propagate(solver, max_step=step)
+        except ValueError as error:
+            assert f'may be too long for {solver}' in str(error)
+        else:
+            assert np.isfinite(motion.angular_velocity).all()
+            assert np.abs(np.linalg.norm(motion.attitude, axis=1) - 1.0).max() < 1e-15
+
+
+@pytest.mark.parametrize('what', KNOWN)
+def test_what_is_known_is_found(what):
+    quantity, tolerance = KNOWN[what]
+    right, found = quantity()
+    assert abs(found - right) <= tolerance * abs(right)
+
+
+def test_escape_takes_as_long_as_the_logarithm_of_the_offset():
+    # The rate of escape of 1 : 2 : 3 is 1 / sqrt(3).
+    offsets = 10.0 ** -np.arange(3, 16, 3)
+    times = [escape(offset)[1] for offset in offsets]
+    slope, _ = np.polyfit(-np.log(offsets), times, 1)
+    assert slope == pytest.approx(np.sqrt(3.0), rel=1e-6)
+
+
+@pytest.mark.parametrize('solver', SOLVERS)
+@pytest.mark.parametrize('axis', [0, 1, 2])
+def test_rotation_about_a_principal_axis_stays_there(axis, solver):
+    # About the middle one as well: nothing pushes the body off it, not even rounding.
+    rates = 3.0 * np.eye(3)[axis]
+    motion = propagate(RigidBody.from_moments(1.0, 2.0, 3.0), State(0, angular_velocity=rates),
+                       at=np.arange(0, 1000, 7) * SECOND, solver=solver,
+                       max_step=0.1 if solver in FIXED_STEP else None)
+    apart = np.abs(motion.angular_velocity - rates)
+    assert not np.delete(apart, axis, axis=1).any()
+    assert apart.max() <= 1e-12  # `strang` divides what it multiplied
+
+
+@pytest.mark.parametrize('order', list(itertools.permutations(range(3))))
+@pytest.mark.parametrize('torque', [(0.0, 0.0, 0.0), (0.2, -0.1, 0.3)])
+@pytest.mark.parametrize('solver', ['auto', 'taylor'])
+def test_names_of_axes_do_not_matter(order, torque, solver):
+    # An odd permutation is made a rotation by turning one axis round.
+    matrix = np.eye(3)[list(order)]
+    matrix[0] *= np.linalg.det(matrix)
+    renamed = RigidBody(matrix @ FULL @ matrix.T)
+    log, times = TorqueLog([0], [torque]), np.arange(1, 11) * 10 * SECOND
+    here = propagate(RigidBody(FULL), State(0, angular_velocity=FULL_RATES), log, at=times,
+                     solver=solver)
+    there = propagate(renamed, State(0, angular_velocity=matrix @ FULL_RATES),
+                      TorqueLog([0], [matrix @ torque]), at=times, solver=solver)
+    phase = np.linalg.norm(here.angular_velocity, axis=1).max() * 100.0
+    rotated = so3.matrix(here.attitude) @ matrix.T
+    assert np.abs(matrix @ rotated - so3.matrix(there.attitude)).max() < 1e-15 * (10 + phase)
+
+
+@pytest.mark.parametrize('solver', ['auto', 'taylor', 'exact'])
+@pytest.mark.parametrize('seconds', [1, 10, 1000])
+def test_time_runs_backwards(solver, seconds):
+    # From the end with the rates turned round a body goes back to its start.
+    body, start = RigidBody(FULL), State(0, (0.1, -0.3, 0.2, 0.9), FULL_RATES)
+    there = propagate(body, start, at=[seconds * SECOND], solver=solver)
+    back = propagate(body, State(0, there.attitude[0], -there.angular_velocity[0]),
+                     at=[seconds * SECOND], solver=solver)
+    phase = 2.0 * seconds * np.linalg.norm(FULL_RATES)
+    bound = 1e-15 * (10 + phase)
+    assert chord(start.attitude, back.attitude[0]) < bound
+    assert np.abs(back.angular_velocity[0] + FULL_RATES).max() < bound
+
+
+@pytest.mark.parametrize('power', [-300, -40, 40, 300])
+@pytest.mark.parametrize('solver', SOLVERS[:2] + FIXED_STEP)
+def test_the_unit_of_inertia_does_not_matter(power, solver):
+    # Tensor and torque times a power of two: the same motion, to the last bits.
+    times = np.arange(1, 11) * 2 * SECOND
+
+    def moved(scale):
+        return propagate(RigidBody(scale * FULL), State(0, angular_velocity=FULL_RATES),
+                         TorqueLog([0, 5 * SECOND], scale * np.array([[0.2, -0.1, 0.3], [0] * 3])),
+                         at=times, solver=solver, max_step=0.01)
+    assert chord(moved(1.0).attitude, moved(2.0 ** power).attitude).max() < 2e-15
+
+
+@pytest.mark.parametrize('solver', SOLVERS)
+@pytest.mark.parametrize('theta', [0.0, np.pi])
+def test_euler_angles_through_their_singularities(theta, solver):
+    # Theta runs through 0 and pi while phi or psi jumps by pi: the attitude knows of neither.
+    body, rates = RigidBody.from_moments(1.0, 2.0, 2.5), (1.0, 0.0, 0.0)
+    near = round(theta * 1e9) + np.arange(-5, 6)
+    times = near[near >= 0]
+    motion = propagate(body, State(0, angular_velocity=rates), at=times, solver=solver,
+                       max_step=1e-4 if solver in FIXED_STEP else None)
+    for sequence in ('ZXZ', 'zxz', 'XYX'):
+        angles = motion.euler_angles(sequence)
+        assert np.isfinite(angles).all()
+        back = euler.to_quaternion(angles, sequence)
+        assert so3.angle_between(back, motion.attitude).max() < 2e-15
+    assert motion.degenerate().all()
+
+
+@pytest.mark.parametrize(('build', 'message'), [
+    (lambda: RigidBody.from_moments(3.0, 5.0, 9.0), 'in no rigid body does the largest exceed'),
+    (lambda: RigidBody.from_moments(0.0, 1.0, 1.0), 'expected a positive definite tensor'),
+    (lambda: RigidBody.from_moments(1.0, 2.0, 2.5, 5.0), 'expected a positive definite tensor'),
+    (lambda: RigidBody.from_moments(1.0, 2.0, np.nan), 'expected 3 by 3 finite numbers'),
+    (lambda: State(0, angular_velocity=(0.0, np.inf, 0.0)), 'expected 3 finite numbers')])
+def test_what_no_body_can_be_is_refused(build, message):
+    with pytest.raises(ValueError, match=message):
+        build()
