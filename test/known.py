@@ -5,9 +5,9 @@ Each function returns the right value and the one found, for `test_extremes.py` 
 `benchmarks/extremes.py` to print.
 """
 
-from conftest import SECOND
 from mpmath import mp
 import numpy as np
+from scenes import FIXED_STEP, SECOND
 
 from rigid_body_ros import RigidBody, State, TorqueLog, propagate, so3
 
@@ -101,6 +101,22 @@ def spin_up():
     with mp.workdps(30):
         known = float(mp.cos((-3e4 + mp.mpf(8192) * 9 / 2) / 2))
     return known, motion.attitude[0, 3]
+
+
+#: What ODE loses, max |dL| / |L|, of the momentum of Gazebo's boxes in 10 s by the step, s:
+#: github.com/scpeters/benchmark, BENCHMARK_boxes_dt.csv.
+ODE_LOSSES = {1e-3: 1.30708e-2, 5e-4: 6.43471e-3, 1e-4: 1.2715e-3}
+
+
+def lost_momentum(solver, step):
+    """Return the same for one of our solvers."""
+    motion = propagate(RigidBody.from_moments(0.80833, 0.68333, 0.14167),
+                       State(0, angular_velocity=(0.1, 5.0, 0.1)), solver=solver,
+                       at=np.arange(0, 10 * SECOND + 1, SECOND // 1000),
+                       max_step=step if solver in FIXED_STEP else None)
+    momentum = motion.angular_momentum_space
+    apart = np.linalg.norm(momentum - momentum[0], axis=1)
+    return apart.max() / np.linalg.norm(momentum[0])
 
 
 #: What, the right value and the one found, and how far apart they may be.

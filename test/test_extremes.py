@@ -2,7 +2,7 @@
 
 import itertools
 
-from conftest import SECOND, chord
+from conftest import ROOT, SECOND, chord
 from known import KNOWN, escape
 import numpy as np
 import pytest
@@ -161,3 +161,9 @@ def test_euler_angles_through_their_singularities(theta, solver):
 def test_what_no_body_can_be_is_refused(build, message):
     with pytest.raises(ValueError, match=message):
         build()
+
+
+def test_the_page_has_every_scene():
+    page = (ROOT / 'docs' / 'extremes.md').read_text()
+    assert [name for name in (*(scene.name for scene in SCENES), *KNOWN)
+            if f'\n| {name} |' not in page] == []
