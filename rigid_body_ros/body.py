@@ -62,7 +62,7 @@ class RigidBody:
         self.principal_moments, self.principal_axes = (high for high, _ in self._principal)
         self.triangle_excess = _checked_excess(self.principal_moments)
         self.symmetry = _symmetry(self.principal_moments)
-        #: Euler's equations (3, 9) as the kernels want them.
+        #: Euler's equations (2, 3, 9) as the kernels want them.
         self._coefficients = _checked_coefficients(self.inertia)
         self.inertia.flags.writeable = False
 
@@ -131,7 +131,7 @@ class RigidBody:
         """
         w, torque = np.broadcast_arrays(np.asarray(angular_velocity, float), torque)
         products = np.concatenate([np.roll(w, -1, -1) * np.roll(w, -2, -1), w * w, torque], -1)
-        return products @ self._coefficients.T
+        return products @ self._coefficients[0].T
 
     def torque(self, angular_velocity: ArrayLike, angular_acceleration: ArrayLike) -> Floats:
         """Return the body torque tau = (dL/dt)_space in body axes, N m, shape (..., 3)."""

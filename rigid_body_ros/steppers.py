@@ -89,7 +89,7 @@ def strang(state: State, seconds: float, equations: Coefficients, frame: Frame,
 @part
 def _derivative(w: Vector, q: Quaternion, fraction: float, equations: Coefficients,
                 torque: Polynomial, in_space: bool) -> tuple[Vector, Quaternion]:
-    a, b, c = equations
+    a, b, c = equations[0]
     products = (w[1] * w[2], w[2] * w[0], w[0] * w[1], w[0] * w[0], w[1] * w[1], w[2] * w[2])
     x, y, z = _push(q, fraction, equations, torque, in_space)
     for k in range(6):
@@ -105,7 +105,7 @@ def _push(q: Quaternion, fraction: float, equations: Coefficients, torque: Polyn
         torque[2], fraction, torque[3])))
     if in_space:
         tau = to_body(_unit(q), tau)
-    a, b, c = equations
+    a, b, c = equations[0]
     return (dot((a[6], a[7], a[8]), tau), dot((b[6], b[7], b[8]), tau),
             dot((c[6], c[7], c[8]), tau))
 

@@ -84,7 +84,7 @@ def acceleration_bound(torque: Polynomial, in_space: bool, coefficients: Coeffic
             bound += math.sqrt(dot(part, part))
         return bound
     norm = size = 0.0  # a torque in space may come to lie along any body axis
-    for row in coefficients:
+    for row in coefficients[0]:
         inverse = (row[6], row[7], row[8])
         norm += dot(inverse, inverse)
     for vector in torque:
@@ -95,7 +95,7 @@ def acceleration_bound(torque: Polynomial, in_space: bool, coefficients: Coeffic
 @inlined
 def response(coefficients: Coefficients, torque: Vector) -> Vector:
     """Return the angular acceleration J^-1 tau, rad/s^2."""
-    a, b, c = coefficients
+    a, b, c = coefficients[0]
     return (dot((a[6], a[7], a[8]), torque), dot((b[6], b[7], b[8]), torque),
             dot((c[6], c[7], c[8]), torque))
 
@@ -324,16 +324,18 @@ def _advance(state: State, rise: Vector, turn: Quaternion) -> State:
 @inlined
 def _rate(coefficients: Coefficients, diagonal: bool, products: Products) -> Vector:
     # Euler's equations without torque.
-    a, b, c = coefficients
-    if diagonal:
+    (a, b, c), (low_a, low_b, low_c) = coefficients
+    if diagonal:  # what rounding took averages to zero over a period
         return a[0] * products[0], b[1] * products[1], c[2] * products[2]
-    return _row(a, products), _row(b, products), _row(c, products)
+    return (_row(a, products, _row(low_a, products, 0.0)),
+            _row(b, products, _row(low_b, products, 0.0)),
+            _row(c, products, _row(low_c, products, 0.0)))
 
 
 @inlined
-def _row(a: Nine, p: Products) -> float:
-    return fma(a[0], p[0], fma(a[1], p[1], a[2] * p[2])) \
-        + fma(a[3], p[3], fma(a[4], p[4], a[5] * p[5]))
+def _row(a: Nine, p: Products, rest: float) -> float:
+    return fma(a[0], p[0], fma(a[1], p[1], fma(a[2], p[2], fma(a[3], p[3], fma(
+        a[4], p[4], fma(a[5], p[5], rest))))))
 
 
 @inlined

@@ -33,8 +33,9 @@ def euler_coefficients(tensor: Floats) -> Floats:
 
     Returns
     -------
-    array, shape (3, 9)
-        Every entry is the exact value, correctly rounded.
+    array, shape (2, 3, 9)
+        The coefficients, correctly rounded, and what rounding took from them: for a full tensor
+        that would make the energy drift.
 
     Raises
     ------
@@ -55,7 +56,10 @@ def euler_coefficients(tensor: Floats) -> Floats:
     solved = [[sum((row[k] * gyroscopic[k][column] for k in range(3)), Fraction(0))
                for column in range(6)] + row
               for row in cofactors]  # the tensor is symmetric, and so are its cofactors
-    return np.array([[float(entry / determinant) for entry in row] for row in solved])
+    exact = [[entry / determinant for entry in row] for row in solved]
+    high = [[float(entry) for entry in row] for row in exact]
+    return np.array([high, [[float(entry - Fraction(value)) for entry, value in zip(*rows)]
+                            for rows in zip(exact, high)]])
 
 
 def principal(tensor: Floats) -> tuple[Floats, Floats]:

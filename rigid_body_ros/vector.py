@@ -16,8 +16,8 @@ State = tuple[Vector, Quaternion, Vector, Quaternion]
 #: Torque, N m: coefficients of a cubic in the fraction of a span of time.
 Polynomial = tuple[Vector, Vector, Vector, Vector]
 Nine = tuple[float, float, float, float, float, float, float, float, float]
-#: Euler's equations as `tensor.euler_coefficients` returns them, by rows.
-Coefficients = tuple[Nine, Nine, Nine]
+#: Euler's equations by rows, and what rounding took: as `tensor.euler_coefficients` has them.
+Coefficients = tuple[tuple[Nine, Nine, Nine], tuple[Nine, Nine, Nine]]
 #: Principal moments and axes, and what rounding took from both, as `tensor.principal` does.
 Frame = tuple[Vector, Vector, tuple[Vector, Vector, Vector], tuple[Vector, Vector, Vector]]
 

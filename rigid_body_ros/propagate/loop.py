@@ -373,7 +373,8 @@ def _local(torque: vector.Polynomial, offset: float, ratio: float) -> vector.Pol
 
 @part
 def _equations(rows: Floats) -> vector.Coefficients:
-    return _nine(rows[0]), _nine(rows[1]), _nine(rows[2])
+    return ((_nine(rows[0, 0]), _nine(rows[0, 1]), _nine(rows[0, 2])),
+            (_nine(rows[1, 0]), _nine(rows[1, 1]), _nine(rows[1, 2])))
 
 
 @part
@@ -385,7 +386,7 @@ def _nine(row: Floats) -> vector.Nine:
 def _is_diagonal(rows: Floats) -> bool:
     for i in range(3):
         for j in range(6):
-            if i != j and rows[i, j] != 0.0:
+            if i != j and rows[0, i, j] != 0.0:
                 return False
     return True
 
