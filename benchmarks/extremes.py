@@ -28,10 +28,10 @@ REMARKS = {
         'difference of terms a million times its size. It is formed from differences of moments, '
         'which are worked out beyond double precision, and they may be as small as they like.',
     'Large and small numbers':
-        'Only torque over inertia and rates over time matter. `taylor` carries along what it '
-        'loses of the rates, and the attitude adds it up: its error grows with the square of the '
-        'angle turned, most with a full tensor, whose rounded coefficients let energy drift by a '
-        'few 1e-17 per radian. So does that of `auto` where a torque acts for as long.',
+        'Only torque over inertia and rates over time matter. What `taylor` loses of the rates '
+        'to rounding is random, and the attitude adds it up: its error grows with the power 3/2 '
+        'of the angle turned, beyond some 1e4 rad to more than 1e-15 per radian. So does that of '
+        '`auto` where a torque acts for as long.',
     'Short and long times':
         'Times are integer nanoseconds, so neither a long run nor a late epoch blurs a short '
         'step. The closed form is evaluated once from the start of a coast, with constants of 32 '
@@ -40,8 +40,7 @@ REMARKS = {
         'Here the motion itself magnifies what is lost. *A last digit becomes* has what the true '
         'motion makes of a change of the rates by 2.2e-16 of their size at the worst of five '
         'moments: no solver that steps in doubles can promise less. The closed form does not '
-        'step, and is right beyond that. Only less than about 1e-12 rad off the intermediate '
-        'axis, but not on it, it has lost its digits, and `auto` and `exact` step like `taylor`.',
+        'step, and is right beyond that, as near to the separatrix as doubles come.',
     'Where others broke':
         'With MuJoCo\'s stick `implicitfast` gave up at step 4294 of 1 ms (the rates here are '
         'ours). Avian\'s clamp of the momentum led every body to turn about its intermediate '

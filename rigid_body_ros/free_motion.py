@@ -38,9 +38,9 @@ from rigid_body_ros._jit import part
 from rigid_body_ros.double_double import Double
 from rigid_body_ros.vector import Frame, Quaternion, State, Vector, combine, multiply
 
-#: Of the complementary parameter m_c, a difference of numbers with 32 digits, this much is left
-#: over by rounding: below, it is worth a step by step solution more.
-LEAST_COMPLEMENT = 1e-24
+#: What rounding does to numbers of 32 digits, and how much of m_c, which near the separatrix is a
+#: difference of such numbers, may be in doubt: a step by step solution would be further off.
+_ROUNDING, _DOUBT = 1e-31, 1e-12
 #: rad/s; the fourth power of a slower one would vanish.
 _SLOWEST = 1e-60
 
@@ -86,8 +86,8 @@ def prepare(state: State, frame: Frame) -> Motion:
     Returns
     -------
     Motion
-        Of kind LOST where the form has lost its digits: within `LEAST_COMPLEMENT` of the
-        separatrix, but not on it.
+        Of kind LOST where the form has lost its digits: so near the separatrix, but not on it,
+        that rounding in the 32nd digit shows.
 
     """
     w, m, i = _principal(state, frame)
@@ -98,6 +98,12 @@ def prepare(state: State, frame: Frame) -> Motion:
     first = dd.add(dd.multiply(e[1], d21), dd.multiply(e[2], d31))
     second = dd.subtract(dd.multiply(e[2], d32), dd.multiply(e[0], d21))
     third = dd.add(dd.multiply(e[0], d31), dd.multiply(e[1], d32))
+    speed = abs(w[0][0]) + abs(w[1][0]) + abs(w[2][0])
+    unsure = abs(e[2][0] * d32[0]) + abs(e[0][0] * d21[0])
+    if not _along_body_axes(frame):
+        unsure += speed * (abs(m[2][0] * d32[0]) + abs(m[0][0] * d21[0]))
+    if speed < _SLOWEST or (second[0] != 0.0 and _ROUNDING * unsure > _DOUBT * abs(second[0])):
+        return _unchanging(state, LOST)
     rows = frame[2]
     if second[0] < 0.0:  # axes 3, -2, 1; all differences change their signs
         i, m = (i[2], i[1], i[0]), (m[2], _negative(m[1]), m[0])
@@ -121,9 +127,6 @@ def _canonical(state: State, i: Doubles, m: Doubles, rows: tuple[Vector, Vector,
     # that of the moments along the canonical axes.
     complement = dd.divide(dd.multiply(second, d31), dd.multiply(first, d32))
     kind = PERIODIC if complement[0] > 0.0 else SEPARATRIX
-    slowest = max(abs(state[0][0]), abs(state[0][1]), abs(state[0][2])) < _SLOWEST
-    if slowest or 0.0 < complement[0] < LEAST_COMPLEMENT:
-        return _unchanging(state, LOST)
     momentum = dd.root(dd.add(dd.multiply(m[0], m[0]),
                               dd.add(dd.multiply(m[1], m[1]), dd.multiply(m[2], m[2]))))
     product = dd.multiply(dd.multiply(i[0], i[1]), i[2])
@@ -254,6 +257,15 @@ def _along(v: Doubles, axis: Vector, rest: Vector) -> Double:
     total = dd.multiply((axis[0], rest[0]), v[0])
     total = dd.add(total, dd.multiply((axis[1], rest[1]), v[1]))
     return dd.add(total, dd.multiply((axis[2], rest[2]), v[2]))
+
+
+@part
+def _along_body_axes(frame: Frame) -> bool:
+    # Products with noughts and ones are exact.
+    total = 0.0
+    for axis in frame[2]:
+        total += abs(axis[0]) + abs(axis[1]) + abs(axis[2])
+    return total == 3.0
 
 
 @part
