@@ -97,10 +97,10 @@ def test_as_near_to_the_intermediate_axis_as_one_likes(offset, seconds):
 
 
 def test_where_the_closed_form_has_no_digits_the_series_takes_over_and_says_so():
-    # About the intermediate axis, at 45 degrees to those of the body: what 32 digits make of the
-    # root of 1/2 is all that the closed form has to go by.
-    tensor = np.array([[1.5, 0.5, 0.0], [0.5, 1.5, 0.0], [0.0, 0.0, 3.0]])
-    start = State(0, angular_velocity=(1.0, 1.0, 0.0))
+    # Exactly about the intermediate axis, but that lies along (-4, 3, 0) / 5: what 32 digits make
+    # of 3/5 and 4/5 is all that the closed form has to go by.
+    tensor = np.array([[41.0, -12.0, 0.0], [-12.0, 34.0, 0.0], [0.0, 0.0, 75.0]])
+    start = State(0, angular_velocity=(-4.0, 3.0, 0.0))
     motion = propagate(RigidBody(tensor), start, at=[SECOND], solver='exact')
     series = propagate(RigidBody(tensor), start, at=[SECOND], solver='taylor')
     np.testing.assert_array_equal(motion.attitude, series.attitude)
