@@ -167,7 +167,7 @@ class Propagator:
             if active.coasts and not change.torque.any():
                 change.segment = active
             else:
-                change.segment = self._segment(active.state_at(change.time_ns), change.torque,
+                change.segment = self._segment(active.end_at(change.time_ns), change.torque,
                                                change.in_space)
 
     def _active(self, change: _Change, time_ns: int) -> _Segment:
@@ -177,7 +177,7 @@ class Propagator:
         if not self._options.timeout_ns or change.segment.coasts or time_ns < due:
             return change.segment
         if change.silence is None:
-            change.silence = self._segment(change.segment.state_at(due), _NO_TORQUE, False)
+            change.silence = self._segment(change.segment.end_at(due), _NO_TORQUE, False)
         return change.silence
 
     def _segment(self, start: State, torque: Floats, in_space: bool) -> _Segment:
@@ -239,6 +239,11 @@ class _Segment:
             self._thin(at[0] - self._history_ns)
         return loop.unpack(time_ns, out, Origin(self._rule, self._grid_ns[0], self._states[0],
                                                 at[0], grid))
+
+    def end_at(self, time_ns: int) -> State:
+        """Return a state that the next segment begins with, even if the torque stays the same."""
+        state = self.state_at(time_ns)
+        return State(time_ns, state.attitude, state.angular_velocity, state._carry)
 
     def _thin(self, horizon_ns: int) -> None:
         # A late torque asks at most `history` back; the start stays for whoever asks further.
