@@ -190,14 +190,13 @@ def _checked_samples(times_ns: ArrayLike, torques: ArrayLike) -> tuple[NDArray[n
 
 
 def _checked_frames(frame: str | Sequence[str], count: int) -> NDArray[np.bool_]:
-    names = np.full(count, frame) if isinstance(frame, str) else np.asarray(frame)
-    if names.shape != (count,):
+    names = np.asarray(frame)
+    if names.shape not in ((), (count,)):
         raise ValueError(f'frame: expected one name or {count}, found {names.size}')
-    known = np.isin(names, FRAMES)
-    if not known.all() or (isinstance(frame, str) and frame not in FRAMES):
-        found = frame if isinstance(frame, str) else names[~known][0]
-        raise ValueError(f"frame: expected 'body' or 'space', found {str(found)!r}")
-    return names == 'space'
+    unknown = names[~np.isin(names, FRAMES)]
+    if unknown.size:
+        raise ValueError(f"frame: expected 'body' or 'space', found {str(unknown[0])!r}")
+    return np.array(np.broadcast_to(names == 'space', count))
 
 
 def _slopes(times_ns: NDArray[np.int64], values: Floats, nodes: NDArray[np.int64]) -> Floats:

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -125,18 +126,24 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
         'exact' is given torques, or the torques bring the body beyond 1e9 rad/s.
 
     """
-    options = Options(solver, tolerance, max_step, torque_timeout)
+    options = _options(solver, tolerance, max_step, torque_timeout)
     times, ascends, end_ns = _checked_times(at, start.time_ns)
     log = _NO_LOG if log is None else log
     _check_solver(options, log)
     rows = _IN_ORDER if ascends else np.argsort(times, kind='stable')
     # One block of memory: two, freed together, go back to the system, and to get their pages
     # again costs the next run as much as its arithmetic.
-    attitude, rates = np.split(np.empty(7 * times.size), [4 * times.size])
-    attitude, rates = attitude.reshape(-1, 4), rates.reshape(-1, 3)
+    block = np.empty(7 * times.size)
+    attitude = block[:4 * times.size].reshape(-1, 4)
+    rates = block[4 * times.size:].reshape(-1, 3)
     closed = _run_log(body, start, log, options, times, rows, attitude, rates)
     return Trajectory(body, times, attitude, rates,
                       Answers(body, log, options, start.time_ns, end_ns, closed))
+
+
+@lru_cache
+def _options(*values: Any) -> Options:
+    return Options(*values)  # to check them takes a tenth of a short run
 
 
 def _checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], bool, int]:
@@ -176,9 +183,7 @@ def _run_log(body: RigidBody, start: State, log: TorqueLog, options: Options,
             at = run(*(packed, begin, *at, times, rows, attitude, rates, last, closed,
                        log.times_ns, torques, log.in_space, first, stop, options.timeout_ns,
                        *arguments, BUDGET))
-            options.check_speed(packed, at[0])
-    if times.size:
-        options.check_speed(last, int(times[-1]))
+            options.check_speed(last, at[0])
     return closed
 
 

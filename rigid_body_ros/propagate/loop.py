@@ -151,7 +151,7 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
         Where each time's motion goes; empty if in their order.
     attitude, rates : float64 (m, 4), (m, 3)
     last : float64 (14,)
-        Filled with the state that was answered last.
+        Filled with the state that was worked out last.
     closed : bool (n + 1,)
         Set where a coast was answered in closed form, by sample + 1.
     stamps_ns, in_space : int64 (n,), bool (n,)
