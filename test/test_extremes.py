@@ -11,6 +11,8 @@ from scenes import FIXED_STEP, FULL, FULL_RATES, SCENES
 from rigid_body_ros import RigidBody, State, TorqueLog, euler, propagate, so3
 from rigid_body_ros.propagate import SOLVERS
 
+pytestmark = pytest.mark.slow
+
 #: Limits of what a test may cost: rad for a solver that steps, and steps of fixed length.
 LONGEST_PHASE, MOST_STEPS = 2e5, 1e5
 TO_ROUNDING = ('auto', 'taylor', 'exact')

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 import truth
 
+pytestmark = pytest.mark.slow
+
 SECOND = 10 ** 9
 START = (0.1, -0.3, 0.2, 0.9)
 FULL = [[1.1, 0.15, -0.2], [0.15, 2.0, 0.05], [-0.2, 0.05, 2.7]]
