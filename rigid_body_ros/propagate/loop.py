@@ -80,11 +80,10 @@ class Options:
         x, y, z = state[:3].tolist()
         if math.hypot(x, y, z) <= FASTEST:  # nor NaN
             return
-        cause = f'steps of {self.max_step_ns * 1e-9:g} s may be too long for {self.solver}: ' \
-            if self.solver in FIXED_STEP else ''
-        raise ValueError(f'at {time_ns} ns the body turns faster than {FASTEST:g} rad/s: {cause}'
-                         'expected a torque and an inertia in N m and kg m^2 that do not lead '
-                         'there')
+        cause = f'steps of {self.max_step_ns * 1e-9:g} s may be too long for {self.solver}' \
+            if self.solver in FIXED_STEP else \
+            'expected a torque and an inertia in N m and kg m^2 that do not lead there'
+        raise ValueError(f'at {time_ns} ns the body turns faster than {FASTEST:g} rad/s: {cause}')
 
 
 def duration_ns(seconds: float, name: str) -> int:
@@ -163,7 +162,7 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
     Returns
     -------
     grid_ns, begin_ns, sample, silent, done
-        Where it got until all was done or the budget of steps was used up.
+        Where it got until all was done, the budget of steps used up, or the body too fast.
 
     """
     state, begin = _load(packed), _load(packed_begin)
@@ -309,7 +308,7 @@ def _move(state: vector.State, grid_ns: int, time_ns: int, torque: vector.Polyno
           budget: int) -> tuple[vector.State, int, vector.State, bool, int]:
     # Go on to the last grid point before a time, and from there to the time. Returns the state
     # on the grid, when that is, the state at the time, whether it was reached before the budget
-    # of steps was used up, and what is left of that.
+    # of steps was used up or the body too fast, and what is left of the budget.
     bound = taylor.acceleration_bound(torque, in_space, equations)
     out = state
     while grid_ns < time_ns:
@@ -330,6 +329,8 @@ def _move(state: vector.State, grid_ns: int, time_ns: int, torque: vector.Polyno
             break
         state = out
         grid_ns += step_ns
+        if not vector.dot(out[0], out[0]) <= FASTEST * FASTEST:  # nor NaN
+            return state, grid_ns, out, False, budget
     return state, grid_ns, out, True, budget
 
 
