@@ -20,19 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from rigid_body_ros import euler, so3
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.propagate.loop import (
-    BUDGET,
-    LONGEST,
-    NEVER_NS,
-    SIZE,
-    SOLVERS,
-    TOLERANCES,
-    Options,
-    order,
-    origin,
-    run,
-)
+from rigid_body_ros.propagate.loop import BUDGET, NEVER_NS, SIZE, order, origin, run
 from rigid_body_ros.propagate.models import Answers, Model
+from rigid_body_ros.propagate.options import LONGEST, SOLVERS, TOLERANCES, Options
 from rigid_body_ros.propagate.propagator import Propagator
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import TorqueLog

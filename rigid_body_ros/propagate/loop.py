@@ -1,5 +1,5 @@
 """
-The steps between two torque changes, and what they are set to.
+The steps between two torque changes.
 
 A torque sample rules from its stamp to the next one; with a timeout, silence (no torque) follows
 from some time after it. Sample -1 is the time before the first. Consecutive stretches without
@@ -18,20 +18,18 @@ from numpy.typing import NDArray
 from rigid_body_ros import body as bodies
 from rigid_body_ros import free_motion, steppers, taylor, vector
 from rigid_body_ros._jit import inlined, njit, part
-from rigid_body_ros.body import RigidBody
+from rigid_body_ros.propagate.options import (
+    EXACT,
+    EXPLICIT_EULER,
+    FASTEST,
+    RK4,
+    STRANG,
+    TAYLOR,
+)
 from rigid_body_ros.so3 import Floats
 
-SOLVERS = ('auto', 'taylor', 'exact', 'rk4', 'strang', 'explicit_euler')
-_AUTO, _TAYLOR, _EXACT, _RK4, _STRANG, _EXPLICIT_EULER = range(len(SOLVERS))
-#: Those that take steps of a given length.
-FIXED_STEP = SOLVERS[_RK4:]
-TOLERANCES = (1e-15, 1.0)
-#: rad/s; the series converges in a step of a nanosecond up to here.
-FASTEST = 1e9
 #: Later than any time that can be asked for.
 NEVER_NS = 2 ** 63 - 1
-#: Seconds that fit int64 nanoseconds at any epoch.
-LONGEST = 1e9
 #: Size of a state as an array: w (3), q (4), and what rounding took from them (7).
 SIZE = 14
 #: Steps, some 50 ms of work, after which a kernel returns, so that signals are heard.
@@ -39,58 +37,6 @@ BUDGET = 20_000
 #: rad; `auto` answers a coast in closed form where it turns by more. Up to here the series is as
 #: exact, and cheaper.
 LONG_COAST = 16.0
-
-#: A body at rest has no natural step.
-_LONGEST_NS = 10 ** 18
-
-
-class Options:
-    """The options of `propagate` and `Propagator`, checked, in the units of the kernels."""
-
-    def __init__(self, solver: str, tolerance: float, max_step: float | None,
-                 torque_timeout: float) -> None:
-        if solver not in SOLVERS:
-            raise ValueError(f'solver: expected one of {", ".join(SOLVERS)}, found {solver!r}')
-        if not TOLERANCES[0] <= tolerance <= TOLERANCES[1]:
-            raise ValueError('tolerance: expected an attitude error per radian turned from '
-                             f'{TOLERANCES[0]:g} to {TOLERANCES[1]:g}, found {tolerance}')
-        if max_step is not None and not max_step > 0.0:
-            raise ValueError(f'max_step: expected seconds greater than zero, found {max_step}')
-        if max_step is None and solver in FIXED_STEP:
-            raise ValueError(f'max_step: solver {solver!r} takes steps of this length, expected '
-                             'seconds greater than zero, found none')
-        self.solver = solver
-        self.code = SOLVERS.index(solver)
-        self.tolerance = float(tolerance)
-        longest = _LONGEST_NS if max_step is None else min(max_step * 1e9, _LONGEST_NS)
-        self.max_step_ns = max(1, round(longest))
-        self.timeout_ns = duration_ns(torque_timeout, 'torque_timeout')
-
-    def kernel_arguments(self, body: RigidBody) -> tuple[Floats, Floats, Floats, int, float, int]:
-        """Return what every kernel needs to know."""
-        return (body._coefficients, *body._principal, self.code, self.tolerance, self.max_step_ns)
-
-    def rule(self, body: RigidBody, torque: Floats, in_space: bool) -> Hashable:
-        """Return what the motion under a held torque depends on, besides its start."""
-        return (body._coefficients.tobytes(), self.solver, self.tolerance, self.max_step_ns,
-                tuple(torque.ravel().tolist()), in_space and bool(torque.any()))
-
-    def check_speed(self, state: Floats, time_ns: int) -> None:
-        """Raise ValueError where a nanosecond, the shortest step, does not resolve the motion."""
-        x, y, z = state[:3].tolist()
-        if math.hypot(x, y, z) <= FASTEST:  # nor NaN
-            return
-        cause = f'steps of {self.max_step_ns * 1e-9:g} s may be too long for {self.solver}' \
-            if self.solver in FIXED_STEP else \
-            'expected a torque and an inertia in N m and kg m^2 that do not lead there'
-        raise ValueError(f'at {time_ns} ns the body turns faster than {FASTEST:g} rad/s: {cause}')
-
-
-def duration_ns(seconds: float, name: str) -> int:
-    """Return a duration as integer nanoseconds, or raise ValueError with its name."""
-    if not 0.0 <= seconds <= LONGEST:
-        raise ValueError(f'{name}: expected seconds from 0 to {LONGEST:g}, found {seconds}')
-    return round(seconds * 1e9)
 
 
 class Origin(NamedTuple):
@@ -204,7 +150,7 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
                 closed[sample + 1] = True
             elif rest_ns == 0:
                 out = state
-            elif (grid_ns == begin_ns and rest_ns <= max_step_ns and solver <= _EXACT
+            elif (grid_ns == begin_ns and rest_ns <= max_step_ns and solver <= EXACT
                   and (coasts or (degree == 0 and not space))
                   and taylor.is_short(state, seconds, bound, tolerance)):
                 if not asked and not coasts and not falls_silent:
@@ -282,9 +228,9 @@ def _is_zero(torque: vector.Polynomial) -> bool:
 @inlined
 def _is_long(solver: int, begin: vector.State, span_ns: int) -> bool:
     # Whether a coast is answered in closed form.
-    if span_ns == 0 or solver > _EXACT or solver == _TAYLOR:
+    if span_ns == 0 or solver > EXACT or solver == TAYLOR:
         return False
-    if solver == _EXACT:
+    if solver == EXACT:
         return True
     angle = LONG_COAST * 1e9 / span_ns
     return vector.dot(begin[0], begin[0]) > angle * angle
@@ -338,7 +284,7 @@ def _move(state: vector.State, grid_ns: int, time_ns: int, torque: vector.Polyno
 def _natural_ns(state: vector.State, rest_ns: int, bound: float, solver: int, angle: float,
                 max_step_ns: int) -> int:
     # Length of the next step on the grid, whatever is left to go, if it is not longer than that.
-    if solver >= _RK4:
+    if solver >= RK4:
         return max_step_ns
     square, rest = vector.dot(state[0], state[0]), rest_ns / 1e9
     if rest_ns <= max_step_ns and rest * rest * (square + bound) < 0.01:
@@ -351,11 +297,11 @@ def _natural_ns(state: vector.State, rest_ns: int, bound: float, solver: int, an
 def _step(state: vector.State, seconds: float, equations: vector.Coefficients, diagonal: bool,
           frame: vector.Frame, torque: vector.Polynomial, degree: int, in_space: bool,
           bound: float, solver: int, tolerance: float, table: Floats) -> vector.State:
-    if solver == _RK4:
+    if solver == RK4:
         return steppers.rk4(state, seconds, equations, torque, in_space)
-    if solver == _STRANG:
+    if solver == STRANG:
         return steppers.strang(state, seconds, equations, frame, torque, in_space)
-    if solver == _EXPLICIT_EULER:
+    if solver == EXPLICIT_EULER:
         return steppers.explicit_euler(state, seconds, equations, torque, in_space)
     return taylor.step(state, seconds, equations, diagonal, torque, degree, in_space, bound,
                        tolerance, table)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigid_body_ros.body import RigidBody
-from rigid_body_ros.propagate.loop import LONG_COAST, Options
+from rigid_body_ros.propagate.loop import LONG_COAST
+from rigid_body_ros.propagate.options import Options
 from rigid_body_ros.torque import TorqueLog
 
 

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.propagate import loop
-from rigid_body_ros.propagate.loop import Options, Origin
+from rigid_body_ros.propagate.loop import Origin
+from rigid_body_ros.propagate.options import Options, duration_ns
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import FRAMES
 
@@ -51,7 +52,7 @@ class Propagator:
                  torque_timeout: float = 0.0, history: float = 1.0) -> None:
         self._options = Options(solver, tolerance, max_step, torque_timeout)
         #: How much older than the newest stamp a torque is dropped; never that stamp itself.
-        self.history_ns = max(1, loop.duration_ns(history, 'history'))
+        self.history_ns = max(1, duration_ns(history, 'history'))
         self._body = body
         first = _Change(start.time_ns, start.time_ns, _NO_TORQUE, False)
         self._start = start

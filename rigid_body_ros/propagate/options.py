@@ -1,0 +1,70 @@
+"""What the time loop is set to, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+import math
+
+from rigid_body_ros.body import RigidBody
+from rigid_body_ros.so3 import Floats
+
+SOLVERS = ('auto', 'taylor', 'exact', 'rk4', 'strang', 'explicit_euler')
+AUTO, TAYLOR, EXACT, RK4, STRANG, EXPLICIT_EULER = range(len(SOLVERS))
+#: Those that take steps of a given length.
+FIXED_STEP = SOLVERS[RK4:]
+TOLERANCES = (1e-15, 1.0)
+#: rad/s; the series converges in a step of a nanosecond up to here.
+FASTEST = 1e9
+#: Seconds that fit int64 nanoseconds at any epoch.
+LONGEST = 1e9
+#: A body at rest has no natural step.
+_LONGEST_NS = 10 ** 18
+
+
+class Options:
+    """The options of `propagate` and `Propagator`, checked, in the units of the kernels."""
+
+    def __init__(self, solver: str, tolerance: float, max_step: float | None,
+                 torque_timeout: float) -> None:
+        if solver not in SOLVERS:
+            raise ValueError(f'solver: expected one of {", ".join(SOLVERS)}, found {solver!r}')
+        if not TOLERANCES[0] <= tolerance <= TOLERANCES[1]:
+            raise ValueError('tolerance: expected an attitude error per radian turned from '
+                             f'{TOLERANCES[0]:g} to {TOLERANCES[1]:g}, found {tolerance}')
+        if max_step is not None and not max_step > 0.0:
+            raise ValueError(f'max_step: expected seconds greater than zero, found {max_step}')
+        if max_step is None and solver in FIXED_STEP:
+            raise ValueError(f'max_step: solver {solver!r} takes steps of this length, expected '
+                             'seconds greater than zero, found none')
+        self.solver = solver
+        self.code = SOLVERS.index(solver)
+        self.tolerance = float(tolerance)
+        longest = _LONGEST_NS if max_step is None else min(max_step * 1e9, _LONGEST_NS)
+        self.max_step_ns = max(1, round(longest))
+        self.timeout_ns = duration_ns(torque_timeout, 'torque_timeout')
+
+    def kernel_arguments(self, body: RigidBody) -> tuple[Floats, Floats, Floats, int, float, int]:
+        """Return what every kernel needs to know."""
+        return (body._coefficients, *body._principal, self.code, self.tolerance, self.max_step_ns)
+
+    def rule(self, body: RigidBody, torque: Floats, in_space: bool) -> Hashable:
+        """Return what the motion under a held torque depends on, besides its start."""
+        return (body._coefficients.tobytes(), self.solver, self.tolerance, self.max_step_ns,
+                tuple(torque.ravel().tolist()), in_space and bool(torque.any()))
+
+    def check_speed(self, state: Floats, time_ns: int) -> None:
+        """Raise ValueError where a nanosecond, the shortest step, does not resolve the motion."""
+        x, y, z = state[:3].tolist()
+        if math.hypot(x, y, z) <= FASTEST:  # nor NaN
+            return
+        cause = f'steps of {self.max_step_ns * 1e-9:g} s may be too long for {self.solver}' \
+            if self.solver in FIXED_STEP else \
+            'expected a torque and an inertia in N m and kg m^2 that do not lead there'
+        raise ValueError(f'at {time_ns} ns the body turns faster than {FASTEST:g} rad/s: {cause}')
+
+
+def duration_ns(seconds: float, name: str) -> int:
+    """Return a duration as integer nanoseconds, or raise ValueError with its name."""
+    if not 0.0 <= seconds <= LONGEST:
+        raise ValueError(f'{name}: expected seconds from 0 to {LONGEST:g}, found {seconds}')
+    return round(seconds * 1e9)
