@@ -7,8 +7,10 @@ Body axes unless a name says `_space`. Formulas as in Goldstein, Classical Mecha
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 import operator
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +18,8 @@ from numpy.typing import ArrayLike
 from rigid_body_ros import so3
 from rigid_body_ros import tensor as constants
 from rigid_body_ros.so3 import Floats
+
+Result = TypeVar('Result')
 
 #: Relative size of what rounding may do to a tensor that was rotated or put together in doubles.
 ROUNDING = 1e-12
@@ -58,12 +62,12 @@ class RigidBody:
     def __init__(self, tensor: ArrayLike) -> None:
         self.inertia = _checked_tensor(tensor)
         #: Principal moments (2, 3) and axes (2, 3, 3), each with what rounding took from them.
-        self._principal = constants.principal(self.inertia)
-        self.principal_moments, self.principal_axes = (high for high, _ in self._principal)
+        self._principal = _worked_out(constants.principal, self.inertia)
+        self.principal_moments, self.principal_axes = (high.copy() for high, _ in self._principal)
         self.triangle_excess = _checked_excess(self.principal_moments)
         self.symmetry = _symmetry(self.principal_moments)
         #: Euler's equations (2, 3, 9) as the kernels want them.
-        self._coefficients = _checked_coefficients(self.inertia)
+        self._coefficients = _worked_out(constants.euler_coefficients, self.inertia)
         self.inertia.flags.writeable = False
 
     @classmethod
@@ -192,6 +196,17 @@ class State:
     #: And if it lies between two torque changes, where the steps to it began.
     _origin: object = field(repr=False)
 
+    @classmethod
+    def _as_computed(cls, time_ns: int, attitude: Floats, angular_velocity: Floats, carry: Floats,
+                     origin: object = None) -> State:
+        """Return a state with every bit as it is: no norm is restored."""
+        state = object.__new__(cls)
+        for name, value in (('time_ns', time_ns), ('attitude', attitude),
+                            ('angular_velocity', angular_velocity), ('_carry', carry),
+                            ('_origin', origin)):
+            object.__setattr__(state, name, value)
+        return state
+
     def __init__(self, time_ns: int = 0, attitude: ArrayLike = (0.0, 0.0, 0.0, 1.0),
                  angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
                  _carry: Floats | None = None, _origin: object = None) -> None:
@@ -223,7 +238,7 @@ def _checked_tensor(values: ArrayLike) -> Floats:
         raise ValueError(f'inertia: expected 3 by 3 finite numbers, found {tensor.tolist()}')
     if np.max(np.abs(tensor - tensor.T)) > ROUNDING * np.max(np.abs(tensor)):
         raise ValueError(f'inertia: expected a symmetric tensor, found {tensor.tolist()}')
-    return 0.5 * (tensor + tensor.T)
+    return 0.5 * tensor + 0.5 * tensor.T
 
 
 def _checked_excess(moments: Floats) -> float:
@@ -243,9 +258,9 @@ def _symmetry(moments: Floats) -> str:
     return ('asymmetric top', 'symmetric top', 'sphere')[int(close.sum())]
 
 
-def _checked_coefficients(tensor: Floats) -> Floats:
+def _worked_out(constant: Callable[[Floats], Result], tensor: Floats) -> Result:
     try:
-        return constants.euler_coefficients(tensor)
-    except OverflowError:
-        raise ValueError('inertia: expected moments whose inverse is a finite number, '
-                         f'found {tensor.tolist()}') from None
+        return constant(tensor)
+    except ArithmeticError:
+        raise ValueError('inertia: expected moments that are, and whose inverse is, a finite '
+                         f'number, found {tensor.tolist()}') from None

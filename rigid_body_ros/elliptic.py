@@ -58,8 +58,8 @@ def jacobi(u: float, complement: float) -> tuple[float, float, float]:
     if complement == 0.0:
         cn = 1.0 / math.cosh(u)
         return math.tanh(u), cn, cn
-    if u == 0.0:
-        return 0.0, 1.0, 1.0
+    if abs(u) < 1e-9:
+        return u, 1.0, 1.0
     a, kc, count = 1.0, math.sqrt(complement), 0
     means, roots = [0.0] * _MOST, [0.0] * _MOST
     for index in range(_MOST):

@@ -41,8 +41,10 @@ from rigid_body_ros.vector import Frame, Quaternion, State, Vector, combine, mul
 #: What rounding does to numbers of 32 digits, and how much of m_c, which near the separatrix is a
 #: difference of such numbers, may be in doubt: a step by step solution would be further off.
 _ROUNDING, _DOUBT = 1e-31, 1e-12
-#: rad/s; the fourth power of a slower one would vanish.
-_SLOWEST = 1e-60
+#: Of the energy, the part of the other two axes, below which a body turns about one.
+_NOTHING = 1e-70
+#: The second half of 32 digits leaves the range of doubles below.
+_UNDERFLOW = 1e-250
 
 LOST, STEADY, PERIODIC, SEPARATRIX = range(4)
 _ZERO = (0.0, 0.0)
@@ -56,6 +58,8 @@ class Motion(NamedTuple):
 
     kind: int
     start: State
+    #: Of all rates here, 1/s: a power of two.
+    scale: float
     #: The canonical axes in body components, as rows.
     axes: tuple[Vector, Vector, Vector]
     #: Amplitudes of the angular velocity, and of the unit vector along m.
@@ -90,7 +94,7 @@ def prepare(state: State, frame: Frame) -> Motion:
         that rounding in the 32nd digit shows.
 
     """
-    w, m, i = _principal(state, frame)
+    w, m, i, scale = _principal(state, frame)
     d21, d31, d32 = (dd.subtract(i[1], i[0]), dd.subtract(i[2], i[0]), dd.subtract(i[2], i[1]))
     if d32[0] * w[1][0] * w[2][0] == d31[0] * w[2][0] * w[0][0] == d21[0] * w[0][0] * w[1][0] == 0:
         return _unchanging(state, STEADY)
@@ -99,10 +103,12 @@ def prepare(state: State, frame: Frame) -> Motion:
     second = dd.subtract(dd.multiply(e[2], d32), dd.multiply(e[0], d21))
     third = dd.add(dd.multiply(e[0], d31), dd.multiply(e[1], d32))
     speed = abs(w[0][0]) + abs(w[1][0]) + abs(w[2][0])
-    unsure = abs(e[2][0] * d32[0]) + abs(e[0][0] * d21[0])
+    unsure = near = abs(e[2][0] * d32[0]) + abs(e[0][0] * d21[0])
     if not _along_body_axes(frame):
         unsure += speed * (abs(m[2][0] * d32[0]) + abs(m[0][0] * d21[0]))
-    if speed < _SLOWEST or (second[0] != 0.0 and _ROUNDING * unsure > _DOUBT * abs(second[0])):
+    if first[0] < _NOTHING or third[0] < _NOTHING:
+        return _unchanging(state, STEADY)
+    if near < _UNDERFLOW or (second[0] != 0.0 and _ROUNDING * unsure > _DOUBT * abs(second[0])):
         return _unchanging(state, LOST)
     rows = frame[2]
     if second[0] < 0.0:  # axes 3, -2, 1; all differences change their signs
@@ -116,13 +122,13 @@ def prepare(state: State, frame: Frame) -> Motion:
     if m[2][0] < 0.0:
         m = (_negative(m[0]), m[1], _negative(m[2]))
         rows = (_opposite(rows[0]), rows[1], _opposite(rows[2]))
-    return _canonical(state, i, m, rows, d21, d31, d32, first, second, third, sign)
+    return _canonical(state, scale, i, m, rows, d21, d31, d32, first, second, third, sign)
 
 
 @part
-def _canonical(state: State, i: Doubles, m: Doubles, rows: tuple[Vector, Vector, Vector],
-               d21: Double, d31: Double, d32: Double, first: Double, second: Double,
-               third: Double, sign: float) -> Motion:
+def _canonical(state: State, scale: float, i: Doubles, m: Doubles,
+               rows: tuple[Vector, Vector, Vector], d21: Double, d31: Double, d32: Double,
+               first: Double, second: Double, third: Double, sign: float) -> Motion:
     # The differences, and their combinations with the energy, are taken as positive; `sign` is
     # that of the moments along the canonical axes.
     complement = dd.divide(dd.multiply(second, d31), dd.multiply(first, d32))
@@ -154,7 +160,7 @@ def _canonical(state: State, i: Doubles, m: Doubles, rows: tuple[Vector, Vector,
     phase = sine * elliptic.carlson_f(cosine * cosine, cosine * cosine
                                       + complement[0] * sine * sine, 1.0)
     return Motion(
-        kind, state, rows,
+        kind, state, scale, rows,
         (b[0][0] / i[0][0], b[1][0] / i[1][0], b[2][0] / i[2][0]),
         (b[0][0] / momentum[0], b[1][0] / momentum[0], b[2][0] / momentum[0]),
         complement[0], n[0], factor[0], phase, odd, speed, half_period,
@@ -173,6 +179,7 @@ def at(motion: Motion, span_ns: int) -> State:
     if motion.kind == STEADY:
         return _turned(motion, span_ns)
     t = dd.seconds(span_ns)
+    t = (motion.scale * t[0], motion.scale * t[1])
     u = dd.add(dd.multiply(motion.speed, t), (motion.phase, 0.0))
     count = 0.0
     if motion.kind == PERIODIC:
@@ -212,6 +219,7 @@ def _reduced(motion: Motion, u: float, odd: bool) -> tuple[float, Quaternion, Ve
     cosine = math.sqrt(0.5 * (1.0 + z * dn))
     tilt = (-0.5 * y * sn / cosine, -0.5 * x * cn / cosine, 0.0, cosine)
     x, y, z = motion.rates
+    x, y, z = motion.scale * x, motion.scale * y, motion.scale * z
     return psi, tilt, (x * cn, -y * sn, z * dn)
 
 
@@ -241,15 +249,25 @@ def _state(motion: Motion, w: Vector, turn: Quaternion) -> State:
 
 
 @part
-def _principal(state: State, frame: Frame) -> tuple[Doubles, Doubles, Doubles]:
-    # Angular velocity, angular momentum and moments along the principal axes.
+def _principal(state: State, frame: Frame) -> tuple[Doubles, Doubles, Doubles, float]:
+    # Angular velocity, angular momentum and moments along the principal axes, all about 1, and
+    # the scale of the rates: neither fourth powers nor products of moments leave the range then.
     w, low = state[0], state[2]
-    v = ((w[0], low[0]), (w[1], low[1]), (w[2], low[2]))
     (i, j, k), (a, b, c), axes, rest = frame
-    moments = ((i, a), (j, b), (k, c))
+    scale = _power_of_two(max(abs(w[0]), abs(w[1]), abs(w[2])))
+    size = _power_of_two(k)
+    v = ((w[0] / scale, low[0] / scale), (w[1] / scale, low[1] / scale),
+         (w[2] / scale, low[2] / scale))
+    moments = ((i / size, a / size), (j / size, b / size), (k / size, c / size))
     rates = (_along(v, axes[0], rest[0]), _along(v, axes[1], rest[1]), _along(v, axes[2], rest[2]))
     return rates, (dd.multiply(moments[0], rates[0]), dd.multiply(moments[1], rates[1]),
-                   dd.multiply(moments[2], rates[2])), moments
+                   dd.multiply(moments[2], rates[2])), moments, scale
+
+
+@part
+def _power_of_two(value: float) -> float:
+    # No larger than a value, and at least half of it; within the range where nothing is lost.
+    return math.ldexp(1.0, max(math.frexp(value)[1] - 1, -1000)) if value > 0.0 else 1.0
 
 
 @part
@@ -279,8 +297,8 @@ def _modulo(angle: Double) -> Double:
 def _unchanging(state: State, kind: int) -> Motion:
     unit = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     none = (0.0, 0.0, 0.0)
-    return Motion(kind, state, unit, none, none, 0.0, 0.0, 0.0, 0.0, False, _ZERO, _ZERO, _ZERO,
-                  _ZERO)
+    return Motion(kind, state, 1.0, unit, none, none, 0.0, 0.0, 0.0, 0.0, False, _ZERO, _ZERO,
+                  _ZERO, _ZERO)
 
 
 @part

@@ -179,7 +179,7 @@ def _checked_samples(times_ns: ArrayLike, torques: ArrayLike) -> tuple[NDArray[n
         raise ValueError('times_ns: expected integer nanoseconds of shape (n,), '
                          f'found {times.dtype} of shape {times.shape}')
     values = np.array(torques, float).reshape(-1, 3) if np.size(torques) == 0 \
-        else np.array(torques, float)
+        else np.array(torques, float, order='C')
     if values.shape != (times.size, 3):
         raise ValueError(f'torques: expected shape ({times.size}, 3), found {values.shape}')
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))

@@ -53,6 +53,29 @@ def test_any_tensor_and_any_start(seed):
     assert speed < 1e-15
 
 
+@pytest.mark.parametrize('tiny', [5e-324, 1e-300, 1e-160, 1e-80, 1e-40, 1e-20])
+@pytest.mark.parametrize('moments', [(1, 2, 3), (1, 1.9, 1.9), (1, 1, 2), (2, 1, 3)])
+@pytest.mark.parametrize('shape', [(1, 0, 2), (2, 0, 1), (1, 2, 0), (0, 1, 1), (1, 1, 0)])
+def test_rates_that_almost_vanish(shape, moments, tiny):
+    # 2 stands for a rate of 1, 1 for a tiny one. About the intermediate axis the phase of the
+    # closed form is about ln(1 / tiny), and rounded.
+    rates = np.array([0.0, tiny, 1.0])[list(shape)] if max(shape) == 2 else tiny * np.array(shape)
+    body, start = RigidBody(np.diag(np.array(moments, float))), State(0, angular_velocity=rates)
+    motion = propagate(body, start, at=[SECOND, 20 * SECOND], solver='exact')
+    series = propagate(body, start, at=[SECOND, 20 * SECOND], solver='taylor')
+    assert chord(series.attitude, motion.attitude).max() < (1e-10 if tiny > 1e-22 else 2e-13)
+    assert np.all(np.isfinite(motion.angular_velocity))
+
+
+@pytest.mark.parametrize('scale', [2.0 ** -900, 1e-150, 1e-105, 1e105, 1e150, 2.0 ** 900])
+def test_the_scale_of_the_moments_does_not_matter(scale):
+    start = State(0, angular_velocity=(1.0, 0.4, 2.0))
+    times = [SECOND, 100 * SECOND]
+    scaled = propagate(RigidBody(ASYMMETRIC * scale), start, at=times, solver='exact')
+    plain = propagate(RigidBody(ASYMMETRIC), start, at=times, solver='exact')
+    assert chord(plain.attitude, scaled.attitude).max() < 1e-13  # the scale is rounded
+
+
 @pytest.mark.parametrize('rates', [(1.0, 0.4, 2.0), (2.0, 0.4, 0.3)])
 def test_a_million_turns_cost_no_digit(rates):
     # In both modes; the bar is 1e-8 rad, and one unit in the last place of w would move the

@@ -110,6 +110,57 @@ def test_a_run_restarted_at_any_time_goes_on_bit_for_bit(seed, timeout, solver):
         assert same(resumed.at(time_ns), replayed, row)
 
 
+@pytest.mark.parametrize('interpolation', ['linear', 'cubic'])
+def test_a_run_restarted_from_a_coast_takes_what_lies_between_samples(interpolation):
+    state = Propagator(BODY, START).at(EPOCH_NS + 5 * SECOND)
+    bare = State(state.time_ns, state.attitude, state.angular_velocity, state._carry)
+    log = TorqueLog(EPOCH_NS + np.array([4, 8]) * SECOND, [[0, 0, 0], [1, 0, 0]],
+                    interpolation=interpolation)
+    ends = [propagate(BODY, start, log, at=[EPOCH_NS + 6 * SECOND]) for start in (state, bare)]
+    np.testing.assert_array_equal(ends[0].attitude, ends[1].attitude)
+
+
+def test_a_run_restarted_long_after_its_torque_takes_that_torque():
+    whole = Propagator(BODY, START)
+    whole.apply(EPOCH_NS, [0.3, 0.1, 0.2])
+    resumed = Propagator(BODY, whole.at(EPOCH_NS + 10 * SECOND))
+    assert resumed.apply(EPOCH_NS, [0.3, 0.1, 0.2])  # far older than history, but none came yet
+    end_ns = EPOCH_NS + 11 * SECOND
+    np.testing.assert_array_equal(resumed.at(end_ns).attitude, whole.at(end_ns).attitude)
+
+
+def test_a_torque_at_the_restart_that_repeats_the_last_begins_anew():
+    middle_ns, end_ns, torque = EPOCH_NS + 2 * SECOND + 77, EPOCH_NS + 4 * SECOND, [0.3, 0.1, 0.2]
+    whole = Propagator(BODY, START)
+    whole.apply(EPOCH_NS, torque)
+    middle = whole.at(middle_ns)
+    whole.apply(middle_ns, torque)
+    resumed = Propagator(BODY, middle)
+    resumed.apply(middle_ns, torque)
+    replayed = propagate(BODY, middle, TorqueLog([middle_ns], [torque]), at=[end_ns])
+    assert same(whole.at(end_ns), replayed, 0)
+    assert same(resumed.at(end_ns), replayed, 0)
+
+
+@settings(max_examples=40)
+@given(seed=strategies.integers(0, 2 ** 32 - 1), tolerance=strategies.sampled_from([1e-15, 1e-6]),
+       max_step=strategies.sampled_from([None, 2e-4, 1e-3, 5e-3]))
+def test_questions_change_nothing_at_any_tolerance_and_step(seed, tolerance, max_step):
+    random = np.random.default_rng(seed)
+    options = {'tolerance': tolerance, 'max_step': max_step}
+    start = State(0, so3.normalize(random.normal(size=4)), random.normal(size=3) * 10)
+    stamps = np.arange(0, 10) * (SECOND // 1000)
+    torques = random.normal(size=(10, 3))
+    motion = propagate(BODY, start, TorqueLog(stamps, torques), at=stamps, **options)
+    propagator = Propagator(BODY, start, history=1.0, **options)
+    for stamp, torque in zip(stamps.tolist(), torques):
+        for asked in random.integers(max(0, stamp - 10 ** 6), stamp + 3 * 10 ** 6, 3).tolist():
+            propagator.at(asked)
+        propagator.apply(stamp, torque)
+    for row, stamp in enumerate(stamps.tolist()):
+        assert same(propagator.at(stamp), motion, row)
+
+
 def test_zero_samples_change_no_bit_of_a_coast():
     times = EPOCH_NS + np.arange(0, 60 * SECOND, SECOND // 10)
     free = propagate(BODY, START, at=times)
@@ -363,7 +414,7 @@ def test_nothing_is_left_to_compile_after_the_warm_up():
     before = [len(kernel.signatures) for kernel in (loop.run,)]
     stamps, torques, frames = random_log(9)
     for interpolation in ('hold', 'linear', 'cubic'):
-        log = TorqueLog(stamps, torques, interpolation=interpolation)
+        log = TorqueLog(stamps, np.asfortranarray(torques), interpolation=interpolation)
         propagate(BODY, START, log, at=EPOCH_NS + np.arange(5), torque_timeout=0.1)
     propagator = Propagator(BODY, START, torque_timeout=0.1)
     for stamp, torque, frame in zip(stamps.tolist(), torques, frames):

@@ -131,8 +131,15 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
                       Answers(body, log, options, start.time_ns, end_ns, closed))
 
 
-@lru_cache
 def _options(*values: Any) -> Options:
+    try:
+        return _known_options(*values)
+    except TypeError:  # not hashable: certainly not an option
+        return Options(*values)
+
+
+@lru_cache
+def _known_options(*values: Any) -> Options:
     return Options(*values)  # to check them takes a tenth of a short run
 
 
@@ -181,10 +188,13 @@ def _rule_at_start(body: RigidBody, start: State, log: TorqueLog, options: Optio
                    silent: bool) -> Hashable:
     if start._origin is None:
         return None
-    torque = log.torques[sample] if sample >= 0 and not silent else np.zeros(3)
-    if log.interpolation != 'hold' and torque.any():
+    if sample < 0 or silent:
+        return options.rule(body, np.zeros(3), False)
+    torque = log.torques[sample]
+    # A torque at the start begins a segment there, even if it repeats the one before.
+    if log.interpolation != 'hold' or (torque.any() and log.times_ns[sample] == start.time_ns):
         return None
-    return options.rule(body, torque, bool(sample >= 0 and log.in_space[sample]))
+    return options.rule(body, torque, bool(log.in_space[sample]))
 
 
 def warm_up() -> None:

@@ -61,7 +61,8 @@ def origin(start: bodies.State, rule: Hashable) -> Origin:
 
 def unpack(time_ns: int, packed: Floats, origin: Origin) -> bodies.State:
     """Return the state of the kernels, shape (14,), at a time."""
-    return bodies.State(time_ns, packed[3:7], packed[:3], packed[7:], origin)
+    packed.flags.writeable = False
+    return bodies.State._as_computed(time_ns, packed[3:7], packed[:3], packed[7:], origin)
 
 
 @njit
@@ -150,7 +151,7 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
                 closed[sample + 1] = True
             elif rest_ns == 0:
                 out = state
-            elif (grid_ns == begin_ns and rest_ns <= max_step_ns and solver <= EXACT
+            elif (grid_ns == begin_ns and rest_ns < max_step_ns and solver <= EXACT
                   and (coasts or (degree == 0 and not space))
                   and taylor.is_short(state, seconds, bound, tolerance)):
                 if not asked and not coasts and not falls_silent:
@@ -204,7 +205,7 @@ def _stream(state: vector.State, grid_ns: int, sample: int, done: int, at_ns: ND
             continue
         push, span_ns = taylor.response(equations, torque), next_ns - grid_ns
         bound, seconds = math.sqrt(vector.dot(push, push)), span_ns / 1e9
-        if (at_ns[row] < next_ns or span_ns > max_step_ns or in_space[sample]
+        if (at_ns[row] < next_ns or span_ns >= max_step_ns or in_space[sample]
                 or torque == (0.0, 0.0, 0.0) or 0 < timeout_ns < next_ns - stamps_ns[sample]
                 or not taylor.is_short(state, seconds, bound, tolerance)):
             break

@@ -60,6 +60,7 @@ class Propagator:
         self._changes = [first]
         #: Stamp of the torque in force at the start, if one came.
         self._before_start: int | None = None
+        self._newest_ns: int | None = None
 
     @property
     def earliest_ns(self) -> int:
@@ -103,8 +104,9 @@ class Propagator:
                              f'{values[0].tolist()} N m at {time_ns} ns')
         if frame not in FRAMES:
             raise ValueError(f"frame: expected 'body' or 'space', found {frame!r}")
-        if self._changes[-1].time_ns - time_ns >= self.history_ns:
+        if self._newest_ns is not None and self._newest_ns - time_ns >= self.history_ns:
             return False
+        self._newest_ns = time_ns if self._newest_ns is None else max(self._newest_ns, time_ns)
         if time_ns <= self._changes[0].time_ns:
             self._apply_before_start(time_ns, values, frame == 'space')
         else:
@@ -140,7 +142,10 @@ class Propagator:
         if timeout and time_ns + timeout <= start.time_ns:
             torque, in_space = _NO_TORQUE, False
         self._changes[0] = _Change(start.time_ns, time_ns, torque, in_space)
-        self._changes[0].segment = self._segment(self._start, torque, in_space)
+        # A torque at the start begins a segment there, even if it repeats the one before.
+        self._changes[0].segment = self._segment(
+            bare(self._start) if time_ns == start.time_ns and torque.any() else self._start,
+            torque, in_space)
         self._forget_from(1)
 
     def _insert(self, change: _Change) -> None:
@@ -202,6 +207,11 @@ def _time_ns(change: _Change) -> int:
     return change.time_ns
 
 
+def bare(state: State) -> State:
+    """Return a state that does not tell where it comes from."""
+    return State._as_computed(state.time_ns, state.attitude, state.angular_velocity, state._carry)
+
+
 def _frozen(values: ArrayLike) -> NDArray[Any]:
     """Return an array of the kind that logs hold: the kernels are compiled for one kind."""
     array = np.array(values)
@@ -243,8 +253,7 @@ class _Segment:
 
     def end_at(self, time_ns: int) -> State:
         """Return a state that the next segment begins with, even if the torque stays the same."""
-        state = self.state_at(time_ns)
-        return State(time_ns, state.attitude, state.angular_velocity, state._carry)
+        return bare(self.state_at(time_ns))
 
     def _thin(self, horizon_ns: int) -> None:
         # A late torque asks at most `history` back; the start stays for whoever asks further.
