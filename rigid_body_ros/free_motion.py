@@ -54,7 +54,7 @@ Doubles = tuple[Double, Double, Double]
 
 
 class Motion(NamedTuple):
-    """A torque-free motion: what does not change with time. SI units, canonical axes."""
+    """A torque-free motion: what does not change with time. Canonical axes, scaled units."""
 
     kind: int
     start: State
@@ -70,7 +70,7 @@ class Motion(NamedTuple):
     factor: float
     phase: float
     odd: bool
-    #: lambda, rad/s; 2 K, rad; the linear part of psi, rad/s; what each half period adds, rad.
+    #: lambda; 2 K; the linear part of psi; what each half period adds: rad, and rad over time.
     speed: Double
     half_period: Double
     drift: Double
@@ -97,7 +97,7 @@ def prepare(state: State, frame: Frame) -> Motion:
     w, m, i, scale = _principal(state, frame)
     d21, d31, d32 = (dd.subtract(i[1], i[0]), dd.subtract(i[2], i[0]), dd.subtract(i[2], i[1]))
     if d32[0] * w[1][0] * w[2][0] == d31[0] * w[2][0] * w[0][0] == d21[0] * w[0][0] * w[1][0] == 0:
-        return _unchanging(state, STEADY)
+        return unchanging(state, STEADY)
     e = (dd.multiply(m[0], w[0]), dd.multiply(m[1], w[1]), dd.multiply(m[2], w[2]))
     first = dd.add(dd.multiply(e[1], d21), dd.multiply(e[2], d31))
     second = dd.subtract(dd.multiply(e[2], d32), dd.multiply(e[0], d21))
@@ -107,9 +107,9 @@ def prepare(state: State, frame: Frame) -> Motion:
     if not _along_body_axes(frame):
         unsure += speed * (abs(m[2][0] * d32[0]) + abs(m[0][0] * d21[0]))
     if first[0] < _NOTHING or third[0] < _NOTHING:
-        return _unchanging(state, STEADY)
+        return unchanging(state, STEADY)
     if near < _UNDERFLOW or (second[0] != 0.0 and _ROUNDING * unsure > _DOUBT * abs(second[0])):
-        return _unchanging(state, LOST)
+        return unchanging(state, LOST)
     rows = frame[2]
     if second[0] < 0.0:  # axes 3, -2, 1; all differences change their signs
         i, m = (i[2], i[1], i[0]), (m[2], _negative(m[1]), m[0])
@@ -168,9 +168,12 @@ def _canonical(state: State, scale: float, i: Doubles, m: Doubles,
 
 
 @part
-def unprepared(state: State) -> Motion:
-    """Return a motion that says nothing."""
-    return _unchanging(state, LOST)
+def unchanging(state: State, kind: int) -> Motion:
+    """Return a motion of kind STEADY or LOST: it says no more than its start."""
+    unit = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    none = (0.0, 0.0, 0.0)
+    return Motion(kind, state, 1.0, unit, none, none, 0.0, 0.0, 0.0, 0.0, False, _ZERO, _ZERO,
+                  _ZERO, _ZERO)
 
 
 @part
@@ -291,14 +294,6 @@ def _modulo(angle: Double) -> Double:
     # 4 pi is the period of a quaternion.
     turns = float(round(angle[0] / (4.0 * dd.PI[0])))
     return dd.subtract(angle, dd.multiply((4.0 * turns, 0.0), dd.PI))
-
-
-@part
-def _unchanging(state: State, kind: int) -> Motion:
-    unit = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    none = (0.0, 0.0, 0.0)
-    return Motion(kind, state, 1.0, unit, none, none, 0.0, 0.0, 0.0, 0.0, False, _ZERO, _ZERO,
-                  _ZERO, _ZERO)
 
 
 @part

@@ -49,9 +49,9 @@ Products = tuple[float, float, float, float, float, float]
 MAX_ORDER = 40
 #: Rows of the table of coefficients: u, the rotation since the beginning, up to four torques.
 ROWS = 19
-#: Bounds on the local error of the short step of order 3 and 5, for a turn of one radian: eleven
-#: times what the worst of 4000 bodies and torques gave, because errors of w add up to errors of
-#: attitude that grow with the square of the time.
+#: Bounds on the local error of the short step of order 3 and 5, for a turn of one radian: far
+#: above the error itself, because errors of w add up to errors of attitude that grow with the
+#: square of the time.
 _ERROR_3 = 0.5
 _ERROR_5 = 0.1
 #: Square of the angle, rad^2, up to which the short step is right and one step suffices.
@@ -64,8 +64,8 @@ def step_angle(tolerance: float) -> float:
     Return the angle of a full step, rad.
 
     Work per angle, the order squared over the angle, has a flat minimum: about 0.5 rad at the
-    tightest tolerance, where shorter steps also round less, and above 1 rad at loose ones: a
-    whole step has a cost of its own, that of some ten terms.
+    tightest tolerance, where shorter steps also round less, and above 1 rad at loose ones,
+    where what a step costs besides its terms counts for more.
     """
     return 0.5 + 0.09 * math.log10(tolerance / 1e-15)
 

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rigid_body_ros import euler, so3
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.propagate.loop import BUDGET, NEVER_NS, SIZE, order, origin, run
+from rigid_body_ros.propagate.loop import BUDGET, IN_ORDER, NEVER_NS, SIZE, order, origin, run
 from rigid_body_ros.propagate.models import Answers, Model
 from rigid_body_ros.propagate.options import LONGEST, SOLVERS, TOLERANCES, Options
 from rigid_body_ros.propagate.propagator import Propagator
@@ -31,7 +31,6 @@ __all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Model', 'Options', 'Propagator',
            'propagate', 'warm_up']
 
 _NO_LOG = TorqueLog([], [])
-_IN_ORDER = np.empty(0, np.intp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +119,7 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
     times, ascends, end_ns = _checked_times(at, start.time_ns)
     log = _NO_LOG if log is None else log
     _check_solver(options, log)
-    rows = _IN_ORDER if ascends else np.argsort(times, kind='stable')
+    rows = IN_ORDER if ascends else np.argsort(times, kind='stable')
     # One block of memory: two, freed together, go back to the system, and to get their pages
     # again costs the next run as much as its arithmetic.
     block = np.empty(7 * times.size)

@@ -32,6 +32,8 @@ from rigid_body_ros.so3 import Floats
 NEVER_NS = 2 ** 63 - 1
 #: Size of a state as an array: w (3), q (4), and what rounding took from them (7).
 SIZE = 14
+#: For `rows` of `run`: the times ascend.
+IN_ORDER = np.empty(0, np.intp)
 #: Steps, some 50 ms of work, after which a kernel returns, so that signals are heard.
 BUDGET = 20_000
 #: rad; `auto` answers a coast in closed form where it turns by more. Up to here the series is as
@@ -116,7 +118,8 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
     equations, frame = _equations(coefficients), _frame(moments, axes)
     diagonal, angle = _is_diagonal(coefficients), taylor.step_angle(tolerance)
     table = np.empty((taylor.ROWS, taylor.MAX_ORDER + 1))
-    free, prepared, out = free_motion.unprepared(begin), False, state
+    free, prepared = free_motion.unchanging(begin, free_motion.LOST), False
+    out = state
     degree, none = torques.shape[1] - 1, (0.0, 0.0, 0.0)
     while sample < stop and done < len(at_ns):
         # Arrays are read here and not in functions: to hand one over costs half a short step.

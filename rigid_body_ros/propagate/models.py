@@ -72,7 +72,7 @@ class Answers:
                          f'separatrix, to {self.options.tolerance:g} rad per radian turned')
         if solver == 'exact' and not closed and end_ns > start_ns:
             return Model('taylor', start_ns, end_ns,
-                         'too near the separatrix for the closed form, or too slow')
+                         'too near the separatrix for the closed form')
         return Model(solver, start_ns, end_ns, 'as asked')
 
 

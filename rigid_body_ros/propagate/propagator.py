@@ -18,7 +18,6 @@ from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import FRAMES
 
 _NO_TORQUE = np.zeros((1, 3))
-_IN_ORDER = np.empty(0, np.intp)
 
 
 class Propagator:
@@ -144,7 +143,7 @@ class Propagator:
         self._changes[0] = _Change(start.time_ns, time_ns, torque, in_space)
         # A torque at the start begins a segment there, even if it repeats the one before.
         self._changes[0].segment = self._segment(
-            bare(self._start) if time_ns == start.time_ns and torque.any() else self._start,
+            _bare(self._start) if time_ns == start.time_ns and torque.any() else self._start,
             torque, in_space)
         self._forget_from(1)
 
@@ -207,7 +206,7 @@ def _time_ns(change: _Change) -> int:
     return change.time_ns
 
 
-def bare(state: State) -> State:
+def _bare(state: State) -> State:
     """Return a state that does not tell where it comes from."""
     return State._as_computed(state.time_ns, state.attitude, state.angular_velocity, state._carry)
 
@@ -239,7 +238,7 @@ class _Segment:
         out = np.empty(loop.SIZE)
         at = (self._grid_ns[nearest], self._grid_ns[0], 0, False, 0)
         while not at[-1]:
-            at = loop.run(*(grid, begin, *at, np.array([time_ns]), _IN_ORDER, np.empty((1, 4)),
+            at = loop.run(*(grid, begin, *at, np.array([time_ns]), loop.IN_ORDER, np.empty((1, 4)),
                             np.empty((1, 3)), out, np.empty(2, np.bool_), *self._log,
                             *self._arguments, loop.BUDGET))
             self._options.check_speed(grid, at[0])
@@ -253,7 +252,7 @@ class _Segment:
 
     def end_at(self, time_ns: int) -> State:
         """Return a state that the next segment begins with, even if the torque stays the same."""
-        return bare(self.state_at(time_ns))
+        return _bare(self.state_at(time_ns))
 
     def _thin(self, horizon_ns: int) -> None:
         # A late torque asks at most `history` back; the start stays for whoever asks further.
