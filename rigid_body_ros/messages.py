@@ -1,7 +1,8 @@
 """
 ROS messages as bytes: the one place that knows fields, CDR and message definitions.
 
-All types here have one shape: a header, for Odometry a second frame name, and then doubles.
+All types here have one shape: a header, for some a second frame name, and then doubles. (A
+TFMessage is a list of such; here it always has one entry.)
 Encoded by the XCDR1 rules of the DDS-XTypes specification, section 7.4: little-endian when
 written, either when read; doubles are aligned to 8 bytes behind the 4 bytes of encapsulation.
 """
@@ -9,6 +10,7 @@ written, either when read; doubles are aligned to 8 bytes behind the 4 bytes of 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 import struct
 from typing import NamedTuple
 
@@ -32,9 +34,20 @@ _FIELDS = {
     'geometry_msgs/Twist': 'Vector3 linear\nVector3 angular\n',
     'geometry_msgs/PoseWithCovariance': 'Pose pose\nfloat64[36] covariance\n',
     'geometry_msgs/TwistWithCovariance': 'Twist twist\nfloat64[36] covariance\n',
+    'geometry_msgs/Transform': 'Vector3 translation\nQuaternion rotation\n',
+    'geometry_msgs/TransformStamped': 'std_msgs/Header header\nstring child_frame_id\n'
+                                      'Transform transform\n',
     'geometry_msgs/WrenchStamped': 'std_msgs/Header header\nWrench wrench\n',
     'geometry_msgs/QuaternionStamped': 'std_msgs/Header header\nQuaternion quaternion\n',
     'geometry_msgs/Vector3Stamped': 'std_msgs/Header header\nVector3 vector\n',
+    'sensor_msgs/Imu': 'std_msgs/Header header\n'
+                       'geometry_msgs/Quaternion orientation\n'
+                       'float64[9] orientation_covariance\n'
+                       'geometry_msgs/Vector3 angular_velocity\n'
+                       'float64[9] angular_velocity_covariance\n'
+                       'geometry_msgs/Vector3 linear_acceleration\n'
+                       'float64[9] linear_acceleration_covariance\n',
+    'tf2_msgs/TFMessage': 'geometry_msgs/TransformStamped[] transforms\n',
     'nav_msgs/Odometry': 'std_msgs/Header header\nstring child_frame_id\n'
                          'geometry_msgs/PoseWithCovariance pose\n'
                          'geometry_msgs/TwistWithCovariance twist\n',
@@ -57,6 +70,8 @@ class MessageType:
     name: str
     doubles: int
     has_child_frame: bool = False
+    #: Whether it is a list, of one entry.
+    is_list: bool = False
 
     @property
     def definition(self) -> str:
@@ -68,14 +83,9 @@ class MessageType:
     def encode(self, stamp_ns: int, frame_id: str, values: ArrayLike,
                child_frame_id: str = '') -> bytes:
         """Return the message as CDR; values in field order, shape (doubles,)."""
-        seconds, nanoseconds = divmod(stamp_ns, 10 ** 9)
-        text = frame_id.encode() + b'\0'
-        body = struct.pack('<iII', seconds, nanoseconds, len(text)) + text
-        if self.has_child_frame:
-            child = child_frame_id.encode() + b'\0'
-            body += bytes(-len(body) % 4) + struct.pack('<I', len(child)) + child
-        body += bytes(-len(body) % 8)
-        return b'\0\1\0\0' + body + np.asarray(values, '<f8').tobytes()
+        before, after = _around_stamp(self, frame_id, child_frame_id)
+        stamp = struct.pack('<iI', *divmod(stamp_ns, 10 ** 9))
+        return before + stamp + after + np.asarray(values, '<f8').tobytes()
 
     def decode(self, data: bytes) -> Stamped:
         """
@@ -98,10 +108,16 @@ class MessageType:
             raise ValueError(f'unknown encapsulation {data[:4].hex(" ")}')
         order = '<' if data[1] else '>'
         body = memoryview(data)[4:]
-        seconds, nanoseconds = struct.unpack_from(order + 'iI', body)
+        offset = 0
+        if self.is_list:
+            entries, = struct.unpack_from(order + 'I', body)
+            if entries != 1:
+                raise ValueError(f'a list of {entries}')
+            offset = 4
+        seconds, nanoseconds = struct.unpack_from(order + 'iI', body, offset)
         if seconds < 0 or nanoseconds >= 10 ** 9:
             raise ValueError(f'a stamp of {seconds} s and {nanoseconds} ns')
-        frame_id, offset = _string(body, 8, order)
+        frame_id, offset = _string(body, offset + 8, order)
         child_frame_id = ''
         if self.has_child_frame:
             child_frame_id, offset = _string(body, offset, order)
@@ -113,8 +129,10 @@ class MessageType:
 WRENCH = MessageType('geometry_msgs/msg/WrenchStamped', 6)
 QUATERNION = MessageType('geometry_msgs/msg/QuaternionStamped', 4)
 VECTOR3 = MessageType('geometry_msgs/msg/Vector3Stamped', 3)
+IMU = MessageType('sensor_msgs/msg/Imu', 37)
 ODOMETRY = MessageType('nav_msgs/msg/Odometry', 85, has_child_frame=True)
-TYPES = {kind.name: kind for kind in (WRENCH, QUATERNION, VECTOR3, ODOMETRY)}
+TRANSFORM = MessageType('tf2_msgs/msg/TFMessage', 7, has_child_frame=True, is_list=True)
+TYPES = {kind.name: kind for kind in (WRENCH, QUATERNION, VECTOR3, IMU, ODOMETRY, TRANSFORM)}
 
 #: Where the doubles of Odometry tell of a rotation; position, velocity and covariances are 0.
 ORIENTATION, ANGULAR_VELOCITY = slice(3, 7), slice(46, 49)
@@ -156,11 +174,37 @@ def odometry(state: State, space_frame: str, body_frame: str) -> bytes:
     return ODOMETRY.encode(state.time_ns, space_frame, values, body_frame)
 
 
+def imu(state: State, body_frame: str) -> bytes:
+    """Return a state as an Imu that measures no acceleration and does not know its errors."""
+    values = np.zeros(IMU.doubles)
+    values[0:4], values[13:16] = state.attitude, state.angular_velocity
+    values[28] = -1.0  # linear_acceleration_covariance[0]: there is no such measurement
+    return IMU.encode(state.time_ns, body_frame, values)
+
+
+def transform(state: State, space_frame: str, body_frame: str) -> bytes:
+    """Return a state as the transform that takes body coordinates to space coordinates."""
+    values = np.zeros(TRANSFORM.doubles)
+    values[3:7] = state.attitude
+    return TRANSFORM.encode(state.time_ns, space_frame, values, body_frame)
+
+
+@lru_cache
+def _around_stamp(kind: MessageType, frame_id: str, child_frame_id: str) -> tuple[bytes, bytes]:
+    # What of a message comes before its stamp, and between stamp and doubles.
+    before = b'\1\0\0\0' if kind.is_list else b''
+    begin, body = len(before) + 8, b''
+    for name in (frame_id, child_frame_id)[:1 + kind.has_child_frame]:
+        text = name.encode() + b'\0'
+        body += bytes(-(begin + len(body)) % 4) + struct.pack('<I', len(text)) + text
+    return b'\0\1\0\0' + before, body + bytes(-(begin + len(body)) % 8)
+
+
 def _parts(name: str) -> list[str]:
     # The types that a definition is made of, each once, nested ones after their parent.
     found: list[str] = []
     for line in _FIELDS[name].splitlines():
-        field = line.split()[0]
+        field = line.split()[0].removesuffix('[]')
         part = field if '/' in field else f'{name.split("/")[0]}/{field}'
         if part in _FIELDS:
             found += [part, *_parts(part)]

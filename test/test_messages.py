@@ -22,6 +22,8 @@ def doubles(message):
         return [message]
     if isinstance(message, np.ndarray):
         return list(message)
+    if isinstance(message, list):
+        message, = message
     fields = [value for name, value in vars(message).items()
               if name not in ('header', 'child_frame_id', '__msgtype__')]
     return [number for field in fields for number in doubles(field)]
@@ -31,6 +33,8 @@ def doubles(message):
 @pytest.mark.parametrize('frame', ['', 'a', 'world', 'base_link', 'ünïcode'])
 def test_others_read_what_we_encode(kind, frame):
     message = STORE.deserialize_cdr(kind.encode(STAMP_NS, frame, values(kind), 'child'), kind.name)
+    if kind.is_list:
+        message, = message.transforms
     assert message.header.stamp.sec * 10 ** 9 + message.header.stamp.nanosec == STAMP_NS
     assert message.header.frame_id == frame
     assert getattr(message, 'child_frame_id', 'child') == 'child'
@@ -84,6 +88,24 @@ def test_odometry_carries_attitude_and_body_rates():
     assert doubles(message.pose.pose.orientation) == [0.5, -0.5, 0.5, 0.5]
     assert doubles(message.twist.twist.angular) == [1.0, 2.0, 3.0]
     assert np.count_nonzero(doubles(message)) == 7
+
+
+def test_an_imu_measures_attitude_and_body_rates_and_no_acceleration():
+    state = State(STAMP_NS, (0.5, -0.5, 0.5, 0.5), (1.0, 2.0, 3.0))
+    message = STORE.deserialize_cdr(messages.imu(state, 'base_link'), 'sensor_msgs/msg/Imu')
+    assert message.header.frame_id == 'base_link'
+    assert doubles(message.orientation) == [0.5, -0.5, 0.5, 0.5]
+    assert doubles(message.angular_velocity) == [1.0, 2.0, 3.0]
+    assert message.linear_acceleration_covariance[0] == -1.0
+    assert np.count_nonzero(doubles(message)) == 8
+
+
+def test_a_transform_takes_body_to_space():
+    state = State(STAMP_NS, (0.5, -0.5, 0.5, 0.5), (1.0, 2.0, 3.0))
+    message, = STORE.deserialize_cdr(messages.transform(state, 'world', 'base_link'),
+                                     'tf2_msgs/msg/TFMessage').transforms
+    assert (message.header.frame_id, message.child_frame_id) == ('world', 'base_link')
+    assert doubles(message.transform) == [0, 0, 0, 0.5, -0.5, 0.5, 0.5]
 
 
 @pytest.mark.parametrize(('frame_id', 'frame'), [('', 'body'), ('b', 'body'), ('s', 'space')])
