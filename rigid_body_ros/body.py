@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rigid_body_ros import so3
+from rigid_body_ros import so3, urdf
 from rigid_body_ros import tensor as constants
 from rigid_body_ros.so3 import Floats
 
@@ -102,6 +102,29 @@ class RigidBody:
         arms = positions - masses @ positions / masses.sum()
         squares = np.einsum('n,ni,nj->ij', masses, arms, arms)
         return cls(np.trace(squares) * np.eye(3) - squares)
+
+    @classmethod
+    def from_urdf(cls, text: str, link: str = '') -> RigidBody:
+        """
+        Build a body from the <inertial> of a URDF link; body axes are those of the link.
+
+        The rotation rpy of its <origin> turns the tensor. The shift xyz does not change it: it is
+        about the centre of mass, wherever that lies. Links fixed to this one are not added.
+
+        Parameters
+        ----------
+        text : str
+            The file itself (such as ROS's robot_description), after xacro.
+        link : str
+            May be empty where only one link has an <inertial>.
+
+        Raises
+        ------
+        ValueError
+            As `urdf.inertia` has it, or the tensor is none, as for the class.
+
+        """
+        return cls(urdf.inertia(text, link))
 
     def moment_about(self, axis: ArrayLike) -> float:
         """Return the moment of inertia n J n, kg m^2, about an axis through the centre of mass."""

@@ -1,0 +1,122 @@
+"""
+The inertia of a link in a URDF file.
+
+The format is that of http://wiki.ros.org/urdf/XML/link. What it leaves open is taken as ROS's own
+parser does, urdfdom (`parseInertial` in urdf_parser/src/link.cpp).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from rigid_body_ros import euler, so3
+from rigid_body_ros.so3 import Floats
+
+#: Attributes of <inertia>, row by row.
+_ENTRIES = ('ixx', 'ixy', 'ixz', 'ixy', 'iyy', 'iyz', 'ixz', 'iyz', 'izz')
+#: What `float` takes besides (1_000, digits of other scripts) is no number to urdfdom.
+_NUMBER = re.compile(r'[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?')
+
+
+def inertia(text: str, link: str = '') -> Floats:
+    """
+    Return the inertia of a link about its centre of mass, in the axes of the link.
+
+    R I R^T, where I are the entries of <inertia> and R turns by the roll, pitch and yaw of
+    <origin> about the fixed x, y, z: without a rotation the numbers are those of the file. A
+    rotation rounds by some 1e-16 of the largest moment. The shift xyz says where the centre of
+    mass is, which does not change the tensor about it; it is only checked. The mass is not read.
+
+    Parameters
+    ----------
+    text : str
+        The file itself, after xacro. Neither the specification nor urdfdom has defaults for the
+        six entries of <inertia> (only the schema beside urdfdom has zeros, in doubt about them):
+        all are required. <origin>, its xyz and its rpy may be missing and are then zero.
+    link : str
+        May be empty where only one link has an <inertial>.
+
+    Returns
+    -------
+    array, shape (3, 3), kg m^2
+        Symmetric, after a rotation within rounding.
+
+    Raises
+    ------
+    ValueError
+        The text is not URDF, or still xacro; the link is not there or not the only one, or has no
+        <inertial>; an attribute is missing or not the finite numbers that it should be; the
+        rotation is a quaternion (URDF 1.1).
+
+    """
+    name, inertial = _chosen(_robot(text), link)
+    where = f'URDF link {name!r}'
+    entries, origin = _child(inertial, 'inertia'), _child(inertial, 'origin')
+    tensor = np.reshape([_numbers(entries, entry, 1, where) for entry in _ENTRIES], (3, 3))
+    if origin.get('quat_xyzw') is not None:
+        raise ValueError(f'{where}: expected the rotation as rpy, found quat_xyzw')
+    _numbers(origin, 'xyz', 3, where, '0 0 0')
+    angles = _numbers(origin, 'rpy', 3, where, '0 0 0')
+    rotation = so3.matrix(euler.to_quaternion(angles, 'xyz'))
+    return rotation @ tensor @ rotation.T
+
+
+def _robot(text: str) -> Element:
+    try:
+        robot = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise ValueError(f'URDF: expected XML, found {text[:40]!r} ({error})') from None
+    for element in robot.iter():
+        namespace, _, name = element.tag.rpartition('}')
+        if 'xacro' in namespace:
+            raise ValueError(f'URDF: expected what xacro makes of it, found <xacro:{name}>')
+    root = robot.tag.rpartition('}')[2]
+    if root != 'robot':
+        raise ValueError(f'URDF: expected <robot> around everything, found <{root}>')
+    return robot
+
+
+def _chosen(robot: Element, link: str) -> tuple[str, Element]:
+    # {*}: urdfdom's own example has a default namespace, which its parser does not look at.
+    links = [(element.get('name', ''), element.find('{*}inertial'))
+             for element in robot.findall('{*}link')]
+    heavy = [name for name, inertial in links if inertial is not None]
+    if not link and len(heavy) != 1:
+        raise ValueError('URDF: expected the name of a link, or only one with <inertial>, '
+                         f'found {_listed(heavy)}')
+    name = link or heavy[0]
+    found = [inertial for other, inertial in links if other == name]
+    if len(found) != 1:
+        raise ValueError(f'URDF: expected one link {name!r}, '
+                         f'found {_listed([other for other, _ in links])}')
+    if found[0] is None:
+        raise ValueError(f'URDF link {name!r}: expected an <inertial>, found none; '
+                         f'links that have one: {_listed(heavy)}')
+    return name, found[0]
+
+
+def _listed(names: list[str]) -> str:
+    return ', '.join(map(repr, names)) or 'none'
+
+
+def _child(parent: Element, name: str) -> Element:
+    child = parent.find('{*}' + name)
+    return Element(name) if child is None else child
+
+
+def _numbers(element: Element, name: str, count: int, where: str,
+             default: str | None = None) -> list[float]:
+    text = element.get(name, default)
+    words = (text or '').split()
+    numbers = [float(word) for word in words if _NUMBER.fullmatch(word)]
+    if not len(numbers) == len(words) == count or not all(map(math.isfinite, numbers)):
+        expected = 'a finite number' if count == 1 else f'{count} finite numbers'
+        found = 'nothing' if text is None else repr(text)
+        hint = ', which xacro should have replaced' if '${' in found else ''
+        raise ValueError(f'{where}: {name}: expected {expected}, found {found}{hint}')
+    return numbers
