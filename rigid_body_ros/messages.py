@@ -148,6 +148,11 @@ def wrench(stamp_ns: int, frame_id: str, torque: ArrayLike) -> bytes:
     return WRENCH.encode(stamp_ns, frame_id, np.concatenate([np.zeros(3), torque]))
 
 
+def new_log() -> bytes:
+    """Return the torque, zero at time zero, that begins a log anew: what came before is void."""
+    return wrench(0, '', np.zeros(3))
+
+
 def torque_frame(frame_id: str, body_frame: str, space_frame: str) -> str:
     """
     Return 'body' or 'space', the axes that a WrenchStamped is given in.

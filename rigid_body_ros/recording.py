@@ -101,7 +101,7 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType = message
 def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_frame: str,
                interpolation: str = 'hold') -> TorqueLog:
     """
-    Return the log that WrenchStamped messages make.
+    Return the log that WrenchStamped messages make: the last one, where it was begun anew.
 
     Raises
     ------
@@ -117,7 +117,8 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
     for row in np.flatnonzero(~np.isfinite(torques).all(axis=1)):
         raise InputError(f'{where}: message {row + 1} at {recorded.stamps_ns[row]} ns: expected '
                          f'a finite torque, found {torques[row].tolist()}')
-    unstamped = np.flatnonzero(recorded.stamps_ns == 0)
+    begun = new_logs(recorded)
+    unstamped = np.setdiff1d(np.flatnonzero(recorded.stamps_ns == 0), begun)
     # One may be at the beginning of simulated time, which does not reach wall time.
     if unstamped.size > 1 or (unstamped.size and recorded.stamps_ns.max() > _SIMULATED_NS):
         raise InputError(f'{where}: message {unstamped[0] + 1}: expected a stamp in its header, '
@@ -130,10 +131,17 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
             except ValueError as error:
                 raise InputError(f'{where}: message {number}: {error}') from error
     frames = [known[frame_id] for frame_id in recorded.frame_ids]
+    last = int(begun[-1]) if begun.size else 0
     try:
-        return TorqueLog(recorded.stamps_ns, torques, frames, interpolation)
+        return TorqueLog(recorded.stamps_ns[last:], torques[last:], frames[last:], interpolation)
     except ValueError as error:
         raise InputError(f'{where}: {error}') from error
+
+
+def new_logs(recorded: Messages) -> NDArray[np.intp]:
+    """Return the rows where the log of a node begins anew (see `messages.new_log`)."""
+    begun = (recorded.stamps_ns == 0) & ~recorded.values.any(axis=1)
+    return np.flatnonzero(begun[1:]) + 1
 
 
 class Writer:

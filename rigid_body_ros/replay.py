@@ -46,6 +46,8 @@ class Replay:
         Where the torques came from.
     messages : int
         How many there were.
+    logs : int
+        How many logs they make, of which the last was replayed.
     seconds : float
         Time that the propagation took.
 
@@ -57,6 +59,7 @@ class Replay:
     trajectory: Trajectory
     topic: str
     messages: int
+    logs: int
     seconds: float
 
     @property
@@ -106,7 +109,8 @@ def replay(path: str | Path, scene: Scene, *, topic: str | None = None,
     except ValueError as error:
         raise InputError(f'{path}: {recorded.topic}: {error}') from error
     seconds = time.perf_counter() - began
-    return Replay(scene, log, start, trajectory, recorded.topic, len(recorded.stamps_ns), seconds)
+    return Replay(scene, log, start, trajectory, recorded.topic, len(recorded.stamps_ns),
+                  len(recording.new_logs(recorded)) + 1, seconds)
 
 
 def write(path: str | Path, result: Replay) -> None:
@@ -161,7 +165,8 @@ def summary(result: Replay) -> str:
     speed = span / result.seconds
     rows = [
         ('torques', f'{result.messages} on {result.topic}, over '
-                    f'{(result.log.times_ns[-1] - result.log.times_ns[0]) * 1e-9:.9g} s'),
+                    f'{(result.log.times_ns[-1] - result.log.times_ns[0]) * 1e-9:.9g} s'
+                    + (f'; the last of {result.logs} epochs' if result.logs > 1 else '')),
         ('between them', _reading(result)),
         ('body', f'{result.scene.body.symmetry}{_excess(result.scene.body)}'),
         *(('solver', text) for text in _solvers(result)),

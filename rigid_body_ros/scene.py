@@ -33,7 +33,7 @@ class Parameter(NamedTuple):
     """One key of a scene; its type is that of the default, or float where there is none."""
 
     name: str
-    default: int | float | str | None
+    default: bool | int | float | str | None
     unit: str
     description: str
     #: Closed interval; (lowest, highest) of a number.
@@ -52,19 +52,30 @@ _MOMENT = 'moment of inertia about the centre of mass, body axes'
 _PRODUCT = 'off-diagonal entry of the inertia tensor itself, as in URDF'
 _QUATERNION = 'initial attitude quaternion, body to space'
 _VELOCITY = 'initial angular velocity, body axes'
+MODES = REALTIME, LOCKSTEP = 'realtime', 'lockstep'
+TIME_SOURCES = HEADER, ARRIVAL = 'header', 'arrival'
+TIME_JUMPS = RESET, REBASE, IGNORE = 'reset', 'rebase', 'ignore'
 
 PARAMETERS = {parameter.name: parameter for parameter in (
     *(Parameter(f'inertia.{name}', None, 'kg m^2', _MOMENT, (_TINY, _BIG))
       for name in ('ixx', 'iyy', 'izz')),
     *(Parameter(f'inertia.{name}', 0.0, 'kg m^2', _PRODUCT, (-_BIG, _BIG))
       for name in ('ixy', 'ixz', 'iyz')),
+    Parameter('robot_description', '', '', 'URDF to take the inertia from, instead of numbers'),
+    Parameter('link', '', '', 'link of robot_description; empty: the only one with an inertia'),
     *(Parameter(f'initial_attitude.{name}', default, '', _QUATERNION, (-_BIG, _BIG))
       for name, default in zip('xyzw', (0.0, 0.0, 0.0, 1.0))),
     *(Parameter(f'initial_angular_velocity.{name}', 0.0, 'rad/s', _VELOCITY, (-1e9, 1e9))
       for name in 'xyz'),
     Parameter('start_time', 0, 'ns', 'when the initial state holds; 0: the first torque in a '
-              'replay, the first valid clock reading in the node, which reports the value in use',
-              (0, 2 ** 31 * 10 ** 9 - 1)),
+              'replay and in lockstep, else the first valid clock reading; a running node reports '
+              'the value in use', (0, 2 ** 31 * 10 ** 9 - 1)),
+    Parameter('mode', REALTIME, '', 'realtime: the clock asks for the motion; lockstep: each '
+              'torque, stamped t, is answered with the state at t + step', choices=MODES),
+    Parameter('step', 0.001, 's', 'how far ahead of a torque lockstep answers', (1e-9, LONGEST)),
+    Parameter('time_source', HEADER, '', 'whether the node takes the time of a torque from its '
+              'header or from its arrival (for bags played without --clock)',
+              choices=TIME_SOURCES),
     Parameter('solver', 'auto', '', 'how the motion is integrated', choices=SOLVERS),
     Parameter('tolerance', 1e-15, '', 'attitude error per radian turned', TOLERANCES),
     Parameter('max_step', 0.0, 's', 'longest step, which the solvers of fixed step take; 0: none',
@@ -77,6 +88,10 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               (0.0, 3600.0)),
     Parameter('max_future', 0.5, 's', 'a torque stamped further ahead of the clock is refused',
               (0.0, 3600.0)),
+    Parameter('on_time_jump', RESET, '', 'what a clock that jumps back does: start again, go on '
+              'from the present state, or nothing', choices=TIME_JUMPS),
+    Parameter('publish_clock', False, '', 'lockstep: publish the time of each answer on /clock'),
+    Parameter('publish_tf', False, '', 'publish the attitude on /tf, too (needs tf2_msgs)'),
     Parameter('publish_rate', 100.0, 'Hz', 'rate of the published attitude; may change while '
               'running', (1e-3, 2000.0)),
     Parameter('euler_sequence', 'ZXZ', '', 'axes of the Euler angles, upper case intrinsic, lower '
@@ -136,6 +151,7 @@ class Scene:
         for name in given:
             if name not in PARAMETERS and name not in _ROS and not name.startswith(_QOS):
                 raise InputError(f'{name}: unknown key{_suggestion(name)}')
+        given = {**given, **_inertia_of_robot(given)}
         values = {name: checked(parameter, given.get(name, parameter.default))
                   for name, parameter in PARAMETERS.items()}
         try:
@@ -189,9 +205,11 @@ def checked(parameter: Parameter, given: Any) -> Any:
     if given is None:
         raise InputError(f'{name}: missing; expected a number{unit}: {parameter.description}')
     value = float(given) if parameter.type is float and type(given) is int else given
-    wrong = isinstance(value, bool) or not isinstance(value, parameter.type)
+    # A bool is an int to Python.
+    wrong = type(value) is not parameter.type
     if wrong:
-        kind = {float: 'a number', int: 'an integer', str: 'a text'}[parameter.type]
+        kind = {float: 'a number', int: 'an integer', str: 'a text',
+                bool: 'true or false'}[parameter.type]
         raise InputError(f'{name}: expected {kind}{unit}, found {value!r}')
     if parameter.choices and value not in parameter.choices:
         raise InputError(f'{name}: expected one of {", ".join(parameter.choices)}, '
@@ -199,6 +217,28 @@ def checked(parameter: Parameter, given: Any) -> Any:
     if parameter.range and not parameter.range[0] <= value <= parameter.range[1]:
         raise InputError(f'{name}: expected {_limits(*parameter.range)}{unit}, found {value}')
     return value
+
+
+def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
+    """Return the tensor's entries where a URDF has them; numbers beside it have to agree."""
+    text, link = (checked(PARAMETERS[name], given.get(name, ''))
+                  for name in ('robot_description', 'link'))
+    if not text:
+        if link:
+            raise InputError(f'link: expected a robot_description to find {link!r} in, found none')
+        return {}
+    try:
+        tensor = RigidBody.from_urdf(text, link).inertia
+    except ValueError as error:
+        raise InputError(f'robot_description: {error}') from error
+    entries = {f'inertia.i{"xyz"[i]}{"xyz"[j]}': float(tensor[i, j])
+               for i in range(3) for j in range(i, 3)}
+    for name, entry in entries.items():
+        # A dump of a running node has both.
+        if given.get(name, 0.0) not in (0.0, entry):
+            raise InputError(f'{name}: expected {entry!r}, as robot_description says, or none, '
+                             f'found {given[name]!r}')
+    return entries
 
 
 def _limits(low: float, high: float) -> str:
@@ -215,6 +255,12 @@ def _check_together(values: Mapping[str, Any]) -> None:
     if values['space_frame'] == values['body_frame']:
         raise InputError('space_frame, body_frame: expected two names, '
                          f'found {values["body_frame"]!r} twice')
+    if values['mode'] == LOCKSTEP and values['time_source'] == ARRIVAL:
+        raise InputError('time_source: expected header in lockstep, which goes by stamps, '
+                         f'found {ARRIVAL!r}')
+    if values['publish_clock'] and values['mode'] != LOCKSTEP:
+        raise InputError('publish_clock: expected mode lockstep, where torques make the time, '
+                         f'found {values["mode"]!r}')
     if not values['max_future'] < max(values['history'], math.ulp(0.0)):
         raise InputError('max_future: expected less than history '
                          f'({values["history"]} s), found {values["max_future"]}')

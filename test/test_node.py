@@ -136,7 +136,7 @@ def test_bad_torques_are_refused_counted_and_change_nothing(tmp_path, domain):
     np.testing.assert_array_equal(live_values(committed), replay)
     for part in ('refused (too large, 1 so far): expected a torque of at most 4.49e+07 N m',
                  'refused (not finite, 1 so far): expected a finite torque, found [nan, 0.0, 0.0]',
-                 "found 'map'", 'refused (future, 1 so far): a torque is stamped', 's ahead of',
+                 "found 'map'", 'refused (future, 1 so far): stamped', 's ahead of',
                  'refused (late, 1 so far): ', 's behind the clock',
                  'the force of a WrenchStamped is ignored'):
         assert part in words, words

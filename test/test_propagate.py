@@ -474,3 +474,26 @@ def test_trajectories_give_euler_angles():
     assert motion.degenerate().tolist() == [row % 8 == 0 for row in range(33)]
     np.testing.assert_allclose(np.abs(np.diff(motion.euler_angles(continuous=True)[:, 1])),
                                np.diff(motion.times_ns) * 1e-9, atol=1e-14)
+
+
+def test_work_may_be_done_in_parts_and_gives_the_same_bits():
+    # A million steps in one segment, and then a thousand segments.
+    torques = [(EPOCH_NS + 10 * SECOND + k * SECOND // 1000, (1e-3 * k, 0.0, 1e-3))
+               for k in range(1000)]
+    whole, parts = (Propagator(BODY, START, history=100.0, max_step=1e-5) for _ in range(2))
+    for propagator in (whole, parts):
+        propagator.apply(EPOCH_NS, (0.01, 0.02, 0.03))
+        for stamp_ns, torque in torques:
+            propagator.apply(stamp_ns, torque)
+    given_up = 0
+    for time_ns in (EPOCH_NS + 10 * SECOND - 5, EPOCH_NS + 12 * SECOND):
+        for _ in range(10_000):
+            try:
+                state = parts.at(time_ns, within=0.0)
+                break
+            except TimeoutError:
+                given_up += 1
+        expected = whole.at(time_ns)
+        assert np.array_equal(state.attitude, expected.attitude)
+        assert np.array_equal(state.angular_velocity, expected.angular_velocity)
+    assert given_up > 1000

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import bisect
 from dataclasses import dataclass
+import math
 import operator
+import time
 from typing import Any
 
 import numpy as np
@@ -112,23 +114,31 @@ class Propagator:
             self._insert(_Change(time_ns, time_ns, values, frame == 'space'))
         return True
 
-    def at(self, time_ns: int) -> State:
+    def at(self, time_ns: int, within: float = math.inf) -> State:
         """
         Return the state at a time under the torques known so far.
+
+        Parameters
+        ----------
+        time_ns : int
+        within : float, s
+            How long to work for it.
 
         Raises
         ------
         ValueError
             The time lies before the start, or further back than is remembered, or the torques
             bring the body beyond 1e9 rad/s.
+        TimeoutError
+            It would have taken longer; the next call goes on from where this one got.
 
         """
-        time_ns = operator.index(time_ns)
+        time_ns, until = operator.index(time_ns), time.monotonic() + within
         index = bisect.bisect_right(self._changes, time_ns, key=_time_ns) - 1
         if index < 0 or time_ns >= loop.NEVER_NS:
             raise ValueError(f'expected a time from {self.earliest_ns} ns on, found {time_ns} ns')
-        self._resolve(index)
-        return self._active(self._changes[index], time_ns).state_at(time_ns)
+        self._resolve(index, until)
+        return self._active(self._changes[index], time_ns, until).state_at(time_ns, until)
 
     def _apply_before_start(self, time_ns: int, torque: Floats, in_space: bool) -> None:
         # Nothing is forgotten before a stamp is `history` past the start, and a stamp as old as
@@ -162,27 +172,30 @@ class Propagator:
         for change in self._changes[index:]:
             change.segment = change.silence = None
 
-    def _resolve(self, index: int) -> None:
-        """Give every change up to this one its segment."""
+    def _resolve(self, index: int, until: float = math.inf) -> None:
+        """Give every change up to this one its segment, or raise TimeoutError."""
         first = index
         while self._changes[first].segment is None:
             first -= 1
         for before, change in zip(self._changes[first:index], self._changes[first + 1:index + 1]):
-            active = self._active(before, change.time_ns)
+            active = self._active(before, change.time_ns, until)
             if active.coasts and not change.torque.any():
                 change.segment = active
             else:
-                change.segment = self._segment(active.end_at(change.time_ns), change.torque,
-                                               change.in_space)
+                change.segment = self._segment(active.end_at(change.time_ns, until),
+                                               change.torque, change.in_space)
+            if time.monotonic() > until:
+                raise TimeoutError(f'the motion is known up to {change.time_ns} ns')
 
-    def _active(self, change: _Change, time_ns: int) -> _Segment:
+    def _active(self, change: _Change, time_ns: int, until: float) -> _Segment:
         """Return the segment that holds at a time from a change on, before the next change."""
         assert change.segment is not None
         due = change.stamp_ns + self._options.timeout_ns
         if not self._options.timeout_ns or change.segment.coasts or time_ns < due:
             return change.segment
         if change.silence is None:
-            change.silence = self._segment(change.segment.end_at(due), _NO_TORQUE, False)
+            change.silence = self._segment(change.segment.end_at(due, until), _NO_TORQUE,
+                                           False)
         return change.silence
 
     def _segment(self, start: State, torque: Floats, in_space: bool) -> _Segment:
@@ -232,7 +245,7 @@ class _Segment:
         self._log = (_frozen([origin.begin_ns]), _frozen([torque]), _frozen([in_space]), 0, 1, 0)
         self._arguments = options.kernel_arguments(body)
 
-    def state_at(self, time_ns: int) -> State:
+    def state_at(self, time_ns: int, until: float) -> State:
         nearest = bisect.bisect_right(self._grid_ns, time_ns) - 1
         grid, begin = self._states[nearest].copy(), self._states[0].copy()
         out = np.empty(loop.SIZE)
@@ -242,17 +255,21 @@ class _Segment:
                             np.empty((1, 3)), out, np.empty(2, np.bool_), *self._log,
                             *self._arguments, loop.BUDGET))
             self._options.check_speed(grid, at[0])
-        self._options.check_speed(out, time_ns)
+            if time.monotonic() > until:
+                break
         if at[0] > self._grid_ns[-1]:
             self._grid_ns.append(at[0])
             self._states.append(grid)
             self._thin(at[0] - self._history_ns)
+        if not at[-1]:
+            raise TimeoutError(f'the motion is known up to {at[0]} ns, not yet to {time_ns} ns')
+        self._options.check_speed(out, time_ns)
         return loop.unpack(time_ns, out, Origin(self._rule, self._grid_ns[0], self._states[0],
                                                 at[0], grid))
 
-    def end_at(self, time_ns: int) -> State:
+    def end_at(self, time_ns: int, until: float) -> State:
         """Return a state that the next segment begins with, even if the torque stays the same."""
-        return _bare(self.state_at(time_ns))
+        return _bare(self.state_at(time_ns, until))
 
     def _thin(self, horizon_ns: int) -> None:
         # A late torque asks at most `history` back; the start stays for whoever asks further.

@@ -1,0 +1,111 @@
+"""
+A quaternion-feedback controller (PD) for a node in lockstep: a closed loop over DDS.
+
+It answers every state of `odometry` with a torque at the state's stamp, and says its torque again
+where no answer comes. So the loop runs as fast as both can, loses nothing, and gives the same
+numbers every time.
+
+    attitude_node --ros-args --params-file config/tumbler.yaml -p mode:=lockstep -p step:=0.01
+    python attitude_controller.py --ros-args -p stop_after:=60.0
+
+The law is Wie and Barba's ("Quaternion feedback for spacecraft large angle maneuvers", 1985): it
+turns the short way, because q and -q are one attitude and the sign is taken from the scalar part.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+from geometry_msgs.msg import WrenchStamped
+from nav_msgs.msg import Odometry
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.time import Time
+
+#: s; how long to wait for an answer before the torque is said again.
+_PATIENCE = 0.2
+#: What counts as settled: rad and rad/s.
+_SETTLED = 1e-3
+
+
+class AttitudeController(Node):
+    """Turns the body to a target attitude."""
+
+    def __init__(self):
+        super().__init__('attitude_controller')
+        self._gains = [self.declare_parameter(name, default).value for name, default in (
+            ('proportional_gain', 0.05), ('derivative_gain', 0.12))]
+        self._target = [self.declare_parameter(f'target.{name}', default).value
+                        for name, default in zip('xyzw', (0.0, 0.0, 0.0, 1.0))]
+        self._stop_after = self.declare_parameter('stop_after', math.inf).value
+        self._answer = WrenchStamped()
+        self._start_ns = self._heard_at = None
+        self._began, self._settled = time.monotonic(), False
+        self.done = False
+        self._torque = self.create_publisher(WrenchStamped, 'torque', 10)
+        self.create_subscription(Odometry, 'odometry', self._on_state, 10)
+        self.create_timer(_PATIENCE, self._remind, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _on_state(self, state):
+        stamp_ns = Time.from_msg(state.header.stamp).nanoseconds
+        if self._start_ns is None:
+            self._start_ns, self._began = stamp_ns, time.monotonic()
+        elapsed = (stamp_ns - self._start_ns) * 1e-9
+        error = relative(self._target, state.pose.pose.orientation)
+        rates = state.twist.twist.angular
+        if elapsed >= self._stop_after:
+            self.done = True
+            return
+        self._report(elapsed, error, rates)
+        self._answer.header.stamp = state.header.stamp
+        self._answer.header.frame_id = state.child_frame_id
+        torque = self._answer.wrench.torque
+        proportional, derivative = self._gains
+        towards = -math.copysign(2.0 * proportional, error[3])
+        torque.x = towards * error[0] - derivative * rates.x
+        torque.y = towards * error[1] - derivative * rates.y
+        torque.z = towards * error[2] - derivative * rates.z
+        self._say()
+
+    def _say(self):
+        self._torque.publish(self._answer)
+        self._heard_at = time.monotonic()
+
+    def _remind(self):
+        if self._heard_at is not None and time.monotonic() - self._heard_at > _PATIENCE:
+            self._say()
+
+    def _report(self, elapsed, error, rates):
+        angle = 2.0 * math.asin(min(1.0, math.hypot(*error[:3])))
+        if not self._settled and max(angle, math.hypot(rates.x, rates.y, rates.z)) < _SETTLED:
+            self._settled = True
+            speed = elapsed / (time.monotonic() - self._began)
+            self.get_logger().info(f'settled within {_SETTLED} rad after {elapsed:.3f} s, '
+                                   f'at {speed:.3g} times real time')
+
+
+def relative(target, attitude):
+    """Return the quaternion x y z w from the target to an attitude, in body axes."""
+    a, b, c, d = target
+    x, y, z, w = attitude.x, attitude.y, attitude.z, attitude.w
+    return (d * x - a * w - b * z + c * y, d * y - b * w - c * x + a * z,
+            d * z - c * w - a * y + b * x, d * w + a * x + b * y + c * z)
+
+
+def main():
+    rclpy.init()
+    controller = AttitudeController()
+    try:
+        while not controller.done:
+            rclpy.spin_once(controller, timeout_sec=0.1)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        rclpy.try_shutdown()
+
+
+if __name__ == '__main__':
+    main()

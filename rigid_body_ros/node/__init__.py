@@ -1,0 +1,190 @@
+"""
+The ROS shell: torques of a topic in, attitude out.
+
+`AttitudeNode` connects the parts. In: `inputs` (messages to torques), `parameters` (the scene).
+Between: `realtime` or `lockstep` (when the motion is asked for), `motion` (what waits, what is
+final), `epoch` (one start and its torques). Out: `outputs` (topics), `health` (diagnostics).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from copy import copy
+import signal
+import sys
+import time
+from typing import Any
+
+from geometry_msgs.msg import WrenchStamped
+from nav_msgs.msg import Odometry
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+from rclpy.utilities import remove_ros_args
+from std_srvs.srv import Trigger
+
+from rigid_body_ros import scene
+from rigid_body_ros.node.health import FORCE, LOST, RECEIVED, Health
+from rigid_body_ros.node.inputs import Inputs, RefusedError
+from rigid_body_ros.node.lockstep import Lockstep
+from rigid_body_ros.node.outputs import Outputs
+from rigid_body_ros.node.parameters import Parameters
+from rigid_body_ros.node.realtime import Realtime
+from rigid_body_ros.propagate import warm_up
+from rigid_body_ros.scene import LOCKSTEP, InputError
+
+#: Best effort hears any publisher; in lockstep a torque that is lost stops everybody.
+_TORQUE_QOS = {scene.REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),
+               LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
+#: s; how long a clean end may take.
+_PATIENCE = 0.6
+
+
+class AttitudeNode(Node):
+    """
+    Publish the attitude of a body that the torques of a topic turn.
+
+    Raises
+    ------
+    InputError
+        The parameters are no valid scene.
+
+    """
+
+    def __init__(self) -> None:
+        super().__init__(scene.NODE, automatically_declare_parameters_from_overrides=True)
+        parameters = Parameters(self, lambda rate: self._mode.set_rate(rate))
+        self._scene = parameters.scene
+        warm_up()
+        self._announce()
+        try:
+            self._inputs, self._health = Inputs(self._scene), Health(self)
+            self._outputs = Outputs(self, self._scene)
+            mode = Lockstep if self._scene.values['mode'] == LOCKSTEP else Realtime
+            self._mode = mode(self, parameters, self._outputs, self._health)
+            self._subscribe()
+        except (RuntimeError, AssertionError) as error:  # such as a QoS override that is none
+            raise InputError(' '.join(str(error).split())) from error
+        self.create_service(Trigger, '~/reset', self._on_reset)
+        self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def work(self) -> bool:
+        """Go on with what waits, for a while; return whether all is done."""
+        return self._mode.motion.work()
+
+    def finish(self, until: float) -> None:
+        """Publish the states that were held back for late torques, and see them delivered."""
+        motion = self._mode.motion
+        while not motion.work() and time.monotonic() < until:
+            pass
+        if motion.epoch is not None:
+            motion.finish(until)
+        self._outputs.deliver(until)
+
+    def _announce(self) -> None:
+        body = self._scene.body
+        self.get_logger().info(
+            f'{body.symmetry}, principal moments {body.principal_moments.tolist()} kg m^2')
+        if body.triangle_excess:
+            self.get_logger().warning(
+                'inertia: the largest principal moment exceeds the sum of the others by '
+                f'{body.triangle_excess:.2g} of it, which no body has: rounded numbers?')
+
+    def _subscribe(self) -> None:
+        def subscription(kind: type, topic: str, callback: Callable[[bytes], None],
+                         qos: QoSProfile, events: SubscriptionEventCallbacks) -> Subscription:
+            return self.create_subscription(
+                kind, topic, callback, copy(qos), raw=True, event_callbacks=events,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        self._torques = subscription(
+            WrenchStamped, 'torque', self._on_torque, _TORQUE_QOS[self._scene.values['mode']],
+            SubscriptionEventCallbacks(message_lost=self._on_lost, use_default_callbacks=False))
+        subscription(Odometry, 'initial_state', self._on_state,
+                     QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE),
+                     SubscriptionEventCallbacks(use_default_callbacks=False))
+
+    def _on_torque(self, data: bytes) -> None:
+        self._health.count(RECEIVED)
+        try:
+            torque, has_force = self._inputs.torque(data)
+            self._mode.take(torque)
+        except RefusedError as refused:
+            self._health.refuse(refused)
+            return
+        if has_force:
+            self._health.event(FORCE, 'the force of a WrenchStamped is ignored: torques are '
+                               'about the centre of mass')
+
+    def _on_state(self, data: bytes) -> None:
+        try:
+            self._mode.set_state(self._inputs.state(data))
+        except RefusedError as refused:
+            self._health.event('state refused', f'initial_state: refused ({refused.cause}): '
+                               f'{refused}')
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            response.message = self._mode.reset()
+            response.success = True
+        except RefusedError as refused:
+            response.message = str(refused)
+        return response
+
+    def _on_lost(self, event: Any) -> None:
+        self._health.event(LOST, f'{event.total_count} torques were lost on the way so far')
+
+    def _diagnose(self) -> None:
+        problems = self._mode.check() + self._health.inspect(self._torques,
+                                                             self._outputs.publishers)
+        motion = self._mode.motion
+        epoch = 'waiting for the start' if motion.epoch is None else \
+            f'epoch from {motion.epoch.start.time_ns} ns'
+        self._health.publish(problems, motion.waiting, epoch)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """
+    Run the node until SIGINT or SIGTERM.
+
+    Raises
+    ------
+    InputError
+        The arguments or parameters are not valid.
+
+    """
+    stop: list[int] = []
+    try:
+        _initialize(sys.argv if arguments is None else ['attitude_node', *arguments])
+        node = AttitudeNode()
+        # From here on a signal does not cut a callback short.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda number, frame: stop.append(number))
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        while not stop:
+            executor.spin_once(timeout_sec=0.1 if node.work() else 0.0)
+        node.finish(time.monotonic() + _PATIENCE)
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+
+
+def _initialize(command_line: Sequence[str]) -> None:
+    try:
+        others = remove_ros_args(command_line)[1:]
+        argparse.ArgumentParser(
+            'attitude_node',
+            description='Turn the torques of a topic into attitude.',
+            epilog='The scene comes as ROS parameters: --ros-args --params-file FILE',
+        ).parse_args(others)
+        # The handlers of rclpy would shut ROS down before the last states are published.
+        rclpy.init(args=command_line, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        raise InputError(' '.join(str(error).split())) from error

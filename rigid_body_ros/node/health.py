@@ -1,0 +1,120 @@
+"""What went wrong and how often: counters, the log at a limited rate, /diagnostics."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSCompatibility, qos_check_compatible
+from rclpy.subscription import Subscription
+
+from rigid_body_ros.node.inputs import CAUSES, RefusedError
+
+RECEIVED, APPLIED = 'received', 'applied'
+#: What is counted besides messages refused.
+REPLACED, FORCE, LOST = 'of a stamp that came before', 'with a force', 'lost on the way'
+SLOW, NO_STATE, TIME_JUMP = 'slow', 'no state', 'clock jumps'
+NO_PUBLISHER, PUBLISHERS, QOS = 'publishers', 'several publishers', 'incompatible QoS'
+_EVENTS = (REPLACED, FORCE, LOST, SLOW, NO_STATE, TIME_JUMP)
+_REPORT_EVERY_S = 5.0
+
+
+class Health:
+    """
+    Counts what happens to torques and motion.
+
+    Every message received is applied, refused for a cause, or waiting for the motion to get
+    there.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._counts: Counter[str] = Counter()
+        self._told: Counter[str] = Counter()
+        self._reported: dict[str, float] = {}
+
+    def count(self, name: str) -> None:
+        """Count something that needs no word in the log."""
+        self._counts[name] += 1
+
+    def refuse(self, refused: RefusedError) -> None:
+        """Count a message that is not taken, and say why."""
+        cause = refused.cause
+        self._counts[cause] += 1
+        self._say(cause, f'refused ({cause}, {self._counts[cause]} so far): {refused}')
+
+    def event(self, name: str, text: str) -> None:
+        """Count something else that should not be, and say it."""
+        self._counts[name] += 1
+        self._say(name, text)
+
+    def inspect(self, torques: Subscription, outputs: Iterable[Publisher]) -> list[str]:
+        """Return what is wrong with who is connected."""
+        found = self._node.get_publishers_info_by_topic(torques.topic_name)
+        problems = []
+        if not found:
+            problems.append(f'{torques.topic_name}: no publisher')
+        if len(found) > 1:
+            names = ', '.join(sorted(_full_name(info) for info in found))
+            problems.append(f'{torques.topic_name}: {len(found)} publishers: {names}; the last '
+                            'torque of a stamp counts')
+            self._say(PUBLISHERS, problems[-1])
+        pairs = [(torques.topic_name, info, info.qos_profile, torques.qos_profile)
+                 for info in found]
+        pairs += [(output.topic_name, info, output.qos_profile, info.qos_profile)
+                  for output in outputs
+                  for info in self._node.get_subscriptions_info_by_topic(output.topic_name)]
+        for topic, info, offered, requested in pairs:
+            compatible, reason = qos_check_compatible(offered, requested)
+            if compatible == QoSCompatibility.ERROR:
+                problems.append(f'{topic}: {_full_name(info)} is not connected: '
+                                f'{reason.removeprefix("ERROR: ").rstrip("; ")}')
+                self._say(f'{QOS} {topic} {_full_name(info)}', problems[-1])
+        return problems
+
+    def publish(self, problems: list[str], waiting: int, epoch: str) -> None:
+        """Publish what was counted; a message refused in the last second is an error."""
+        new = self._counts - self._told
+        self._told = self._counts.copy()
+        refused = [cause for cause in CAUSES if new[cause]]
+        torques = DiagnosticStatus(
+            name=f'{self._node.get_name()}: torques', hardware_id=self._node.get_name(),
+            level=_level(bool(refused), bool(problems) or any(
+                new[name] for name in (REPLACED, FORCE, LOST))),
+            message='; '.join([*(f'refused: {cause}' for cause in refused), *problems]) or 'OK',
+            values=[KeyValue(key=name, value=str(self._counts[name]))
+                    for name in (RECEIVED, APPLIED)]
+            + [KeyValue(key=f'refused: {cause}', value=str(self._counts[cause]))
+               for cause in CAUSES]
+            + [KeyValue(key='waiting', value=str(waiting))]
+            + [KeyValue(key=name, value=str(self._counts[name])) for name in _EVENTS[:3]])
+        behind = [name for name in (SLOW, NO_STATE) if new[name]]
+        motion = DiagnosticStatus(
+            name=f'{self._node.get_name()}: motion', hardware_id=self._node.get_name(),
+            level=_level(bool(behind), bool(new[TIME_JUMP])),
+            message='; '.join(behind) or epoch,
+            values=[KeyValue(key=name, value=str(self._counts[name])) for name in _EVENTS[3:]])
+        array = DiagnosticArray(status=[torques, motion])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(array)
+
+    def _say(self, cause: str, text: str) -> None:
+        now, last = time.monotonic(), self._reported.get(cause)
+        if last is None or now - last > _REPORT_EVERY_S:
+            self._reported[cause] = now
+            self._node.get_logger().warning(text)
+
+
+def _level(error: bool, warning: bool) -> bytes:
+    if error:
+        return DiagnosticStatus.ERROR
+    return DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
+
+
+def _full_name(info: object) -> str:
+    return f'{info.node_namespace.rstrip("/")}/{info.node_name}'

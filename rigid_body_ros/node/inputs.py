@@ -1,0 +1,87 @@
+"""What comes in: messages to torques and states, or the reason why not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rigid_body_ros import messages
+from rigid_body_ros.body import State
+from rigid_body_ros.node.epoch import Torque
+from rigid_body_ros.scene import Scene
+
+#: rad/s^2. A torque held at this turns any body by a radian a nanosecond within a second.
+_LARGEST_ACCELERATION = 1e9
+#: What messages are refused for.
+MALFORMED, FRAME, NOT_FINITE, TOO_LARGE = 'malformed', 'unknown frame', 'not finite', 'too large'
+NO_CLOCK, FUTURE, LATE, OVERLOAD = 'no clock', 'future', 'late', 'overload'
+CAUSES = (MALFORMED, FRAME, NOT_FINITE, TOO_LARGE, NO_CLOCK, FUTURE, LATE, OVERLOAD)
+
+
+class RefusedError(ValueError):
+    """A message that is not taken, and the cause that it is counted under."""
+
+    def __init__(self, cause: str, text: str) -> None:
+        super().__init__(text)
+        self.cause = cause
+
+
+class Inputs:
+    """Reads messages as a scene means them."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._frames = scene.values['body_frame'], scene.values['space_frame']
+        self._largest = _LARGEST_ACCELERATION * scene.body.principal_moments[0]
+
+    def torque(self, data: bytes) -> tuple[Torque, bool]:
+        """
+        Return the torque of a WrenchStamped in CDR, and whether it came with a force.
+
+        Raises
+        ------
+        RefusedError
+            It is malformed, in an unknown frame, not finite or far too large.
+
+        """
+        wrench = _decoded(messages.WRENCH, data)
+        try:
+            frame = messages.torque_frame(wrench.frame_id, *self._frames)
+        except ValueError as error:
+            raise RefusedError(FRAME, str(error)) from error
+        torque = messages.torque(wrench)
+        size = float(np.sqrt(torque @ torque))
+        if not size <= self._largest:
+            if not np.isfinite(torque).all():
+                raise RefusedError(NOT_FINITE,
+                                   f'expected a finite torque, found {torque.tolist()}')
+            raise RefusedError(TOO_LARGE, f'expected a torque of at most {self._largest:.3g} N m '
+                               f'for this inertia, found {torque.tolist()}')
+        return Torque(wrench.stamp_ns, torque, frame), bool(wrench.values[:3].any())
+
+    def state(self, data: bytes) -> State:
+        """
+        Return the state of an Odometry in CDR.
+
+        Raises
+        ------
+        RefusedError
+            It is malformed, in other frames than the scene's, not finite or no rotation.
+
+        """
+        odometry = _decoded(messages.ODOMETRY, data)
+        body, space = self._frames
+        found = odometry.frame_id, odometry.child_frame_id
+        if found[0] not in ('', space) or found[1] not in ('', body):
+            raise RefusedError(FRAME, f"frame_id, child_frame_id: expected '{space}' and "
+                               f"'{body}', found '{found[0]}' and '{found[1]}'")
+        try:
+            return State(odometry.stamp_ns, odometry.values[messages.ORIENTATION],
+                         odometry.values[messages.ANGULAR_VELOCITY])
+        except ValueError as error:
+            raise RefusedError(NOT_FINITE, str(error)) from error
+
+
+def _decoded(kind: messages.MessageType, data: bytes) -> messages.Stamped:
+    try:
+        return kind.decode(data)
+    except ValueError as error:
+        raise RefusedError(MALFORMED, str(error)) from error

@@ -1,0 +1,133 @@
+"""Lockstep: each torque is answered with the state one step later."""
+
+from __future__ import annotations
+
+import time
+
+from rclpy.clock import Clock as RosClock
+from rclpy.clock import ClockType
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+
+from rigid_body_ros.body import State
+from rigid_body_ros.node.epoch import Torque
+from rigid_body_ros.node.health import Health
+from rigid_body_ros.node.inputs import LATE, RefusedError
+from rigid_body_ros.node.motion import Motion
+from rigid_body_ros.node.outputs import Outputs
+from rigid_body_ros.node.parameters import Parameters
+from rigid_body_ros.scene import InputError
+
+#: s; between offers of the start state, until the first torque.
+_OFFER_EVERY = 0.1
+#: s; how long to look for another publisher of /clock.
+_DISCOVERY = 1.0
+_CLOCK = '/clock'
+
+
+class Lockstep:
+    """Publishes the state `step` after every torque, as soon as the torque comes."""
+
+    def __init__(self, node: Node, parameters: Parameters, outputs: Outputs,
+                 health: Health) -> None:
+        self._node, self._parameters, self._outputs = node, parameters, outputs
+        values = parameters.scene.values
+        self._given_start_ns = parameters.scene.start.time_ns
+        self._clock = self._clock_publisher() if values['publish_clock'] else None
+        self.motion = Motion(parameters.scene, outputs, health, self._tell,
+                             max(1, round(values['step'] * 1e9)))
+        self._start = self.motion.initial(self._given_start_ns)
+        self._timer = node.create_timer(_OFFER_EVERY, self._offer,
+                                        clock=RosClock(clock_type=ClockType.STEADY_TIME))
+        self._begin()
+
+    def set_rate(self, rate: float) -> None:
+        """Nothing: torques set the pace."""
+
+    def take(self, torque: Torque) -> None:
+        """
+        Take a torque by its stamp, and answer it.
+
+        Raises
+        ------
+        RefusedError
+            Too many wait.
+
+        """
+        self._timer.cancel()
+        if self.motion.epoch is None:
+            self._open(self.motion.initial(torque.stamp_ns))
+        self.motion.take(torque)
+
+    def set_state(self, state: State) -> None:
+        """
+        Begin an epoch with a state.
+
+        Raises
+        ------
+        RefusedError
+            It is older than the newest torque by `history` or more.
+
+        """
+        epoch, torques = self.motion.epoch, []
+        if epoch is not None and epoch.newest_ns is not None:
+            if epoch.newest_ns - state.time_ns >= epoch.history_ns:
+                raise RefusedError(LATE, f'a state is older than the newest torque, '
+                                   f'{epoch.newest_ns} ns, by history or more')
+            torques = epoch.since(state.time_ns)
+        self._open(state, torques)
+        self._timer.reset()
+        self._offer()
+
+    def reset(self) -> str:
+        """Go back to before the first torque, and say so."""
+        self.motion.close()
+        self._start = self.motion.initial(self._given_start_ns)
+        self._begin()
+        self._timer.reset()
+        return 'back at the initial state, waiting for the first torque'
+
+    def check(self) -> list[str]:
+        """Return what is wrong at present."""
+        if self._clock is not None and (others := self._other_clocks()):
+            self._node.destroy_publisher(self._clock)
+            self._clock = None
+            self._node.get_logger().error(
+                f'{_CLOCK}: {others[0]} publishes it, too: this node does not any more')
+        return []
+
+    def _begin(self) -> None:
+        if self._given_start_ns:
+            self._open(self._start)
+
+    def _open(self, start: State, torques=()) -> None:
+        self._start = start
+        self.motion.open(start, torques)
+        self._parameters.report(start)
+
+    def _offer(self) -> None:
+        self._tell(self._start)
+
+    def _tell(self, state: State) -> None:
+        if self._clock is not None:
+            clock = Clock()
+            clock.clock.sec, clock.clock.nanosec = divmod(state.time_ns, 10 ** 9)
+            self._clock.publish(clock)
+        self._outputs.publish(state)
+
+    def _clock_publisher(self):
+        if self._node.get_parameter('use_sim_time').value:
+            raise InputError('publish_clock: expected use_sim_time false, as a clock does not '
+                             'follow itself')
+        until = time.monotonic() + _DISCOVERY
+        while time.monotonic() < until:
+            if others := self._other_clocks():
+                raise InputError(f'publish_clock: expected no other publisher of {_CLOCK}, '
+                                 f'found {others[0]}')
+            time.sleep(0.05)
+        return self._node.create_publisher(Clock, _CLOCK, 10)
+
+    def _other_clocks(self) -> list[str]:
+        own = self._node.get_name(), self._node.get_namespace()
+        return [info.node_name for info in self._node.get_publishers_info_by_topic(_CLOCK)
+                if (info.node_name, info.node_namespace) != own]

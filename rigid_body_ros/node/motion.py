@@ -1,0 +1,194 @@
+"""The motion as the node works it out: never longer at a time than others can wait."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+import time
+
+from rigid_body_ros.body import State
+from rigid_body_ros.node.epoch import Epoch, Torque
+from rigid_body_ros.node.health import APPLIED, NO_STATE, REPLACED, SLOW, Health
+from rigid_body_ros.node.inputs import LATE, OVERLOAD, RefusedError
+from rigid_body_ros.node.outputs import LOG_DEPTH, Outputs
+from rigid_body_ros.scene import Scene
+
+#: s; how long callbacks work before others get their turn.
+_BUDGET = 0.02
+#: s; how long the states of an epoch that ends may take.
+_LAST_WORDS = 0.2
+#: Torques that may wait for the motion to get there.
+_MOST_WAITING = 100_000
+
+
+class Motion:
+    """
+    Takes torques, logs them, and answers for the state.
+
+    What does not fit into a callback's time waits, and `work` goes on with it; the order of
+    things, and so every number, stays the same.
+
+    Parameters
+    ----------
+    scene : Scene
+    outputs : Outputs
+    health : Health
+    answer : callable, optional
+        Told the state `step` after each torque, as soon as the torque is taken.
+    step_ns : int
+
+    """
+
+    def __init__(self, scene: Scene, outputs: Outputs, health: Health,
+                 answer: Callable[[State], None] | None = None, step_ns: int = 0) -> None:
+        self._scene, self._outputs, self._health = scene, outputs, health
+        self._answer, self._step_ns = answer, step_ns
+        self.epoch: Epoch | None = None
+        self._is_first = True
+        #: Torques that wait, and the time that is to be answered for before.
+        self._inbox: deque[Torque] = deque()
+        self._question_ns: int | None = None
+
+    @property
+    def waiting(self) -> int:
+        """How many torques wait."""
+        return len(self._inbox)
+
+    def initial(self, time_ns: int) -> State:
+        """Return the initial state, at a time."""
+        return replace(self._scene.start, time_ns=time_ns)
+
+    def open(self, start: State, torques: Iterable[Torque] = ()) -> None:
+        """Begin an epoch, and its log, with torques that are in force still."""
+        self.close()
+        if not self._is_first:
+            self._outputs.begin_log()
+        self._is_first = False
+        self.epoch = Epoch(self._scene, start, torques)
+        for torque in torques:
+            self._outputs.accept(torque)
+        self._outputs.commit(start)
+
+    def close(self) -> None:
+        """End the epoch, if there is one."""
+        if self.epoch is not None:
+            self.finish(time.monotonic() + _LAST_WORDS)
+        self.epoch = self._question_ns = None
+        self._inbox.clear()
+
+    def take(self, torque: Torque) -> None:
+        """
+        Take a torque, now or when its turn comes.
+
+        Raises
+        ------
+        RefusedError
+            Too many wait already.
+
+        """
+        if len(self._inbox) >= _MOST_WAITING:
+            raise RefusedError(OVERLOAD, f'{_MOST_WAITING} torques wait for the motion, which is '
+                               'too fast to be worked out in time')
+        self._inbox.append(torque)
+        self.work()
+
+    def work(self) -> bool:
+        """Go on with what waits, for a while; return whether all is done."""
+        until = time.monotonic() + _BUDGET
+        try:
+            while self._inbox or self._question_ns is not None:
+                if self._question_ns is None:
+                    self._apply(self._inbox[0], until)
+                    self._inbox.popleft()
+                else:
+                    self._reply(self._question_ns, until)
+                    self._question_ns = None
+        except TimeoutError as error:
+            self._too_slow(error)
+        return not self._inbox and self._question_ns is None
+
+    def publish(self, time_ns: int) -> None:
+        """Publish the state at a time, if it can be known in time."""
+        try:
+            state = self.state(time_ns, time.monotonic() + _BUDGET)
+        except TimeoutError as error:
+            self._too_slow(error)
+            return
+        if state is not None:
+            self._outputs.publish(state)
+
+    def state(self, time_ns: int, until: float) -> State | None:
+        """
+        Return the state at a time, or None (and say why) where there is no finite one.
+
+        Raises
+        ------
+        TimeoutError
+            It is not known yet by `until`, a time of the monotonic clock.
+
+        """
+        assert self.epoch is not None
+        try:
+            return self.epoch.at(time_ns, until - time.monotonic())
+        except ValueError as error:
+            self._health.event(NO_STATE, f'no state at {time_ns} ns: {error}')
+            return None
+
+    def last(self, time_ns: int) -> State | None:
+        """Return the state at a time, or None if it takes too long or there is none."""
+        try:
+            return self.state(time_ns, time.monotonic() + _LAST_WORDS)
+        except TimeoutError as error:
+            self._too_slow(error)
+            return None
+
+    def finish(self, until: float) -> bool:
+        """Commit what was held back for late torques; return whether there was time for it."""
+        assert self.epoch is not None
+        try:
+            while due := self.epoch.due(2 ** 63):  # no more at once than the queue holds
+                self._commit(due[:LOG_DEPTH], until)
+                self._outputs.deliver(until)
+        except TimeoutError as error:
+            self._health.event(SLOW, f'{len(due)} states could not be worked out before the end '
+                               f'of their epoch: {error}')
+            return False
+        return True
+
+    def _apply(self, torque: Torque, until: float) -> None:
+        assert self.epoch is not None
+        # What this stamp puts beyond the reach of later ones is final before it is applied.
+        self._commit(self.epoch.due(torque.stamp_ns - self.epoch.history_ns), until)
+        repeated = self.epoch.holds(torque.stamp_ns)
+        if not self.epoch.take(torque):
+            self._health.refuse(RefusedError(
+                LATE, f'a torque is older than the newest stamp, {self.epoch.newest_ns} ns, by '
+                f'{(self.epoch.newest_ns - torque.stamp_ns) * 1e-9:.9g} s, expected less than '
+                f'history ({self.epoch.history_ns * 1e-9:g} s)'))
+            return
+        self._health.count(APPLIED)
+        if repeated:
+            self._health.count(REPLACED)
+        self._outputs.accept(torque)
+        if self._answer is not None:
+            self._question_ns = torque.stamp_ns + self._step_ns
+
+    def _reply(self, time_ns: int, until: float) -> None:
+        state = self.state(time_ns, until)
+        if state is not None:
+            self._answer(state)
+
+    def _commit(self, stamps_ns: list[int], until: float) -> None:
+        assert self.epoch is not None
+        for stamp_ns in stamps_ns:
+            state = self.state(stamp_ns, until)
+            if state is not None:
+                self._outputs.commit(state)
+            self.epoch.committed(stamp_ns)
+
+    def _too_slow(self, error: TimeoutError) -> None:
+        self._health.event(SLOW, f'no longer in real time: {error}; the body turns too fast to be '
+                           'worked out, or late torques take too much back')
+
+

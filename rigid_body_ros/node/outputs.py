@@ -1,0 +1,108 @@
+"""What goes out: states and the log of the run, each topic in its message."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from copy import copy
+import time
+
+from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
+from nav_msgs.msg import Odometry
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import Imu
+
+from rigid_body_ros import euler, messages
+from rigid_body_ros.body import State
+from rigid_body_ros.node.epoch import Torque
+from rigid_body_ros.scene import InputError, Scene
+
+_STATE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+# The log of a run: all of it counts, for a recorder that comes a moment later too, and the
+# states of the last `history` go out in one burst at the end.
+_LOG_QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE,
+                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
+#: What one burst may hold.
+LOG_DEPTH = _LOG_QOS.depth
+
+
+class Outputs:
+    """The publishers of a node."""
+
+    def __init__(self, node: Node, scene: Scene) -> None:
+        self._node = node
+        values = scene.values
+        space, body, sequence = (values[name] for name in (
+            'space_frame', 'body_frame', 'euler_sequence'))
+        self._frames = {'body': body, 'space': space}
+        #: What each topic says of a state.
+        self._states: list[tuple[Publisher, Callable[[State], bytes]]] = [
+            (self._publisher(QuaternionStamped, 'attitude'), lambda state: (
+                messages.QUATERNION.encode(state.time_ns, space, state.attitude))),
+            (self._publisher(Vector3Stamped, 'euler_angles'), lambda state: (
+                messages.VECTOR3.encode(state.time_ns, space,
+                                        euler.from_quaternion(state.attitude, sequence)))),
+            (self._publisher(Vector3Stamped, 'angular_velocity'), lambda state: (
+                messages.VECTOR3.encode(state.time_ns, body, state.angular_velocity))),
+            (self._publisher(Imu, 'imu/data'), lambda state: messages.imu(state, body)),
+            (self._publisher(Odometry, 'odometry'), lambda state: (
+                messages.odometry(state, space, body)))]
+        if values['publish_tf']:
+            self._states.append((self._publisher(_transform_type(), '/tf'), lambda state: (
+                messages.transform(state, space, body))))
+        self._accepted = self._publisher(WrenchStamped, '~/accepted_torque', _LOG_QOS)
+        self._committed = self._publisher(Odometry, '~/committed', _LOG_QOS)
+
+    @property
+    def publishers(self) -> list[Publisher]:
+        """All of them."""
+        return [*(publisher for publisher, _ in self._states), self._accepted, self._committed]
+
+    def publish(self, state: State) -> None:
+        """Tell a state to whoever listens."""
+        for publisher, encode in self._states:
+            if publisher.get_subscription_count():
+                publisher.publish(encode(state))
+
+    def begin_log(self) -> None:
+        """Say that what follows in the log of torques does not go on from what came before."""
+        self._accepted.publish(messages.new_log())
+
+    def accept(self, torque: Torque) -> None:
+        """Log a torque that was taken."""
+        self._accepted.publish(
+            messages.wrench(torque.stamp_ns, self._frames[torque.frame], torque.values))
+
+    def commit(self, state: State) -> None:
+        """Log a state that will not change any more."""
+        self._committed.publish(
+            messages.odometry(state, self._frames['space'], self._frames['body']))
+
+    def deliver(self, until: float) -> None:
+        """Wait until the log has arrived, but not beyond a time of the monotonic clock."""
+        for publisher in (self._committed, self._accepted):
+            rest = max(0.0, until - time.monotonic())
+            with suppress(RuntimeError):  # not every middleware can tell
+                publisher.wait_for_all_acked(Duration(nanoseconds=round(rest * 1e9)))
+
+    def _publisher(self, kind: type, topic: str, qos: QoSProfile = _STATE_QOS) -> Publisher:
+        # A copy: rclpy writes the overrides of one topic into the profile it is given. Without
+        # handlers of events: rclpy asks each of them at every turn, and Health looks itself.
+        return self._node.create_publisher(
+            kind, topic, copy(qos),
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+
+def _transform_type() -> type:
+    try:
+        from tf2_msgs.msg import TFMessage
+    except ModuleNotFoundError as error:
+        raise InputError('publish_tf: needs the package tf2_msgs, which is not installed') \
+            from error
+    return TFMessage

@@ -1,0 +1,100 @@
+"""The scene as parameters of a node."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from rigid_body_ros import scene
+from rigid_body_ros.body import State
+from rigid_body_ros.scene import InputError, Scene
+
+_RATE = 'publish_rate'
+#: What the node sets itself where an epoch begins, so that a dump is the scene of the epoch.
+_EPOCH = ('start_time', *(f'initial_attitude.{name}' for name in 'xyzw'),
+          *(f'initial_angular_velocity.{name}' for name in 'xyz'))
+
+
+class Parameters:
+    """
+    Declares the scene of a node, and keeps it.
+
+    Raises
+    ------
+    InputError
+        What was given is no valid scene for a node.
+
+    """
+
+    def __init__(self, node: Node, on_rate: Callable[[float], None]) -> None:
+        self._node, self._on_rate = node, on_rate
+        self.scene = self._declare()
+        self._epoch = {name: self.scene.values[name] for name in _EPOCH}
+        node.add_on_set_parameters_callback(self._on_set)
+
+    def report(self, start: State) -> None:
+        """Show the start of an epoch."""
+        values = [start.time_ns, *start.attitude.tolist(), *start.angular_velocity.tolist()]
+        self._epoch = dict(zip(_EPOCH, values))
+        self._node.set_parameters([Parameter(name, value=value)
+                                   for name, value in self._epoch.items()])
+
+    def _declare(self) -> Scene:
+        # What the user gave is declared already, as the types that were given. Check it as one
+        # scene, then declare each parameter with its own type and description.
+        given = {name: parameter.value
+                 for name, parameter in self._node.get_parameters_by_prefix('').items()}
+        checked = Scene.from_values(given)
+        if checked.values['solver'] == 'exact':
+            raise InputError("solver: expected one that takes torques, found 'exact'")
+        if checked.values['interpolation'] != 'hold':
+            raise InputError('interpolation: expected hold, as the next torque is not known yet, '
+                             f'found {checked.values["interpolation"]!r}')
+        for name, value in checked.values.items():
+            if name in given:
+                self._node.undeclare_parameter(name)
+            self._node.declare_parameter(name, value, _descriptor(scene.PARAMETERS[name]),
+                                         ignore_override=True)
+        return checked
+
+    def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
+        values = {parameter.name: parameter.value for parameter in parameters}
+        for name, value in values.items():
+            if value != self._epoch.get(name, value):
+                return SetParametersResult(successful=False, reason=f'{name}: read-only in a '
+                                           'running node: it defines the trajectory')
+        if _RATE in values:
+            try:
+                self._on_rate(scene.checked(scene.PARAMETERS[_RATE], values[_RATE]))
+            except InputError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+
+def _descriptor(parameter: scene.Parameter) -> ParameterDescriptor:
+    fixed = parameter.name != _RATE
+    unit = f' ({parameter.unit})' if parameter.unit else ''
+    limits = ', '.join(parameter.choices)
+    descriptor = ParameterDescriptor(
+        name=parameter.name, description=parameter.description + unit,
+        read_only=fixed and parameter.name not in _EPOCH,
+        # The others may be given as 50 for 50.0 while running.
+        dynamic_typing=not fixed,
+        additional_constraints='; '.join(filter(None, [
+            limits and f'one of {limits}',
+            'read-only while running: it defines the trajectory' if fixed else ''])))
+    if parameter.range:
+        low, high = parameter.range
+        if parameter.type is int:
+            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+        else:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    return descriptor

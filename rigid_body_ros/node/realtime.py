@@ -1,0 +1,179 @@
+"""Real time: the clock asks for the motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from rigid_body_ros.body import State
+from rigid_body_ros.node.epoch import Torque
+from rigid_body_ros.node.health import NO_STATE, TIME_JUMP, Health
+from rigid_body_ros.node.inputs import FUTURE, LATE, NO_CLOCK, RefusedError
+from rigid_body_ros.node.motion import Motion
+from rigid_body_ros.node.outputs import Outputs
+from rigid_body_ros.node.parameters import Parameters
+from rigid_body_ros.scene import ARRIVAL, REBASE, RESET
+
+#: A stamp further behind or ahead is that of another clock.
+_OTHER_CLOCK_NS = 3600 * 10 ** 9
+_ADVICE = ('; torques of a bag? Play it with --clock and set use_sim_time, or set '
+           'time_source:=arrival')
+#: A clock that leaps ahead by more is worth a word.
+_LEAP_NS = 10 ** 9
+
+
+class Realtime:
+    """Publishes the state at the present time, at a rate."""
+
+    def __init__(self, node: Node, parameters: Parameters, outputs: Outputs,
+                 health: Health) -> None:
+        self._node, self._parameters, self._health = node, parameters, health
+        self._values = parameters.scene.values
+        self._given_start_ns = parameters.scene.start.time_ns
+        self._max_future_ns = round(self._values['max_future'] * 1e9)
+        self.motion = Motion(parameters.scene, outputs, health)
+        self._latest_ns = 0
+        self._simulated = node.get_parameter('use_sim_time').value
+        # A wall clock may be set back, which would stop a timer that follows it.
+        pace = node.get_clock() if self._simulated else Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(1.0 / self._values['publish_rate'], self._publish,
+                                        clock=pace)
+        self._now_ns()
+
+    def set_rate(self, rate: float) -> None:
+        """Publish at another rate, Hz."""
+        self._timer.timer_period_ns = round(1e9 / rate)
+
+    def take(self, torque: Torque) -> None:
+        """
+        Take a torque as it arrives.
+
+        Raises
+        ------
+        RefusedError
+            There is no time yet, or that of the torque is impossible.
+
+        """
+        now_ns = self._valid_now_ns()
+        stamp_ns = torque.stamp_ns
+        if not stamp_ns or self._values['time_source'] == ARRIVAL:
+            stamp_ns = now_ns
+        self._check_stamp(stamp_ns, now_ns)
+        self.motion.take(torque._replace(stamp_ns=stamp_ns))
+
+    def set_state(self, state: State) -> None:
+        """
+        Begin an epoch with a state.
+
+        Raises
+        ------
+        RefusedError
+            There is no time yet, or that of the state is impossible.
+
+        """
+        now_ns = self._valid_now_ns()
+        start = replace(state, time_ns=state.time_ns or now_ns)
+        self._check_stamp(start.time_ns, now_ns)
+        epoch = self.motion.epoch
+        if epoch.newest_ns is not None \
+                and epoch.newest_ns - start.time_ns >= epoch.history_ns:
+            raise RefusedError(LATE, f'a state is older than the newest torque, '
+                               f'{epoch.newest_ns} ns, by history or more')
+        self._open(start, epoch.since(start.time_ns), 'as told')
+
+    def reset(self) -> str:
+        """
+        Begin an epoch with the initial state, and say so.
+
+        Raises
+        ------
+        RefusedError
+            There is no time yet.
+
+        """
+        now_ns = self._valid_now_ns()
+        return self._open(self.motion.initial(now_ns), self.motion.epoch.since(now_ns),
+                          'reset')
+
+    def check(self) -> list[str]:
+        """Return what is wrong at present."""
+        if not self._now_ns():
+            return ['no time yet: use_sim_time is set, and /clock is silent']
+        silent_s = self._silent_s()
+        if silent_s > self._values['torque_timeout'] > 0.0:
+            return [f'silent for {silent_s:.3g} s: the torque timed out']
+        return []
+
+    def _silent_s(self) -> float:
+        newest_ns = self.motion.epoch.newest_ns
+        return 0.0 if newest_ns is None else (self._latest_ns - newest_ns) * 1e-9
+
+    def _publish(self) -> None:
+        now_ns = self._now_ns()
+        # Where torques wait, what is known is not yet the state.
+        if now_ns and self.motion.work() and now_ns >= self.motion.epoch.start.time_ns:
+            self.motion.publish(now_ns)
+
+    def _valid_now_ns(self) -> int:
+        now_ns = self._now_ns()
+        if not now_ns:
+            raise RefusedError(NO_CLOCK, 'a message came before the first of /clock')
+        return now_ns
+
+    def _now_ns(self) -> int:
+        """Return the time, with an epoch open, or 0 while there is none."""
+        now_ns = self._node.get_clock().now().nanoseconds
+        if not now_ns:  # simulated time before the first message of /clock
+            return 0
+        latest_ns, self._latest_ns = self._latest_ns, now_ns
+        # A wall clock is set back by a little now and then; late torques may be, too.
+        slack_ns = 0 if self._simulated or not self.motion.epoch else self.motion.epoch.history_ns
+        if self.motion.epoch is None:
+            self._open(self.motion.initial(self._given_start_ns or now_ns), (), 'start')
+        elif latest_ns - now_ns > slack_ns:
+            self._jump_back(latest_ns, now_ns)
+        elif now_ns - latest_ns > _LEAP_NS + 2 * self._timer.timer_period_ns:
+            self._health.event(TIME_JUMP, f'the clock leapt ahead by '
+                               f'{(now_ns - latest_ns) * 1e-9:.9g} s; the motion goes on under '
+                               'the last torque')
+        return now_ns
+
+    def _jump_back(self, latest_ns: int, now_ns: int) -> None:
+        action = self._values['on_time_jump']
+        self._health.event(TIME_JUMP, f'the clock jumped back by {(latest_ns - now_ns) * 1e-9:.9g}'
+                           f' s to {now_ns} ns; on_time_jump: {action}')
+        if action == REBASE and self._rebase(latest_ns, now_ns):
+            return
+        if action in (REBASE, RESET):
+            start_ns = self._given_start_ns if self._simulated else 0
+            self._open(self.motion.initial(start_ns or now_ns), (), 'clock jumped back')
+
+    def _rebase(self, latest_ns: int, now_ns: int) -> bool:
+        state = self.motion.last(latest_ns)
+        if state is None:
+            self._health.event(NO_STATE, 'no state to go on from: back to the initial one')
+            return False
+        torques = [torque._replace(stamp_ns=now_ns)
+                   for torque in self.motion.epoch.since(latest_ns)[:1]
+                   if torque.stamp_ns <= latest_ns]
+        self._open(State(now_ns, state.attitude, state.angular_velocity), torques, 'rebased')
+        return True
+
+    def _open(self, start: State, torques, why: str) -> str:
+        self.motion.open(start, torques)
+        self._parameters.report(start)
+        text = f'{why}: a new epoch begins at {start.time_ns} ns'
+        self._node.get_logger().info(text)
+        return text
+
+    def _check_stamp(self, stamp_ns: int, now_ns: int) -> None:
+        ahead_ns = stamp_ns - now_ns
+        advice = _ADVICE if abs(ahead_ns) > _OTHER_CLOCK_NS else ''
+        if ahead_ns > self._max_future_ns:
+            raise RefusedError(FUTURE, f'stamped {ahead_ns * 1e-9:.9g} s ahead of the clock, '
+                               f'expected at most max_future '
+                               f'({self._values["max_future"]:g} s){advice}')
+        if advice:
+            raise RefusedError(LATE, f'stamped {-ahead_ns * 1e-9:.9g} s behind the clock{advice}')
