@@ -39,9 +39,10 @@ setup(
         'ros': ['ros-rclpy', 'ros-rmw-fastrtps-cpp', 'ros-geometry-msgs', 'ros-sensor-msgs',
                 'ros-nav-msgs', 'ros-std-msgs', 'ros-std-srvs', 'ros-diagnostic-msgs',
                 'ros-rcl-interfaces', 'ros-rosgraph-msgs'],
-        'test': ['hypothesis', 'import-linter', 'mcap-ros2-support', 'mpmath', 'mypy', 'pytest',
-                 'rosbags', 'ruff', 'scipy', 'setuptools>=70', 'types-PyYAML', 'types-tqdm'],
-        'bench': ['cyrk', 'heyoka', 'mpmath', 'scipy'],
+        'test': ['hypothesis', 'import-linter', 'mcap-ros2-support', 'mpmath', 'mypy', 'psutil',
+                 'pytest', 'rosbags', 'ruff', 'scipy', 'setuptools>=70', 'types-PyYAML',
+                 'types-tqdm'],
+        'bench': ['cyrk', 'heyoka', 'mpmath', 'psutil', 'scipy'],
     },
     zip_safe=False,
 )

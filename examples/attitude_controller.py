@@ -21,7 +21,7 @@ from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
 import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.time import Time
 
@@ -97,10 +97,11 @@ def relative(target, attitude):
 
 def main():
     rclpy.init()
-    controller = AttitudeController()
+    controller, executor = AttitudeController(), SingleThreadedExecutor()
+    executor.add_node(controller)
     try:
         while not controller.done:
-            rclpy.spin_once(controller, timeout_sec=0.1)
+            executor.spin_once(timeout_sec=0.1)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:

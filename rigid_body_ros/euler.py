@@ -14,6 +14,7 @@ longer than double, as on Windows, it is 3e-15 rad.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +52,7 @@ class _Axes(NamedTuple):
     extrinsic: bool
 
 
+@lru_cache
 def _axes(sequence: str) -> _Axes:
     letters = [*sequence.lower()] if sequence in (sequence.lower(), sequence.upper()) else []
     if (len(letters) != 3 or not set(letters) <= set('xyz') or letters[0] == letters[1]
@@ -143,7 +145,8 @@ def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     middle, rounded = middle.astype(float), _rounded(first, domain)
     _, cosine = _sine_cosine(middle, axes)
     third = _rounded(third - cosine * _folded(rounded - first), domain)
-    angles = np.stack([rounded, middle, third], axis=-1)
+    angles = np.empty((*middle.shape, 3))
+    angles[..., 0], angles[..., 1], angles[..., 2] = rounded, middle, third
     return angles[..., ::-1] if axes.extrinsic else angles
 
 
@@ -344,7 +347,8 @@ def _sine_cosine(middle: Floats, axes: _Axes) -> tuple[Floats, Floats]:
 def _rounded(angle: Extended, domain: tuple[float, float]) -> Floats:
     # The nearest double in the domain, give or take whole turns.
     low, high = domain
-    return np.clip(_folded(angle, 0.5 * (low + high)).astype(float), low, high)
+    # Not np.clip, which takes longer than all the rest where there is one angle.
+    return np.minimum(np.maximum(_folded(angle, 0.5 * (low + high)).astype(float), low), high)
 
 
 def _folded(angle: Extended, centre: float = 0.0) -> Extended:

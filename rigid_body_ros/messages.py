@@ -145,7 +145,7 @@ def torque(wrench: Stamped) -> Floats:
 
 def wrench(stamp_ns: int, frame_id: str, torque: ArrayLike) -> bytes:
     """Return a WrenchStamped with a torque, N m, shape (3,), and no force."""
-    return WRENCH.encode(stamp_ns, frame_id, np.concatenate([np.zeros(3), torque]))
+    return WRENCH.encode(stamp_ns, frame_id, [0.0, 0.0, 0.0, *torque])
 
 
 def new_log() -> bytes:

@@ -21,7 +21,7 @@ from nav_msgs.msg import Odometry
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -45,6 +45,8 @@ _TORQUE_QOS = {scene.REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPol
                LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
 #: s; how long a clean end may take.
 _PATIENCE = 0.6
+#: s; how often to look for signals.
+_HEED_EVERY = 0.1
 
 
 class AttitudeNode(Node):
@@ -163,17 +165,26 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         _initialize(sys.argv if arguments is None else ['attitude_node', *arguments])
         node = AttitudeNode()
+        executor = _executor()
+        executor.add_node(node)
         # From here on a signal does not cut a callback short.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda number, frame: stop.append(number))
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
         while not stop:
-            executor.spin_once(timeout_sec=0.1 if node.work() else 0.0)
+            # With a timeout, to hear signals; without one the executor of events may hang.
+            executor.spin_once(timeout_sec=_HEED_EVERY if node.work() else 0.0)
         node.finish(time.monotonic() + _PATIENCE)
         node.destroy_node()
     finally:
         rclpy.try_shutdown()
+
+
+def _executor() -> Executor:
+    try:  # a message costs it half of what it costs the other
+        from rclpy.experimental import EventsExecutor
+    except ImportError:  # before Jazzy
+        return SingleThreadedExecutor()
+    return EventsExecutor()
 
 
 def _initialize(command_line: Sequence[str]) -> None:

@@ -85,9 +85,9 @@ class Epoch:
         """Return the stamps up to a time whose states are still to be committed."""
         return self._pending[:bisect.bisect_right(self._pending, horizon_ns)]
 
-    def committed(self, stamp_ns: int) -> None:
-        """Take a stamp off those that are due."""
-        self._pending.remove(stamp_ns)
+    def settle(self, horizon_ns: int) -> None:
+        """Take the stamps up to a time off those that are due."""
+        del self._pending[:bisect.bisect_right(self._pending, horizon_ns)]
 
     def since(self, time_ns: int) -> list[Torque]:
         """Return the torque in force at a time, and all later ones."""

@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from rigid_body_ros.node.inputs import CAUSES, RefusedError
 
@@ -64,13 +65,23 @@ class Health:
             problems.append(f'{torques.topic_name}: {len(found)} publishers: {names}; the last '
                             'torque of a stamp counts')
             self._say(PUBLISHERS, problems[-1])
-        pairs = [(torques.topic_name, info, info.qos_profile, torques.qos_profile)
-                 for info in found]
-        pairs += [(output.topic_name, info, output.qos_profile, info.qos_profile)
-                  for output in outputs
-                  for info in self._node.get_subscriptions_info_by_topic(output.topic_name)]
-        for topic, info, offered, requested in pairs:
-            compatible, reason = qos_check_compatible(offered, requested)
+        problems += self._unconnected(torques.topic_name, found, 'subscriptions')
+        for output in outputs:
+            listeners = self._node.get_subscriptions_info_by_topic(output.topic_name)
+            problems += self._unconnected(output.topic_name, listeners, 'publishers')
+        return problems
+
+    def _unconnected(self, topic: str, others: Iterable[TopicEndpointInfo],
+                     own: str) -> list[str]:
+        # Profiles as DDS has them on both sides: what is left to a default is told apart here.
+        endpoints = getattr(self._node, f'get_{own}_info_by_topic')(topic)
+        profile = next((info.qos_profile for info in endpoints
+                        if _full_name(info) == self._node.get_fully_qualified_name()), None)
+        problems = []
+        for info in others if profile else ():
+            pair = (profile, info.qos_profile) if own == 'publishers' else \
+                (info.qos_profile, profile)
+            compatible, reason = qos_check_compatible(*pair)
             if compatible == QoSCompatibility.ERROR:
                 problems.append(f'{topic}: {_full_name(info)} is not connected: '
                                 f'{reason.removeprefix("ERROR: ").rstrip("; ")}')
@@ -116,5 +127,5 @@ def _level(error: bool, warning: bool) -> bytes:
     return DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
 
 
-def _full_name(info: object) -> str:
+def _full_name(info: TopicEndpointInfo) -> str:
     return f'{info.node_namespace.rstrip("/")}/{info.node_name}'

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
 from rigid_body_ros import messages
 from rigid_body_ros.body import State
@@ -48,13 +48,12 @@ class Inputs:
         except ValueError as error:
             raise RefusedError(FRAME, str(error)) from error
         torque = messages.torque(wrench)
-        size = float(np.sqrt(torque @ torque))
-        if not size <= self._largest:
-            if not np.isfinite(torque).all():
-                raise RefusedError(NOT_FINITE,
-                                   f'expected a finite torque, found {torque.tolist()}')
+        x, y, z = torque.tolist()
+        if not math.isfinite(x + y + z):
+            raise RefusedError(NOT_FINITE, f'expected a finite torque, found {[x, y, z]}')
+        if math.hypot(x, y, z) > self._largest:
             raise RefusedError(TOO_LARGE, f'expected a torque of at most {self._largest:.3g} N m '
-                               f'for this inertia, found {torque.tolist()}')
+                               f'for this inertia, found {[x, y, z]}')
         return Torque(wrench.stamp_ns, torque, frame), bool(wrench.values[:3].any())
 
     def state(self, data: bytes) -> State:

@@ -46,9 +46,9 @@ class Motion:
         self._answer, self._step_ns = answer, step_ns
         self.epoch: Epoch | None = None
         self._is_first = True
-        #: Torques that wait, and the time that is to be answered for before.
+        #: Torques that wait; of the first, once it is applied, the states that it made final.
         self._inbox: deque[Torque] = deque()
-        self._question_ns: int | None = None
+        self._final: list[State] | None = None
 
     @property
     def waiting(self) -> int:
@@ -72,10 +72,15 @@ class Motion:
 
     def close(self) -> None:
         """End the epoch, if there is one."""
+        if self._final is not None:  # applied, but the answer takes too long
+            self._log(self._inbox.popleft())
+        for _ in self._inbox:
+            self._health.refuse(RefusedError(
+                OVERLOAD, 'the epoch ended before the motion got to a torque'))
+        self._inbox.clear()
         if self.epoch is not None:
             self.finish(time.monotonic() + _LAST_WORDS)
-        self.epoch = self._question_ns = None
-        self._inbox.clear()
+        self.epoch = None
 
     def take(self, torque: Torque) -> None:
         """
@@ -97,16 +102,12 @@ class Motion:
         """Go on with what waits, for a while; return whether all is done."""
         until = time.monotonic() + _BUDGET
         try:
-            while self._inbox or self._question_ns is not None:
-                if self._question_ns is None:
-                    self._apply(self._inbox[0], until)
-                    self._inbox.popleft()
-                else:
-                    self._reply(self._question_ns, until)
-                    self._question_ns = None
+            while self._inbox:
+                self._proceed(self._inbox[0], until)
+                self._inbox.popleft()
         except TimeoutError as error:
             self._too_slow(error)
-        return not self._inbox and self._question_ns is None
+        return not self._inbox
 
     def publish(self, time_ns: int) -> None:
         """Publish the state at a time, if it can be known in time."""
@@ -128,7 +129,6 @@ class Motion:
             It is not known yet by `until`, a time of the monotonic clock.
 
         """
-        assert self.epoch is not None
         try:
             return self.epoch.at(time_ns, until - time.monotonic())
         except ValueError as error:
@@ -145,10 +145,11 @@ class Motion:
 
     def finish(self, until: float) -> bool:
         """Commit what was held back for late torques; return whether there was time for it."""
-        assert self.epoch is not None
         try:
-            while due := self.epoch.due(2 ** 63):  # no more at once than the queue holds
-                self._commit(due[:LOG_DEPTH], until)
+            while due := self.epoch.due(2 ** 63):
+                for stamp_ns in due[:LOG_DEPTH]:  # no more at once than the queue holds
+                    for state in self._final_states(stamp_ns, until):
+                        self._outputs.commit(state)
                 self._outputs.deliver(until)
         except TimeoutError as error:
             self._health.event(SLOW, f'{len(due)} states could not be worked out before the end '
@@ -156,36 +157,43 @@ class Motion:
             return False
         return True
 
-    def _apply(self, torque: Torque, until: float) -> None:
-        assert self.epoch is not None
-        # What this stamp puts beyond the reach of later ones is final before it is applied.
-        self._commit(self.epoch.due(torque.stamp_ns - self.epoch.history_ns), until)
+    def _proceed(self, torque: Torque, until: float) -> None:
+        # Apply, answer, log: whoever waits for the answer comes first.
+        if self._final is None:
+            final = self._final_states(torque.stamp_ns - self.epoch.history_ns, until)
+            if not self._apply(torque):
+                return
+            self._final = final
+        if self._answer is not None:
+            state = self.state(torque.stamp_ns + self._step_ns, until)
+            if state is not None:
+                self._answer(state)
+        self._log(torque)
+
+    def _log(self, torque: Torque) -> None:
+        self._outputs.accept(torque)
+        for state in self._final:
+            self._outputs.commit(state)
+        self._final = None
+
+    def _apply(self, torque: Torque) -> bool:
         repeated = self.epoch.holds(torque.stamp_ns)
         if not self.epoch.take(torque):
             self._health.refuse(RefusedError(
                 LATE, f'a torque is older than the newest stamp, {self.epoch.newest_ns} ns, by '
                 f'{(self.epoch.newest_ns - torque.stamp_ns) * 1e-9:.9g} s, expected less than '
                 f'history ({self.epoch.history_ns * 1e-9:g} s)'))
-            return
+            return False
         self._health.count(APPLIED)
         if repeated:
             self._health.count(REPLACED)
-        self._outputs.accept(torque)
-        if self._answer is not None:
-            self._question_ns = torque.stamp_ns + self._step_ns
+        return True
 
-    def _reply(self, time_ns: int, until: float) -> None:
-        state = self.state(time_ns, until)
-        if state is not None:
-            self._answer(state)
-
-    def _commit(self, stamps_ns: list[int], until: float) -> None:
-        assert self.epoch is not None
-        for stamp_ns in stamps_ns:
-            state = self.state(stamp_ns, until)
-            if state is not None:
-                self._outputs.commit(state)
-            self.epoch.committed(stamp_ns)
+    def _final_states(self, horizon_ns: int, until: float) -> list[State]:
+        """Return the states up to a time that were not final before, and now are."""
+        states = [self.state(stamp_ns, until) for stamp_ns in self.epoch.due(horizon_ns)]
+        self.epoch.settle(horizon_ns)
+        return [state for state in states if state is not None]
 
     def _too_slow(self, error: TimeoutError) -> None:
         self._health.event(SLOW, f'no longer in real time: {error}; the body turns too fast to be '

@@ -20,6 +20,9 @@ from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import FRAMES
 
 _NO_TORQUE = np.zeros((1, 3))
+#: What a kernel fills and nobody reads: only its last state is wanted.
+_UNUSED = np.empty((1, 4)), np.empty((1, 3))
+_UNUSED_FLAGS = np.empty(2, np.bool_)
 
 
 class Propagator:
@@ -251,9 +254,8 @@ class _Segment:
         out = np.empty(loop.SIZE)
         at = (self._grid_ns[nearest], self._grid_ns[0], 0, False, 0)
         while not at[-1]:
-            at = loop.run(*(grid, begin, *at, np.array([time_ns]), loop.IN_ORDER, np.empty((1, 4)),
-                            np.empty((1, 3)), out, np.empty(2, np.bool_), *self._log,
-                            *self._arguments, loop.BUDGET))
+            at = loop.run(*(grid, begin, *at, np.array([time_ns]), loop.IN_ORDER, *_UNUSED, out,
+                            _UNUSED_FLAGS, *self._log, *self._arguments, loop.BUDGET))
             self._options.check_speed(grid, at[0])
             if time.monotonic() > until:
                 break

@@ -1,0 +1,34 @@
+"""The least that a node of rclpy costs: receives a WrenchStamped, publishes three messages."""
+
+from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+
+
+class FloorNode(Node):
+    """Answers every torque with the same numbers."""
+
+    def __init__(self):
+        super().__init__('floor_node')
+        self._attitude = self.create_publisher(QuaternionStamped, 'attitude', 10)
+        self._euler_angles = self.create_publisher(Vector3Stamped, 'euler_angles', 10)
+        self._angular_velocity = self.create_publisher(Vector3Stamped, 'angular_velocity', 10)
+        self.create_subscription(WrenchStamped, 'torque', self._on_torque, 1000)
+
+    def _on_torque(self, wrench):
+        attitude = QuaternionStamped(header=wrench.header)
+        attitude.quaternion.x, attitude.quaternion.w = 0.6, 0.8
+        self._attitude.publish(attitude)
+        for publisher in (self._euler_angles, self._angular_velocity):
+            message = Vector3Stamped(header=wrench.header)
+            message.vector.x, message.vector.y, message.vector.z = 0.1, 0.2, 0.3
+            publisher.publish(message)
+
+
+if __name__ == '__main__':
+    rclpy.init()
+    try:
+        rclpy.spin(FloorNode())
+    except (KeyboardInterrupt, ExternalShutdownException):
+        rclpy.try_shutdown()

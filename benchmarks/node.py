@@ -1,0 +1,142 @@
+"""
+Measure what the node costs, beside a bare node of rclpy that only receives and publishes.
+
+    python benchmarks/node.py [--json FILE]
+
+Torques at 1 kHz, three topics out, in lockstep; rounds of the two in turns. Latency is from a
+torque to its attitude, seen from outside; processor time is that of the node's process, per
+torque. A ratio is ours / the floor's: the median of the rounds.
+"""
+
+import argparse
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+import time
+
+from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
+import numpy as np
+import psutil
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+
+from rigid_body_ros import messages
+
+HERE = Path(__file__).resolve().parent
+RATE, ROUNDS, TORQUES = 1000, 10, 2000
+OURS, FLOOR = '/ours', '/floor'
+COMMANDS = {
+    OURS: ['-c', 'from rigid_body_ros.cli import attitude_node; attitude_node()', '--ros-args',
+           '--params-file', str(HERE.parent / 'config' / 'tumbler.yaml'), '-p', 'mode:=lockstep'],
+    FLOOR: [str(HERE / 'floor_node.py'), '--ros-args']}
+#: What a ratio may be: median latency, 99th percentile, processor time.
+BARS = {'median': 1.25, 'p99': 1.5, 'processor': 1.25}
+
+
+class Client:
+    """Sends torques to a node in its namespace, and times the answers."""
+
+    def __init__(self, namespace, executor):
+        command = [sys.executable, *COMMANDS[namespace], '-r', f'__ns:={namespace}']
+        self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        self._usage = psutil.Process(self._process.pid)
+        self._executor = executor
+        self._node = rclpy.create_node('client', namespace=namespace)
+        executor.add_node(self._node)
+        self._torque = self._node.create_publisher(WrenchStamped, 'torque', 1000)
+        self._sent, self._latencies = {}, []
+        self._stamp_ns = 10 ** 9
+        for topic, kind, callback in (('attitude', QuaternionStamped, self._on_attitude),
+                                      ('euler_angles', Vector3Stamped, lambda data: None),
+                                      ('angular_velocity', Vector3Stamped, lambda data: None)):
+            self._node.create_subscription(kind, topic, callback, 1000, raw=True)
+
+    def connected(self):
+        """Return whether the node listens and speaks."""
+        return self._torque.get_subscription_count() and \
+            self._node.count_publishers(f'{self._node.get_namespace()}/attitude')
+
+    def round(self):
+        """Return median and 99th percentile of the latency and processor time a torque, s."""
+        self._sent.clear()
+        self._latencies.clear()
+        before = self._used()
+        due = time.perf_counter()
+        for number in range(TORQUES):
+            due += 1 / RATE
+            while (rest := due - time.perf_counter()) > 0.0:
+                self._executor.spin_once(timeout_sec=rest)
+            self._stamp_ns += 10 ** 9 // RATE
+            data = messages.wrench(self._stamp_ns, 'base_link',
+                                   [1e-3 * np.sin(0.1 * number), 1e-3, 0.0])
+            self._sent[self._stamp_ns // 10 ** 6] = time.perf_counter()
+            self._torque.publish(data)
+        until = time.perf_counter() + 1.0
+        while len(self._latencies) < TORQUES and time.perf_counter() < until:
+            self._executor.spin_once(timeout_sec=0.01)
+        assert len(self._latencies) == TORQUES, f'{len(self._latencies)} of {TORQUES} answered'
+        return (*np.percentile(self._latencies, [50, 99]), (self._used() - before) / TORQUES)
+
+    def _used(self):
+        times = self._usage.cpu_times()
+        return times.user + times.system
+
+    def _on_attitude(self, data):
+        now = time.perf_counter()
+        stamp_ns = messages.QUATERNION.decode(data).stamp_ns
+        if self._node.get_namespace() == OURS:
+            stamp_ns -= 10 ** 6  # the answer is one step, 1 ms, ahead
+        sent = self._sent.pop(stamp_ns // 10 ** 6, None)
+        if sent is not None:
+            self._latencies.append(now - sent)
+
+    def stop(self):
+        """End the node."""
+        self._process.terminate()
+        self._process.wait()
+
+
+def measure():
+    """Return the rounds of both, arrays of shape (ROUNDS, 3)."""
+    rclpy.init()
+    executor = SingleThreadedExecutor()
+    clients = {name: Client(name, executor) for name in COMMANDS}
+    try:
+        while not all(client.connected() for client in clients.values()):
+            executor.spin_once(timeout_sec=0.1)
+        rounds = {name: [] for name in clients}
+        for number in range(ROUNDS + 1):
+            for name, client in clients.items():
+                result = client.round()
+                if number:  # the first is for warming up
+                    rounds[name].append(result)
+    finally:
+        for client in clients.values():
+            client.stop()
+        rclpy.try_shutdown()
+    return {name: np.array(values) for name, values in rounds.items()}
+
+
+def main():
+    """Print the table, and which bars are missed."""
+    parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
+    parser.add_argument('--json', type=Path, help='write the figures')
+    arguments = parser.parse_args()
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+    rounds = measure()
+    ours, floor = np.median(rounds[OURS], axis=0), np.median(rounds[FLOOR], axis=0)
+    ratios = np.median(rounds[OURS] / rounds[FLOOR], axis=0)
+    print(f'{"us":12}{"ours":>8}{"floor":>8}{"ratio":>8}{"bar":>8}')
+    for (name, bar), a, b, ratio in zip(BARS.items(), ours, floor, ratios):
+        print(f'{name:12}{a * 1e6:8.0f}{b * 1e6:8.0f}{ratio:8.2f}{bar:8.2f}'
+              f'{"" if ratio <= bar else "  MISS"}')
+    if arguments.json:
+        arguments.json.write_text(json.dumps(
+            {name: values.tolist() for name, values in rounds.items()}, indent=1))
+
+
+if __name__ == '__main__':
+    main()
