@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import QuaternionStamped, WrenchStamped
 from nav_msgs.msg import Odometry
 import rclpy
@@ -21,6 +22,7 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
 import yaml
 
 from rigid_body_ros import messages, recording
@@ -28,6 +30,7 @@ from rigid_body_ros import messages, recording
 NODE = 'attitude_node'
 ACCEPTED, COMMITTED, ATTITUDE = f'/{NODE}/accepted_torque', f'/{NODE}/committed', '/attitude'
 _KINDS = {ACCEPTED: messages.WRENCH, COMMITTED: messages.ODOMETRY, ATTITUDE: messages.QUATERNION}
+DIAGNOSTICS = '/diagnostics'
 #: Lose no torque on a busy machine; the node's default is to hear any publisher, best effort.
 RELIABLE = ('-p', 'qos_overrides./torque.subscription.reliability:=reliable')
 #: The first start on a machine compiles the kernels.
@@ -51,24 +54,32 @@ class LiveSession:
     ----------
     received : dict
         Messages in CDR by topic, in order of arrival.
+    diagnostics : list
+        DiagnosticArray messages.
     process : Popen
         The node.
+    command, environment : list of str, dict
+        How the node was started.
+    node : rclpy.node.Node
+        The recorder, for what else is to be heard or said.
 
     """
 
     def __init__(self, scene, domain, *arguments):
         self._domain = domain
-        self._environment = os.environ | {
+        self.environment = os.environ | {
             'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': str(domain)}
-        self._command = [sys.executable, '-c',
+        self.command = [sys.executable, '-c',
                          'import sys; from rigid_body_ros.cli import attitude_node; '
                          'sys.exit(attitude_node())',
                          '--ros-args', '--params-file', str(scene), *arguments]
-        self._simulated = 'use_sim_time:=true' in arguments
+        # Then nothing comes before the first message of /clock, or the first torque.
+        self._waits = {'use_sim_time:=true', 'mode:=lockstep'} & {*arguments}
         self.received = {topic: [] for topic in _KINDS}
+        self.diagnostics = []
 
     def __enter__(self):
-        self.process = subprocess.Popen(self._command, env=self._environment, text=True,
+        self.process = subprocess.Popen(self.command, env=self.environment, text=True,
                                         stderr=subprocess.PIPE)
         try:
             self._connect()
@@ -81,27 +92,31 @@ class LiveSession:
         os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=self._domain)
-        self._node = rclpy.create_node('live_session', context=self._context)
+        self.node = rclpy.create_node('live_session', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._torque = self._node.create_publisher(WrenchStamped, 'torque', 1000)
-        self._clock = self._node.create_publisher(Clock, '/clock', 10)
+        self._executor.add_node(self.node)
+        self._torque = self.node.create_publisher(WrenchStamped, 'torque', 1000)
+        if 'use_sim_time:=true' in self._waits:
+            self._clock = self.node.create_publisher(Clock, '/clock', 10)
         everything = QoSProfile(depth=100_000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         for topic, kind, qos in ((ACCEPTED, WrenchStamped, everything),
                                  (COMMITTED, Odometry, everything),
                                  (ATTITUDE, QuaternionStamped, 1000)):
-            self._node.create_subscription(kind, topic, self.received[topic].append, qos, raw=True)
-        self._wait_until(self._torque.get_subscription_count, 'the node to subscribe')
-        if not self._simulated:
-            self._wait_until(lambda: self.received[COMMITTED], 'the start state')
-            self._wait_until(lambda: self.received[ATTITUDE], 'the first attitude')
+            self.node.create_subscription(kind, topic, self.received[topic].append, qos, raw=True)
+        self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self.diagnostics.append, 100)
+        self._initial_state = self.node.create_publisher(Odometry, 'initial_state', 10)
+        self._reset = self.node.create_client(Trigger, f'/{NODE}/reset')
+        self.wait_until(self._torque.get_subscription_count, 'the node to subscribe')
+        if not self._waits:
+            self.wait_until(lambda: self.received[COMMITTED], 'the start state')
+            self.wait_until(lambda: self.received[ATTITUDE], 'the first attitude')
 
     def __exit__(self, kind, error, trace):
         if self.process.poll() is None:
             self.process.kill()
         self.process.communicate()
         self._executor.shutdown()
-        self._node.destroy_node()
+        self.node.destroy_node()
         rclpy.shutdown(context=self._context)
 
     def publish(self, time_ns, frame_id, torque):
@@ -112,6 +127,25 @@ class LiveSession:
         """Publish a WrenchStamped in CDR as it is."""
         self._torque.publish(data)
 
+    def listen(self, topic, callback):
+        """Hand the bytes of every WrenchStamped of a topic to a callback."""
+        self.node.create_subscription(WrenchStamped, topic, callback, 1000, raw=True)
+
+    def set_state(self, state):
+        """Publish an initial state."""
+        self._initial_state.publish(messages.odometry(state, '', ''))
+
+    def reset(self):
+        """Call the service ~/reset and return its response."""
+        return self._result(self._reset.call_async(Trigger.Request()))
+
+    def diagnosis(self, name):
+        """Return the values of the newest status of a name, its level and its message."""
+        status = next(status for array in reversed(self.diagnostics) for status in array.status
+                      if status.name == f'{NODE}: {name}')
+        values = {pair.key: int(pair.value) for pair in status.values}
+        return values, int.from_bytes(status.level, 'little'), status.message
+
     def set_clock(self, time_ns):
         """Publish simulated time."""
         clock = Clock()
@@ -120,7 +154,7 @@ class LiveSession:
 
     def now_ns(self):
         """Return the wall time."""
-        return self._node.get_clock().now().nanoseconds
+        return self.node.get_clock().now().nanoseconds
 
     def spin(self, seconds):
         """Receive for so long."""
@@ -128,9 +162,18 @@ class LiveSession:
         while (rest := until - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=rest)
 
+    def wait_until(self, condition, what):
+        """Receive until something holds."""
+        until = time.monotonic() + _PATIENCE_S
+        while not condition():
+            if self.process.poll() not in (None, 0) or time.monotonic() > until:
+                raise RuntimeError(f'waited in vain for {what}; the node said:\n'
+                                   f'{self._last_words()}')
+            self.spin(0.05)
+
     def dump_parameters(self, path):
         """Write the node's parameters as `ros2 param dump` does."""
-        client = AsyncParameterClient(self._node, NODE)
+        client = AsyncParameterClient(self.node, NODE)
         names = self._result(client.list_parameters()).result.names
         values = self._result(client.get_parameters(names)).values
         tree = {}
@@ -145,7 +188,7 @@ class LiveSession:
     def stop(self, number=signal.SIGINT):
         """End the node by a signal, receive its last words, return its exit status."""
         self.process.send_signal(number)
-        self._wait_until(lambda: self.process.poll() is not None, 'the node to end')
+        self.wait_until(lambda: self.process.poll() is not None, 'the node to end')
         count = -1
         while count != (count := sum(map(len, self.received.values()))):
             self.spin(0.3)
@@ -162,14 +205,6 @@ class LiveSession:
     def _result(self, future):
         self._executor.spin_until_future_complete(future, timeout_sec=_PATIENCE_S)
         return future.result()
-
-    def _wait_until(self, condition, what):
-        until = time.monotonic() + _PATIENCE_S
-        while not condition():
-            if self.process.poll() not in (None, 0) or time.monotonic() > until:
-                raise RuntimeError(f'waited in vain for {what}; the node said:\n'
-                                   f'{self._last_words()}')
-            self.spin(0.05)
 
     def _last_words(self):
         self.process.kill()

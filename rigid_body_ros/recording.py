@@ -117,12 +117,9 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
     for row in np.flatnonzero(~np.isfinite(torques).all(axis=1)):
         raise InputError(f'{where}: message {row + 1} at {recorded.stamps_ns[row]} ns: expected '
                          f'a finite torque, found {torques[row].tolist()}')
-    begun = new_logs(recorded)
-    unstamped = np.setdiff1d(np.flatnonzero(recorded.stamps_ns == 0), begun)
-    # One may be at the beginning of simulated time, which does not reach wall time.
-    if unstamped.size > 1 or (unstamped.size and recorded.stamps_ns.max() > _SIMULATED_NS):
-        raise InputError(f'{where}: message {unstamped[0] + 1}: expected a stamp in its header, '
-                         f'found 0, as in {unstamped.size} of {len(torques)} messages')
+    # After the last mark, or the mark itself, zero torque, where nothing came after it.
+    first = min(int(np.append(0, new_logs(recorded) + 1)[-1]), len(torques) - 1)
+    _check_stamped(where, recorded.stamps_ns, first)
     known: dict[str, str] = {}
     for number, frame_id in enumerate(recorded.frame_ids, 1):
         if frame_id not in known:
@@ -131,11 +128,22 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
             except ValueError as error:
                 raise InputError(f'{where}: message {number}: {error}') from error
     frames = [known[frame_id] for frame_id in recorded.frame_ids]
-    last = int(begun[-1]) if begun.size else 0
     try:
-        return TorqueLog(recorded.stamps_ns[last:], torques[last:], frames[last:], interpolation)
+        return TorqueLog(recorded.stamps_ns[first:], torques[first:], frames[first:],
+                         interpolation)
     except ValueError as error:
         raise InputError(f'{where}: {error}') from error
+
+
+def _check_stamped(where: str, stamps_ns: NDArray[np.int64], first: int) -> None:
+    """Raise InputError where torques, from row `first` on, have no stamp."""
+    unstamped = first + np.flatnonzero(stamps_ns[first:] == 0)
+    # Simulated time may begin with 0; it does not reach wall time.
+    leading = np.count_nonzero(np.maximum.accumulate(stamps_ns[first:]) == 0)
+    begins = unstamped.size == leading and 0 < stamps_ns.max() < _SIMULATED_NS
+    if unstamped.size and not begins and len(stamps_ns) > 1:
+        raise InputError(f'{where}: message {unstamped[0] + 1}: expected a stamp in its header, '
+                         f'found 0, as in {np.sum(stamps_ns == 0)} of {len(stamps_ns)} messages')
 
 
 def new_logs(recorded: Messages) -> NDArray[np.intp]:

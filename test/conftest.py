@@ -1,5 +1,7 @@
 """What every test shares."""
 
+import itertools
+import os
 from pathlib import Path
 
 from hypothesis import settings
@@ -17,12 +19,19 @@ CONFIG = ROOT / 'config'
 #: The stamps of the recordings: seconds as a float are 238 ns apart here.
 EPOCH_NS = 1_767_225_600_123_456_789
 SECOND = 10 ** 9
+DOMAINS = itertools.count(os.getpid())
 
 
 @pytest.fixture(autouse=True)
 def _floating_point_errors_are_errors():
     with np.errstate(divide='raise', invalid='raise', over='raise'):
         yield
+
+
+@pytest.fixture
+def domain():
+    """Return a ROS domain that no other test of this machine is likely to use."""
+    return 1 + next(DOMAINS) % 100
 
 
 class Reference:

@@ -1,12 +1,10 @@
 """attitude_node as a real process over real DDS."""
 
-import itertools
-import os
 import signal
 import subprocess
 import sys
 
-from conftest import CONFIG, RECORDINGS, SECOND
+from conftest import RECORDINGS, ROOT, SECOND
 import numpy as np
 import pytest
 
@@ -14,41 +12,12 @@ from rigid_body_ros import State, TorqueLog, messages, propagate, recording, sce
 
 pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
 
+from live import TUMBLER, call, decoded, replayed, run_clock
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE, LiveSession
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
-from rclpy.parameter_client import AsyncParameterClient
 
 pytestmark = pytest.mark.ros
-TUMBLER = CONFIG / 'tumbler.yaml'
-DOMAINS = itertools.count(os.getpid())
-
-
-@pytest.fixture
-def domain():
-    """Return a ROS domain that no other test of this machine is likely to use."""
-    return 1 + next(DOMAINS) % 100
-
-
-def decoded(live, topic, kind):
-    return [kind.decode(data) for data in live.received[topic]]
-
-
-def replayed(tmp_path, live):
-    """Return the committed states, and those of a replay of what was accepted."""
-    live.write(tmp_path / 'live.mcap')
-    run = scene.load(tmp_path / 'live.yaml')
-    accepted = recording.read(tmp_path / 'live.mcap', ACCEPTED)
-    log = recording.torque_log('live.mcap', accepted, run.values['body_frame'],
-                               run.values['space_frame'])
-    committed = recording.read(tmp_path / 'live.mcap', COMMITTED, messages.ODOMETRY)
-    motion = propagate(run.body, run.start, log, at=committed.stamps_ns, **run.options)
-    return committed, accepted, np.hstack([motion.attitude, motion.angular_velocity])
-
-
-def live_values(committed):
-    return np.hstack([committed.values[:, messages.ORIENTATION],
-                      committed.values[:, messages.ANGULAR_VELOCITY]])
 
 
 @pytest.mark.parametrize('timeout', [0.0, 0.02])
@@ -70,14 +39,14 @@ def test_live_is_replay_bit_for_bit_though_torques_come_late_and_out_of_order(
         live.spin(0.3)
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
-        committed, accepted, replay = replayed(tmp_path, live)
+        run = replayed(tmp_path, live)
     stamps = np.unique([row[1] for row in torques])
-    assert sorted(accepted.stamps_ns) == sorted(row[1] for row in torques)
-    assert np.any(np.diff(accepted.stamps_ns) < 0)  # they did come out of order
-    np.testing.assert_array_equal(committed.stamps_ns[1:], stamps)
-    np.testing.assert_array_equal(live_values(committed), replay)
+    assert sorted(run.accepted.stamps_ns) == sorted(row[1] for row in torques)
+    assert np.any(np.diff(run.accepted.stamps_ns) < 0)  # they did come out of order
+    np.testing.assert_array_equal(run.stamps_ns[1:], stamps)
+    np.testing.assert_array_equal(run.committed, run.replay)
     # The start state comes first, at the time that the dumped parameters name.
-    assert committed.stamps_ns[0] == scene.load(tmp_path / 'live.yaml').start.time_ns
+    assert run.stamps_ns[0] == scene.load(tmp_path / 'live.yaml').start.time_ns
 
 
 def test_what_is_published_between_stamps_is_the_motion_at_those_times(domain):
@@ -101,64 +70,6 @@ def test_what_is_published_between_stamps_is_the_motion_at_those_times(domain):
     assert len(published) > 100
     assert {message.frame_id for message in published} == {'world'}
     np.testing.assert_array_equal([message.values for message in published], motion.attitude)
-
-
-def run_clock(live, start_ns, until=lambda: False, seconds=100):
-    """Let simulated time go on, or stand at the start until something holds."""
-    for tick in range(seconds * 100 + 1):
-        live.set_clock(start_ns + (tick * SECOND // 100 if seconds < 100 else 0))
-        live.spin(0.002)
-        if until():
-            return
-
-
-def test_bad_torques_are_refused_counted_and_change_nothing(tmp_path, domain):
-    with LiveSession(TUMBLER, domain) as live:
-        live.publish(live.now_ns(), 'base_link', [0.01, 0.0, 0.0])
-        live.spin(0.2)
-        now_ns = live.now_ns()
-        for frame_id, torque in (('base_link', [np.nan, 0, 0]), ('base_link', [0, np.inf, 0]),
-                                 ('map', [1, 0, 0]), ('base_link', [0, 1e30, 0])):
-            live.publish(now_ns, frame_id, torque)
-        live.publish(now_ns + 2 * SECOND, '', [1.0, 0, 0])
-        live.publish(now_ns - 3600 * SECOND, '', [1.0, 0, 0])
-        live.publish_bytes(b'\0\1\0\0' + bytes(8))
-        live.publish_bytes(messages.WRENCH.encode(now_ns, '', [9.0, 0, 0, 0, 0.01, 0]))
-        live.publish(0, '', [0, 0, 0.01])  # stamped by its arrival
-        live.spin(0.5)
-        live.dump_parameters(tmp_path / 'live.yaml')
-        live.process.send_signal(signal.SIGINT)
-        words = live.process.communicate(timeout=10)[1]
-        live.spin(0.5)
-        committed, accepted, replay = replayed(tmp_path, live)
-    assert accepted.values[:, 3:].tolist() == [[0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.01]]
-    assert now_ns < accepted.stamps_ns[-1] < now_ns + SECOND
-    np.testing.assert_array_equal(live_values(committed), replay)
-    for part in ('refused (too large, 1 so far): expected a torque of at most 4.49e+07 N m',
-                 'refused (not finite, 1 so far): expected a finite torque, found [nan, 0.0, 0.0]',
-                 "found 'map'", 'refused (future, 1 so far): stamped', 's ahead of',
-                 'refused (late, 1 so far): ', 's behind the clock',
-                 'the force of a WrenchStamped is ignored'):
-        assert part in words, words
-
-
-def test_nothing_is_published_before_the_clock_is_valid(domain):
-    with LiveSession(TUMBLER, domain, '-p', 'use_sim_time:=true') as live:
-        live.publish(5 * SECOND, '', [1.0, 0.0, 0.0])
-        live.spin(0.5)
-        assert not any(live.received.values())
-        for _ in range(20):
-            live.set_clock(7 * SECOND)
-            live.spin(0.02)
-        assert live.stop() == 0
-        first = decoded(live, COMMITTED, messages.ODOMETRY)[0]
-        assert first.stamp_ns == 7 * SECOND
-        assert not live.received[ACCEPTED]
-
-
-def call(live, request):
-    client = AsyncParameterClient(live._node, 'attitude_node')
-    return live._result(request(client))
 
 
 def test_parameters_tell_what_they_are_and_keep_the_scene(domain):
@@ -207,10 +118,10 @@ def test_equal_stamps_and_torques_from_before_the_start(tmp_path, domain):
         live.spin(0.5)
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
-        committed, accepted, replay = replayed(tmp_path, live)
-    assert len(accepted.stamps_ns) == 5
-    assert committed.stamps_ns.tolist() == [start_ns, later_ns]
-    np.testing.assert_array_equal(live_values(committed), replay)
+        run = replayed(tmp_path, live)
+    assert len(run.accepted.stamps_ns) == 5
+    assert run.stamps_ns.tolist() == [start_ns, later_ns]
+    np.testing.assert_array_equal(run.committed, run.replay)
 
 
 def test_an_override_of_one_topic_leaves_the_others_alone(domain):
@@ -220,16 +131,6 @@ def test_an_override_of_one_topic_leaves_the_others_alone(domain):
                  for topic in ('attitude', 'euler_angles', 'angular_velocity')]
         values = call(live, lambda client: client.get_parameters(names)).values
         assert [value.integer_value for value in values] == [3, 10, 10]
-
-
-def test_a_motion_beyond_real_time_hangs_no_shutdown(domain):
-    with LiveSession(TUMBLER, domain) as live:
-        live.publish(live.now_ns(), '', [1e6, 0.0, 0.0])  # 2e7 rad/s after a second
-        live.spin(2.0)
-        live.process.send_signal(signal.SIGINT)
-        words = live.process.communicate(timeout=30)[1]
-        assert live.process.returncode == 0
-        assert 'Traceback' not in words
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
@@ -246,7 +147,7 @@ def test_signals_end_it_cleanly(domain, number):
 def run_node(domain, *arguments):
     """Run the node with arguments that end it at once."""
     command = LiveSession(TUMBLER, domain)
-    return subprocess.run([*command._command[:3], *arguments], env=command._environment,
+    return subprocess.run([*command.command[:3], *arguments], env=command.environment,
                           capture_output=True, text=True, timeout=60, check=False)
 
 
@@ -289,7 +190,7 @@ def test_integers_and_plain_exponents_are_numbers(domain):
 
 
 def test_the_demo_runs():
-    result = subprocess.run([sys.executable, 'examples/demo.py'], cwd=CONFIG.parent,
+    result = subprocess.run([sys.executable, 'examples/demo.py'], cwd=ROOT,
                             capture_output=True, text=True, timeout=300, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
     assert 'Live and replay agree bit for bit at 3001 of 3001 stamps.' in result.stdout

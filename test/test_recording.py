@@ -129,6 +129,16 @@ def test_of_equal_stamps_the_later_in_the_file_counts(tmp_path):
     assert (log.times_ns.tolist(), log.torques[:, 0].tolist()) == ([3, 5], [2.0, 3.0])
 
 
+def test_a_log_that_was_begun_anew_is_that_from_there_on(tmp_path):
+    mark = (0, '', [0, 0, 0])
+    rows = [(8, '', [1, 0, 0]), (9, '', [2, 0, 0]), mark, (0, '', [3, 0, 0]), mark,
+            (0, '', [4, 0, 0]), (0, '', [5, 0, 0]), (7, '', [6, 0, 0])]
+    log = torque_log(write(tmp_path / 'anew.mcap', rows))
+    assert (log.times_ns.tolist(), log.torques[:, 0].tolist()) == ([0, 7], [5.0, 6.0])
+    log = torque_log(write(tmp_path / 'ended.mcap', rows[:3]))
+    assert not log.torques.any()
+
+
 def test_the_topic_is_needed_only_where_there_are_several(tmp_path):
     path = tmp_path / 'two.mcap'
     with recording.Writer(path) as writer:
@@ -148,6 +158,8 @@ def test_the_topic_is_needed_only_where_there_are_several(tmp_path):
     ([(1, '', [0, 0, 0]), (2, 'map', [0, 0, 0])],
      "bad.mcap: /torque: message 2: frame_id: expected 'base_link' .*found 'map'"),
     ([(0, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 1: expected a stamp .*in 2 of 2'),
+    ([(0, '', [1, 0, 0]), (0, '', [0, 0, 0])], 'message 2: expected a stamp .*in 2 of 2'),
+    ([(7, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 2: .* found 0, as in 1 of 2'),
     ([(EPOCH_NS, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 2: .* found 0, as in 1 of 2')])
 def test_torques_that_cannot_be_used_are_refused_by_number(tmp_path, rows, message):
     path = write(tmp_path / 'bad.mcap', rows)

@@ -11,6 +11,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from copy import copy
+import os
+from pathlib import Path
 import signal
 import sys
 import time
@@ -196,6 +198,20 @@ def _initialize(command_line: Sequence[str]) -> None:
             epilog='The scene comes as ROS parameters: --ros-args --params-file FILE',
         ).parse_args(others)
         # The handlers of rclpy would shut ROS down before the last states are published.
-        rclpy.init(args=command_line, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=[*command_line, *_without_log_file()],
+                   signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         raise InputError(' '.join(str(error).split())) from error
+
+
+def _without_log_file() -> list[str]:
+    """Return the arguments that keep rcl from its log file where there is no place for it."""
+    home = Path(os.environ.get('ROS_HOME') or '~/.ros')
+    folder = Path(os.environ.get('ROS_LOG_DIR') or home / 'log').expanduser()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        writable = False
+    else:
+        writable = os.access(folder, os.W_OK)
+    return [] if writable else ['--ros-args', '--disable-external-lib-logs', '--']

@@ -119,12 +119,10 @@ class Lockstep:
         if self._node.get_parameter('use_sim_time').value:
             raise InputError('publish_clock: expected use_sim_time false, as a clock does not '
                              'follow itself')
-        until = time.monotonic() + _DISCOVERY
-        while time.monotonic() < until:
-            if others := self._other_clocks():
-                raise InputError(f'publish_clock: expected no other publisher of {_CLOCK}, '
-                                 f'found {others[0]}')
-            time.sleep(0.05)
+        time.sleep(_DISCOVERY)
+        if others := self._other_clocks():
+            raise InputError(f'publish_clock: expected no other publisher of {_CLOCK}, '
+                             f'found {others[0]}')
         return self._node.create_publisher(Clock, _CLOCK, 10)
 
     def _other_clocks(self) -> list[str]:

@@ -1,0 +1,62 @@
+"""What the tests of the node share."""
+
+from typing import NamedTuple
+
+from conftest import CONFIG, SECOND
+from live_session import ACCEPTED, COMMITTED
+import numpy as np
+from rclpy.parameter_client import AsyncParameterClient
+
+from rigid_body_ros import messages, propagate, recording, scene
+
+TUMBLER = CONFIG / 'tumbler.yaml'
+
+
+def decoded(live, topic, kind):
+    return [kind.decode(data) for data in live.received[topic]]
+
+
+class Run(NamedTuple):
+    """The committed states (attitude and body rates) of the last epoch, and their replay."""
+
+    stamps_ns: np.ndarray
+    committed: np.ndarray
+    replay: np.ndarray
+    #: Every torque accepted, of all epochs.
+    accepted: recording.Messages
+
+
+def replayed(tmp_path, live):
+    """Replay what a session accepted, with the parameters in live.yaml."""
+    live.write(tmp_path / 'live.mcap')
+    run = scene.load(tmp_path / 'live.yaml')
+    accepted = recording.read(tmp_path / 'live.mcap', ACCEPTED)
+    log = recording.torque_log('live.mcap', accepted, run.values['body_frame'],
+                               run.values['space_frame'])
+    committed = recording.read(tmp_path / 'live.mcap', COMMITTED, messages.ODOMETRY)
+    # The start of an epoch is the last state of that stamp: those before are of other epochs.
+    begin = int(np.flatnonzero(committed.stamps_ns == run.start.time_ns)[-1])
+    stamps_ns, values = committed.stamps_ns[begin:], live_values(committed)[begin:]
+    motion = propagate(run.body, run.start, log, at=stamps_ns, **run.options)
+    return Run(stamps_ns, values, np.hstack([motion.attitude, motion.angular_velocity]), accepted)
+
+
+def live_values(committed):
+    """Return attitude and body rates of Odometry messages, shape (n, 7)."""
+    return np.hstack([committed.values[:, messages.ORIENTATION],
+                      committed.values[:, messages.ANGULAR_VELOCITY]])
+
+
+def run_clock(live, start_ns, until=lambda: False, seconds=100):
+    """Let simulated time go on, or stand at the start until something holds."""
+    for tick in range(seconds * 100 + 1):
+        live.set_clock(start_ns + (tick * SECOND // 100 if seconds < 100 else 0))
+        live.spin(0.002)
+        if until():
+            return
+
+
+def call(live, request):
+    """Return the answer to a request about the node's parameters."""
+    client = AsyncParameterClient(live.node, 'attitude_node')
+    return live._result(request(client))

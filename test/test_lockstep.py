@@ -1,0 +1,198 @@
+"""Lockstep: every torque is answered, and a closed loop gives the same numbers every time."""
+
+import subprocess
+import sys
+
+from conftest import ROOT, SECOND
+import numpy as np
+import pytest
+
+from rigid_body_ros import State, TorqueLog, messages, propagate, scene, so3
+
+pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
+
+from live import TUMBLER, decoded, replayed
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession
+from nav_msgs.msg import Odometry
+from rosgraph_msgs.msg import Clock
+
+pytestmark = pytest.mark.ros
+LOCKSTEP = ('-p', 'mode:=lockstep', '-p', 'step:=0.02')
+STEP_NS = SECOND // 50
+#: A slew of 170 degrees about an axis that is none of the body's.
+SLEW = so3.exp(np.radians(170.0) * np.array([2.0, -1.0, 2.0]) / 3.0)
+SLEW_SECONDS = 30.0
+
+
+def start_at(attitude):
+    names = [f'initial_attitude.{name}' for name in 'xyzw']
+    return [word for name, value in zip(names, attitude.tolist())
+            for word in ('-p', f'{name}:={value!r}')]
+
+
+def controller(live, *arguments):
+    """Start the example controller as a process of its own."""
+    return subprocess.Popen([sys.executable, ROOT / 'examples' / 'attitude_controller.py',
+                             '--ros-args', '-p', f'stop_after:={SLEW_SECONDS}', *arguments],
+                            env=live.environment)
+
+
+def closed_loop(tmp_path, domain, attitude):
+    """Let the controller turn the body; return what was committed and accepted."""
+    with LiveSession(TUMBLER, domain, *LOCKSTEP, *start_at(attitude)) as live:
+        process = controller(live)
+        live.wait_until(lambda: process.poll() is not None, 'the controller to end')
+        assert process.returncode == 0
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        return replayed(tmp_path, live)
+
+
+def test_a_closed_loop_settles_and_gives_the_same_bits_every_time(tmp_path, domain):
+    first, second, negative = (closed_loop(tmp_path, domain, attitude)
+                               for attitude in (SLEW, SLEW, -SLEW))
+    assert len(first.stamps_ns) == SLEW_SECONDS * 50
+    np.testing.assert_array_equal(first.committed, first.replay)
+    np.testing.assert_array_equal(first.committed, second.committed)
+    # q and -q are one attitude: the controller turns it the same way.
+    np.testing.assert_array_equal(first.committed * [-1, -1, -1, -1, 1, 1, 1],
+                                  negative.committed)
+    attitude, rates = np.split(first.committed, [4], axis=1)
+    to_go = so3.angle_between(attitude, np.array([0.0, 0.0, 0.0, 1.0]))
+    assert to_go[-1] < 1e-4
+    assert np.linalg.norm(rates[-1]) < 1e-4
+    # It is the short way: the angle to go hardly grows while the body still turns away.
+    assert to_go.max() < np.radians(180.0)
+
+
+def test_a_closed_loop_survives_lost_messages(tmp_path, domain):
+    whole = closed_loop(tmp_path, domain, SLEW)
+    with LiveSession(TUMBLER, domain, *LOCKSTEP, *start_at(SLEW)) as live:
+        lost = {'torque': 0, 'state': 0}
+
+        def lossy(name, send):
+            seen = 0
+
+            def relay(data):
+                nonlocal seen
+                seen += 1
+                if seen % 400 == 200:
+                    lost[name] += 1
+                else:
+                    send(data)
+            return relay
+
+        states = live.node.create_publisher(Odometry, 'relayed_odometry', 10)
+        live.node.create_subscription(Odometry, 'odometry', lossy('state', states.publish), 10,
+                                      raw=True)
+        live.listen('relayed_torque', lossy('torque', live.publish_bytes))
+        process = controller(live, '-r', 'odometry:=relayed_odometry',
+                             '-r', 'torque:=relayed_torque')
+        live.wait_until(lambda: process.poll() is not None, 'the controller to end')
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    assert min(lost.values()) >= 3
+    np.testing.assert_array_equal(run.committed, whole.committed)
+    np.testing.assert_array_equal(run.committed, run.replay)
+
+
+def answers(live):
+    return [(message.stamp_ns, message.values.tolist())
+            for message in decoded(live, ATTITUDE, messages.QUATERNION)]
+
+
+def ask(live, stamp_ns, torque):
+    """Publish a torque and return the first answer to it that comes."""
+    before = len(live.received[ATTITUDE])
+    live.publish(stamp_ns, 'base_link', torque)
+    live.wait_until(lambda: answers(live)[before:]
+                    and answers(live)[-1][0] == stamp_ns + STEP_NS, 'an answer')
+    return answers(live)[-1]
+
+
+def test_each_torque_is_answered_with_the_state_one_step_later(domain):
+    run = scene.load(TUMBLER)
+    with LiveSession(TUMBLER, domain, *LOCKSTEP) as live:
+        live.wait_until(lambda: len(answers(live)) >= 3, 'the start state, offered repeatedly')
+        assert answers(live) == len(answers(live)) * [(0, run.start.attitude.tolist())]
+        start_ns = 5 * SECOND
+        first = ask(live, start_ns, [0.01, 0.0, 0.0])
+        second = ask(live, start_ns + STEP_NS, [0.0, 0.02, 0.0])
+        count = len(answers(live))
+        again = ask(live, start_ns + STEP_NS, [0.0, 0.02, 0.0])
+        live.spin(0.5)
+        assert len(answers(live)) == count + 1  # no more offers after the first torque
+        assert live.stop() == 0
+    start = State(start_ns, run.start.attitude, run.start.angular_velocity)
+    log = TorqueLog([start_ns, start_ns + STEP_NS], [[0.01, 0.0, 0.0], [0.0, 0.02, 0.0]])
+    at = [start_ns + STEP_NS, start_ns + 2 * STEP_NS]
+    expected = propagate(run.body, start, log, at=at).attitude.tolist()
+    assert [first, second] == [*zip(at, expected)]
+    assert again == second
+
+
+def test_a_reset_begins_the_same_run_again(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *LOCKSTEP, '-p', 'history:=0.1',
+                     '-p', 'max_future:=0.01') as live:
+        runs = []
+        for _ in range(2):
+            live.wait_until(lambda: live.received[ATTITUDE], 'the start state')
+            runs.append([ask(live, 3 * SECOND + k * STEP_NS, [0.01, 1e-3 * k, 0.0])
+                         for k in range(40)])
+            live.dump_parameters(tmp_path / 'live.yaml')
+            assert live.reset().success
+            live.received[ATTITUDE].clear()
+        assert runs[0] == runs[1]
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    np.testing.assert_array_equal(run.committed, run.replay)
+    assert len(run.stamps_ns) == 40  # the start and the stamps after it, of the second run
+    assert len(live.received[ACCEPTED]) == 2 * 40 + 1
+    assert len(live.received[COMMITTED]) == 2 * 40
+
+
+def test_the_clock_is_that_of_the_answers(domain):
+    with LiveSession(TUMBLER, domain, *LOCKSTEP, '-p', 'publish_clock:=true') as live:
+        times = []
+        live.node.create_subscription(Clock, '/clock', lambda clock: times.append(
+            clock.clock.sec * SECOND + clock.clock.nanosec), 10)
+        live.wait_until(lambda: times, 'the clock')
+        for k in range(3):
+            ask(live, SECOND + k * STEP_NS, [0.0, 0.0, 1e-3])
+        live.wait_until(lambda: times[-1] == SECOND + 3 * STEP_NS, 'the last time')
+        assert [time for time in times if time] == [SECOND + (k + 1) * STEP_NS for k in range(3)]
+
+
+def test_a_second_clock_is_refused(domain):
+    with LiveSession(TUMBLER, domain, '-p', 'use_sim_time:=true') as live:
+        command = [*live.command, '-p', 'mode:=lockstep', '-p', 'publish_clock:=true',
+                   '-p', 'use_sim_time:=false', '-r', '__node:=second']
+        result = subprocess.run(command, env=live.environment, capture_output=True, text=True,
+                                timeout=60, check=False)
+    assert result.returncode == 2
+    assert result.stderr.splitlines()[-1] == (
+        'attitude_node: error: publish_clock: expected no other publisher of /clock, '
+        'found live_session')
+
+
+def test_a_state_may_be_set_before_and_between_torques(tmp_path, domain):
+    told = State(7 * SECOND, (0.5, -0.5, 0.5, 0.5), (0.1, 0.2, 0.3))
+    with LiveSession(TUMBLER, domain, *LOCKSTEP) as live:
+        live.set_state(told)
+        live.wait_until(lambda: live.received[COMMITTED], 'the new epoch')
+        for k in range(5):
+            ask(live, 7 * SECOND + k * STEP_NS, [0.01, 0.0, 1e-3 * k])
+        # Between two torques: the one in force goes on.
+        later = State(7 * SECOND + 4 * STEP_NS + 12345, (0, 0, 0, 1), (0.0, 0.1, 0.0))
+        live.set_state(later)
+        live.wait_until(lambda: answers(live)[-1] == (later.time_ns, [0, 0, 0, 1]), 'the offer')
+        for k in range(5, 9):
+            ask(live, 7 * SECOND + k * STEP_NS, [0.01, 0.0, 1e-3 * k])
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    assert run.stamps_ns.tolist() == [later.time_ns,
+                                      *(7 * SECOND + k * STEP_NS for k in range(5, 9))]
+    assert run.committed[0].tolist() == [0, 0, 0, 1, 0, 0.1, 0]
+    np.testing.assert_array_equal(run.committed, run.replay)
