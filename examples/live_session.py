@@ -141,10 +141,15 @@ class LiveSession:
 
     def diagnosis(self, name):
         """Return the values of the newest status of a name, its level and its message."""
+        self.wait_until(lambda: self.diagnostics, 'a diagnosis')
         status = next(status for array in reversed(self.diagnostics) for status in array.status
                       if status.name == f'{NODE}: {name}')
         values = {pair.key: int(pair.value) for pair in status.values}
         return values, int.from_bytes(status.level, 'little'), status.message
+
+    def disconnect(self):
+        """Destroy the publisher of torques."""
+        self.node.destroy_publisher(self._torque)
 
     def set_clock(self, time_ns):
         """Publish simulated time."""
@@ -193,6 +198,13 @@ class LiveSession:
         while count != (count := sum(map(len, self.received.values()))):
             self.spin(0.3)
         return self.process.returncode
+
+    def end(self):
+        """End the node by SIGINT, receive its last words, and return those of its log."""
+        self.process.send_signal(signal.SIGINT)
+        words = self.process.communicate(timeout=_PATIENCE_S)[1]
+        self.spin(0.5)
+        return words
 
     def write(self, path):
         """Write what was received as a recording."""

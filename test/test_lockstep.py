@@ -176,6 +176,16 @@ def test_a_second_clock_is_refused(domain):
         'found live_session')
 
 
+def test_a_second_clock_that_comes_later_silences_the_first(domain):
+    with LiveSession(TUMBLER, domain, *LOCKSTEP, '-p', 'publish_clock:=true') as live:
+        clock = live.node.create_publisher(Clock, '/clock', 10)
+        live.wait_until(lambda: live.node.count_publishers('/clock') == 1, 'the node to give way')
+        assert clock.get_subscription_count() == 0
+        assert ask(live, SECOND, [0.0, 0.0, 1e-3])  # the node itself goes on
+        words = live.end()
+    assert '/clock: another node publishes it, too: this one does not any more' in words
+
+
 def test_a_state_may_be_set_before_and_between_torques(tmp_path, domain):
     told = State(7 * SECOND, (0.5, -0.5, 0.5, 0.5), (0.1, 0.2, 0.3))
     with LiveSession(TUMBLER, domain, *LOCKSTEP) as live:

@@ -142,7 +142,8 @@ class AttitudeNode(Node):
         return response
 
     def _on_lost(self, event: Any) -> None:
-        self._health.event(LOST, f'{event.total_count} torques were lost on the way so far')
+        self._health.event(LOST, f'{event.total_count} torques were lost on the way so far',
+                           event.total_count_change)
 
     def _diagnose(self) -> None:
         problems = self._mode.check() + self._health.inspect(self._torques,

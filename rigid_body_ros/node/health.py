@@ -49,9 +49,9 @@ class Health:
         self._counts[cause] += 1
         self._say(cause, f'refused ({cause}, {self._counts[cause]} so far): {refused}')
 
-    def event(self, name: str, text: str) -> None:
+    def event(self, name: str, text: str, number: int = 1) -> None:
         """Count something else that should not be, and say it."""
-        self._counts[name] += 1
+        self._counts[name] += number
         self._say(name, text)
 
     def inspect(self, torques: Subscription, outputs: Iterable[Publisher]) -> list[str]:

@@ -20,8 +20,8 @@ from rigid_body_ros.scene import InputError
 
 #: s; between offers of the start state, until the first torque.
 _OFFER_EVERY = 0.1
-#: s; how long to look for another publisher of /clock.
-_DISCOVERY = 1.0
+#: s; how long to look for another publisher of /clock, and until its name is known.
+_DISCOVERY, _INTRODUCTION = 3.0, 0.5
 _CLOCK = '/clock'
 
 
@@ -89,11 +89,11 @@ class Lockstep:
 
     def check(self) -> list[str]:
         """Return what is wrong at present."""
-        if self._clock is not None and (others := self._other_clocks()):
+        if self._clock is not None and self._node.count_publishers(_CLOCK) > 1:
             self._node.destroy_publisher(self._clock)
             self._clock = None
-            self._node.get_logger().error(
-                f'{_CLOCK}: {others[0]} publishes it, too: this node does not any more')
+            self._node.get_logger().error(f'{_CLOCK}: another node publishes it, too: this one '
+                                          'does not any more')
         return []
 
     def _begin(self) -> None:
@@ -119,13 +119,12 @@ class Lockstep:
         if self._node.get_parameter('use_sim_time').value:
             raise InputError('publish_clock: expected use_sim_time false, as a clock does not '
                              'follow itself')
-        time.sleep(_DISCOVERY)
-        if others := self._other_clocks():
-            raise InputError(f'publish_clock: expected no other publisher of {_CLOCK}, '
-                             f'found {others[0]}')
+        until = time.monotonic() + _DISCOVERY
+        while time.monotonic() < until:
+            if self._node.count_publishers(_CLOCK):
+                time.sleep(_INTRODUCTION)
+                info = self._node.get_publishers_info_by_topic(_CLOCK)[0]
+                raise InputError(f'publish_clock: expected no other publisher of {_CLOCK}, '
+                                 f'found {info.node_name}')
+            time.sleep(0.05)
         return self._node.create_publisher(Clock, _CLOCK, 10)
-
-    def _other_clocks(self) -> list[str]:
-        own = self._node.get_name(), self._node.get_namespace()
-        return [info.node_name for info in self._node.get_publishers_info_by_topic(_CLOCK)
-                if (info.node_name, info.node_namespace) != own]

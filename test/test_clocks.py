@@ -1,0 +1,221 @@
+"""What a clock may do: be silent, stand, leap, run back; and stamps of other clocks."""
+
+from conftest import SECOND
+import numpy as np
+import pytest
+
+from rigid_body_ros import State, messages, propagate, scene
+
+pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
+
+from live import TUMBLER, decoded, replayed
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE, LiveSession
+
+pytestmark = pytest.mark.ros
+SIMULATED = (*RELIABLE, '-p', 'use_sim_time:=true')
+TICK_NS = SECOND // 100
+
+
+def run_clock(live, begin_ns, end_ns, torque=None):
+    """Let simulated time go on in ticks, with a torque every tenth second."""
+    for now_ns in range(begin_ns, end_ns + 1, TICK_NS):
+        live.set_clock(now_ns)
+        if torque and now_ns % (SECOND // 10) == 0:
+            live.publish(now_ns, 'base_link', torque(now_ns))
+        live.spin(0.003)
+
+
+def settle(live, now_ns):
+    """Say the time until the node has published at it."""
+    def told():
+        live.set_clock(now_ns)
+        return stamps(live) and stamps(live)[-1] == now_ns
+    live.wait_until(told, 'an attitude at the time of the clock')
+
+
+def stamps(live):
+    return [message.stamp_ns for message in decoded(live, ATTITUDE, messages.QUATERNION)]
+
+
+def wobble(now_ns):
+    return [0.01 * np.sin(now_ns * 1e-9), 0.02, 0.01]
+
+
+def test_nothing_is_published_before_the_clock_is_valid(domain):
+    with LiveSession(TUMBLER, domain, '-p', 'use_sim_time:=true') as live:
+        live.publish(5 * SECOND, '', [1.0, 0.0, 0.0])
+        live.spin(0.5)
+        assert not any(live.received.values())
+        for _ in range(20):
+            live.set_clock(7 * SECOND)
+            live.spin(0.02)
+        assert live.stop() == 0
+        first = decoded(live, COMMITTED, messages.ODOMETRY)[0]
+        assert first.stamp_ns == 7 * SECOND
+        assert not live.received[ACCEPTED]
+
+@pytest.mark.parametrize('zero', [False, True])
+def test_time_zero_is_no_time(domain, zero):
+    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+        for _ in range(50 * zero):
+            live.set_clock(0)
+            live.spin(0.01)
+        assert not any(live.received.values())
+        run_clock(live, TICK_NS, SECOND)
+        live.wait_until(lambda: stamps(live), 'the attitude')
+        assert 0 < decoded(live, COMMITTED, messages.ODOMETRY)[0].stamp_ns <= SECOND
+
+
+def test_while_the_clock_stands_nothing_is_published_and_nothing_lost(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+        run_clock(live, 5 * SECOND, 6 * SECOND, wobble)
+        settle(live, 6 * SECOND)
+        count = len(stamps(live))
+        live.spin(1.0)
+        assert len(stamps(live)) == count
+        live.publish(6 * SECOND + 1, 'base_link', [0.0, 0.0, 0.05])  # is taken all the same
+        run_clock(live, 6 * SECOND, 7 * SECOND, wobble)
+        settle(live, 7 * SECOND)
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    assert 6 * SECOND + 1 in run.stamps_ns
+    np.testing.assert_array_equal(run.committed, run.replay)
+
+
+def test_a_clock_that_leaps_ahead_finds_the_motion_under_the_last_torque(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+        run_clock(live, 5 * SECOND, 6 * SECOND, wobble)
+        settle(live, 106 * SECOND)
+        run_clock(live, 106 * SECOND, 107 * SECOND, wobble)
+        settle(live, 107 * SECOND)
+        live.wait_until(lambda: live.diagnosis('motion')[0]['clock jumps'], 'a diagnosis')
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    np.testing.assert_array_equal(run.committed, run.replay)
+    assert (run.stamps_ns > 106 * SECOND).any()
+
+
+@pytest.mark.parametrize('back_ns', [50 * SECOND, SECOND // 2])
+@pytest.mark.parametrize('action', ['reset', 'rebase', 'ignore'])
+def test_a_clock_that_jumps_back(tmp_path, domain, action, back_ns):
+    begin_ns, end_ns = 100 * SECOND, 102 * SECOND
+    again_ns = end_ns - back_ns
+    initial = scene.load(TUMBLER)
+    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', f'on_time_jump:={action}') as live:
+        run_clock(live, begin_ns, end_ns, wobble)
+        settle(live, end_ns)
+        before = decoded(live, ATTITUDE, messages.QUATERNION)[-1].values.tolist()
+        first = len(decoded(live, ACCEPTED, messages.WRENCH))
+        run_clock(live, again_ns, again_ns + 3 * SECOND // 2, wobble)
+        live.dump_parameters(tmp_path / 'live.yaml')
+        live.spin(1.5)
+        jumps = live.diagnosis('motion')[0]['clock jumps']
+        torques, _, _ = live.diagnosis('torques')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    assert jumps == 1
+    np.testing.assert_array_equal(run.committed, run.replay)
+    assert np.all(np.diff(run.stamps_ns) > 0)
+    assert torques['received'] == torques['applied'] + sum(
+        count for name, count in torques.items() if name.startswith('refused'))
+    attitude = run.committed[0, :4].tolist()
+    if action == 'ignore':
+        assert run.stamps_ns[0] < end_ns
+        # What is older than the newest stamp by `history` is late; the rest is put in its place.
+        assert bool(torques['refused: late']) == (back_ns > SECOND)
+        return
+    # A new epoch, and a new log.
+    assert len(run.accepted.stamps_ns) > first
+    assert again_ns <= run.stamps_ns[0] < again_ns + SECOND
+    if action == 'reset':
+        assert attitude == initial.start.attitude.tolist()
+    else:
+        assert attitude == before
+    assert len(run.stamps_ns) > 10
+
+
+def test_a_given_start_time_holds_in_every_round_of_a_bag(tmp_path, domain):
+    start_ns = 100 * SECOND + 12345
+    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', f'start_time:={start_ns}') as live:
+        rounds = []
+        for _ in range(2):
+            live.received[COMMITTED].clear()
+            run_clock(live, 100 * SECOND, 102 * SECOND, wobble)
+            settle(live, 102 * SECOND)
+            rounds.append(live.received[COMMITTED][-8:])
+        assert live.stop() == 0
+    assert rounds[0] == rounds[1]
+
+
+def test_torques_of_another_clock_are_said_to_be_that(domain):
+    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
+        live.publish(live.now_ns() - 86400 * SECOND, 'base_link', [0.01, 0.0, 0.0])
+        live.publish(12 * SECOND, 'base_link', [0.01, 0.0, 0.0])
+        live.spin(0.5)
+        words = live.end()
+    assert not live.received[ACCEPTED]
+    assert 'refused (late, 1 so far): stamped 86400' in words
+    assert 'Play it with --clock and set use_sim_time, or set time_source:=arrival' in words
+
+
+def test_torques_may_be_timed_by_their_arrival(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'time_source:=arrival') as live:
+        begin_ns = live.now_ns()
+        for number in range(20):
+            live.publish(number * SECOND, 'base_link', [0.01, 0.0, 1e-3 * number])
+            live.spin(0.02)
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+        end_ns = live.now_ns()
+    assert len(run.accepted.stamps_ns) == 20
+    assert np.all((run.accepted.stamps_ns > begin_ns) & (run.accepted.stamps_ns < end_ns))
+    np.testing.assert_array_equal(run.committed, run.replay)
+
+
+def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+        run_clock(live, 5 * SECOND, 6 * SECOND, wobble)
+        told = State(6 * SECOND - 4 * TICK_NS - 7, (0.5, 0.5, -0.5, 0.5), (0.3, 0.2, -0.1))
+        live.set_state(told)
+        live.wait_until(lambda: told.time_ns in [
+            message.stamp_ns for message in decoded(live, COMMITTED, messages.ODOMETRY)],
+            'the new epoch')
+        run_clock(live, 6 * SECOND, 7 * SECOND, wobble)
+        live.dump_parameters(tmp_path / 'live.yaml')
+        live.set_state(State(SECOND, (0, 0, 0, 1), (0, 0, 0)))  # far too old
+        live.spin(0.3)
+        count = len(live.received[ACCEPTED])
+        assert live.reset().success
+        live.spin(0.3)
+        torques = live.received[ACCEPTED][count:]
+        words = live.end()
+        live.received[ACCEPTED] = live.received[ACCEPTED][:count]
+        live.received[COMMITTED] = live.received[COMMITTED][:-1]
+        run = replayed(tmp_path, live)
+    assert run.stamps_ns[0] == told.time_ns
+    assert run.committed[0].tolist() == [0.5, 0.5, -0.5, 0.5, 0.3, 0.2, -0.1]
+    np.testing.assert_array_equal(run.committed, run.replay)
+    assert 'initial_state: refused (late)' in words
+    # The torque in force goes on in the epoch that the reset began.
+    mark, carried = torques
+    assert mark == messages.new_log()
+    assert messages.WRENCH.decode(carried).stamp_ns == 7 * SECOND
+
+
+def test_between_stamps_of_a_new_epoch_the_motion_is_that_of_its_log(domain):
+    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+        run_clock(live, 5 * SECOND, 6 * SECOND)
+        start = State(6 * SECOND, (0.5, 0.5, -0.5, 0.5), (0.3, 0.2, -0.1))
+        live.set_state(start)
+        live.wait_until(lambda: len(live.received[COMMITTED]) == 2, 'the new epoch')
+        run_clock(live, 6 * SECOND + TICK_NS, 8 * SECOND)
+        settle(live, 8 * SECOND)
+        published = [message for message in decoded(live, ATTITUDE, messages.QUATERNION)
+                     if message.stamp_ns > start.time_ns]
+        assert live.stop() == 0
+    motion = propagate(scene.load(TUMBLER).body, start,
+                       at=[message.stamp_ns for message in published])
+    np.testing.assert_array_equal([message.values for message in published], motion.attitude)

@@ -1,0 +1,257 @@
+"""Faults of others: each is counted and said, changes nothing else, and a replay agrees."""
+
+import signal
+import time
+
+from conftest import SECOND
+import numpy as np
+import pytest
+
+from rigid_body_ros import messages
+
+pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
+
+from geometry_msgs.msg import QuaternionStamped, WrenchStamped
+from live import TUMBLER, call, decoded, replayed
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE, LiveSession
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+pytestmark = pytest.mark.ros
+OK, WARN, ERROR = range(3)
+
+
+def test_bad_torques_are_refused_counted_and_change_nothing(tmp_path, domain):
+    with LiveSession(TUMBLER, domain) as live:
+        live.publish(live.now_ns(), 'base_link', [0.01, 0.0, 0.0])
+        live.spin(0.2)
+        now_ns = live.now_ns()
+        for frame_id, torque in (('base_link', [np.nan, 0, 0]), ('base_link', [0, np.inf, 0]),
+                                 ('map', [1, 0, 0]), ('base_link', [0, 1e30, 0])):
+            live.publish(now_ns, frame_id, torque)
+        live.publish(now_ns + 2 * SECOND, '', [1.0, 0, 0])
+        live.publish(now_ns - 3600 * SECOND, '', [1.0, 0, 0])
+        live.publish_bytes(b'\0\1\0\0' + bytes(8))
+        live.publish_bytes(messages.WRENCH.encode(now_ns, '', [9.0, 0, 0, 0, 0.01, 0]))
+        live.publish(0, '', [0, 0, 0.01])  # stamped by its arrival
+        live.spin(0.5)
+        live.dump_parameters(tmp_path / 'live.yaml')
+        live.process.send_signal(signal.SIGINT)
+        words = live.process.communicate(timeout=10)[1]
+        live.spin(0.5)
+        run = replayed(tmp_path, live)
+    assert run.accepted.values[:, 3:].tolist() == [[0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.01]]
+    assert now_ns < run.accepted.stamps_ns[-1] < now_ns + SECOND
+    np.testing.assert_array_equal(run.committed, run.replay)
+    for part in ('refused (too large, 1 so far): expected a torque of at most 4.49e+07 N m',
+                 'refused (not finite, 1 so far): expected a finite torque, found [nan, 0.0, 0.0]',
+                 "found 'map'", 'refused (future, 1 so far): stamped', 's ahead of',
+                 'refused (late, 1 so far): ', 's behind the clock',
+                 'the force of a WrenchStamped is ignored'):
+        assert part in words, words
+
+def finished(tmp_path, live):
+    """End a session; everything that was accepted, replayed, gives what was committed."""
+    live.dump_parameters(tmp_path / 'live.yaml')
+    words = live.end()
+    assert live.process.returncode == 0
+    run = replayed(tmp_path, live)
+    np.testing.assert_array_equal(run.committed, run.replay)
+    assert all(np.isfinite(message.values).all() for topic, kind in (
+        (ATTITUDE, messages.QUATERNION), (COMMITTED, messages.ODOMETRY))
+        for message in decoded(live, topic, kind))
+    return run, words
+
+
+def torques_of(live):
+    """Return the diagnosis of the torques, one that is younger than this call."""
+    live.diagnostics.clear()
+    live.wait_until(lambda: live.diagnostics, 'a diagnosis')
+    return live.diagnosis('torques')
+
+
+def test_every_refusal_is_counted_under_its_cause(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
+        now_ns = live.now_ns()
+        faults = {
+            'malformed': [b'\0\1\0\0', b'\0\1\0\0' + bytes(40), messages.wrench(now_ns, '', [1, 2, 3])[:-8]],
+            'unknown frame': [messages.wrench(now_ns, 'map', [1, 0, 0])] * 2,
+            'not finite': [messages.wrench(now_ns, '', [value, 0, 0])
+                           for value in (np.nan, np.inf, -np.inf)],
+            'too large': [messages.wrench(now_ns, '', [0, 1e30, 0])],
+            'future': [messages.wrench(now_ns + 3600 * SECOND, '', [0, 1, 0])] * 4,
+            'late': [messages.wrench(now_ns - 5 * SECOND, '', [0, 1, 0]),
+                     messages.wrench(now_ns - 10 ** 6 * SECOND, '', [0, 1, 0])]}
+        live.publish(now_ns, 'base_link', [0.01, 0.0, 0.0])
+        live.spin(0.2)
+        for data in (data for group in faults.values() for data in group):
+            live.publish_bytes(data)
+        live.spin(0.3)
+        values, level, text = torques_of(live)
+        live.publish(live.now_ns(), 'world', [0.0, 0.01, 0.0])
+        live.spin(1.2)
+        _, later, _ = torques_of(live)
+        run, words = finished(tmp_path, live)
+    counted = {name.removeprefix('refused: '): count for name, count in values.items()
+               if name.startswith('refused')}
+    assert counted == {cause: len(faults.get(cause, ())) for cause in counted}
+    assert values['received'] == 1 + sum(counted.values())
+    assert values['applied'] == 1
+    assert (level, later) == (ERROR, OK)
+    assert 'refused: not finite' in text
+    assert len(run.accepted.stamps_ns) == 2
+    for cause in faults:
+        assert words.count(f'refused ({cause}, ') == 1  # said once in five seconds
+
+
+def test_duplicates_and_bursts_are_taken(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
+        begin_ns = live.now_ns()
+        burst = [begin_ns + k * 10 ** 5 for k in range(900)]
+        for stamp_ns in burst:
+            live.publish(stamp_ns, '', [1e-3 * np.sin(stamp_ns * 1e-8), 0.01, 0.0])
+        for stamp_ns in burst[::100]:
+            live.publish(stamp_ns, '', [0.0, 0.0, 0.02])
+        live.wait_until(lambda: len(live.received[ACCEPTED]) == 909, 'all torques')
+        values, _, _ = torques_of(live)
+        run, _ = finished(tmp_path, live)
+    assert values['of a stamp that came before'] == 9
+    assert values['applied'] == 909
+    assert len(run.stamps_ns) == 901
+
+
+def test_silence_ends_the_torque_and_is_said(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'torque_timeout:=0.3') as live:
+        live.publish(live.now_ns(), '', [0.0, 0.05, 0.0])
+        live.spin(2.0)
+        _, level, text = torques_of(live)
+        live.publish(live.now_ns(), '', [0.0, 0.0, 0.05])
+        live.spin(0.2)
+        finished(tmp_path, live)
+    assert level == WARN
+    assert 'the torque timed out' in text
+
+
+def test_a_publisher_dies_and_returns_and_two_are_named(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
+        live.publish(live.now_ns(), '', [0.01, 0.0, 0.0])
+        live.spin(0.3)
+        live.disconnect()
+        live.wait_until(lambda: '/torque: no publisher' in torques_of(live)[2], 'its absence')
+        first = live.node.create_publisher(WrenchStamped, 'torque', 10)
+        live.wait_until(lambda: torques_of(live)[1] == OK, 'its return')
+        second = live.node.create_publisher(WrenchStamped, 'torque', 10)
+        live.wait_until(lambda: torques_of(live)[1] == WARN, 'a warning')
+        text = torques_of(live)[2]
+        for number, publisher in enumerate((first, second, first, second)):
+            publisher.publish(messages.wrench(live.now_ns(), '', [0.0, 0.01 * number, 0.0]))
+            live.spin(0.05)
+        run, words = finished(tmp_path, live)
+    assert '/torque: 2 publishers: /live_session, /live_session' in text
+    assert text in words
+    assert len(run.accepted.stamps_ns) == 5
+
+
+def test_incompatible_qos_is_reported_by_name(domain):
+    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
+        live.disconnect()
+        live.node.create_publisher(WrenchStamped, 'torque', QoSProfile(
+            depth=10, reliability=ReliabilityPolicy.BEST_EFFORT),
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False))
+        live.node.create_subscription(
+            QuaternionStamped, 'attitude', lambda message: None,
+            QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False))
+        live.wait_until(lambda: torques_of(live)[2].count('is not connected') == 2, 'a diagnosis')
+        _, level, text = torques_of(live)
+        words = live.end()
+    assert level == WARN
+    assert '/torque: /live_session is not connected: Best effort publisher and reliable ' in text
+    assert '/attitude: /live_session is not connected: Volatile publisher and transient' in text
+    assert words.count('is not connected') == 2
+
+
+@pytest.mark.parametrize('reliability', ['best_effort', 'reliable'])
+def test_nothing_is_lost_at_1_khz_through_a_stall(tmp_path, domain, reliability):
+    policy = ReliabilityPolicy[reliability.upper()]
+    with LiveSession(TUMBLER, domain) as live:
+        live.disconnect()
+        publisher = live.node.create_publisher(WrenchStamped, 'torque', QoSProfile(
+            depth=1000, reliability=policy))
+        live.wait_until(publisher.get_subscription_count, 'the node')
+        # On a busy machine the node, or this process, may stand still for much longer.
+        sent, stall = 0, 1.0
+        while stall > 0.15 and sent < 5000:
+            stall = stream(live, publisher)
+            sent += 1000
+            live.spin(0.5)
+        received = torques_of(live)[0]['received']
+        finished(tmp_path, live)
+    if sent == 1000:
+        assert received == sent
+    else:
+        assert received >= 1000  # of the last round, in which there was a stall of 0.1 s
+
+
+def stream(live, publisher):
+    """Publish at 1 kHz for a second, with the node stopped for 0.1 s; return for how long."""
+    due = time.monotonic()
+    for number in range(1000):
+        if number == 300:
+            live.process.send_signal(signal.SIGSTOP)
+            stopped = time.monotonic()
+        elif number == 400:
+            live.process.send_signal(signal.SIGCONT)
+            stall = time.monotonic() - stopped
+        due += 1e-3
+        time.sleep(max(0.0, due - time.monotonic()))
+        publisher.publish(messages.wrench(live.now_ns(), '', [1e-3, 0.0, 1e-5 * number]))
+    return stall
+
+
+def test_lost_torques_are_counted(tmp_path, domain):
+    with LiveSession(TUMBLER, domain) as live:
+        live.disconnect()
+        publisher = live.node.create_publisher(WrenchStamped, 'torque', QoSProfile(
+            depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT))
+        live.wait_until(publisher.get_subscription_count, 'the node')
+        live.process.send_signal(signal.SIGSTOP)
+        sent = 30_000  # more than all buffers on the way hold
+        for _ in range(sent):
+            publisher.publish(messages.wrench(live.now_ns(), '', [1e-3, 0.0, 0.0]))
+        live.process.send_signal(signal.SIGCONT)
+        live.spin(2.0)
+        publisher.publish(messages.wrench(live.now_ns(), '', [1e-3, 0.0, 0.0]))
+        live.spin(1.0)
+        values, _, _ = torques_of(live)
+        finished(tmp_path, live)
+    # As exactly as the middleware knows.
+    assert sent - 10 < values['received'] + values['lost on the way'] <= sent + 1
+    assert values['lost on the way'] > 0
+
+
+def test_a_motion_beyond_real_time_hangs_no_shutdown(domain):
+    with LiveSession(TUMBLER, domain) as live:
+        live.publish(live.now_ns(), '', [1e6, 0.0, 0.0])  # 2e7 rad/s after a second
+        live.spin(2.0)
+        live.process.send_signal(signal.SIGINT)
+        words = live.process.communicate(timeout=30)[1]
+        assert live.process.returncode == 0
+        assert 'Traceback' not in words
+
+def test_a_motion_that_is_too_fast_keeps_nobody_waiting(domain):
+    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
+        live.publish(live.now_ns(), '', [1e6, 0.0, 0.0])
+        live.spin(3.0)
+        values, level, text = live.diagnosis('motion')
+        # Parameters, the service and torques are answered all the same.
+        assert call(live, lambda client: client.get_parameters(['solver'])).values
+        assert live.reset().success
+        live.publish(live.now_ns(), '', [0.0, 0.0, 0.0])
+        count = len(live.received[ATTITUDE])
+        live.wait_until(lambda: len(live.received[ATTITUDE]) > count + 10, 'the motion again')
+        words = live.end()
+    assert values['slow'] > 0
+    assert (level, text) == (ERROR, 'slow')
+    assert 'no longer in real time' in words
+    assert live.process.returncode == 0
