@@ -1,16 +1,20 @@
-# Everything runs in .venv, which is made on first use.
+# Everything runs in .venv, which is made on first use; the node on Jazzy in .venv-jazzy.
 PYTHON ?= $(or $(shell command -v python3.11),$(shell command -v python3))
 VENV := .venv
 BIN := $(VENV)/bin
+JAZZY := .venv-jazzy
+# Tests of the node wait more than they work.
+PARALLEL := --numprocesses 4
 
 .PHONY: demo test check clean
 
 demo: $(VENV)/done ## replay a recording, and run the node on one over DDS
 	$(BIN)/python examples/demo.py
 
-test: $(VENV)/done ## every check and every test
+test: $(VENV)/done $(JAZZY)/done ## every check and every test; those of the node on both ROS
 	$(MAKE) --no-print-directory lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(PARALLEL)
+	$(JAZZY)/bin/python -m pytest $(PARALLEL) -m ros
 
 check: $(VENV)/done ## the fast ones, without ROS
 	$(MAKE) --no-print-directory lint
@@ -22,12 +26,14 @@ lint: $(VENV)/done
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
-$(VENV)/done: setup.py package.xml
-	@echo "Installing into $(VENV) (a minute or two, once)"
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[ros,test]'
+$(VENV)/done: ROS := ros
+$(JAZZY)/done: ROS := jazzy
+%/done: setup.py package.xml
+	@echo "Installing into $* (a minute or two, once)"
+	$(PYTHON) -m venv $*
+	$*/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[$(ROS),test]'
 	@touch $@
 
 clean: ## forget the environment, what was compiled and what the demo wrote
-	rm -rf $(VENV) demo build install log *.egg-info .*_cache .hypothesis
+	rm -rf $(VENV) $(JAZZY) demo build install log *.egg-info .*_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +

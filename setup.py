@@ -9,6 +9,8 @@ from setuptools import find_packages, setup
 HERE = Path(__file__).resolve().parent  # colcon --symlink-install runs this through a link
 PACKAGE = ElementTree.parse(HERE / 'package.xml').getroot()
 NAME = PACKAGE.findtext('name')
+ROS_PACKAGES = ('rclpy', 'rmw-fastrtps-cpp', 'geometry-msgs', 'sensor-msgs', 'nav-msgs',
+                'std-msgs', 'std-srvs', 'diagnostic-msgs', 'rcl-interfaces', 'rosgraph-msgs')
 
 setup(
     name=NAME,
@@ -35,13 +37,12 @@ setup(
     python_requires='>=3.10',
     install_requires=['PyYAML', 'matplotlib>=3.5', 'mcap>=1.0', 'numba', 'numpy', 'tqdm'],
     extras_require={
-        # ROS 2 Kilted with Fast DDS, as wheels.
-        'ros': ['ros-rclpy', 'ros-rmw-fastrtps-cpp', 'ros-geometry-msgs', 'ros-sensor-msgs',
-                'ros-nav-msgs', 'ros-std-msgs', 'ros-std-srvs', 'ros-diagnostic-msgs',
-                'ros-rcl-interfaces', 'ros-rosgraph-msgs'],
+        # ROS 2 with Fast DDS, as wheels: Kilted, or Jazzy in an environment of its own.
+        'ros': [f'ros-{package}' for package in ROS_PACKAGES],
+        'jazzy': [f'ros-jazzy-{package}' for package in ROS_PACKAGES],
         'test': ['hypothesis', 'import-linter', 'mcap-ros2-support', 'mpmath', 'mypy', 'psutil',
-                 'pytest', 'rosbags', 'ruff', 'scipy', 'setuptools>=70', 'types-PyYAML',
-                 'types-tqdm'],
+                 'pytest', 'pytest-xdist', 'rosbags', 'ruff', 'scipy', 'setuptools>=70',
+                 'types-PyYAML', 'types-tqdm'],
         'bench': ['cyrk', 'heyoka', 'mpmath', 'psutil', 'scipy'],
     },
     zip_safe=False,

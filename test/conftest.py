@@ -1,8 +1,8 @@
 """What every test shares."""
 
-import itertools
-import os
+import fcntl
 from pathlib import Path
+import tempfile
 
 from hypothesis import settings
 import numpy as np
@@ -19,7 +19,6 @@ CONFIG = ROOT / 'config'
 #: The stamps of the recordings: seconds as a float are 238 ns apart here.
 EPOCH_NS = 1_767_225_600_123_456_789
 SECOND = 10 ** 9
-DOMAINS = itertools.count(os.getpid())
 
 
 @pytest.fixture(autouse=True)
@@ -30,8 +29,16 @@ def _floating_point_errors_are_errors():
 
 @pytest.fixture
 def domain():
-    """Return a ROS domain that no other test of this machine is likely to use."""
-    return 1 + next(DOMAINS) % 100
+    """Yield a ROS domain that no other test of this machine has at the same time."""
+    for number in range(1, 101):
+        with open(Path(tempfile.gettempdir()) / f'rigid_body_ros.{number}.lock', 'w') as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield number
+            return
+    raise RuntimeError('expected a free ROS domain, found none from 1 to 100')
 
 
 class Reference:

@@ -74,7 +74,8 @@ def test_every_refusal_is_counted_under_its_cause(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *RELIABLE) as live:
         now_ns = live.now_ns()
         faults = {
-            'malformed': [b'\0\1\0\0', b'\0\1\0\0' + bytes(40), messages.wrench(now_ns, '', [1, 2, 3])[:-8]],
+            'malformed': [b'\0\1\0\0', b'\0\1\0\0' + bytes(40),
+                          messages.wrench(now_ns, '', [1, 2, 3])[:-8]],
             'unknown frame': [messages.wrench(now_ns, 'map', [1, 0, 0])] * 2,
             'not finite': [messages.wrench(now_ns, '', [value, 0, 0])
                            for value in (np.nan, np.inf, -np.inf)],
@@ -215,19 +216,20 @@ def test_lost_torques_are_counted(tmp_path, domain):
         publisher = live.node.create_publisher(WrenchStamped, 'torque', QoSProfile(
             depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT))
         live.wait_until(publisher.get_subscription_count, 'the node')
-        live.process.send_signal(signal.SIGSTOP)
-        sent = 30_000  # more than all buffers on the way hold
-        for _ in range(sent):
+        lost = 0
+        for _ in range(10):  # a node that stops for longer is taken for dead: nothing is counted
+            live.process.send_signal(signal.SIGSTOP)
+            for _ in range(20_000):  # more than all buffers on the way hold
+                publisher.publish(messages.wrench(live.now_ns(), '', [1e-3, 0.0, 0.0]))
+            live.process.send_signal(signal.SIGCONT)
+            live.spin(1.0)
             publisher.publish(messages.wrench(live.now_ns(), '', [1e-3, 0.0, 0.0]))
-        live.process.send_signal(signal.SIGCONT)
-        live.spin(2.0)
-        publisher.publish(messages.wrench(live.now_ns(), '', [1e-3, 0.0, 0.0]))
-        live.spin(1.0)
-        values, _, _ = torques_of(live)
-        finished(tmp_path, live)
-    # As exactly as the middleware knows.
-    assert sent - 10 < values['received'] + values['lost on the way'] <= sent + 1
-    assert values['lost on the way'] > 0
+            lost = torques_of(live)[0]['lost on the way']
+            if lost:
+                break
+        _, words = finished(tmp_path, live)
+    assert lost > 1000
+    assert f'{lost} torques were lost on the way so far' in words
 
 
 def test_a_motion_beyond_real_time_hangs_no_shutdown(domain):
