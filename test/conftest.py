@@ -2,17 +2,20 @@
 
 import fcntl
 from pathlib import Path
+import shutil
 import tempfile
 
 from hypothesis import settings
 import numpy as np
 import pytest
 
+import rigid_body_ros
 from rigid_body_ros import State, messages, propagate, recording, scene, so3
 
 settings.register_profile('reproducible', derandomize=True, deadline=None, print_blob=True)
 settings.load_profile('reproducible')
 
+PACKAGE = Path(rigid_body_ros.__file__).parent
 ROOT = Path(__file__).resolve().parent.parent
 RECORDINGS = ROOT / 'test' / 'recordings'
 CONFIG = ROOT / 'config'
@@ -39,6 +42,18 @@ def domain():
             yield number
             return
     raise RuntimeError('expected a free ROS domain, found none from 1 to 100')
+
+
+@pytest.fixture
+def read_only_package(tmp_path):
+    """Return a folder with the package, where no compiled kernel can be kept."""
+    folder = tmp_path / 'site'
+    package = folder / 'rigid_body_ros'
+    shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns('__pycache__'))
+    # Files where the cache folders should be: what a read-only install looks like, even to root.
+    for module in [*package.rglob('__init__.py')]:
+        (module.parent / '__pycache__').touch()
+    return folder
 
 
 class Reference:

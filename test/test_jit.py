@@ -1,17 +1,16 @@
 """Kernels compile wherever the package runs, and run where numba does not."""
 
 import os
-from pathlib import Path
 import shutil
 import subprocess
 import sys
 
+from conftest import PACKAGE
 import numpy as np
 import pytest
 
 from rigid_body_ros import RigidBody, State, TorqueLog, propagate, vector
 
-PACKAGE = Path(sys.modules['rigid_body_ros'].__file__).parent
 SCRIPT = '''
 import sys
 {before}
@@ -47,16 +46,6 @@ def test_another_process_gives_the_same_bits():
 def test_without_numba_the_same_motion_comes_out():
     attitude, _ = run("sys.modules['numba'] = None")
     np.testing.assert_allclose(attitude, here(), rtol=0, atol=1e-15)
-
-
-@pytest.fixture
-def read_only_package(tmp_path):
-    folder = tmp_path / 'site'
-    shutil.copytree(PACKAGE, folder / 'rigid_body_ros',
-                    ignore=shutil.ignore_patterns('__pycache__'))
-    # A file where the cache folder should be: what a read-only install looks like, even to root.
-    (folder / 'rigid_body_ros' / '__pycache__').touch()
-    return folder
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """attitude_node as a real process over real DDS."""
 
+import importlib.util
 import signal
 import subprocess
 import sys
@@ -8,14 +9,27 @@ from conftest import RECORDINGS, ROOT, SECOND
 import numpy as np
 import pytest
 
-from rigid_body_ros import State, TorqueLog, messages, propagate, recording, scene
+from rigid_body_ros import (
+    RigidBody,
+    State,
+    TorqueLog,
+    euler,
+    messages,
+    propagate,
+    recording,
+    scene,
+)
 
 pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
 
+from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
 from live import TUMBLER, call, decoded, replayed, run_clock
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE, LiveSession
+from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import Imu
+import yaml
 
 pytestmark = pytest.mark.ros
 
@@ -133,6 +147,71 @@ def test_an_override_of_one_topic_leaves_the_others_alone(domain):
         assert [value.integer_value for value in values] == [3, 10, 10]
 
 
+def test_all_outputs_of_one_instant_have_its_stamp_and_one_attitude(domain):
+    kinds = {'attitude': (QuaternionStamped, messages.QUATERNION),
+             'euler_angles': (Vector3Stamped, messages.VECTOR3),
+             'angular_velocity': (Vector3Stamped, messages.VECTOR3),
+             'imu/data': (Imu, messages.IMU), 'odometry': (Odometry, messages.ODOMETRY)}
+    with LiveSession(TUMBLER, domain, '-p', 'euler_sequence:=zyx') as live:
+        heard = {topic: {} for topic in kinds}
+        for topic, (kind, code) in kinds.items():
+            def hear(data, topic=topic, code=code):
+                message = code.decode(data)
+                heard[topic][message.stamp_ns] = message
+            live.node.create_subscription(kind, topic, hear, 1000, raw=True)
+        live.wait_until(lambda: all(len(messages) > 30 for messages in heard.values()), 'all')
+        assert live.stop() == 0
+    stamps = set.intersection(*(set(messages) for messages in heard.values()))
+    assert len(stamps) > 20
+    for stamp_ns in stamps:
+        attitude, angles, rates, imu, odometry = (heard[topic][stamp_ns] for topic in kinds)
+        np.testing.assert_array_equal(angles.values,
+                                      euler.from_quaternion(attitude.values, 'zyx'))
+        np.testing.assert_array_equal(imu.values[:4], attitude.values)
+        np.testing.assert_array_equal(imu.values[13:16], rates.values)
+        np.testing.assert_array_equal(odometry.values[messages.ORIENTATION], attitude.values)
+        np.testing.assert_array_equal(odometry.values[messages.ANGULAR_VELOCITY], rates.values)
+        assert [message.frame_id for message in (attitude, angles, rates, imu, odometry)] == [
+            'world', 'world', 'base_link', 'base_link', 'world']
+        assert odometry.child_frame_id == 'base_link'
+
+
+def test_the_inertia_comes_from_the_robot(tmp_path, domain):
+    robot = """<robot name="r"><link name="base_link"><inertial><mass value="2"/>
+      <origin xyz="0.1 0 0" rpy="0.3 -0.2 1.0"/>
+      <inertia ixx="0.05" iyy="0.12" izz="0.14" ixy="0.002" ixz="0" iyz="0"/>
+      </inertial></link></robot>"""
+    parameters = tmp_path / 'robot.yaml'
+    parameters.write_text(yaml.dump({'/**': {'ros__parameters': {
+        'robot_description': robot, 'link': 'base_link',
+        'initial_angular_velocity': {'y': 0.6}}}}))
+    tensor = RigidBody.from_urdf(robot).inertia
+    with LiveSession(parameters, domain, *RELIABLE) as live:
+        value, = call(live, lambda client: client.get_parameters(['inertia.ixy'])).values
+        assert value.double_value == tensor[0, 1]
+        for number in range(5):
+            live.publish(live.now_ns(), '', [0.01, 0.0, 1e-3 * number])
+            live.spin(0.05)
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    np.testing.assert_array_equal(run.committed, run.replay)
+    np.testing.assert_array_equal(scene.load(tmp_path / 'live.yaml').body.inertia, tensor)
+
+
+@pytest.mark.slow
+def test_a_read_only_install_without_a_home_works(domain, read_only_package, monkeypatch):
+    monkeypatch.chdir('/')  # where python -c looks first
+    nowhere = str(read_only_package / 'rigid_body_ros' / '__pycache__' / 'nowhere')
+    live = LiveSession(TUMBLER, domain)
+    live.environment |= {'HOME': nowhere, 'XDG_CACHE_HOME': nowhere,
+                         'PYTHONPATH': str(read_only_package)}
+    with live:
+        assert decoded(live, ATTITUDE, messages.QUATERNION)
+        assert 'every start compiles them again' in live.end()
+        assert live.process.returncode == 0
+
+
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_it_cleanly(domain, number):
     with LiveSession(TUMBLER, domain) as live:
@@ -165,6 +244,18 @@ def run_node(domain, *arguments):
      "interpolation: expected hold, as the next torque is not known yet, found 'cubic'"),
     (('--params-file', str(TUMBLER), '-p', 'qos_overrides./torque.subscription.history:=all'),
      'history'),
+    (('--params-file', str(TUMBLER), '-p', 'mode:=lockstep', '-p', 'time_source:=arrival'),
+     "time_source: expected header in lockstep, which goes by stamps, found 'arrival'"),
+    (('--params-file', str(TUMBLER), '-p', 'publish_clock:=true'),
+     "publish_clock: expected mode lockstep, where torques make the time, found 'realtime'"),
+    (('--params-file', str(TUMBLER), '-p', 'publish_clock:=1'),
+     'publish_clock: expected true or false, found 1'),
+    (('--params-file', str(TUMBLER), '-p', 'mode:=lockstep', '-p', 'publish_clock:=true',
+      '-p', 'use_sim_time:=true'), 'publish_clock: expected use_sim_time false'),
+    (('--params-file', str(TUMBLER), '-p', 'robot_description:=<robot>'),
+     'robot_description: URDF: expected XML'),
+    (('--params-file', str(TUMBLER), '-p', 'link:=base_link'),
+     "link: expected a robot_description to find 'base_link' in, found none"),
     (('--params-file', 'none.yaml'), 'none.yaml')])
 def test_a_mistake_is_answered_by_one_line(domain, arguments, message):
     result = run_node(domain, '--ros-args', *arguments)
@@ -173,6 +264,16 @@ def test_a_mistake_is_answered_by_one_line(domain, arguments, message):
     assert len(lines) == 1
     assert lines[0].startswith('attitude_node: error: ')
     assert message in lines[0]
+
+
+def test_a_transform_needs_its_message(domain):
+    if importlib.util.find_spec('tf2_msgs'):
+        pytest.skip('tf2_msgs is installed')
+    result = run_node(domain, '--ros-args', '--params-file', str(TUMBLER),
+                      '-p', 'publish_tf:=true')
+    assert result.returncode == 2
+    assert result.stderr.splitlines()[-1] == (
+        'attitude_node: error: publish_tf: needs the package tf2_msgs, which is not installed')
 
 
 def test_unknown_arguments_are_answered_by_the_usage(domain):
