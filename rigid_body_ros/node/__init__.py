@@ -110,9 +110,10 @@ class AttitudeNode(Node):
         self._torques = subscription(
             WrenchStamped, 'torque', self._on_torque, _TORQUE_QOS[self._scene.values['mode']],
             SubscriptionEventCallbacks(message_lost=self._on_lost, use_default_callbacks=False))
-        subscription(Odometry, 'initial_state', self._on_state,
-                     QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE),
-                     SubscriptionEventCallbacks(use_default_callbacks=False))
+        self._states = subscription(
+            Odometry, 'initial_state', self._on_state,
+            QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE),
+            SubscriptionEventCallbacks(use_default_callbacks=False))
 
     def _on_torque(self, data: bytes) -> None:
         self._health.count(RECEIVED)
@@ -146,8 +147,8 @@ class AttitudeNode(Node):
                            event.total_count_change)
 
     def _diagnose(self) -> None:
-        problems = self._mode.check() + self._health.inspect(self._torques,
-                                                             self._outputs.publishers)
+        problems = self._mode.check() + self._health.inspect(
+            self._torques, (self._torques, self._states), self._outputs.publishers)
         motion = self._mode.motion
         epoch = 'waiting for the start' if motion.epoch is None else \
             f'epoch from {motion.epoch.start.time_ns} ns'

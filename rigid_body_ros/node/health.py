@@ -19,7 +19,7 @@ RECEIVED, APPLIED = 'received', 'applied'
 #: What is counted besides messages refused.
 REPLACED, FORCE, LOST = 'of a stamp that came before', 'with a force', 'lost on the way'
 SLOW, NO_STATE, TIME_JUMP = 'slow', 'no state', 'clock jumps'
-NO_PUBLISHER, PUBLISHERS, QOS = 'publishers', 'several publishers', 'incompatible QoS'
+PUBLISHERS, QOS = 'several publishers', 'incompatible QoS'
 _EVENTS = (REPLACED, FORCE, LOST, SLOW, NO_STATE, TIME_JUMP)
 _REPORT_EVERY_S = 5.0
 
@@ -54,10 +54,11 @@ class Health:
         self._counts[name] += number
         self._say(name, text)
 
-    def inspect(self, torques: Subscription, outputs: Iterable[Publisher]) -> list[str]:
-        """Return what is wrong with who is connected."""
-        found = self._node.get_publishers_info_by_topic(torques.topic_name)
+    def inspect(self, torques: Subscription, inputs: Iterable[Subscription],
+                outputs: Iterable[Publisher]) -> list[str]:
+        """Return what is wrong with who is connected; inputs are all, torques too."""
         problems = []
+        found = self._node.get_publishers_info_by_topic(torques.topic_name)
         if not found:
             problems.append(f'{torques.topic_name}: no publisher')
         if len(found) > 1:
@@ -65,10 +66,12 @@ class Health:
             problems.append(f'{torques.topic_name}: {len(found)} publishers: {names}; the last '
                             'torque of a stamp counts')
             self._say(PUBLISHERS, problems[-1])
-        problems += self._unconnected(torques.topic_name, found, 'subscriptions')
-        for output in outputs:
-            listeners = self._node.get_subscriptions_info_by_topic(output.topic_name)
-            problems += self._unconnected(output.topic_name, listeners, 'publishers')
+        for reader in inputs:
+            speakers = self._node.get_publishers_info_by_topic(reader.topic_name)
+            problems += self._unconnected(reader.topic_name, speakers, 'subscriptions')
+        for writer in outputs:
+            listeners = self._node.get_subscriptions_info_by_topic(writer.topic_name)
+            problems += self._unconnected(writer.topic_name, listeners, 'publishers')
         return problems
 
     def _unconnected(self, topic: str, others: Iterable[TopicEndpointInfo],

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import time
 
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
 from rigid_body_ros.body import State
 from rigid_body_ros.node.epoch import Torque
 from rigid_body_ros.node.health import Health
-from rigid_body_ros.node.inputs import LATE, RefusedError
 from rigid_body_ros.node.motion import Motion
 from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import Parameters
@@ -69,13 +70,7 @@ class Lockstep:
             It is older than the newest torque by `history` or more.
 
         """
-        epoch, torques = self.motion.epoch, []
-        if epoch is not None and epoch.newest_ns is not None:
-            if epoch.newest_ns - state.time_ns >= epoch.history_ns:
-                raise RefusedError(LATE, f'a state is older than the newest torque, '
-                                   f'{epoch.newest_ns} ns, by history or more')
-            torques = epoch.since(state.time_ns)
-        self._open(state, torques)
+        self._open(state, self.motion.in_force(state.time_ns))
         self._timer.reset()
         self._offer()
 
@@ -100,7 +95,7 @@ class Lockstep:
         if self._given_start_ns:
             self._open(self._start)
 
-    def _open(self, start: State, torques=()) -> None:
+    def _open(self, start: State, torques: Sequence[Torque] = ()) -> None:
         self._start = start
         self.motion.open(start, torques)
         self._parameters.report(start)
@@ -115,7 +110,7 @@ class Lockstep:
             self._clock.publish(clock)
         self._outputs.publish(state)
 
-    def _clock_publisher(self):
+    def _clock_publisher(self) -> Publisher:
         if self._node.get_parameter('use_sim_time').value:
             raise InputError('publish_clock: expected use_sim_time false, as a clock does not '
                              'follow itself')

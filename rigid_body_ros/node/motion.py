@@ -59,6 +59,24 @@ class Motion:
         """Return the initial state, at a time."""
         return replace(self._scene.start, time_ns=time_ns)
 
+    def in_force(self, time_ns: int) -> list[Torque]:
+        """
+        Return the torque that is in force at a time, and all later ones.
+
+        Raises
+        ------
+        RefusedError
+            The time is older than the newest torque by `history` or more.
+
+        """
+        if self.epoch is None or self.epoch.newest_ns is None:
+            return []
+        if self.epoch.newest_ns - time_ns >= self.epoch.history_ns:
+            raise RefusedError(LATE, f'{time_ns} ns is older than the newest torque, '
+                               f'{self.epoch.newest_ns} ns, by history '
+                               f'({self.epoch.history_ns * 1e-9:g} s) or more')
+        return self.epoch.since(time_ns)
+
     def open(self, start: State, torques: Iterable[Torque] = ()) -> None:
         """Begin an epoch, and its log, with torques that are in force still."""
         self.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from rclpy.clock import Clock, ClockType
@@ -76,12 +77,7 @@ class Realtime:
         now_ns = self._valid_now_ns()
         start = replace(state, time_ns=state.time_ns or now_ns)
         self._check_stamp(start.time_ns, now_ns)
-        epoch = self.motion.epoch
-        if epoch.newest_ns is not None \
-                and epoch.newest_ns - start.time_ns >= epoch.history_ns:
-            raise RefusedError(LATE, f'a state is older than the newest torque, '
-                               f'{epoch.newest_ns} ns, by history or more')
-        self._open(start, epoch.since(start.time_ns), 'as told')
+        self._open(start, self.motion.in_force(start.time_ns), 'as told')
 
     def reset(self) -> str:
         """
@@ -94,21 +90,17 @@ class Realtime:
 
         """
         now_ns = self._valid_now_ns()
-        return self._open(self.motion.initial(now_ns), self.motion.epoch.since(now_ns),
-                          'reset')
+        return self._open(self.motion.initial(now_ns), self.motion.in_force(now_ns), 'reset')
 
     def check(self) -> list[str]:
         """Return what is wrong at present."""
         if not self._now_ns():
             return ['no time yet: use_sim_time is set, and /clock is silent']
-        silent_s = self._silent_s()
+        newest_ns = self.motion.epoch.newest_ns
+        silent_s = 0.0 if newest_ns is None else (self._latest_ns - newest_ns) * 1e-9
         if silent_s > self._values['torque_timeout'] > 0.0:
             return [f'silent for {silent_s:.3g} s: the torque timed out']
         return []
-
-    def _silent_s(self) -> float:
-        newest_ns = self.motion.epoch.newest_ns
-        return 0.0 if newest_ns is None else (self._latest_ns - newest_ns) * 1e-9
 
     def _publish(self) -> None:
         now_ns = self._now_ns()
@@ -156,12 +148,12 @@ class Realtime:
             self._health.event(NO_STATE, 'no state to go on from: back to the initial one')
             return False
         torques = [torque._replace(stamp_ns=now_ns)
-                   for torque in self.motion.epoch.since(latest_ns)[:1]
+                   for torque in self.motion.in_force(latest_ns)[:1]
                    if torque.stamp_ns <= latest_ns]
         self._open(State(now_ns, state.attitude, state.angular_velocity), torques, 'rebased')
         return True
 
-    def _open(self, start: State, torques, why: str) -> str:
+    def _open(self, start: State, torques: Sequence[Torque], why: str) -> str:
         self.motion.open(start, torques)
         self._parameters.report(start)
         text = f'{why}: a new epoch begins at {start.time_ns} ns'
