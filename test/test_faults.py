@@ -180,23 +180,20 @@ def test_nothing_is_lost_at_1_khz_through_a_stall(tmp_path, domain, reliability)
         publisher = live.node.create_publisher(WrenchStamped, 'torque', QoSProfile(
             depth=1000, reliability=policy))
         live.wait_until(publisher.get_subscription_count, 'the node')
-        # On a busy machine the node, or this process, may stand still for much longer.
-        sent, stall = 0, 1.0
-        while stall > 0.15 and sent < 5000:
-            stall = stream(live, publisher)
-            sent += 1000
+        for _ in range(10):  # a busy machine may stop the node, or this process, for longer
+            before = torques_of(live)[0]['received']
+            as_promised = stream(live, publisher)
             live.spin(0.5)
-        received = torques_of(live)[0]['received']
+            received = torques_of(live)[0]['received'] - before
+            if as_promised:
+                break
         finished(tmp_path, live)
-    if sent == 1000:
-        assert received == sent
-    else:
-        assert received >= 1000  # of the last round, in which there was a stall of 0.1 s
+    assert received == 1000
 
 
 def stream(live, publisher):
-    """Publish at 1 kHz for a second, with the node stopped for 0.1 s; return for how long."""
-    due = time.monotonic()
+    """Publish at 1 kHz for a second, the node stopped for 0.1 s; return if it was no longer."""
+    due, lag = time.monotonic(), 0.0
     for number in range(1000):
         if number == 300:
             live.process.send_signal(signal.SIGSTOP)
@@ -206,8 +203,9 @@ def stream(live, publisher):
             stall = time.monotonic() - stopped
         due += 1e-3
         time.sleep(max(0.0, due - time.monotonic()))
+        lag = max(lag, time.monotonic() - due)
         publisher.publish(messages.wrench(live.now_ns(), '', [1e-3, 0.0, 1e-5 * number]))
-    return stall
+    return stall < 0.12 and lag < 0.02
 
 
 def test_lost_torques_are_counted(tmp_path, domain):
@@ -229,7 +227,7 @@ def test_lost_torques_are_counted(tmp_path, domain):
                 break
         _, words = finished(tmp_path, live)
     assert lost > 1000
-    assert f'{lost} torques were lost on the way so far' in words
+    assert 'torques were lost on the way so far' in words
 
 
 def test_a_motion_beyond_real_time_hangs_no_shutdown(domain):

@@ -46,7 +46,7 @@ from rigid_body_ros.scene import LOCKSTEP, InputError
 _TORQUE_QOS = {scene.REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),
                LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
 #: s; how long a clean end may take.
-_PATIENCE = 0.6
+_PATIENCE = 0.8
 #: s; how often to look for signals.
 _HEED_EVERY = 0.1
 

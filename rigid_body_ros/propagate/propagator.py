@@ -249,6 +249,9 @@ class _Segment:
         self._arguments = options.kernel_arguments(body)
 
     def state_at(self, time_ns: int, until: float) -> State:
+        if time_ns == self._grid_ns[0]:
+            return loop.unpack(time_ns, self._states[0], Origin(
+                self._rule, time_ns, self._states[0], time_ns, self._states[0]))
         nearest = bisect.bisect_right(self._grid_ns, time_ns) - 1
         grid, begin = self._states[nearest].copy(), self._states[0].copy()
         out = np.empty(loop.SIZE)
