@@ -3,6 +3,8 @@
 import fcntl
 from pathlib import Path
 import shutil
+import subprocess
+import sys
 import tempfile
 
 from hypothesis import settings
@@ -16,6 +18,7 @@ settings.register_profile('reproducible', derandomize=True, deadline=None, print
 settings.load_profile('reproducible')
 
 PACKAGE = Path(rigid_body_ros.__file__).parent
+NAME = 'rigid_body_ros'
 ROOT = Path(__file__).resolve().parent.parent
 RECORDINGS = ROOT / 'test' / 'recordings'
 CONFIG = ROOT / 'config'
@@ -54,6 +57,23 @@ def read_only_package(tmp_path):
     for module in [*package.rglob('__init__.py')]:
         (module.parent / '__pycache__').touch()
     return folder
+
+
+@pytest.fixture(scope='session')
+def installed(tmp_path_factory):
+    """Install the package as `pip install .` does, into a prefix of its own."""
+    folder = tmp_path_factory.mktemp('install')
+    pip = [sys.executable, '-m', 'pip', '--disable-pip-version-check', '--quiet']
+    # Tests may run in parallel, and a build is made in the checkout.
+    with open(Path(tempfile.gettempdir()) / f'{NAME}.build.lock', 'w') as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        subprocess.run([*pip, 'wheel', '--no-deps', '--no-build-isolation', '-w', folder, ROOT],
+                       check=True)
+    wheel, = folder.glob('*.whl')
+    # Without --ignore-installed pip would remove the package from the environment of the tests.
+    subprocess.run([*pip, 'install', '--no-deps', '--ignore-installed', '--prefix',
+                    folder / 'prefix', wheel], check=True)
+    return folder / 'prefix'
 
 
 class Reference:
