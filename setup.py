@@ -27,8 +27,9 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/config', sorted(glob('config/*'))),
+        (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
         # Where `ros2 run` looks; pip puts the entry points below into bin only.
-        (f'lib/{NAME}', sorted(glob('scripts/*'))),
+        (f'lib/{NAME}', [*sorted(glob('scripts/*')), 'examples/attitude_controller.py']),
     ],
     entry_points={'console_scripts': [
         f'attitude_node = {NAME}.cli:attitude_node',

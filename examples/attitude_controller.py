@@ -1,3 +1,4 @@
+#!/usr/bin/env python3
 """
 A quaternion-feedback controller (PD) for a node in lockstep: a closed loop over DDS.
 
@@ -7,6 +8,8 @@ numbers every time.
 
     attitude_node --ros-args --params-file config/tumbler.yaml -p mode:=lockstep -p step:=0.01
     python attitude_controller.py --ros-args -p stop_after:=60.0
+
+or both by `ros2 launch rigid_body_ros closed_loop.launch.py`.
 
 The law is Wie and Barba's ("Quaternion feedback for spacecraft large angle maneuvers", 1985): it
 turns the short way, because q and -q are one attitude and the sign is taken from the scalar part.

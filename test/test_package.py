@@ -30,10 +30,14 @@ def test_ros2_run_finds_the_commands_of_a_pip_install(installed, command):
     assert f'usage: {command}' in result.stdout
 
 
-def test_scenes_and_the_mark_of_types_are_installed(installed):
+def test_what_else_is_installed(installed):
     packages, = installed.glob('lib/python*/site-packages')
     assert (packages / NAME / 'py.typed').exists()
-    assert (installed / 'share' / NAME / 'config' / 'iss.yaml').exists()
+    share = installed / 'share' / NAME
+    assert (share / 'config' / 'iss.yaml').exists()
+    assert {path.name for path in (share / 'launch').glob('*.py')} \
+        == {path.name for path in (ROOT / 'launch').glob('*.py')}
+    assert os.access(installed / 'lib' / NAME / 'attitude_controller.py', os.X_OK)
 
 
 def test_the_version_is_that_of_package_xml(installed):

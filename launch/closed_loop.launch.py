@@ -1,0 +1,39 @@
+"""
+The node in lockstep and a controller: a maneuver, as fast as both can, the same every time.
+
+Everything ends with the controller. What the scene says of `mode` and `step` prevails.
+"""
+
+from launch import LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    IncludeLaunchDescription,
+    RegisterEventHandler,
+    Shutdown,
+)
+from launch.event_handlers import OnProcessExit
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node, SetParameter
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+ATTITUDE_NODE = PathJoinSubstitution(
+    [FindPackageShare('rigid_body_ros'), 'launch', 'attitude_node.launch.py'])
+
+
+def generate_launch_description():
+    return LaunchDescription([
+        DeclareLaunchArgument('stop_after', default_value='60.0',
+                              description='length of the maneuver, s of its own time'),
+        RegisterEventHandler(OnProcessExit(on_exit=[Shutdown()], handle_once=True)),
+        SetParameter('mode', 'lockstep'),
+        SetParameter('step', 0.01),
+        IncludeLaunchDescription(PythonLaunchDescriptionSource(ATTITUDE_NODE)),
+        Node(package='rigid_body_ros', executable='attitude_controller.py',
+             namespace=LaunchConfiguration('namespace'),
+             parameters=[{'stop_after': ParameterValue(LaunchConfiguration('stop_after'),
+                                                       value_type=float)}],
+             remappings=[('torque', LaunchConfiguration('torque'))],
+             output='screen'),
+    ])

@@ -1,0 +1,53 @@
+"""
+The torques of a bag into the node, on the clock of the bag.
+
+The bag waits until the node answers, so that no torque is lost. Everything ends with the bag.
+"""
+
+from launch import LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    ExecuteProcess,
+    IncludeLaunchDescription,
+    LogInfo,
+    RegisterEventHandler,
+    Shutdown,
+)
+from launch.event_handlers import OnProcessExit
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.substitutions import FindPackagePrefix, FindPackageShare
+
+ATTITUDE_NODE = PathJoinSubstitution(
+    [FindPackageShare('rigid_body_ros'), 'launch', 'attitude_node.launch.py'])
+ANY_SERVICE = PathJoinSubstitution(
+    ['/', LaunchConfiguration('namespace'), 'attitude_node', 'get_parameters'])
+
+
+def generate_launch_description():
+    bag = ExecuteProcess(
+        cmd=['ros2', 'bag', 'play', LaunchConfiguration('bag'),
+             '--topics', LaunchConfiguration('torque'), '--rate', LaunchConfiguration('rate'),
+             '--clock', '100', '--start-paused', '--disable-keyboard-controls'],
+        output='screen')
+    begin = ExecuteProcess(
+        cmd=['ros2', 'service', 'call', ANY_SERVICE, 'rcl_interfaces/srv/GetParameters', '&&',
+             'ros2', 'service', 'call', '/rosbag2_player/resume', 'rosbag2_interfaces/srv/Resume'],
+        shell=True, name='begin')
+
+    def end(event, context):
+        return None if event.action is begin and event.returncode == 0 else Shutdown()
+
+    return LaunchDescription([
+        DeclareLaunchArgument('bag', description='folder or file that `ros2 bag play` takes'),
+        DeclareLaunchArgument('torque', default_value='/torque',
+                              description='topic of the torques in the bag'),
+        DeclareLaunchArgument('rate', default_value='1.0', description='times real time'),
+        DeclareLaunchArgument('use_sim_time', default_value='true',
+                              description='true, as the bag has the time'),
+        LogInfo(msg=['ros2 bag is in ', FindPackagePrefix('ros2bag')]),  # or all ends here
+        RegisterEventHandler(OnProcessExit(on_exit=end)),
+        IncludeLaunchDescription(PythonLaunchDescriptionSource(ATTITUDE_NODE)),
+        bag,
+        begin,
+    ])

@@ -1,0 +1,35 @@
+"""The node, with rviz2 and the bridge of Foxglove where they are installed."""
+
+from ament_index_python.packages import get_packages_with_prefixes
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, LogInfo
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node, SetParameter
+from launch_ros.substitutions import FindPackageShare
+
+SHARE = FindPackageShare('rigid_body_ros')
+ATTITUDE_NODE = PathJoinSubstitution([SHARE, 'launch', 'attitude_node.launch.py'])
+VIEW = PathJoinSubstitution([SHARE, 'config', 'view.rviz'])
+
+
+def generate_launch_description():
+    return LaunchDescription([
+        DeclareLaunchArgument('space_frame', default_value='world',
+                              description='fixed frame of rviz: space_frame of the scene'),
+        _where_installed('tf2_msgs', SetParameter('publish_tf', True), 'no /tf'),
+        IncludeLaunchDescription(PythonLaunchDescriptionSource(ATTITUDE_NODE)),
+        _where_installed('rviz2', Node(
+            package='rviz2', executable='rviz2', namespace=LaunchConfiguration('namespace'),
+            arguments=['-d', VIEW, '-f', LaunchConfiguration('space_frame')]), 'no window'),
+        _where_installed('foxglove_bridge', Node(
+            package='foxglove_bridge', executable='foxglove_bridge', output='screen'),
+            'nothing for Foxglove to connect to'),
+    ])
+
+
+def _where_installed(package, action, otherwise):
+    """Return an action, or one that says what is missed where its package is."""
+    if package in get_packages_with_prefixes():
+        return action
+    return LogInfo(msg=f'{package} is not installed: {otherwise}')
