@@ -9,6 +9,7 @@ written, either when read; doubles are aligned to 8 bytes behind the 4 bytes of 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 import struct
@@ -143,7 +144,7 @@ def torque(wrench: Stamped) -> Floats:
     return wrench.values[3:]
 
 
-def wrench(stamp_ns: int, frame_id: str, torque: ArrayLike) -> bytes:
+def wrench(stamp_ns: int, frame_id: str, torque: Iterable[float]) -> bytes:
     """Return a WrenchStamped with a torque, N m, shape (3,), and no force."""
     return WRENCH.encode(stamp_ns, frame_id, [0.0, 0.0, 0.0, *torque])
 
