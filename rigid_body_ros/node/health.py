@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -20,7 +20,7 @@ RECEIVED, APPLIED = 'received', 'applied'
 REPLACED, FORCE, LOST = 'of a stamp that came before', 'with a force', 'lost on the way'
 SLOW, NO_STATE, TIME_JUMP = 'slow', 'no state', 'clock jumps'
 PUBLISHERS, QOS = 'several publishers', 'incompatible QoS'
-_EVENTS = (REPLACED, FORCE, LOST, SLOW, NO_STATE, TIME_JUMP)
+_OF_TORQUES, _OF_MOTION = (REPLACED, FORCE, LOST), (SLOW, NO_STATE, TIME_JUMP)
 _REPORT_EVERY_S = 5.0
 
 
@@ -95,39 +95,36 @@ class Health:
         """Publish what was counted; a message refused in the last second is an error."""
         new = self._counts - self._told
         self._told = self._counts.copy()
-        refused = [cause for cause in CAUSES if new[cause]]
-        torques = DiagnosticStatus(
-            name=f'{self._node.get_name()}: torques', hardware_id=self._node.get_name(),
-            level=_level(bool(refused), bool(problems) or any(
-                new[name] for name in (REPLACED, FORCE, LOST))),
-            message='; '.join([*(f'refused: {cause}' for cause in refused), *problems]) or 'OK',
-            values=[KeyValue(key=name, value=str(self._counts[name]))
-                    for name in (RECEIVED, APPLIED)]
-            + [KeyValue(key=f'refused: {cause}', value=str(self._counts[cause]))
-               for cause in CAUSES]
-            + [KeyValue(key='waiting', value=str(waiting))]
-            + [KeyValue(key=name, value=str(self._counts[name])) for name in _EVENTS[:3]])
+        counts = self._counts
+        refused = [f'refused: {cause}' for cause in CAUSES if new[cause]]
+        torques = self._status(
+            'torques', bool(refused), bool(problems) or any(new[name] for name in _OF_TORQUES),
+            '; '.join(refused + problems) or 'OK',
+            {RECEIVED: counts[RECEIVED], APPLIED: counts[APPLIED],
+             **{f'refused: {cause}': counts[cause] for cause in CAUSES}, 'waiting': waiting,
+             **{name: counts[name] for name in _OF_TORQUES}})
         behind = [name for name in (SLOW, NO_STATE) if new[name]]
-        motion = DiagnosticStatus(
-            name=f'{self._node.get_name()}: motion', hardware_id=self._node.get_name(),
-            level=_level(bool(behind), bool(new[TIME_JUMP])),
-            message='; '.join(behind) or epoch,
-            values=[KeyValue(key=name, value=str(self._counts[name])) for name in _EVENTS[3:]])
+        motion = self._status('motion', bool(behind), bool(new[TIME_JUMP]),
+                              '; '.join(behind) or epoch,
+                              {name: counts[name] for name in _OF_MOTION})
         array = DiagnosticArray(status=[torques, motion])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(array)
+
+    def _status(self, part: str, error: bool, warning: bool, message: str,
+                values: Mapping[str, int]) -> DiagnosticStatus:
+        level = DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
+        return DiagnosticStatus(
+            level=DiagnosticStatus.ERROR if error else level,
+            name=f'{self._node.get_name()}: {part}', hardware_id=self._node.get_name(),
+            message=message,
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
 
     def _say(self, cause: str, text: str) -> None:
         now, last = time.monotonic(), self._reported.get(cause)
         if last is None or now - last > _REPORT_EVERY_S:
             self._reported[cause] = now
             self._node.get_logger().warning(text)
-
-
-def _level(error: bool, warning: bool) -> bytes:
-    if error:
-        return DiagnosticStatus.ERROR
-    return DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
 
 
 def _full_name(info: TopicEndpointInfo) -> str:
