@@ -11,6 +11,7 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -79,8 +80,9 @@ class LiveSession:
         self.diagnostics = []
 
     def __enter__(self):
-        self.process = subprocess.Popen(self.command, env=self.environment, text=True,
-                                        stderr=subprocess.PIPE)
+        # A pipe that nobody empties stops the node once it has said 64 KiB.
+        self._stderr = tempfile.TemporaryFile()
+        self.process = subprocess.Popen(self.command, env=self.environment, stderr=self._stderr)
         try:
             self._connect()
         except BaseException:
@@ -114,7 +116,8 @@ class LiveSession:
     def __exit__(self, kind, error, trace):
         if self.process.poll() is None:
             self.process.kill()
-        self.process.communicate()
+        self.process.wait()
+        self._stderr.close()
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self._context)
@@ -173,7 +176,7 @@ class LiveSession:
         while not condition():
             if self.process.poll() not in (None, 0) or time.monotonic() > until:
                 raise RuntimeError(f'waited in vain for {what}; the node said:\n'
-                                   f'{self._last_words()}')
+                                   f'{self.words()}')
             self.spin(0.05)
 
     def dump_parameters(self, path):
@@ -202,9 +205,15 @@ class LiveSession:
     def end(self):
         """End the node by SIGINT, receive its last words, and return those of its log."""
         self.process.send_signal(signal.SIGINT)
-        words = self.process.communicate(timeout=_PATIENCE_S)[1]
+        self.process.wait(timeout=_PATIENCE_S)
         self.spin(0.5)
-        return words
+        return self.words()
+
+    def words(self):
+        """Return what the node wrote to stderr so far."""
+        # It writes where this file stands: read without moving that.
+        descriptor = self._stderr.fileno()
+        return os.pread(descriptor, os.fstat(descriptor).st_size, 0).decode()
 
     def write(self, path):
         """Write what was received as a recording."""
@@ -217,7 +226,3 @@ class LiveSession:
     def _result(self, future):
         self._executor.spin_until_future_complete(future, timeout_sec=_PATIENCE_S)
         return future.result()
-
-    def _last_words(self):
-        self.process.kill()
-        return self.process.communicate()[1]

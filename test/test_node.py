@@ -217,8 +217,8 @@ def test_signals_end_it_cleanly(domain, number):
     with LiveSession(TUMBLER, domain) as live:
         live.spin(0.3)
         live.process.send_signal(number)
-        words = live.process.communicate(timeout=10)[1]
-        assert live.process.returncode == 0
+        assert live.process.wait(timeout=10) == 0
+        words = live.words()
         assert 'Traceback' not in words
         assert 'rror' not in words
 
