@@ -97,7 +97,7 @@ class LiveSession:
         self.node = rclpy.create_node('live_session', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self._torque = self.node.create_publisher(WrenchStamped, 'torque', 1000)
+        self._torque = self.node.create_publisher(WrenchStamped, 'torque', 100_000)
         if 'use_sim_time:=true' in self._waits:
             self._clock = self.node.create_publisher(Clock, '/clock', 10)
         everything = QoSProfile(depth=100_000, durability=DurabilityPolicy.TRANSIENT_LOCAL)

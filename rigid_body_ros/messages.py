@@ -150,7 +150,11 @@ def wrench(stamp_ns: int, frame_id: str, torque: Iterable[float]) -> bytes:
 
 
 def new_log() -> bytes:
-    """Return the torque, zero at time zero, that begins a log anew: what came before is void."""
+    """
+    Return the torque that begins a log anew: what came before is void.
+
+    It is zero, at time zero and in no frame; other torques of a log name theirs.
+    """
     return wrench(0, '', np.zeros(3))
 
 

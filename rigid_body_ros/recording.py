@@ -148,7 +148,8 @@ def _check_stamped(where: str, stamps_ns: NDArray[np.int64], first: int) -> None
 
 def new_logs(recorded: Messages) -> NDArray[np.intp]:
     """Return the rows where the log of a node begins anew (see `messages.new_log`)."""
-    begun = (recorded.stamps_ns == 0) & ~recorded.values.any(axis=1)
+    unnamed = np.array([not frame_id for frame_id in recorded.frame_ids], bool)
+    begun = (recorded.stamps_ns == 0) & ~recorded.values.any(axis=1) & unnamed
     return np.flatnonzero(begun[1:]) + 1
 
 

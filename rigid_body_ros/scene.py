@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 import difflib
-import math
 from pathlib import Path
 import re
 from typing import Any, NamedTuple
@@ -250,6 +249,8 @@ def _limits(low: float, high: float) -> str:
 def _check_together(values: Mapping[str, Any]) -> None:
     euler.from_quaternion((0.0, 0.0, 0.0, 1.0), values['euler_sequence'])
     for name in ('space_frame', 'body_frame'):
+        if not values[name]:
+            raise InputError(f'{name}: expected a name, found none')
         if '\0' in values[name] or values[name].encode(errors='ignore').decode() != values[name]:
             raise InputError(f'{name}: expected text in UTF-8, found {values[name]!r}')
     if values['space_frame'] == values['body_frame']:
@@ -261,7 +262,7 @@ def _check_together(values: Mapping[str, Any]) -> None:
     if values['publish_clock'] and values['mode'] != LOCKSTEP:
         raise InputError('publish_clock: expected mode lockstep, where torques make the time, '
                          f'found {values["mode"]!r}')
-    if not values['max_future'] < max(values['history'], math.ulp(0.0)):
+    if not round(values['max_future'] * 1e9) < max(round(values['history'] * 1e9), 1):
         raise InputError('max_future: expected less than history '
                          f'({values["history"]} s), found {values["max_future"]}')
 

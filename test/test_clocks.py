@@ -136,6 +136,69 @@ def test_a_clock_that_jumps_back(tmp_path, domain, action, back_ns):
     assert len(run.stamps_ns) > 10
 
 
+def test_a_torque_that_timed_out_is_not_revived(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=rebase',
+                     '-p', 'torque_timeout:=0.2') as live:
+        settle(live, 5 * SECOND)
+        live.publish(5 * SECOND, '', [0.05, 0.0, 0.0])
+        live.spin(0.3)
+        run_clock(live, 5 * SECOND, 7 * SECOND)
+        settle(live, 7 * SECOND)
+        settle(live, 4 * SECOND)
+        run_clock(live, 4 * SECOND, 5 * SECOND)
+        live.publish(5 * SECOND, '', [0.0, 0.0, 0.0])
+        run_clock(live, 5 * SECOND, 6 * SECOND)
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    np.testing.assert_array_equal(run.committed, run.replay)
+    momentum = scene.load(TUMBLER).body.angular_momentum(run.committed[:, 4:])
+    sizes = np.linalg.norm(momentum, axis=1)
+    np.testing.assert_allclose(sizes, sizes[0], rtol=1e-14)
+
+
+def test_a_torque_ahead_of_a_clock_that_jumps_back(domain):
+    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=rebase',
+                     '-p', 'max_future:=0.999') as live:
+        settle(live, 5 * SECOND)
+        live.publish(5 * SECOND + 999 * 10 ** 6, '', [0.05, 0.0, 0.0])
+        live.spin(0.3)
+        settle(live, 3 * SECOND)
+        run_clock(live, 3 * SECOND, 4 * SECOND, wobble)
+        settle(live, 4 * SECOND)
+        assert live.stop() == 0
+
+
+def test_a_reset_is_the_way_out_where_jumps_are_ignored(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore') as live:
+        run_clock(live, 50 * SECOND, 51 * SECOND, wobble)
+        for _ in range(10):
+            live.set_clock(10 * SECOND)
+            live.spin(0.02)
+        assert live.reset().success
+        run_clock(live, 10 * SECOND, 11 * SECOND, wobble)
+        settle(live, 11 * SECOND)
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    assert run.stamps_ns[0] == 10 * SECOND
+    assert len(run.stamps_ns) > 5
+    np.testing.assert_array_equal(run.committed, run.replay)
+
+
+def test_an_epoch_may_begin_before_the_first_torque(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
+        assert live.reset().success
+        for _ in range(5):
+            live.publish(live.now_ns(), '', [0.01, 0.0, 0.0])
+            live.spin(0.05)
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    assert len(run.stamps_ns) == 6
+    np.testing.assert_array_equal(run.committed, run.replay)
+
+
 def test_a_given_start_time_holds_in_every_round_of_a_bag(tmp_path, domain):
     start_ns = 100 * SECOND + 12345
     with LiveSession(TUMBLER, domain, *SIMULATED, '-p', f'start_time:={start_ns}') as live:

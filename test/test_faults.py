@@ -7,7 +7,7 @@ from conftest import SECOND
 import numpy as np
 import pytest
 
-from rigid_body_ros import messages
+from rigid_body_ros import State, messages
 
 pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
 
@@ -236,6 +236,28 @@ def test_a_motion_beyond_real_time_hangs_no_shutdown(domain):
         assert live.process.wait(timeout=30) == 0
         words = live.words()
         assert 'Traceback' not in words
+
+def test_a_body_beyond_all_bounds_ends_nothing(domain):
+    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'solver:=rk4', '-p', 'max_step:=0.05',
+                     '-p', 'history:=0.6') as live:
+        live.set_state(State(0, (0, 0, 0, 1), (2e9, 0.0, 0.0)))
+        live.publish(live.now_ns(), '', [3e7, 0.0, 2e7])
+        for _ in range(10):
+            live.spin(0.25)
+            live.publish(live.now_ns(), '', [0.0, 1e-3, 0.0])
+        live.spin(0.5)
+        values, _, _ = torques_of(live)
+        assert live.reset().success
+        live.publish(live.now_ns(), '', [0.0, 1e-3, 0.0])
+        count = len(live.received[ATTITUDE])
+        live.wait_until(lambda: len(live.received[ATTITUDE]) > count + 10, 'the motion again')
+        words = live.end()
+    assert live.process.returncode == 0
+    assert 'initial_state: refused (too large): expected at most 1e+09 rad/s' in words
+    assert values['refused: no state'] > 0
+    assert values['received'] == values['applied'] + sum(
+        number for name, number in values.items() if name.startswith('refused'))
+
 
 def test_a_motion_that_is_too_fast_keeps_nobody_waiting(domain):
     with LiveSession(TUMBLER, domain, *RELIABLE) as live:

@@ -152,6 +152,39 @@ def test_a_reset_begins_the_same_run_again(tmp_path, domain):
     assert len(live.received[COMMITTED]) == 2 * 40
 
 
+def test_a_zero_torque_at_time_zero_is_a_torque(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *LOCKSTEP) as live:
+        for stamp_ns, torque in ((0, 1e-3), (SECOND // 10, 2e-3), (SECOND // 5, -1e-3), (0, 0.0),
+                                 (SECOND // 2, 1e-3)):
+            ask(live, stamp_ns, [torque, 0.0, 0.0])
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    assert len(run.stamps_ns) == 4
+    np.testing.assert_array_equal(run.committed, run.replay)
+
+
+def test_a_torque_whose_answer_has_no_stamp_is_refused(domain):
+    with LiveSession(TUMBLER, domain, *LOCKSTEP) as live:
+        live.publish(messages.LAST_NS, '', [1e-3, 0.0, 0.0])
+        live.spin(0.5)
+        assert ask(live, SECOND, [1e-3, 0.0, 0.0])
+        assert 'refused (future, 1 so far): stamped 2147483647999999999 ns' in live.end()
+
+
+def test_a_state_without_a_stamp_holds_at_the_first_torque(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *LOCKSTEP) as live:
+        live.set_state(State(0, (0, 0, 0, 1), (0.5, 0.2, 0.0)))
+        for number in range(1, 4):
+            ask(live, number * SECOND // 2, [0.0, 1e-3, 0.0])
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    assert run.stamps_ns.tolist() == [SECOND // 2, SECOND, 3 * SECOND // 2]
+    assert run.committed[0].tolist() == [0, 0, 0, 1, 0.5, 0.2, 0]
+    np.testing.assert_array_equal(run.committed, run.replay)
+
+
 def test_the_clock_is_that_of_the_answers(domain):
     with LiveSession(TUMBLER, domain, *LOCKSTEP, '-p', 'publish_clock:=true') as live:
         times = []

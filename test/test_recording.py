@@ -131,11 +131,11 @@ def test_of_equal_stamps_the_later_in_the_file_counts(tmp_path):
 
 def test_a_log_that_was_begun_anew_is_that_from_there_on(tmp_path):
     mark = (0, '', [0, 0, 0])
-    rows = [(8, '', [1, 0, 0]), (9, '', [2, 0, 0]), mark, (0, '', [3, 0, 0]), mark,
-            (0, '', [4, 0, 0]), (0, '', [5, 0, 0]), (7, '', [6, 0, 0])]
+    rows = [(8, '', [1, 0, 0]), (0, 'world', [0, 0, 0]), (9, '', [2, 0, 0]), mark,
+            (0, '', [3, 0, 0]), mark, (0, '', [4, 0, 0]), (0, '', [5, 0, 0]), (7, '', [6, 0, 0])]
     log = torque_log(write(tmp_path / 'anew.mcap', rows))
     assert (log.times_ns.tolist(), log.torques[:, 0].tolist()) == ([0, 7], [5.0, 6.0])
-    log = torque_log(write(tmp_path / 'ended.mcap', rows[:3]))
+    log = torque_log(write(tmp_path / 'ended.mcap', rows[:4]))
     assert not log.torques.any()
 
 

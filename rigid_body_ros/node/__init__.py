@@ -77,6 +77,7 @@ class AttitudeNode(Node):
         except (RuntimeError, AssertionError) as error:  # such as a QoS override that is none
             raise InputError(' '.join(str(error).split())) from error
         self.create_service(Trigger, '~/reset', self._on_reset)
+        parameters.guard()
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def work(self) -> bool:

@@ -7,6 +7,7 @@ import math
 from rigid_body_ros import messages
 from rigid_body_ros.body import State
 from rigid_body_ros.node.epoch import Torque
+from rigid_body_ros.propagate.options import FASTEST
 from rigid_body_ros.scene import Scene
 
 #: rad/s^2. A torque held at this turns any body by a radian a nanosecond within a second.
@@ -14,7 +15,8 @@ _LARGEST_ACCELERATION = 1e9
 #: What messages are refused for.
 MALFORMED, FRAME, NOT_FINITE, TOO_LARGE = 'malformed', 'unknown frame', 'not finite', 'too large'
 NO_CLOCK, FUTURE, LATE, OVERLOAD = 'no clock', 'future', 'late', 'overload'
-CAUSES = (MALFORMED, FRAME, NOT_FINITE, TOO_LARGE, NO_CLOCK, FUTURE, LATE, OVERLOAD)
+NO_STATE = 'no state'
+CAUSES = (MALFORMED, FRAME, NOT_FINITE, TOO_LARGE, NO_CLOCK, FUTURE, LATE, OVERLOAD, NO_STATE)
 
 
 class RefusedError(ValueError):
@@ -63,7 +65,7 @@ class Inputs:
         Raises
         ------
         RefusedError
-            It is malformed, in other frames than the scene's, not finite or no rotation.
+            It is malformed, in other frames than the scene's, not finite, too fast or no rotation.
 
         """
         odometry = _decoded(messages.ODOMETRY, data)
@@ -72,9 +74,12 @@ class Inputs:
         if found[0] not in ('', space) or found[1] not in ('', body):
             raise RefusedError(FRAME, f"frame_id, child_frame_id: expected '{space}' and "
                                f"'{body}', found '{found[0]}' and '{found[1]}'")
+        rates = odometry.values[messages.ANGULAR_VELOCITY]
+        if math.hypot(*rates.tolist()) > FASTEST:
+            raise RefusedError(TOO_LARGE, f'expected at most {FASTEST:g} rad/s, '
+                               f'found {rates.tolist()}')
         try:
-            return State(odometry.stamp_ns, odometry.values[messages.ORIENTATION],
-                         odometry.values[messages.ANGULAR_VELOCITY])
+            return State(odometry.stamp_ns, odometry.values[messages.ORIENTATION], rates)
         except ValueError as error:
             raise RefusedError(NOT_FINITE, str(error)) from error
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 import time
 
 from rclpy.clock import Clock as RosClock
@@ -11,9 +12,11 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
+from rigid_body_ros import messages
 from rigid_body_ros.body import State
 from rigid_body_ros.node.epoch import Torque
 from rigid_body_ros.node.health import Health
+from rigid_body_ros.node.inputs import FUTURE, RefusedError
 from rigid_body_ros.node.motion import Motion
 from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import Parameters
@@ -35,8 +38,8 @@ class Lockstep:
         values = parameters.scene.values
         self._given_start_ns = parameters.scene.start.time_ns
         self._clock = self._clock_publisher() if values['publish_clock'] else None
-        self.motion = Motion(parameters.scene, outputs, health, self._tell,
-                             max(1, round(values['step'] * 1e9)))
+        self._step_ns = max(1, round(values['step'] * 1e9))
+        self.motion = Motion(parameters.scene, outputs, health, self._tell, self._step_ns)
         self._start = self.motion.initial(self._given_start_ns)
         self._timer = node.create_timer(_OFFER_EVERY, self._offer,
                                         clock=RosClock(clock_type=ClockType.STEADY_TIME))
@@ -52,17 +55,20 @@ class Lockstep:
         Raises
         ------
         RefusedError
-            Too many wait.
+            Too many wait, or the answer's time is later than a message can say.
 
         """
+        if torque.stamp_ns + self._step_ns > messages.LAST_NS:
+            raise RefusedError(FUTURE, f'stamped {torque.stamp_ns} ns, expected a time that, with '
+                               f'a step, is {messages.LAST_NS} ns at most')
         self._timer.cancel()
         if self.motion.epoch is None:
-            self._open(self.motion.initial(torque.stamp_ns))
+            self._open(replace(self._start, time_ns=torque.stamp_ns))
         self.motion.take(torque)
 
     def set_state(self, state: State) -> None:
         """
-        Begin an epoch with a state.
+        Begin an epoch with a state; one without a stamp holds at the next torque.
 
         Raises
         ------
@@ -70,7 +76,11 @@ class Lockstep:
             It is older than the newest torque by `history` or more.
 
         """
-        self._open(state, self.motion.in_force(state.time_ns))
+        if state.time_ns:
+            self._open(state, self.motion.in_force(state.time_ns))
+        else:
+            self.motion.close()
+            self._start = state
         self._timer.reset()
         self._offer()
 

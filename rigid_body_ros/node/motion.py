@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 import time
 
 from rigid_body_ros.body import State
 from rigid_body_ros.node.epoch import Epoch, Torque
-from rigid_body_ros.node.health import APPLIED, NO_STATE, REPLACED, SLOW, Health
-from rigid_body_ros.node.inputs import LATE, OVERLOAD, RefusedError
+from rigid_body_ros.node.health import APPLIED, REPLACED, SLOW, UNKNOWN, Health
+from rigid_body_ros.node.inputs import LATE, NO_STATE, OVERLOAD, RefusedError
 from rigid_body_ros.node.outputs import LOG_DEPTH, Outputs
 from rigid_body_ros.scene import Scene
 
@@ -45,7 +45,8 @@ class Motion:
         self._scene, self._outputs, self._health = scene, outputs, health
         self._answer, self._step_ns = answer, step_ns
         self.epoch: Epoch | None = None
-        self._is_first = True
+        #: Whether the log has torques of an epoch before.
+        self._is_logged = False
         #: Torques that wait; of the first, once it is applied, the states that it made final.
         self._inbox: deque[Torque] = deque()
         self._final: list[State] | None = None
@@ -77,12 +78,12 @@ class Motion:
                                f'({self.epoch.history_ns * 1e-9:g} s) or more')
         return self.epoch.since(time_ns)
 
-    def open(self, start: State, torques: Iterable[Torque] = ()) -> None:
+    def open(self, start: State, torques: Sequence[Torque] = ()) -> None:
         """Begin an epoch, and its log, with torques that are in force still."""
         self.close()
-        if not self._is_first:
+        if self._is_logged:
             self._outputs.begin_log()
-        self._is_first = False
+        self._is_logged = bool(torques)
         self.epoch = Epoch(self._scene, start, torques)
         for torque in torques:
             self._outputs.accept(torque)
@@ -114,7 +115,8 @@ class Motion:
             raise RefusedError(OVERLOAD, f'{_MOST_WAITING} torques wait for the motion, which is '
                                'too fast to be worked out in time')
         self._inbox.append(torque)
-        self.work()
+        if len(self._inbox) == 1:  # or there is other work, which has had its time
+            self.work()
 
     def work(self) -> bool:
         """Go on with what waits, for a while; return whether all is done."""
@@ -150,7 +152,7 @@ class Motion:
         try:
             return self.epoch.at(time_ns, until - time.monotonic())
         except ValueError as error:
-            self._health.event(NO_STATE, f'no state at {time_ns} ns: {error}')
+            self._health.event(UNKNOWN, f'no state at {time_ns} ns: {error}')
             return None
 
     def last(self, time_ns: int) -> State | None:
@@ -190,13 +192,19 @@ class Motion:
 
     def _log(self, torque: Torque) -> None:
         self._outputs.accept(torque)
+        self._is_logged = True
         for state in self._final:
             self._outputs.commit(state)
         self._final = None
 
     def _apply(self, torque: Torque) -> bool:
         repeated = self.epoch.holds(torque.stamp_ns)
-        if not self.epoch.take(torque):
+        try:
+            taken = self.epoch.take(torque)
+        except ValueError as error:  # the motion before it is beyond what can be worked out
+            self._health.refuse(RefusedError(NO_STATE, str(error)))
+            return False
+        if not taken:
             self._health.refuse(RefusedError(
                 LATE, f'a torque is older than the newest stamp, {self.epoch.newest_ns} ns, by '
                 f'{(self.epoch.newest_ns - torque.stamp_ns) * 1e-9:.9g} s, expected less than '

@@ -38,7 +38,10 @@ class Parameters:
         self._node, self._on_rate = node, on_rate
         self.scene = self._declare()
         self._epoch = {name: self.scene.values[name] for name in _EPOCH}
-        node.add_on_set_parameters_callback(self._on_set)
+
+    def guard(self) -> None:
+        """Refuse changes from now on, except of the rate and to what `report` shows."""
+        self._node.add_on_set_parameters_callback(self._on_set)
 
     def report(self, start: State) -> None:
         """Show the start of an epoch."""
@@ -71,6 +74,9 @@ class Parameters:
             if value != self._epoch.get(name, value):
                 return SetParametersResult(successful=False, reason=f'{name}: read-only in a '
                                            'running node: it defines the trajectory')
+            if name == 'use_sim_time' or name.startswith('qos_overrides.'):
+                return SetParametersResult(successful=False, reason=f'{name}: read-only in a '
+                                           'running node: it was used at the start')
         if _RATE in values:
             try:
                 self._on_rate(scene.checked(scene.PARAMETERS[_RATE], values[_RATE]))

@@ -10,7 +10,7 @@ from rclpy.node import Node
 
 from rigid_body_ros.body import State
 from rigid_body_ros.node.epoch import Torque
-from rigid_body_ros.node.health import NO_STATE, TIME_JUMP, Health
+from rigid_body_ros.node.health import TIME_JUMP, UNKNOWN, Health
 from rigid_body_ros.node.inputs import FUTURE, LATE, NO_CLOCK, RefusedError
 from rigid_body_ros.node.motion import Motion
 from rigid_body_ros.node.outputs import Outputs
@@ -90,7 +90,11 @@ class Realtime:
 
         """
         now_ns = self._valid_now_ns()
-        return self._open(self.motion.initial(now_ns), self.motion.in_force(now_ns), 'reset')
+        try:
+            torques = self.motion.in_force(now_ns)
+        except RefusedError:  # the clock was set back, and what was in force then is forgotten
+            torques = []
+        return self._open(self.motion.initial(now_ns), torques, 'reset')
 
     def check(self) -> list[str]:
         """Return what is wrong at present."""
@@ -145,10 +149,11 @@ class Realtime:
     def _rebase(self, latest_ns: int, now_ns: int) -> bool:
         state = self.motion.last(latest_ns)
         if state is None:
-            self._health.event(NO_STATE, 'no state to go on from: back to the initial one')
+            self._health.event(UNKNOWN, 'no state to go on from: back to the initial one')
             return False
-        torques = [torque._replace(stamp_ns=now_ns)
-                   for torque in self.motion.in_force(latest_ns)[:1]
+        # Its age stays what it was, for torque_timeout.
+        torques = [torque._replace(stamp_ns=max(1, torque.stamp_ns + now_ns - latest_ns))
+                   for torque in self.motion.epoch.since(latest_ns)[:1]
                    if torque.stamp_ns <= latest_ns]
         self._open(State(now_ns, state.attitude, state.angular_velocity), torques, 'rebased')
         return True

@@ -91,7 +91,8 @@ class Propagator:
         Raises
         ------
         ValueError
-            The torque is not finite, or the frame is unknown.
+            The torque is not finite, the frame is unknown, or the torques before brought the body
+            beyond 1e9 rad/s; it is not applied then.
         TypeError
             The time is no integer.
 
@@ -110,6 +111,7 @@ class Propagator:
             raise ValueError(f"frame: expected 'body' or 'space', found {frame!r}")
         if self._newest_ns is not None and self._newest_ns - time_ns >= self.history_ns:
             return False
+        self._forget_before(time_ns - self.history_ns)
         self._newest_ns = time_ns if self._newest_ns is None else max(self._newest_ns, time_ns)
         if time_ns <= self._changes[0].time_ns:
             self._apply_before_start(time_ns, values, frame == 'space')
@@ -165,8 +167,10 @@ class Propagator:
         found = index < len(self._changes) and self._changes[index].time_ns == change.time_ns
         self._changes[index:index + found] = [change]
         self._forget_from(index)
-        horizon = self._changes[-1].time_ns - self.history_ns
-        oldest = bisect.bisect_right(self._changes, horizon, key=_time_ns) - 1
+
+    def _forget_before(self, horizon_ns: int) -> None:
+        """Keep what a late torque may change; ValueError, and nothing is forgotten, as of `at`."""
+        oldest = bisect.bisect_right(self._changes, horizon_ns, key=_time_ns) - 1
         if oldest > 0:
             self._resolve(oldest)
             del self._changes[:oldest]

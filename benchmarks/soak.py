@@ -1,0 +1,285 @@
+"""
+Run the node for long at 1 kHz, good torques and bad ones, and account for every one of them.
+
+    python benchmarks/soak.py [--seconds 600] [--json FILE]
+
+A driver sends torques over DDS in real time, by a fixed seed: bad ones of every kind, repeated
+stamps, late ones, bursts, and every 10 s nothing for 100 ms and then all at once. It listens to
+what the node accepts, commits and publishes, and in the end compares that with what it sent. Ten
+minutes take 2 GB of memory, for the replay.
+"""
+
+import argparse
+import json
+import math
+import os
+from pathlib import Path
+import sys
+from tempfile import TemporaryDirectory
+import time
+from typing import NamedTuple
+
+import numpy as np
+import psutil
+
+from rigid_body_ros import messages
+from rigid_body_ros.node.health import APPLIED, FORCE, LOST, RECEIVED, REPLACED
+from rigid_body_ros.node.inputs import (
+    CAUSES,
+    FRAME,
+    FUTURE,
+    LATE,
+    MALFORMED,
+    NOT_FINITE,
+    TOO_LARGE,
+)
+from rigid_body_ros.scene import InputError
+
+sys.path.extend(str(Path(__file__).resolve().parent.parent / name)
+                for name in ('examples', 'test'))
+from live import TUMBLER, decoded, replayed
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE, LiveSession
+
+RATE, STEP_NS, SEED = 1000, 10 ** 6, 17
+#: Nothing is lost while the machine does something else for a minute.
+DEEP = ('-p', 'qos_overrides./torque.subscription.depth:=100000')
+#: What becomes of a torque, besides being sent in its turn, and how often.
+REPEATED, DELAYED, FORCED = 'repeated', 'delayed', 'forced'
+SHARES = {MALFORMED: 0.01, FRAME: 0.01, NOT_FINITE: 0.01, TOO_LARGE: 0.01, FUTURE: 0.01,
+          LATE: 0.01, REPEATED: 0.02, DELAYED: 0.01, FORCED: 0.01}
+#: Steps, well below the node's `history`.
+LONGEST_DELAY = 500
+#: Steps: for how long torques are held back, to be sent at once, and how often.
+BURST, BURST_EVERY = 20, 1000
+STALL, STALL_EVERY = 100, 10_000
+#: MB: what memory may grow by after s, once the log's queues, of 10 000, are full.
+GROWTH, SETTLED = 5.0, 60.0
+PROCESSOR_TIME = 'processor time, us a torque'
+#: Three quarters of what there is.
+PROCESSOR = 0.75e6 / RATE
+#: s; for the last torques to be counted.
+PATIENCE = 60.0
+
+
+class Line(NamedTuple):
+    """What was found, and what it is to be, or not to exceed."""
+
+    name: str
+    found: float
+    bar: float
+    at_most: bool = False
+
+    @property
+    def holds(self):
+        """Return whether it is as it should be."""
+        return self.found <= self.bar if self.at_most else self.found == self.bar
+
+
+class Plan:
+    """
+    What to send and when, the same in every run but for the time of its beginning.
+
+    Attributes
+    ----------
+    due_ns : array of int64, shape (n,)
+        Ascending.
+    stamps_ns : array of int64, shape (n,)
+        Of the torques as they would be; bad ones are spoilt when they are sent.
+    torques : array, shape (n, 3), N m
+    frame_ids : list of n str
+    causes : list of n str
+        A key of SHARES, or '' for a torque that is sent in its turn.
+    taken : array of bool, shape (n,)
+        Whether it is to be taken.
+
+    """
+
+    def __init__(self, seconds, start_ns):
+        random = np.random.default_rng(SEED)
+        count = round(seconds * RATE)
+        slots = np.arange(count)
+        names = ['', *SHARES]
+        causes = random.choice(len(names), count, p=[1.0 - sum(SHARES.values()), *SHARES.values()])
+        causes[:BURST] = 0  # what comes late is late beside another
+        stamps = slots * STEP_NS + random.integers(0, STEP_NS, count)
+        repeated = np.flatnonzero(causes == names.index(REPEATED))
+        stamps[repeated] = stamps[repeated - 1]
+        delays = random.integers(0, LONGEST_DELAY, count)
+        due = (slots + 1 + np.where(causes == names.index(DELAYED), delays, 0)) * STEP_NS
+        for size, every in ((BURST, BURST_EVERY), (STALL, STALL_EVERY)):
+            place = (due // STEP_NS - every // 2) % every
+            due += np.where(place < size, size - place, 0) * STEP_NS
+        order = np.argsort(due, kind='stable')
+        self.due_ns, self.stamps_ns = start_ns + due[order], start_ns + stamps[order]
+        self.causes = [names[cause] for cause in causes[order]]
+        # One in ten is zero: consecutive ones make a coast.
+        self.torques = random.normal(0.0, 0.02, (count, 3)) * (random.random((count, 1)) > 0.1)
+        self.frame_ids = random.choice(['', 'base_link', 'world'], count).tolist()
+        self.taken = np.array([cause not in CAUSES for cause in self.causes])
+
+    def __len__(self):
+        return len(self.causes)
+
+    def message(self, row):
+        """Return what is sent, in CDR."""
+        cause, torque, frame_id = self.causes[row], self.torques[row], self.frame_ids[row]
+        stamp_ns = int(self.stamps_ns[row])
+        if cause == NOT_FINITE:
+            torque = np.roll([(math.nan, math.inf, -math.inf)[row // 3 % 3], 0.0, 0.0], row)
+        elif cause == TOO_LARGE:
+            torque = np.roll([(1e9, 1e300)[row // 3 % 2], 0.0, 0.0], row)
+        elif cause == FRAME:
+            frame_id = ('map', 'World', 'base_link ', 'Ω')[row % 4]
+        elif cause == FUTURE:
+            stamp_ns += (100, 7200)[row % 2] * 10 ** 9
+        elif cause == LATE:  # by `history`, or by the clock
+            stamp_ns -= (2, 7200)[row % 2] * 10 ** 9
+        elif cause == FORCED:
+            return messages.WRENCH.encode(stamp_ns, frame_id, [1.0, 0.0, 0.0, *torque])
+        data = messages.wrench(stamp_ns, frame_id, torque)
+        return _spoilt(data, row) if cause == MALFORMED else data
+
+
+def _spoilt(data, row):
+    # Cut short; of no known encoding; a stamp before 1970, of too many nanoseconds; a name longer
+    # than the message, of no text.
+    at, bytes_ = ((len(data) - 8, None), (1, b'\x07'), (4, b'\xff' * 4), (8, b'\xff' * 4),
+                  (12, b'\xff' * 4), (12, b'\x02\0\0\0\xff\0'))[row % 6]
+    return data[:at] if bytes_ is None else data[:at] + bytes_ + data[at + len(bytes_):]
+
+
+class Usage:
+    """Memory, MB, of a process by the time, s, since the first look, once a second."""
+
+    def __init__(self, process):
+        self._process = psutil.Process(process.pid)
+        self._began = time.monotonic()
+        self.curve = []
+
+    def look(self):
+        """Look, if it is time to."""
+        now = time.monotonic() - self._began
+        if now >= len(self.curve):
+            self.curve.append((now, self._process.memory_info().rss * 1e-6))
+
+    def processor(self):
+        """Return the processor time so far, s."""
+        times = self._process.cpu_times()
+        return times.user + times.system
+
+    def growth(self):
+        """Return how much more memory there was at any time after it settled than then, MB."""
+        settled = min(SETTLED, self.curve[-1][0] * 2 / 3)
+        after = [memory for now, memory in self.curve if now >= settled]
+        return max(after) - after[0]
+
+
+def drive(live, plan, usage):
+    """Send a plan in its time."""
+    stall_ns = STALL * STEP_NS
+    for row, due_ns in enumerate(plan.due_ns.tolist()):
+        rest_ns = due_ns - live.now_ns()
+        if rest_ns >= stall_ns // 2:
+            time.sleep(rest_ns * 1e-9)  # deaf, too
+        elif rest_ns > 0:
+            live.spin(rest_ns * 1e-9)
+        live.publish_bytes(plan.message(row))
+        usage.look()
+        if live.process.poll() is not None:
+            raise RuntimeError(f'the node ended after {row + 1} torques; it said:\n'
+                               f'{live.words()}')
+
+
+def soak(seconds, domain):
+    """
+    Run the node for so long, in a ROS domain.
+
+    Returns
+    -------
+    lines : list of Line
+    memory : list of (float, float)
+        Of the node: s, MB.
+
+    """
+    with TemporaryDirectory() as folder, \
+            LiveSession(TUMBLER, domain, *RELIABLE, *DEEP) as live:
+        plan, usage = Plan(seconds, live.now_ns()), Usage(live.process)
+        before = usage.processor()
+        drive(live, plan, usage)
+        # Counts are told once a second.
+        until = time.monotonic() + PATIENCE
+        while time.monotonic() < until and unfinished(live.diagnosis('torques')[0], len(plan)):
+            live.spin(0.1)
+        processor = usage.processor() - before
+        live.dump_parameters(Path(folder, 'live.yaml'))
+        status = live.stop()
+        return [*counted(live, plan), *published(live, plan, Path(folder)),
+                Line('memory growth, MB', usage.growth(), GROWTH, True),
+                Line(PROCESSOR_TIME, processor / len(plan) * 1e6, PROCESSOR, True),
+                Line('exit status', status, 0)], usage.curve
+
+
+def unfinished(counts, sent):
+    """Return whether torques are on their way still."""
+    return counts[RECEIVED] < sent or counts['waiting'] > 0
+
+
+def counted(live, plan):
+    """Compare the node's counts with what was sent."""
+    counts, taken = live.diagnosis('torques')[0], plan.stamps_ns[plan.taken]
+    refused = {cause: counts[f'refused: {cause}'] for cause in CAUSES}
+    return [Line(RECEIVED, counts[RECEIVED], len(plan)),
+            Line('applied and refused', counts[APPLIED] + sum(refused.values()),
+                 counts[RECEIVED]),
+            *(Line(f'refused: {cause}', found, plan.causes.count(cause))
+              for cause, found in refused.items()),
+            Line(APPLIED, counts[APPLIED], taken.size),
+            Line(REPLACED, counts[REPLACED], taken.size - np.unique(taken).size),
+            Line(FORCE, counts[FORCE], plan.causes.count(FORCED)),
+            Line(LOST, counts[LOST], 0),
+            Line('messages accepted', len(live.received[ACCEPTED]), counts[APPLIED])]
+
+
+def published(live, plan, folder):
+    """Compare what the node published with what was sent, and with its replay."""
+    bad = sum(not np.isfinite(message.values).all() for topic, kind in (
+        (ACCEPTED, messages.WRENCH), (COMMITTED, messages.ODOMETRY),
+        (ATTITUDE, messages.QUATERNION)) for message in decoded(live, topic, kind))
+    finite = Line('published and not finite', bad, 0)
+    try:
+        run = replayed(folder, live)
+    except InputError as error:  # the log is none
+        return [finite, Line(f'replay: {error}\n', 0, 1)]
+    accepted = run.accepted
+    logged = zip(accepted.stamps_ns, accepted.frame_ids, *accepted.values[:, 3:].T)
+    sent = [(plan.stamps_ns[row], plan.frame_ids[row] or 'base_link', *plan.torques[row])
+            for row in np.flatnonzero(plan.taken)]
+    stamps = np.unique(plan.stamps_ns[plan.taken])
+    same = np.all(run.committed.view(np.int64) == run.replay.view(np.int64), axis=1)
+    return [finite,
+            Line('logged as sent, in order', sum(a == b for a, b in zip(logged, sent)), len(sent)),
+            Line('stamps committed', np.intersect1d(run.stamps_ns, stamps).size, stamps.size),
+            Line('states committed', same.size, 1 + stamps.size),
+            Line('states with the bits of the replay', int(same.sum()), same.size)]
+
+
+def main():
+    """Print the table, and which lines are missed."""
+    parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
+    parser.add_argument('--seconds', type=float, default=600.0)
+    parser.add_argument('--json', type=Path, help='write the figures, and memory by the second')
+    arguments = parser.parse_args()
+    domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
+    lines, memory = soak(arguments.seconds, domain)
+    print(f'{"":36}{"found":>12}{"expected":>12}')
+    for line in lines:
+        print(f'{line.name:36}{line.found:12.8g}{"<=" if line.at_most else "":>4}'
+              f'{line.bar:8.8g}{"" if line.holds else "  MISS"}')
+    if arguments.json:
+        arguments.json.write_text(json.dumps(
+            {'lines': [line._asdict() for line in lines], 'memory': memory}, indent=1))
+    return 0 if all(line.holds for line in lines) else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())
