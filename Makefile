@@ -5,6 +5,8 @@ BIN := $(VENV)/bin
 JAZZY := .venv-jazzy
 # Tests of the node wait more than they work.
 PARALLEL := --numprocesses 4
+# But this one needs the machine to itself.
+SOAK := test/test_soak.py
 
 .PHONY: demo test check clean
 
@@ -13,8 +15,10 @@ demo: $(VENV)/done ## replay a recording, and run the node on one over DDS
 
 test: $(VENV)/done $(JAZZY)/done ## every check and every test; those of the node on both ROS
 	$(MAKE) --no-print-directory lint
-	$(BIN)/python -m pytest $(PARALLEL)
-	$(JAZZY)/bin/python -m pytest $(PARALLEL) -m ros
+	$(BIN)/python -m pytest $(PARALLEL) --ignore $(SOAK)
+	$(JAZZY)/bin/python -m pytest $(PARALLEL) -m ros --ignore $(SOAK)
+	$(BIN)/python -m pytest $(SOAK)
+	$(JAZZY)/bin/python -m pytest $(SOAK)
 
 check: $(VENV)/done ## the fast ones, without ROS
 	$(MAKE) --no-print-directory lint

@@ -139,8 +139,7 @@ def _check_stamped(where: str, stamps_ns: NDArray[np.int64], first: int) -> None
     """Raise InputError where torques, from row `first` on, have no stamp."""
     unstamped = first + np.flatnonzero(stamps_ns[first:] == 0)
     # Simulated time may begin with 0; it does not reach wall time.
-    leading = np.count_nonzero(np.maximum.accumulate(stamps_ns[first:]) == 0)
-    begins = unstamped.size == leading and 0 < stamps_ns.max() < _SIMULATED_NS
+    begins = stamps_ns[first] == 0 < stamps_ns.max() < _SIMULATED_NS
     if unstamped.size and not begins and len(stamps_ns) > 1:
         raise InputError(f'{where}: message {unstamped[0] + 1}: expected a stamp in its header, '
                          f'found 0, as in {np.sum(stamps_ns == 0)} of {len(stamps_ns)} messages')

@@ -70,7 +70,7 @@ class AttitudeNode(Node):
         self._announce()
         try:
             self._inputs, self._health = Inputs(self._scene), Health(self)
-            self._outputs = Outputs(self, self._scene)
+            self._outputs = Outputs(self, self._scene, self._health)
             mode = Lockstep if self._scene.values['mode'] == LOCKSTEP else Realtime
             self._mode = mode(self, parameters, self._outputs, self._health)
             self._subscribe()

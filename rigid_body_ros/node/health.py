@@ -18,9 +18,10 @@ from rigid_body_ros.node.inputs import CAUSES, RefusedError
 RECEIVED, APPLIED = 'received', 'applied'
 #: What is counted besides messages refused.
 REPLACED, FORCE, LOST = 'of a stamp that came before', 'with a force', 'lost on the way'
-SLOW, UNKNOWN, TIME_JUMP = 'slow', 'states unknown', 'clock jumps'
+SLOW, UNKNOWN, UNSENT = 'slow', 'states unknown', 'messages not sent'
+TIME_JUMP = 'clock jumps'
 PUBLISHERS, QOS = 'several publishers', 'incompatible QoS'
-_OF_TORQUES, _OF_MOTION = (REPLACED, FORCE, LOST), (SLOW, UNKNOWN, TIME_JUMP)
+_OF_TORQUES, _OF_MOTION = (REPLACED, FORCE, LOST), (SLOW, UNKNOWN, UNSENT, TIME_JUMP)
 _REPORT_EVERY_S = 5.0
 
 
@@ -103,7 +104,7 @@ class Health:
             {RECEIVED: counts[RECEIVED], APPLIED: counts[APPLIED],
              **{f'refused: {cause}': counts[cause] for cause in CAUSES}, 'waiting': waiting,
              **{name: counts[name] for name in _OF_TORQUES}})
-        behind = [name for name in (SLOW, UNKNOWN) if new[name]]
+        behind = [name for name in (SLOW, UNKNOWN, UNSENT) if new[name]]
         motion = self._status('motion', bool(behind), bool(new[TIME_JUMP]),
                               '; '.join(behind) or epoch,
                               {name: counts[name] for name in _OF_MOTION})

@@ -20,6 +20,7 @@ from sensor_msgs.msg import Imu
 from rigid_body_ros import euler, messages
 from rigid_body_ros.body import State
 from rigid_body_ros.node.epoch import Torque
+from rigid_body_ros.node.health import UNSENT, Health
 from rigid_body_ros.scene import InputError, Scene
 
 _STATE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -32,10 +33,14 @@ LOG_DEPTH = _LOG_QOS.depth
 
 
 class Outputs:
-    """The publishers of a node."""
+    """
+    The publishers of a node.
 
-    def __init__(self, node: Node, scene: Scene) -> None:
-        self._node = node
+    A message that the middleware does not take, such as for want of memory, is counted and said.
+    """
+
+    def __init__(self, node: Node, scene: Scene, health: Health) -> None:
+        self._node, self._health = node, health
         values = scene.values
         space, body, sequence = (values[name] for name in (
             'space_frame', 'body_frame', 'euler_sequence'))
@@ -67,21 +72,21 @@ class Outputs:
         """Tell a state to whoever listens."""
         for publisher, encode in self._states:
             if publisher.get_subscription_count():
-                publisher.publish(encode(state))
+                self._send(publisher, encode(state))
 
     def begin_log(self) -> None:
         """Say that what follows in the log of torques does not go on from what came before."""
-        self._accepted.publish(messages.new_log())
+        self._send(self._accepted, messages.new_log())
 
     def accept(self, torque: Torque) -> None:
         """Log a torque that was taken."""
-        self._accepted.publish(
-            messages.wrench(torque.stamp_ns, self._frames[torque.frame], torque.values))
+        self._send(self._accepted, messages.wrench(
+            torque.stamp_ns, self._frames[torque.frame], torque.values))
 
     def commit(self, state: State) -> None:
         """Log a state that will not change any more."""
-        self._committed.publish(
-            messages.odometry(state, self._frames['space'], self._frames['body']))
+        self._send(self._committed, messages.odometry(
+            state, self._frames['space'], self._frames['body']))
 
     def deliver(self, until: float) -> None:
         """Wait until the log has arrived, but not beyond a time of the monotonic clock."""
@@ -89,6 +94,13 @@ class Outputs:
             rest = max(0.0, until - time.monotonic())
             with suppress(RuntimeError):  # not every middleware can tell
                 publisher.wait_for_all_acked(Duration(nanoseconds=round(rest * 1e9)))
+
+    def _send(self, publisher: Publisher, data: bytes) -> None:
+        try:
+            publisher.publish(data)
+        except RuntimeError as error:
+            self._health.event(UNSENT, f'{publisher.topic_name}: a message was not sent: '
+                               f'{" ".join(str(error).split())}')
 
     def _publisher(self, kind: type, topic: str, qos: QoSProfile = _STATE_QOS) -> Publisher:
         # A copy: rclpy writes the overrides of one topic into the profile it is given. Without
