@@ -177,7 +177,12 @@ def test_nothing_is_lost_at_1_khz_through_a_stall(tmp_path, domain, reliability)
         live.disconnect()
         publisher = live.node.create_publisher(WrenchStamped, 'torque', QoSProfile(
             depth=1000, reliability=policy))
-        live.wait_until(publisher.get_subscription_count, 'the node')
+
+        def heard():  # each side finds the other in its own time
+            publisher.publish(messages.wrench(live.now_ns(), '', [1e-3, 0.0, 0.0]))
+            return live.received[ACCEPTED]
+        live.wait_until(heard, 'the node to hear')
+        live.spin(0.5)
         for _ in range(10):  # a busy machine may stop the node, or this process, for longer
             before = torques_of(live)[0]['received']
             as_promised = stream(live, publisher)
