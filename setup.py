@@ -34,6 +34,7 @@ setup(
     entry_points={'console_scripts': [
         f'attitude_node = {NAME}.cli:attitude_node',
         f'attitude_replay = {NAME}.cli:attitude_replay',
+        f'attitude_tradeoff = {NAME}.cli:attitude_tradeoff',
     ]},
     python_requires='>=3.10',
     install_requires=['PyYAML', 'matplotlib>=3.5', 'mcap>=1.0', 'numba', 'numpy', 'tqdm'],

@@ -95,13 +95,9 @@ def replay(path: str | Path, scene: Scene, *, topic: str | None = None,
         The recording cannot be read or does not fit the scene.
 
     """
-    recorded = recording.read(path, topic, track=_bar('reading'))
-    log = recording.torque_log(path, recorded, scene.values['body_frame'],
-                               scene.values['space_frame'],
-                               interpolation or scene.values['interpolation'])
-    start = replace(scene.start, time_ns=scene.start.time_ns or int(log.times_ns[0]))
+    recorded, log, start = read(path, scene, topic, interpolation)
     times = _output_times(path, log, start.time_ns, rate, until)
-    for prepare in _bar('kernels, compiled on first use')([warm_up], 1):
+    for prepare in bar('kernels, compiled on first use')([warm_up], 1):
         prepare()
     began = time.perf_counter()
     try:
@@ -111,6 +107,25 @@ def replay(path: str | Path, scene: Scene, *, topic: str | None = None,
     seconds = time.perf_counter() - began
     return Replay(scene, log, start, trajectory, recorded.topic, len(recorded.stamps_ns),
                   len(recording.new_logs(recorded)) + 1, seconds)
+
+
+def read(path: str | Path, scene: Scene, topic: str | None = None,
+         interpolation: str | None = None) -> tuple[recording.Messages, TorqueLog, State]:
+    """
+    Return the torques of a recording, the log that they make, and the start of its motion.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read or does not fit the scene.
+
+    """
+    recorded = recording.read(path, topic, track=bar('reading'))
+    log = recording.torque_log(path, recorded, scene.values['body_frame'],
+                               scene.values['space_frame'],
+                               interpolation or scene.values['interpolation'])
+    start = replace(scene.start, time_ns=scene.start.time_ns or int(log.times_ns[0]))
+    return recorded, log, start
 
 
 def write(path: str | Path, result: Replay) -> None:
@@ -134,7 +149,7 @@ def write(path: str | Path, result: Replay) -> None:
         for topic, kind, _, _ in columns:
             writer.add_topic(topic, kind)
         times = trajectory.times_ns.tolist()
-        for row, stamp_ns in enumerate(_bar('writing')(times, len(times))):
+        for row, stamp_ns in enumerate(bar('writing')(times, len(times))):
             for topic, kind, frame, rows in columns:
                 writer.write(topic, stamp_ns, kind.encode(stamp_ns, frame, rows[row]))
 
@@ -190,6 +205,15 @@ def _solvers(result: Replay) -> list[str]:
     return [f'{span_ns * 1e-9:.9g} s by {name}' for name, span_ns in spans.items()]
 
 
+def bar(label: str, unit: str = ' stamps') -> recording.Track:
+    """Return what shows the progress through an iterable, where somebody watches."""
+    def track(items: Iterable[Any], total: int) -> Iterable[Any]:
+        # disable=None: no bar where standard error is no terminal.
+        return tqdm(items, label, total, unit=unit, unit_scale=True, leave=False,
+                    disable=None)
+    return track
+
+
 def energy_balance(result: Replay) -> tuple[float, float]:
     """
     Compare the work of the torques with the change of the kinetic energy.
@@ -240,14 +264,6 @@ def _output_times(path: str | Path, log: TorqueLog, start_ns: int, rate: float |
         return start_ns + np.round(np.arange(count) * (1e9 / rate)).astype(np.int64)
     stamps = log.times_ns[(log.times_ns >= start_ns) & (log.times_ns <= end_ns)]
     return np.union1d(stamps, [end_ns])
-
-
-def _bar(label: str) -> recording.Track:
-    def track(items: Iterable[Any], total: int) -> Iterable[Any]:
-        # disable=None: no bar where standard error is no terminal.
-        return tqdm(items, label, total, unit=' stamps', unit_scale=True, leave=False,
-                    disable=None)
-    return track
 
 
 def _last(trajectory: Trajectory) -> State:

@@ -9,7 +9,7 @@ import xml.etree.ElementTree as ElementTree
 from conftest import NAME, ROOT
 import pytest
 
-COMMANDS = ('attitude_node', 'attitude_replay')
+COMMANDS = ('attitude_node', 'attitude_replay', 'attitude_tradeoff')
 
 
 @pytest.mark.parametrize('command', COMMANDS)

@@ -1,0 +1,506 @@
+"""
+Speed against accuracy: every solver over a ladder of settings, on the user's own motion.
+
+All settings run over one *stretch*, from the start to as far as a thousand or so radians and
+samples reach, and are compared with a reference there: the series at its tightest tolerance in
+shorter steps. What rounding leaves of it, the *floor*, is told by two further such runs. A
+setting that meets the target on the stretch is recommended only when it meets it on the whole log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+import math
+import statistics
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigid_body_ros import so3
+from rigid_body_ros.body import RigidBody, State
+from rigid_body_ros.propagate import LONGEST, Trajectory, propagate, warm_up
+from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
+
+#: Wraps an iterable of so many items, to show progress.
+Track = Callable[[Iterable[Any], int], Iterable[Any]]
+
+TIGHTEST = 1e-15
+#: Turns of a motion without torques.
+TURNS = 50.0
+_TOLERANCES = tuple(float(f'1e-{k}') for k in range(2, 16))
+#: Angle of the longest step of the ladders, and of the series' own steps, rad.
+_LONGEST_ANGLE, _SERIES_ANGLE = 1.0, 0.5
+#: Samples and series steps in a stretch, and steps in one run: a tenth of a second.
+_WORK, _MOST_STEPS = 4000, 1_000_000
+#: Outputs besides those at the stamps, so that between two far ones an error is seen, too.
+_OUTPUTS = 100
+#: Samples beyond a stretch that its cubic polynomials are made from.
+_BESIDE = 4
+_FEWEST_REPEATS, _MOST_REPEATS = 3, 15
+#: Order of convergence of each reading of a log in the spacing of its samples.
+_READING_ORDERS = {'hold': 1, 'linear': 2, 'cubic': 4}
+
+
+class Setting(NamedTuple):
+    """A solver and what it is set to."""
+
+    solver: str
+    tolerance: float | None = None
+    #: s
+    max_step: float | None = None
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The keyword arguments of `propagate`."""
+        return {name: value for name, value in self._asdict().items() if value is not None}
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The lines of a scene that ask for this, whatever else the scene says."""
+        if self.max_step is not None:
+            return f'solver: {self.solver}', f'max_step: {self.max_step!r}'
+        return (f'solver: {self.solver}', f'tolerance: {self.tolerance or TIGHTEST!r}',
+                'max_step: 0.0')
+
+
+class Error(NamedTuple):
+    """How far a motion is from the reference, at most over the outputs unless it says final."""
+
+    #: rad
+    attitude_final: float
+    attitude: float
+    #: rad/s
+    angular_velocity: float
+    #: Of the largest there is. Without torque from the start's, otherwise from the reference's.
+    momentum: float
+    energy: float
+
+
+_NO_ERROR = Error(*5 * [math.nan])
+
+
+@dataclass(frozen=True)
+class Run:
+    """
+    What a setting gave.
+
+    Attributes
+    ----------
+    setting : Setting
+    error : Error
+        NaN where the run failed.
+    seconds : float
+        Wall time, the median of repeats in turns; NaN where the run failed.
+    first_seconds : float
+        Wall time of the first call, of kernels that are loaded.
+    failure : str
+        Why it failed; empty where it did not.
+    on_front : bool
+        No other setting is both cheaper and nearer.
+
+    """
+
+    setting: Setting
+    error: Error
+    seconds: float
+    first_seconds: float
+    failure: str = ''
+    on_front: bool = False
+
+
+class Reading(NamedTuple):
+    """How a log is read between its samples, and what that leaves open, rad at most."""
+
+    interpolation: str
+    #: What leaving out every other sample changes.
+    thinned: float
+    #: What that says of the log as it is, where the torque is smooth.
+    estimate: float
+
+
+class Choice(NamedTuple):
+    """The cheapest setting that meets the target."""
+
+    run: Run
+    #: Attitude error to reckon with on the whole log, rad.
+    error: float
+    #: Whether that was measured on the whole log, or scaled from the stretch.
+    measured: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """
+    A motion, and when it is asked for.
+
+    Attributes
+    ----------
+    body : RigidBody
+    start : State
+    log : TorqueLog
+        Empty: no torques.
+    times_ns : array of int64, shape (m,)
+        Ascending.
+    torque_timeout : float, s
+
+    """
+
+    body: RigidBody
+    start: State
+    log: TorqueLog
+    times_ns: NDArray[np.int64]
+    torque_timeout: float = 0.0
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time."""
+        return (int(self.times_ns[-1]) - self.start.time_ns) * 1e-9
+
+    @property
+    def torque_free(self) -> bool:
+        """Whether there is no torque at all."""
+        return not self.log.torques.any()
+
+    def run(self, **options: Any) -> Trajectory:
+        """Return the motion, or raise ValueError as `propagate` does."""
+        return propagate(self.body, self.start, self.log, at=self.times_ns,
+                         torque_timeout=self.torque_timeout, **options)
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """
+    The right motion.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+    floor : float, rad
+        What runs at the tightest tolerance differ by that differ in their steps only.
+
+    """
+
+    trajectory: Trajectory
+    floor: float
+
+
+@dataclass(frozen=True, eq=False)
+class Tradeoff:
+    """
+    What was measured.
+
+    Attributes
+    ----------
+    stretch, whole : Problem
+    angle : float
+        That the body turns by over the stretch, rad.
+    runs : tuple of Run
+    floor : float
+        Of rounding, on the stretch, rad.
+    readings : tuple of Reading
+    target : float, rad
+    choice : Choice or None
+    load_seconds : float
+        Time that loading the kernels took, or compiling them, the first time.
+
+    """
+
+    stretch: Problem
+    whole: Problem
+    angle: float
+    runs: tuple[Run, ...]
+    floor: float
+    readings: tuple[Reading, ...]
+    target: float
+    choice: Choice | None
+    load_seconds: float
+
+    @property
+    def reading(self) -> Reading | None:
+        """The reading that the scene asks for, if it leaves anything open."""
+        return next((reading for reading in self.readings
+                     if reading.interpolation == self.stretch.log.interpolation), None)
+
+    @property
+    def dominant(self) -> str:
+        """What the error of the recommended setting, or of the best one, is owed to most."""
+        errors = [run.error.attitude for run in self.runs if not run.failure]
+        solver = self.choice.run.error.attitude if self.choice else min(errors, default=math.inf)
+        shares = {'rounding': self.floor, 'solver': solver,
+                  'reading': self.reading.estimate if self.reading else 0.0}
+        # A solver at the floor has no error of its own to show.
+        if solver <= 2.0 * self.floor:
+            shares['solver'] = 0.0
+        return max(shares, key=lambda name: shares[name])
+
+
+def measure(body: RigidBody, start: State, log: TorqueLog | None = None, *,
+            end_ns: int | None = None, torque_timeout: float = 0.0, target: float = 1e-6,
+            seconds: float = 10.0, track: Track = lambda items, total: items) -> Tradeoff:
+    """
+    Measure every solver, and choose the cheapest setting that meets a target.
+
+    Parameters
+    ----------
+    body : RigidBody
+    start : State
+    log : TorqueLog, optional
+        None: no torques.
+    end_ns : int, optional
+        Where the whole ends: the last stamp, or after 50 turns where there is no log.
+    torque_timeout : float, s
+    target : float, rad
+        Attitude error that is allowed, anywhere in the whole log.
+    seconds : float
+        Wall time to repeat runs for, and to look at the whole log for.
+    track : callable, optional
+        Wraps the iteration over the settings, to show progress.
+
+    Raises
+    ------
+    ValueError
+        Nothing moves, or the torques bring the body beyond what can be worked out.
+
+    """
+    began = time.perf_counter()
+    warm_up()
+    load_seconds = time.perf_counter() - began
+    whole = _whole(body, start, log, end_ns, torque_timeout)
+    stretch = _stretch(whole)
+    reference = _reference(stretch)
+    runs = _front(_timed(stretch, _settings(stretch, reference.trajectory), reference, seconds,
+                         track), reference.floor)
+    choice = recommend(runs, target, reference.floor, whole.seconds / stretch.seconds,
+                       _judge(whole, stretch, reference, runs, seconds))
+    return Tradeoff(stretch, whole, _angle(reference.trajectory), runs, reference.floor,
+                    _readings(stretch), target, choice, load_seconds)
+
+
+def recommend(runs: Sequence[Run], target: float, floor: float, growth: float,
+              judge: Callable[[Run], float | None]) -> Choice | None:
+    """
+    Return the cheapest setting that meets a target on the whole log, if one does.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        On a stretch from the start: one that misses the target there misses it on the whole log.
+    target, floor : float, rad
+        What the reference leaves open is taken to be an error.
+    growth : float
+        How much longer the whole log is.
+    judge : callable
+        Returns the attitude error on the whole log, rad, or None where that costs too much. Then
+        the error of the stretch is taken to grow with the square of the time: one of the rates
+        that grows evenly, as that of the energy does with RK4, makes one of the attitude that
+        grows so; only near a separatrix, where rounding grows exponentially, is it more.
+
+    """
+    fitting = [run for run in runs if run.error.attitude + floor <= target]  # nor NaN
+    for run in sorted(fitting, key=lambda run: run.seconds):
+        error = judge(run)
+        measured = error is not None
+        if error is None:
+            error = (run.error.attitude + floor) * growth ** 2
+        if error <= target:
+            return Choice(run, error, measured)
+    return None
+
+
+def _whole(body: RigidBody, start: State, log: TorqueLog | None, end_ns: int | None,
+           torque_timeout: float) -> Problem:
+    speed = float(np.linalg.norm(start.angular_velocity))
+    moved = log is not None and log.torques.any()
+    if not speed and not moved:
+        raise ValueError('initial_angular_velocity: expected a body that turns, or torques '
+                         'that turn it, found neither')
+    log = TorqueLog([], []) if log is None else log
+    if end_ns is None and len(log):
+        end_ns = int(log.times_ns[-1])
+    if end_ns is None:
+        turns = min(TURNS * 2.0 * math.pi / speed, LONGEST) * 1e9
+        end_ns = start.time_ns + max(round(turns), 1)
+    if end_ns <= start.time_ns:
+        raise ValueError('expected torques over some time, found no torque after the start, '
+                         f'{start.time_ns} ns')
+    return Problem(body, start, log, _times(log, start.time_ns, end_ns), torque_timeout)
+
+
+def _times(log: TorqueLog, start_ns: int, end_ns: int) -> NDArray[np.int64]:
+    grid = start_ns + np.linspace(0, end_ns - start_ns, _OUTPUTS + 1).astype(np.int64)
+    inside = (log.times_ns > start_ns) & (log.times_ns <= end_ns)
+    return np.union1d(log.times_ns[inside], np.append(grid[1:], end_ns))
+
+
+def _until(whole: Problem, end_ns: int) -> Problem:
+    """Return the problem up to an end, with the samples that matter until then."""
+    log = whole.log
+    stop = int(np.searchsorted(log.times_ns, end_ns, 'right')) + _BESIDE
+    first = max(int(np.searchsorted(log.times_ns, whole.start.time_ns, 'right')) - _BESIDE, 0)
+    frames = np.where(log.in_space[first:stop], 'space', 'body').tolist()
+    part = TorqueLog(log.times_ns[first:stop], log.torques[first:stop], frames,
+                     log.interpolation) if len(log) else log
+    return replace(whole, log=part, times_ns=_times(part, whole.start.time_ns, end_ns))
+
+
+def _stretch(whole: Problem) -> Problem:
+    """Return the longest half, quarter ... of the whole that is little work, or the whole."""
+    start_ns, span_ns = whole.start.time_ns, int(whole.times_ns[-1]) - whole.start.time_ns
+    # From the short end: what the whole would take is not known before.
+    shorter = _until(whole, start_ns + max(span_ns >> 30, 1))
+    for halvings in range(29, -1, -1):
+        longer = _until(whole, start_ns + max(span_ns >> halvings, 1))
+        angle = _angle(longer.run(solver='taylor'))
+        if angle / _SERIES_ANGLE + len(longer.times_ns) > _WORK:
+            return shorter
+        shorter = longer
+    return whole
+
+
+def _angle(motion: Trajectory) -> float:
+    """Return the angle that a body turns by from the first output to the last, rad."""
+    speed = np.linalg.norm(motion.angular_velocity, axis=1)
+    return float(np.sum(np.maximum(speed[1:], speed[:-1]) * np.diff(motion.times_ns)) * 1e-9)
+
+
+def _natural_step(problem: Problem, motion: Trajectory, angle: float) -> float:
+    """Return the time, s, of an angle at the largest speed, or the longest between samples."""
+    inside = problem.log.times_ns[problem.log.times_ns > problem.start.time_ns]
+    edges = np.union1d([problem.start.time_ns, problem.times_ns[-1]],
+                       inside[inside < problem.times_ns[-1]])
+    speed = float(np.linalg.norm(motion.angular_velocity, axis=1).max())
+    return min(angle / speed if speed else math.inf, float(np.diff(edges).max()) * 1e-9)
+
+
+def _reference(problem: Problem) -> Reference:
+    plain = problem.run(solver='taylor', tolerance=TIGHTEST)
+    step = _natural_step(problem, plain, _SERIES_ANGLE)
+    best, other = (problem.run(solver='taylor', tolerance=TIGHTEST, max_step=share * step)
+                   for share in (0.7, 0.4))
+    floor = max(float(so3.angle_between(motion.attitude, best.attitude).max())
+                for motion in (plain, other))
+    return Reference(best, max(floor, math.ulp(1.0)))
+
+
+def _settings(problem: Problem, motion: Trajectory) -> list[Setting]:
+    settings = [Setting('exact')] if problem.torque_free else []
+    settings += [Setting(solver, tolerance) for solver in ('auto', 'taylor')
+                 for tolerance in _TOLERANCES]
+    longest = _natural_step(problem, motion, _LONGEST_ANGLE)
+    for solver in ('rk4', 'strang', 'explicit_euler'):
+        step = longest
+        while step >= 1e-9 and problem.seconds / step <= _MOST_STEPS:
+            settings.append(Setting(solver, max_step=round(step * 1e9) / 1e9))
+            step /= 2.0
+    return settings
+
+
+def _timed(problem: Problem, settings: Sequence[Setting], reference: Reference, seconds: float,
+           track: Track) -> list[Run]:
+    """Run every setting once to see what it gives, and again, in turns, for the time it takes."""
+    runs = []
+    for setting in track(settings, len(settings)):
+        began = time.perf_counter()
+        try:
+            motion = problem.run(**setting.options)
+        except ValueError as error:
+            runs.append(Run(setting, _NO_ERROR, math.nan, math.nan, str(error)))
+            continue
+        first = time.perf_counter() - began
+        runs.append(Run(setting, _error(problem, motion, reference.trajectory), first, first))
+    times: list[list[float]] = [[] for _ in runs]
+    limit = time.perf_counter() + seconds
+    for turn in track(range(_MOST_REPEATS), _MOST_REPEATS):
+        if turn >= _FEWEST_REPEATS and time.perf_counter() > limit:
+            continue  # lets the bar come to its end
+        for run, measured in zip(runs, times):
+            if not run.failure:
+                began = time.perf_counter()
+                problem.run(**run.setting.options)
+                measured.append(time.perf_counter() - began)
+    return [replace(run, seconds=statistics.median(measured)) if measured else run
+            for run, measured in zip(runs, times)]
+
+
+def _error(problem: Problem, motion: Trajectory, right: Trajectory) -> Error:
+    attitude = so3.angle_between(motion.attitude, right.attitude)
+    rates = np.linalg.norm(motion.angular_velocity - right.angular_velocity, axis=1)
+    momentum, energy = right.angular_momentum_space, right.kinetic_energy
+    if problem.torque_free:
+        start = problem.start
+        momentum = so3.rotate(start.attitude,
+                              problem.body.angular_momentum(start.angular_velocity))[None]
+        energy = problem.body.kinetic_energy(start.angular_velocity)
+    lost = np.linalg.norm(motion.angular_momentum_space - momentum, axis=1).max()
+    gained = np.abs(motion.kinetic_energy - energy).max()
+    size = np.linalg.norm(momentum, axis=1).max()
+    return Error(float(attitude[-1]), float(attitude.max()), float(rates.max()),
+                 float(lost / size), float(gained / np.max(energy)))
+
+
+def _front(runs: Sequence[Run], floor: float) -> tuple[Run, ...]:
+    """Mark what nothing is both cheaper and nearer than; below the floor all are as near."""
+    best, marked = math.inf, set()
+    for number, run in sorted(enumerate(runs), key=lambda item: item[1].seconds):
+        error = max(run.error.attitude, floor)
+        if not run.failure and error < best:
+            best = error
+            marked.add(number)
+    return tuple(replace(run, on_front=number in marked) for number, run in enumerate(runs))
+
+
+def _judge(whole: Problem, stretch: Problem, reference: Reference, runs: Sequence[Run],
+           seconds: float) -> Callable[[Run], float | None]:
+    """Return what tells the error of a setting on the whole log, while there is time for it."""
+    if stretch is whole:
+        return lambda run: run.error.attitude + reference.floor
+    growth = whole.seconds / stretch.seconds
+    left, known = seconds, None
+    series = max((run.seconds for run in runs if run.setting == Setting('taylor', TIGHTEST)),
+                 default=math.inf)
+
+    def judge(run: Run) -> float | None:
+        nonlocal left, known
+        cost = growth * (run.seconds + (0.0 if known else 5.0 * series))
+        if cost > left:
+            return None
+        left -= cost
+        known = known or _reference(whole)
+        try:
+            motion = whole.run(**run.setting.options)
+        except ValueError:
+            return math.inf
+        apart = so3.angle_between(motion.attitude, known.trajectory.attitude)
+        return float(apart.max()) + known.floor
+    return judge
+
+
+def _readings(problem: Problem) -> tuple[Reading, ...]:
+    """Return what each reading of the log leaves open, by leaving out every other sample."""
+    log = problem.log
+    if len(log) < 3 or np.unique(log.in_space).size > 1 or problem.torque_free:
+        return ()
+    rows = np.arange(len(log))
+    # Both halves: a pulse that lasts an even number of samples may not miss one of them.
+    halves = [np.union1d(rows[first::2], rows[[0, -1]]) for first in (0, 1)]
+    readings = []
+    for name in INTERPOLATIONS:
+        try:
+            full, *thin = (_read(problem, name, some).run(solver='taylor')
+                           for some in (rows, *halves))
+        except ValueError:  # this reading alone spins the body beyond all bounds
+            continue
+        apart = max(float(so3.angle_between(full.attitude, motion.attitude).max())
+                    for motion in thin)
+        readings.append(Reading(name, apart, apart / (2 ** _READING_ORDERS[name] - 1)))
+    return tuple(readings)
+
+
+def _read(problem: Problem, interpolation: str, rows: NDArray[np.intp]) -> Problem:
+    log = problem.log
+    frame = 'space' if log.in_space[0] else 'body'
+    return replace(problem, log=TorqueLog(log.times_ns[rows], log.torques[rows], frame,
+                                          interpolation))
