@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+import json
 import os
 from pathlib import Path
 import signal
 import sys
 from types import FrameType
+from typing import TYPE_CHECKING, Any
 
 from rigid_body_ros.scene import InputError
+
+if TYPE_CHECKING:
+    from rigid_body_ros.tradeoff import Tradeoff
 
 OK, USER_ERROR = 0, 2
 #: What a shell adds to the number of a signal that ended a command.
@@ -21,6 +26,12 @@ def attitude_replay(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_replay` and return its exit status."""
     options = _replay_parser().parse_args(arguments)
     return _guarded('attitude_replay', lambda: _replay(options))
+
+
+def attitude_tradeoff(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_tradeoff` and return its exit status."""
+    options = _tradeoff_parser().parse_args(arguments)
+    return _guarded('attitude_tradeoff', lambda: _tradeoff(options))
 
 
 def attitude_node(arguments: Sequence[str] | None = None) -> int:
@@ -59,7 +70,7 @@ def _node(arguments: Sequence[str] | None) -> None:
 
 def _replay(options: argparse.Namespace) -> None:
     from rigid_body_ros import replay, scene
-    _check_apart(options)
+    _check_apart(options, 'input', 'scene', 'output', 'plot')
     result = replay.replay(options.input, scene.load(options.scene), topic=options.topic,
                            interpolation=options.interpolation, rate=options.rate,
                            until=options.until)
@@ -67,7 +78,52 @@ def _replay(options: argparse.Namespace) -> None:
     if options.plot:
         replay.plot(options.plot, result, Path(options.input).name)
     written = [options.output, *filter(None, [options.plot])]
-    text = f'{replay.summary(result)}\n{"wrote":14}{", ".join(written)}'
+    _print(f'{replay.summary(result)}\n{"wrote":14}{", ".join(written)}')
+
+
+def _tradeoff(options: argparse.Namespace) -> None:
+    from rigid_body_ros import replay, scene
+    from rigid_body_ros.tradeoff import measure, report
+    _check_apart(options, 'recording', 'scene', 'json', 'plot')
+    loaded = scene.load(options.scene)
+    log, start, end_ns, where = None, loaded.start, None, options.scene
+    if options.recording:
+        recorded, log, start = replay.read(options.recording, loaded)
+        end_ns = int(replay.output_times(options.recording, log, start.time_ns)[-1])
+        where = f'{options.recording}: {recorded.topic}'
+    try:
+        result = measure(loaded.body, start, log, end_ns=end_ns, target=options.target,
+                         torque_timeout=loaded.values['torque_timeout'],
+                         track=replay.bar('measuring', ' runs'))
+    except ValueError as error:
+        raise InputError(f'{where}: {error}') from error
+    if options.json:
+        _write_json(options.json, report.figures(result))
+    if options.plot:
+        _plot_tradeoff(options.plot, result, Path(options.recording or options.scene).name)
+    _print(report.summary(result))
+
+
+def _write_json(path: str, figures: dict[str, Any]) -> None:
+    try:
+        Path(path).write_text(json.dumps(figures, indent=1) + '\n', encoding='utf-8')
+    except OSError as error:
+        raise InputError(f'{path}: cannot write: {error.strerror}') from error
+
+
+def _plot_tradeoff(path: str, result: Tradeoff, title: str) -> None:
+    from rigid_body_ros import plots
+    from rigid_body_ros.tradeoff import report
+    lines = {'rounding floor': result.floor, 'target': result.target}
+    if result.reading:
+        lines[f'{result.reading.interpolation} between samples'] = result.reading.estimate
+    try:
+        plots.work_precision(path, report.curves(result), title, lines)
+    except OSError as error:
+        raise InputError(f'{path}: cannot write: {error.strerror}') from error
+
+
+def _print(text: str) -> None:
     try:
         print(text, flush=True)
     except OSError as error:
@@ -75,9 +131,9 @@ def _replay(options: argparse.Namespace) -> None:
         raise InputError(f'cannot write to standard output: {error.strerror}') from error
 
 
-def _check_apart(options: argparse.Namespace) -> None:
+def _check_apart(options: argparse.Namespace, *names: str) -> None:
     files: dict[Path, str] = {}
-    for what in ('input', 'scene', 'output', 'plot'):
+    for what in names:
         name = getattr(options, what)
         if name is not None:
             other = files.setdefault(Path(os.path.realpath(name)), what)
@@ -105,11 +161,35 @@ def _replay_parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _tradeoff_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='attitude_tradeoff',
+        description='Measure what every solver costs, and how far off it is, on your own motion.')
+    parser.add_argument('--scene', required=True, metavar='FILE',
+                        help='ROS 2 parameter file with inertia and start, as for attitude_node')
+    parser.add_argument('--recording', metavar='IN', help='MCAP file with WrenchStamped messages; '
+                        'otherwise 50 turns without torque')
+    parser.add_argument('--target', type=_angle, default=1e-6, metavar='RAD',
+                        help='attitude error that is allowed (default: 1e-6)')
+    parser.add_argument('--json', metavar='OUT', help='write all figures, with their units')
+    parser.add_argument('--plot', metavar='PNG', help='draw cost over error, a curve a solver')
+    return parser
+
+
 def _positive(text: str) -> float:
+    return _number(text, 1e-9, 1e9)
+
+
+def _angle(text: str) -> float:
+    return _number(text, 1e-15, 1.0)
+
+
+def _number(text: str, low: float, high: float) -> float:
     try:
         value = float(text)
     except ValueError:
         value = 0.0
-    if not 1e-9 <= value <= 1e9:
-        raise argparse.ArgumentTypeError(f'expected a number from 1e-9 to 1e9, found {text!r}')
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f'expected a number from {low:g} to {high:g}, '
+                                         f'found {text!r}')
     return value

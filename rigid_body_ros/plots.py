@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 import numpy as np
 
 from rigid_body_ros.propagate import Trajectory
@@ -14,8 +16,9 @@ from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import TorqueLog
 
 #: Okabe and Ito's colours, which the colour-blind tell apart; the styles do so in greyscale.
-_COLOURS = ('#0072B2', '#D55E00', '#009E73', '#000000')
+_COLOURS = ('#0072B2', '#D55E00', '#009E73', '#000000', '#CC79A7', '#56B4E9')
 _STYLES = ('-', '--', '-.', ':')
+_MARKERS = ('o', 's', '^', 'D', 'v', 'x')
 #: More points than this a curve has no pixels for.
 _POINTS = 20_000
 
@@ -63,6 +66,57 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog, sequence: s
     panels[3].set_xlabel('time from the start (s)')
     panels[3].set_xlim(0.0, max(float(seconds[-1]), 1e-9))
     FigureCanvasAgg(figure).print_figure(path, dpi=120, format='png')
+
+
+def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
+                   Sequence[float]]], title: str, lines: Mapping[str, float]) -> None:
+    """
+    Draw cost over error, a curve a solver, into a PNG file.
+
+    Parameters
+    ----------
+    path : str or Path
+    curves : dict
+        By solver, attitude errors, rad, and costs, wall seconds per simulated second.
+    title : str
+    lines : dict
+        By name, attitude errors, rad, to compare with.
+
+    """
+    figure = Figure(figsize=(7.2, 5.0), layout='constrained')
+    panel = figure.subplots()
+    panel.set_title(title.encode(errors='replace').decode(), parse_math=False, loc='left',
+                    pad=14 + 11 * len(lines), fontsize=11)
+    taken: list[Floats] = []
+    for number, (name, (errors, costs)) in enumerate(curves.items()):
+        # Below the spacing of doubles there is no error to show.
+        x, y = np.maximum(errors, np.finfo(float).eps), np.asarray(costs)
+        panel.loglog(x, y, _STYLES[number % len(_STYLES)], linewidth=1.4, markersize=4.5,
+                     color=_COLOURS[number], marker=_MARKERS[number])
+        _name_curve(panel, name, x, y, _COLOURS[number], taken)
+    for row, (name, value) in enumerate(sorted(lines.items(), key=lambda line: line[1])):
+        value = max(value, float(np.finfo(float).eps))
+        panel.axvline(value, color='#555555', linestyle=_STYLES[row % len(_STYLES)],
+                      linewidth=1.0, zorder=1)
+        panel.annotate(f'{name} {value:.0e}', (value, 1.0), (0, 4 + 11 * row), fontsize=8,
+                       xycoords=('data', 'axes fraction'), textcoords='offset points',
+                       color='#333333', horizontalalignment='center')
+    panel.margins(0.08)
+    panel.set_xlabel('largest attitude error (rad)')
+    panel.set_ylabel('wall time per simulated second (s/s)')
+    panel.grid(alpha=0.25)
+    FigureCanvasAgg(figure).print_figure(path, dpi=200, format='png')
+
+
+def _name_curve(panel: Axes, name: str, x: Floats, y: Floats, colour: str,
+                taken: list[Floats]) -> None:
+    # At its dearest end: at the other all curves meet. Above a name that stands there already.
+    end = np.log10([x[np.argmax(y)], y.max()])
+    near = sum(bool(np.all(np.abs(end - other) < (2.0, 0.2))) for other in taken)
+    taken.append(end)
+    panel.annotate(name.replace('_', ' '), (x[np.argmax(y)], y.max()), (6, 4 + 12 * near),
+                   color=colour, textcoords='offset points', fontsize=9, fontweight='bold',
+                   path_effects=[withStroke(linewidth=3, foreground='white')])
 
 
 def _curves(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...], label: str) -> None:

@@ -96,7 +96,7 @@ def replay(path: str | Path, scene: Scene, *, topic: str | None = None,
 
     """
     recorded, log, start = read(path, scene, topic, interpolation)
-    times = _output_times(path, log, start.time_ns, rate, until)
+    times = output_times(path, log, start.time_ns, rate, until)
     for prepare in bar('kernels, compiled on first use')([warm_up], 1):
         prepare()
     began = time.perf_counter()
@@ -126,6 +126,26 @@ def read(path: str | Path, scene: Scene, topic: str | None = None,
                                interpolation or scene.values['interpolation'])
     start = replace(scene.start, time_ns=scene.start.time_ns or int(log.times_ns[0]))
     return recorded, log, start
+
+
+def output_times(path: str | Path, log: TorqueLog, start_ns: int, rate: float | None = None,
+                 until: float | None = None) -> NDArray[np.int64]:
+    """Return when there is output (see `replay`), or raise InputError where there is none."""
+    end_ns = int(log.times_ns[-1]) if until is None else start_ns + round(until * 1e9)
+    if end_ns > messages.LAST_NS:
+        raise InputError(f'--until: expected an end that a ROS stamp can name, before '
+                         f'{messages.LAST_NS} ns, found {until} s after {start_ns} ns')
+    if end_ns < start_ns:
+        raise InputError(f'{path}: the last torque, at {end_ns} ns, lies before the start of the '
+                         f'scene, {start_ns} ns')
+    if rate is not None:
+        count = int((end_ns - start_ns) * 1e-9 * rate * (1.0 + 1e-15)) + 1
+        if count > _MOST_OUTPUTS:
+            raise InputError(f'--rate: expected at most {_MOST_OUTPUTS} outputs, found {rate} Hz '
+                             f'over {(end_ns - start_ns) * 1e-9:.9g} s')
+        return start_ns + np.round(np.arange(count) * (1e9 / rate)).astype(np.int64)
+    stamps = log.times_ns[(log.times_ns >= start_ns) & (log.times_ns <= end_ns)]
+    return np.union1d(stamps, [end_ns])
 
 
 def write(path: str | Path, result: Replay) -> None:
@@ -245,25 +265,6 @@ def energy_balance(result: Replay) -> tuple[float, float]:
     change, scale = energy[-1] - energy[-2], energy.max()
     return (abs(float((work - change) / scale)) if scale else 0.0), \
         float(edges[-1] - edges[0]) * 1e-9
-
-
-def _output_times(path: str | Path, log: TorqueLog, start_ns: int, rate: float | None,
-                  until: float | None) -> NDArray[np.int64]:
-    end_ns = int(log.times_ns[-1]) if until is None else start_ns + round(until * 1e9)
-    if end_ns > messages.LAST_NS:
-        raise InputError(f'--until: expected an end that a ROS stamp can name, before '
-                         f'{messages.LAST_NS} ns, found {until} s after {start_ns} ns')
-    if end_ns < start_ns:
-        raise InputError(f'{path}: the last torque, at {end_ns} ns, lies before the start of the '
-                         f'scene, {start_ns} ns')
-    if rate is not None:
-        count = int((end_ns - start_ns) * 1e-9 * rate * (1.0 + 1e-15)) + 1
-        if count > _MOST_OUTPUTS:
-            raise InputError(f'--rate: expected at most {_MOST_OUTPUTS} outputs, found {rate} Hz '
-                             f'over {(end_ns - start_ns) * 1e-9:.9g} s')
-        return start_ns + np.round(np.arange(count) * (1e9 / rate)).astype(np.int64)
-    stamps = log.times_ns[(log.times_ns >= start_ns) & (log.times_ns <= end_ns)]
-    return np.union1d(stamps, [end_ns])
 
 
 def _last(trajectory: Trajectory) -> State:

@@ -41,7 +41,7 @@ _OUTPUTS = 100
 _BESIDE = 4
 _FEWEST_REPEATS, _MOST_REPEATS = 3, 15
 #: Order of convergence of each reading of a log in the spacing of its samples.
-_READING_ORDERS = {'hold': 1, 'linear': 2, 'cubic': 4}
+READING_ORDERS = {'hold': 1, 'linear': 2, 'cubic': 4}
 
 
 class Setting(NamedTuple):
@@ -117,7 +117,7 @@ class Reading(NamedTuple):
     interpolation: str
     #: What leaving out every other sample changes.
     thinned: float
-    #: What that says of the log as it is, where the torque is smooth.
+    #: What that says of the log as it is, from how fast it converges.
     estimate: float
 
 
@@ -479,28 +479,35 @@ def _judge(whole: Problem, stretch: Problem, reference: Reference, runs: Sequenc
 
 
 def _readings(problem: Problem) -> tuple[Reading, ...]:
-    """Return what each reading of the log leaves open, by leaving out every other sample."""
+    """Return what each reading of the log leaves open, by leaving samples out of it."""
     log = problem.log
     if len(log) < 3 or np.unique(log.in_space).size > 1 or problem.torque_free:
         return ()
-    rows = np.arange(len(log))
-    # Both halves: a pulse that lasts an even number of samples may not miss one of them.
-    halves = [np.union1d(rows[first::2], rows[[0, -1]]) for first in (0, 1)]
     readings = []
     for name in INTERPOLATIONS:
         try:
-            full, *thin = (_read(problem, name, some).run(solver='taylor')
-                           for some in (rows, *halves))
+            half, quarter = (_thinned(problem, name, every) for every in (2, 4))
         except ValueError:  # this reading alone spins the body beyond all bounds
             continue
-        apart = max(float(so3.angle_between(full.attitude, motion.attitude).max())
-                    for motion in thin)
-        readings.append(Reading(name, apart, apart / (2 ** _READING_ORDERS[name] - 1)))
+        # How fast it converges is what is seen, not the order for smooth torques: pulses have 1.
+        highest = 2.0 ** READING_ORDERS[name]
+        ratio = min(max(quarter / half - 1.0, 2.0), highest) if half else highest
+        readings.append(Reading(name, half, half / (ratio - 1.0)))
     return tuple(readings)
 
 
-def _read(problem: Problem, interpolation: str, rows: NDArray[np.intp]) -> Problem:
+def _thinned(problem: Problem, interpolation: str, every: int) -> float:
+    """Return what it changes, rad at most, to take one of so many samples only."""
+    rows = np.arange(len(problem.log))
+    full = _read(problem, interpolation, rows)
+    # From each beginning: a pulse that lasts an even number of samples may not miss one of them.
+    thin = [_read(problem, interpolation, np.union1d(rows[first::every], rows[[0, -1]]))
+            for first in range(every)]
+    return max(float(so3.angle_between(full.attitude, motion.attitude).max()) for motion in thin)
+
+
+def _read(problem: Problem, interpolation: str, rows: NDArray[np.intp]) -> Trajectory:
     log = problem.log
     frame = 'space' if log.in_space[0] else 'body'
-    return replace(problem, log=TorqueLog(log.times_ns[rows], log.torques[rows], frame,
-                                          interpolation))
+    part = TorqueLog(log.times_ns[rows], log.torques[rows], frame, interpolation)
+    return replace(problem, log=part).run(solver='taylor')
