@@ -114,8 +114,11 @@ def _name_curve(panel: Axes, name: str, x: Floats, y: Floats, colour: str,
     end = np.log10([x[np.argmax(y)], y.max()])
     near = sum(bool(np.all(np.abs(end - other) < (2.0, 0.2))) for other in taken)
     taken.append(end)
-    panel.annotate(name.replace('_', ' '), (x[np.argmax(y)], y.max()), (6, 4 + 12 * near),
-                   color=colour, textcoords='offset points', fontsize=9, fontweight='bold',
+    left = end[0] > -2.0  # no room on the right
+    panel.annotate(name.replace('_', ' '), (x[np.argmax(y)], y.max()),
+                   (-6 if left else 6, 4 + 12 * near), color=colour, fontsize=9,
+                   horizontalalignment='right' if left else 'left', textcoords='offset points',
+                   fontweight='bold',
                    path_effects=[withStroke(linewidth=3, foreground='white')])
 
 

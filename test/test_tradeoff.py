@@ -1,0 +1,169 @@
+"""attitude_tradeoff: errors that are errors, a recommendation that holds, and what it prints."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+
+from conftest import CONFIG, RECORDINGS, SECOND
+import matplotlib.image
+import numpy as np
+import pytest
+from test_replay import bad_input
+
+from rigid_body_ros import RigidBody, State, TorqueLog, cli, propagate, so3
+from rigid_body_ros.tradeoff import Error, Run, Setting, measure, recommend, report
+
+TUMBLER = ('--scene', str(CONFIG / 'tumbler.yaml'))
+TORQUES = ('--recording', str(RECORDINGS / 'tumbler.mcap'))
+
+
+@pytest.fixture(autouse=True)
+def _short_runs(monkeypatch):
+    monkeypatch.setattr('rigid_body_ros.tradeoff._MOST_STEPS', 20_000)
+    monkeypatch.setattr('rigid_body_ros.tradeoff._MOST_REPEATS', 3)
+
+
+def test_errors_are_those_of_a_motion_in_closed_form():
+    # A symmetric top: its rates turn about the axis, its attitude is two rotations.
+    body, rates = RigidBody.from_moments(2.0, 2.0, 3.0), np.array([0.3, -0.2, 1.5])
+    result = measure(body, State(0, angular_velocity=rates))
+    seconds = result.stretch.seconds
+    momentum = body.angular_momentum(rates)
+    known = so3.multiply(so3.exp(momentum / 2.0 * seconds),
+                         so3.exp(np.array([0.0, 0.0, (1 - 3 / 2) * rates[2] * seconds])))
+    for run in result.runs:
+        if run.failure:
+            continue
+        end = propagate(body, result.stretch.start, at=result.stretch.times_ns[-1:],
+                        **run.setting.options)
+        assert run.error.attitude_final == pytest.approx(
+            float(so3.angle_between(end.attitude[0], known)), rel=1e-6, abs=1e-11)
+        assert run.error.attitude >= run.error.attitude_final
+
+
+def random_problem(random):
+    """Return a body, a start, and torques on it or none."""
+    axes = so3.matrix(so3.normalize(random.normal(size=4)))
+    a, b, c = random.uniform(0.1, 1.0, 3)
+    body = RigidBody(axes @ np.diag([b + c, c + a, a + b]) @ axes.T)
+    start = State(0, random.normal(size=4), random.normal(size=3) * 10.0 ** random.uniform(-2, 1))
+    if random.random() < 0.3:
+        return body, start, None
+    count = int(random.integers(5, 500))
+    gaps = (random.uniform(0.2, 1.0, count) * 1e9 * 10.0 ** random.uniform(-2, 0)).astype(int)
+    interpolation = str(random.choice(['hold', 'linear', 'cubic']))
+    log = TorqueLog(np.cumsum(gaps), random.normal(size=(count, 3)) * 0.1,
+                    str(random.choice(['body', 'space'])), interpolation)
+    return body, start, log
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('seed', range(20))
+def test_the_recommendation_is_right(seed, monkeypatch):
+    # With a small stretch, so that most logs are longer.
+    monkeypatch.setattr('rigid_body_ros.tradeoff._WORK', 400)
+    random = np.random.default_rng(seed)
+    body, start, log = random_problem(random)
+    target = 10.0 ** -(2 + 10 * seed / 19)
+    result = measure(body, start, log, target=target, seconds=1.0)
+    assert result.choice is not None
+    whole = result.whole
+    right = whole.run(solver='taylor', tolerance=1e-15)
+    if result.choice.run.setting.tolerance and target > 1e-11:
+        tighter = max(result.choice.run.setting.tolerance / 10.0, 1e-15)
+        stricter = whole.run(solver='taylor', tolerance=tighter)
+        assert so3.angle_between(stricter.attitude, right.attitude).max() < 2.0 * target
+    met = {}
+    for run in result.runs:
+        if not run.failure:
+            try:
+                motion = whole.run(**run.setting.options)
+            except ValueError:
+                continue
+            met[run.setting] = so3.angle_between(motion.attitude, right.attitude).max() <= target
+    assert met[result.choice.run.setting]
+    cheapest = min(run.seconds for run in result.runs if met.get(run.setting))
+    assert result.choice.run.seconds <= 1.5 * cheapest
+
+
+def a_run(error, seconds):
+    return Run(Setting('rk4', max_step=seconds), Error(*5 * [error]), seconds, seconds)
+
+
+def test_what_cannot_be_tried_on_the_whole_log_has_a_margin():
+    runs = [a_run(error, 1e-3 / error) for error in (1e-6, 1e-8, 1e-10)]
+    measured = recommend(runs, 1e-5, 0.0, 10.0, lambda run: 2.0 * run.error.attitude)
+    assert (measured.run, measured.measured) == (runs[0], True)
+    scaled = recommend(runs, 1e-5, 0.0, 10.0, lambda run: None)
+    assert (scaled.run, scaled.measured) == (runs[1], False)
+    assert scaled.error == pytest.approx(1e-6)
+    assert recommend(runs, 1e-12, 0.0, 10.0, lambda run: None) is None
+
+
+def test_a_failed_setting_is_shown_as_failed():
+    result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
+                     State(0, angular_velocity=(0.1, 1.0, 0.2)))
+    failed = [run for run in result.runs if run.failure]
+    assert failed
+    assert {run.setting.solver for run in failed} == {'explicit_euler'}
+    assert math.isnan(failed[0].error.attitude)
+    assert report.summary(result).count('failed: ') == len(failed)
+    assert not any(run.on_front for run in failed)
+
+
+def test_the_table_the_figures_and_the_picture(tmp_path):
+    picture, figures = tmp_path / 'p.png', tmp_path / 'o.json'
+    environment = {name: value for name, value in os.environ.items() if name != 'DISPLAY'}
+    script = ('import sys; from rigid_body_ros import cli, tradeoff; tradeoff._MOST_STEPS = 20000;'
+              'sys.exit(cli.attitude_tradeoff())')
+    done = subprocess.run([sys.executable, '-c', script, *TUMBLER, *TORQUES, '--target', '1e-9',
+                           '--json', figures, '--plot', picture], capture_output=True, text=True,
+                          env=environment, check=True)
+    assert done.stderr == ''
+    for part in ('solver', 'rounding floor', 'hold is off by', 'what dominates',
+                 'Cheapest for the target 1e-09 rad'):
+        assert part in done.stdout
+    written = json.loads(figures.read_text())
+    for line in written['recommended']['parameters']:
+        assert f'    {line}\n' in done.stdout
+    assert {run['solver'] for run in written['runs']} == {'auto', 'taylor', 'rk4', 'strang',
+                                                          'explicit_euler'}
+    assert matplotlib.image.imread(picture).shape[:2] == (1000, 1440)
+
+
+def test_the_end_of_a_short_stretch_is_that_of_its_problem(monkeypatch):
+    monkeypatch.setattr('rigid_body_ros.tradeoff._WORK', 300)
+    times = np.arange(2000) * SECOND // 10
+    log = TorqueLog(times, np.sin(times * 1e-9)[:, None] * [1e-2, 0.0, 2e-2],
+                    interpolation='cubic')
+    result = measure(RigidBody.from_moments(1.0, 2.0, 2.5), State(0, angular_velocity=(0, 1, 0.1)),
+                     log, seconds=0.5)
+    assert result.stretch.seconds < result.whole.seconds
+    cut, whole = (some.log.at(result.stretch.times_ns[:-1])[0]
+                  for some in (result.stretch, result.whole))
+    np.testing.assert_allclose(cut, whole, atol=1e-12)
+    cubic, = (some for some in result.readings if some.interpolation == 'cubic')
+    hold, = (some for some in result.readings if some.interpolation == 'hold')
+    assert cubic.estimate < 1e-2 * hold.estimate
+
+
+@pytest.mark.parametrize('name', ['missing', 'not mcap', 'empty', 'nan', 'overflow', 'frame',
+                                  'quaternion', 'inertia', 'key', 'no scene'])
+def test_a_mistake_is_answered_as_by_the_replay(name, tmp_path, capsys):
+    recorded, *scene = bad_input(name, tmp_path)
+    assert cli.attitude_replay([recorded, *scene, '-o', str(tmp_path / 'o.mcap')]) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert cli.attitude_tradeoff([*scene, '--recording', recorded]) == 2
+    captured = capsys.readouterr()
+    found, = captured.err.splitlines()
+    assert found.split(': error: ')[1][:80] == line.split(': error: ')[1][:80]
+    assert not captured.out
+
+
+def test_a_body_at_rest_has_nothing_to_measure(tmp_path, capsys):
+    rest = tmp_path / 'rest.yaml'
+    rest.write_text('/**: {ros__parameters: {inertia: {ixx: 1.0, iyy: 1.0, izz: 1.0}}}\n')
+    assert cli.attitude_tradeoff(['--scene', str(rest)]) == 2
+    assert 'rest.yaml: initial_angular_velocity: expected' in capsys.readouterr().err
