@@ -205,7 +205,8 @@ def checked(parameter: Parameter, given: Any) -> Any:
         raise InputError(f'{name}: missing; expected a number{unit}: {parameter.description}')
     value = float(given) if parameter.type is float and type(given) is int else given
     # A bool is an int to Python.
-    wrong = type(value) is not parameter.type
+    wrong = (isinstance(value, bool) is not (parameter.type is bool)
+             or not isinstance(value, parameter.type))
     if wrong:
         kind = {float: 'a number', int: 'an integer', str: 'a text',
                 bool: 'true or false'}[parameter.type]

@@ -12,7 +12,8 @@ from live import TUMBLER, decoded, replayed
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE, LiveSession
 
 pytestmark = pytest.mark.ros
-SIMULATED = (*RELIABLE, '-p', 'use_sim_time:=true')
+# So often that every tick of the clock is one of the timer.
+SIMULATED = (*RELIABLE, '-p', 'use_sim_time:=true', '-p', 'publish_rate:=2000.0')
 TICK_NS = SECOND // 100
 
 
