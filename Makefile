@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 JAZZY := .venv-jazzy
 # Tests of the node wait more than they work.
-PARALLEL := --numprocesses 4
+PARALLEL := --numprocesses 3
 # But this one needs the machine to itself.
 SOAK := test/test_soak.py
 
