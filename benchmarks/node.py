@@ -6,7 +6,8 @@ Measure what the node costs, beside a bare node of rclpy that only receives and 
 Torques at 1 kHz, three topics out, in lockstep; rounds of the two in turns. Latency is from a
 torque to its attitude, seen from outside; processor time is that of the node's process, per
 torque. A ratio is ours / the floor's: the median of the rounds. The first torque that a node gets
-is timed apart, beside its thousandth.
+is timed apart, beside its thousandth. Both nodes keep the last ten messages for a listener: what
+this process is too slow to hear is counted, and has no latency.
 """
 
 import argparse
@@ -47,7 +48,7 @@ class Client:
         self._node = rclpy.create_node('client', namespace=namespace)
         executor.add_node(self._node)
         self._torque = self._node.create_publisher(WrenchStamped, 'torque', 1000)
-        self._sent, self.latencies = {}, []
+        self._sent, self.latencies, self.unheard = {}, [], 0
         self._stamp_ns = 10 ** 9
         for topic, kind, callback in (('attitude', QuaternionStamped, self._on_attitude),
                                       ('euler_angles', Vector3Stamped, lambda data: None),
@@ -75,9 +76,10 @@ class Client:
             self._sent[self._stamp_ns // 10 ** 6] = time.perf_counter()
             self._torque.publish(data)
         until = time.perf_counter() + 10.0
-        while len(self.latencies) < TORQUES and time.perf_counter() < until:
+        while self._stamp_ns // 10 ** 6 in self._sent:  # the last answer
+            assert time.perf_counter() < until, 'the last torque was not answered'
             self._executor.spin_once(timeout_sec=0.01)
-        assert len(self.latencies) == TORQUES, f'{len(self.latencies)} of {TORQUES} answered'
+        self.unheard += len(self._sent)
         return (*np.percentile(self.latencies, [50, 99]), (self._used() - before) / TORQUES)
 
     def _used(self):
@@ -100,7 +102,7 @@ class Client:
 
 
 def measure():
-    """Return the rounds of both, arrays of shape (ROUNDS, 3), and early latencies of both, s."""
+    """Return rounds, arrays of shape (ROUNDS, 3), early latencies, s, and answers not heard."""
     rclpy.init()
     executor = SingleThreadedExecutor()
     clients = {name: Client(name, executor) for name in COMMANDS}
@@ -110,6 +112,7 @@ def measure():
         early = {}
         for name, client in clients.items():  # a round to warm up
             client.round()
+            client.unheard = 0
             early[name] = client.latencies[0], client.latencies[999]
         rounds = {name: [] for name in clients}
         for _ in range(ROUNDS):
@@ -119,7 +122,8 @@ def measure():
         for client in clients.values():
             client.stop()
         rclpy.try_shutdown()
-    return {name: np.array(values) for name, values in rounds.items()}, early
+    return ({name: np.array(values) for name, values in rounds.items()}, early,
+            {name: client.unheard for name, client in clients.items()})
 
 
 def main():
@@ -129,7 +133,7 @@ def main():
     arguments = parser.parse_args()
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
-    rounds, early = measure()
+    rounds, early, unheard = measure()
     ours, floor = np.median(rounds[OURS], axis=0), np.median(rounds[FLOOR], axis=0)
     ratios = np.median(rounds[OURS] / rounds[FLOOR], axis=0)
     print(f'{"us":12}{"ours":>8}{"floor":>8}{"ratio":>8}{"bar":>8}')
@@ -138,6 +142,7 @@ def main():
               f'{"" if ratio <= bar else "  MISS"}')
     for row, label in enumerate(('first', 'thousandth')):
         print(f'{label:12}{early[OURS][row] * 1e6:8.0f}{early[FLOOR][row] * 1e6:8.0f}')
+    print(f'not heard: {unheard[OURS]} and {unheard[FLOOR]} of {ROUNDS * TORQUES}')
     if arguments.json:
         arguments.json.write_text(json.dumps(
             {name: values.tolist() for name, values in rounds.items()}, indent=1))
