@@ -108,7 +108,8 @@ class LiveSession:
         self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self.diagnostics.append, 100)
         self._initial_state = self.node.create_publisher(Odometry, 'initial_state', 10)
         self._reset = self.node.create_client(Trigger, f'/{NODE}/reset')
-        self.wait_until(self._torque.get_subscription_count, 'the node to subscribe')
+        self.wait_until(lambda: self._torque.get_subscription_count()
+                        and self._initial_state.get_subscription_count(), 'the node to subscribe')
         if not self._waits:
             self.wait_until(lambda: self.received[COMMITTED], 'the start state')
             self.wait_until(lambda: self.received[ATTITUDE], 'the first attitude')

@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 from types import TracebackType
 from typing import Any
+import weakref
 
 from mcap.reader import McapReader, make_reader
 from mcap.summary import Summary
@@ -175,21 +176,19 @@ class Writer:
         self._sequence: dict[str, int] = {}
 
     def __enter__(self) -> Writer:
+        # From before there is a file, and at the latest when Python ends: a signal may come
+        # between any two lines.
+        self._remove_part = weakref.finalize(self, _remove, self._part)
         try:
             if self._target.exists() and not self._target.is_file():
                 kind = 'a folder' if self._target.is_dir() else 'something else'
                 raise InputError(f'{self._path}: expected a file to write, found {kind}')
             self._stream = open(self._part, 'wb')
-        except OSError as error:
-            raise InputError(f'{self._path}: cannot write: {error.strerror}') from error
-        try:
             self._writer = McapWriter(self._stream)
             self._writer.start(profile='ros2', library='rigid_body_ros')
-        except BaseException as error:  # __exit__ is not called for what happens here
-            self._part.unlink(missing_ok=True)
-            if isinstance(error, OSError):
-                raise InputError(f'{self._path}: cannot write: {error.strerror}') from error
-            raise
+        except OSError as error:
+            self._remove_part()
+            raise InputError(f'{self._path}: cannot write: {error.strerror}') from error
         return self
 
     def add_topic(self, topic: str, kind: MessageType) -> None:
@@ -217,9 +216,14 @@ class Writer:
         finally:
             with suppress(OSError):  # closing flushes, which fails again on a full disk
                 self._stream.close()
-            self._part.unlink(missing_ok=True)
+            self._remove_part()
         if isinstance(error, OSError):
             raise InputError(f'{self._path}: cannot write: {error.strerror}') from error
+
+
+def _remove(part: Path) -> None:
+    with suppress(FileNotFoundError, NotADirectoryError):
+        part.unlink()
 
 
 def _opened(path: str | Path, stream: Any) -> tuple[McapReader, Summary]:

@@ -1,7 +1,9 @@
 """Recordings: what others write we read, what we write others read, damage is told."""
 
+import itertools
 import resource
 import struct
+import sys
 
 from conftest import EPOCH_NS, RECORDINGS, SECOND
 from mcap.reader import make_reader
@@ -46,6 +48,45 @@ def test_what_is_written_is_read(recorded):
     np.testing.assert_array_equal(log.times_ns, STAMPS)
     np.testing.assert_array_equal(log.torques, TORQUES)
     assert [path.name for path in recorded.parent.iterdir()] == ['torque.mcap']
+
+
+def interrupted_at(moment, action):
+    """Do something, interrupted at one of the moments when a signal may be heard, or not."""
+    left = moment
+
+    def trace(frame, event, argument):
+        nonlocal left
+        if frame.f_globals.get('__name__') != recording.__name__:
+            return None
+        left -= 1
+        if left == 0:
+            raise KeyboardInterrupt
+        return trace
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        action()
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(before)
+    return False
+
+
+# An interrupted write leaves it to Python to close the file.
+@pytest.mark.filterwarnings('ignore::pytest.PytestUnraisableExceptionWarning')
+def test_an_interrupt_at_any_moment_leaves_a_whole_file_or_none(tmp_path):
+    path, rows = tmp_path / 'torque.mcap', [(EPOCH_NS, '', TORQUES[0])]
+    for moment in itertools.count(1):
+        path.unlink(missing_ok=True)
+        interrupted = interrupted_at(moment, lambda: write(path, rows))
+        assert [*tmp_path.iterdir()] in ([], [path])
+        if path.exists():
+            np.testing.assert_array_equal(torque_log(path).torques, TORQUES[:1])
+        if not interrupted:
+            break
+    assert moment > 20
+    assert path.exists()
 
 
 def test_rosbags_reads_what_we_write(recorded):
