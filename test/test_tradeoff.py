@@ -63,7 +63,7 @@ def random_problem(random):
 @pytest.mark.parametrize('seed', range(20))
 def test_the_recommendation_is_right(seed, monkeypatch):
     # With a small stretch, so that most logs are longer.
-    monkeypatch.setattr('rigid_body_ros.tradeoff._WORK', 400)
+    monkeypatch.setattr('rigid_body_ros.tradeoff.problem._WORK', 400)
     random = np.random.default_rng(seed)
     body, start, log = random_problem(random)
     target = 10.0 ** -(2 + 10 * seed / 19)
@@ -134,7 +134,7 @@ def test_the_table_the_figures_and_the_picture(tmp_path):
 
 
 def test_the_end_of_a_short_stretch_is_that_of_its_problem(monkeypatch):
-    monkeypatch.setattr('rigid_body_ros.tradeoff._WORK', 300)
+    monkeypatch.setattr('rigid_body_ros.tradeoff.problem._WORK', 300)
     times = np.arange(2000) * SECOND // 10
     log = TorqueLog(times, np.sin(times * 1e-9)[:, None] * [1e-2, 0.0, 2e-2],
                     interpolation='cubic')

@@ -17,31 +17,21 @@ import time
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.propagate import LONGEST, Trajectory, propagate, warm_up
-from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
+from rigid_body_ros.propagate import Trajectory, warm_up
+from rigid_body_ros.torque import TorqueLog
+from rigid_body_ros.tradeoff.problem import TIGHTEST, Problem, Reference, turned_angle, whole
+from rigid_body_ros.tradeoff.readings import Reading, compare_readings
 
 #: Wraps an iterable of so many items, to show progress.
 Track = Callable[[Iterable[Any], int], Iterable[Any]]
 
-TIGHTEST = 1e-15
-#: Turns of a motion without torques.
-TURNS = 50.0
 _TOLERANCES = tuple(float(f'1e-{k}') for k in range(2, 16))
-#: Angle of the longest step of the ladders, and of the series' own steps, rad.
-_LONGEST_ANGLE, _SERIES_ANGLE = 1.0, 0.5
-#: Samples and series steps in a stretch, and steps in one run: a tenth of a second.
-_WORK, _MOST_STEPS = 4000, 1_000_000
-#: Outputs besides those at the stamps, so that between two far ones an error is seen, too.
-_OUTPUTS = 100
-#: Samples beyond a stretch that its cubic polynomials are made from.
-_BESIDE = 4
+#: Angle of the longest step of the ladders, rad; the most steps of one run, a tenth of a second.
+_LONGEST_ANGLE, _MOST_STEPS = 1.0, 1_000_000
 _FEWEST_REPEATS, _MOST_REPEATS = 3, 15
-#: Order of convergence of each reading of a log in the spacing of its samples.
-READING_ORDERS = {'hold': 1, 'linear': 2, 'cubic': 4}
 
 
 class Setting(NamedTuple):
@@ -111,16 +101,6 @@ class Run:
     on_front: bool = False
 
 
-class Reading(NamedTuple):
-    """How a log is read between its samples, and what that leaves open, rad at most."""
-
-    interpolation: str
-    #: What leaving out every other sample changes.
-    thinned: float
-    #: What that says of the log as it is, from how fast it converges.
-    estimate: float
-
-
 class Choice(NamedTuple):
     """The cheapest setting that meets the target."""
 
@@ -129,62 +109,6 @@ class Choice(NamedTuple):
     error: float
     #: Whether that was measured on the whole log, or scaled from the stretch.
     measured: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """
-    A motion, and when it is asked for.
-
-    Attributes
-    ----------
-    body : RigidBody
-    start : State
-    log : TorqueLog
-        Empty: no torques.
-    times_ns : array of int64, shape (m,)
-        Ascending.
-    torque_timeout : float, s
-
-    """
-
-    body: RigidBody
-    start: State
-    log: TorqueLog
-    times_ns: NDArray[np.int64]
-    torque_timeout: float = 0.0
-
-    @property
-    def seconds(self) -> float:
-        """Simulated time."""
-        return (int(self.times_ns[-1]) - self.start.time_ns) * 1e-9
-
-    @property
-    def torque_free(self) -> bool:
-        """Whether there is no torque at all."""
-        return not self.log.torques.any()
-
-    def run(self, **options: Any) -> Trajectory:
-        """Return the motion, or raise ValueError as `propagate` does."""
-        return propagate(self.body, self.start, self.log, at=self.times_ns,
-                         torque_timeout=self.torque_timeout, **options)
-
-
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """
-    The right motion.
-
-    Attributes
-    ----------
-    trajectory : Trajectory
-    floor : float, rad
-        What runs at the tightest tolerance differ by that differ in their steps only.
-
-    """
-
-    trajectory: Trajectory
-    floor: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,15 +192,15 @@ def measure(body: RigidBody, start: State, log: TorqueLog | None = None, *,
     began = time.perf_counter()
     warm_up()
     load_seconds = time.perf_counter() - began
-    whole = _whole(body, start, log, end_ns, torque_timeout)
-    stretch = _stretch(whole)
-    reference = _reference(stretch)
+    problem = whole(body, start, log, end_ns, torque_timeout)
+    stretch = problem.stretch()
+    reference = Reference.of(stretch)
     runs = _front(_timed(stretch, _settings(stretch, reference.trajectory), reference, seconds,
                          track), reference.floor)
-    choice = recommend(runs, target, reference.floor, whole.seconds / stretch.seconds,
-                       _judge(whole, stretch, reference, runs, seconds))
-    return Tradeoff(stretch, whole, _angle(reference.trajectory), runs, reference.floor,
-                    _readings(stretch), target, choice, load_seconds)
+    choice = recommend(runs, target, reference.floor, problem.seconds / stretch.seconds,
+                       _judge(problem, stretch, reference, runs, seconds))
+    return Tradeoff(stretch, problem, turned_angle(reference.trajectory), runs, reference.floor,
+                    compare_readings(stretch), target, choice, load_seconds)
 
 
 def recommend(runs: Sequence[Run], target: float, floor: float, growth: float,
@@ -310,86 +234,11 @@ def recommend(runs: Sequence[Run], target: float, floor: float, growth: float,
     return None
 
 
-def _whole(body: RigidBody, start: State, log: TorqueLog | None, end_ns: int | None,
-           torque_timeout: float) -> Problem:
-    speed = float(np.linalg.norm(start.angular_velocity))
-    moved = log is not None and log.torques.any()
-    if not speed and not moved:
-        raise ValueError('initial_angular_velocity: expected a body that turns, or torques '
-                         'that turn it, found neither')
-    log = TorqueLog([], []) if log is None else log
-    if end_ns is None and len(log):
-        end_ns = int(log.times_ns[-1])
-    if end_ns is None:
-        turns = min(TURNS * 2.0 * math.pi / speed, LONGEST) * 1e9
-        end_ns = start.time_ns + max(round(turns), 1)
-    if end_ns <= start.time_ns:
-        raise ValueError('expected torques over some time, found no torque after the start, '
-                         f'{start.time_ns} ns')
-    return Problem(body, start, log, _times(log, start.time_ns, end_ns), torque_timeout)
-
-
-def _times(log: TorqueLog, start_ns: int, end_ns: int) -> NDArray[np.int64]:
-    grid = start_ns + np.linspace(0, end_ns - start_ns, _OUTPUTS + 1).astype(np.int64)
-    inside = (log.times_ns > start_ns) & (log.times_ns <= end_ns)
-    return np.union1d(log.times_ns[inside], np.append(grid[1:], end_ns))
-
-
-def _until(whole: Problem, end_ns: int) -> Problem:
-    """Return the problem up to an end, with the samples that matter until then."""
-    log = whole.log
-    stop = int(np.searchsorted(log.times_ns, end_ns, 'right')) + _BESIDE
-    first = max(int(np.searchsorted(log.times_ns, whole.start.time_ns, 'right')) - _BESIDE, 0)
-    frames = np.where(log.in_space[first:stop], 'space', 'body').tolist()
-    part = TorqueLog(log.times_ns[first:stop], log.torques[first:stop], frames,
-                     log.interpolation) if len(log) else log
-    return replace(whole, log=part, times_ns=_times(part, whole.start.time_ns, end_ns))
-
-
-def _stretch(whole: Problem) -> Problem:
-    """Return the longest half, quarter ... of the whole that is little work, or the whole."""
-    start_ns, span_ns = whole.start.time_ns, int(whole.times_ns[-1]) - whole.start.time_ns
-    # From the short end: what the whole would take is not known before.
-    shorter = _until(whole, start_ns + max(span_ns >> 30, 1))
-    for halvings in range(29, -1, -1):
-        longer = _until(whole, start_ns + max(span_ns >> halvings, 1))
-        angle = _angle(longer.run(solver='taylor'))
-        if angle / _SERIES_ANGLE + len(longer.times_ns) > _WORK:
-            return shorter
-        shorter = longer
-    return whole
-
-
-def _angle(motion: Trajectory) -> float:
-    """Return the angle that a body turns by from the first output to the last, rad."""
-    speed = np.linalg.norm(motion.angular_velocity, axis=1)
-    return float(np.sum(np.maximum(speed[1:], speed[:-1]) * np.diff(motion.times_ns)) * 1e-9)
-
-
-def _natural_step(problem: Problem, motion: Trajectory, angle: float) -> float:
-    """Return the time, s, of an angle at the largest speed, or the longest between samples."""
-    inside = problem.log.times_ns[problem.log.times_ns > problem.start.time_ns]
-    edges = np.union1d([problem.start.time_ns, problem.times_ns[-1]],
-                       inside[inside < problem.times_ns[-1]])
-    speed = float(np.linalg.norm(motion.angular_velocity, axis=1).max())
-    return min(angle / speed if speed else math.inf, float(np.diff(edges).max()) * 1e-9)
-
-
-def _reference(problem: Problem) -> Reference:
-    plain = problem.run(solver='taylor', tolerance=TIGHTEST)
-    step = _natural_step(problem, plain, _SERIES_ANGLE)
-    best, other = (problem.run(solver='taylor', tolerance=TIGHTEST, max_step=share * step)
-                   for share in (0.7, 0.4))
-    floor = max(float(so3.angle_between(motion.attitude, best.attitude).max())
-                for motion in (plain, other))
-    return Reference(best, max(floor, math.ulp(1.0)))
-
-
 def _settings(problem: Problem, motion: Trajectory) -> list[Setting]:
     settings = [Setting('exact')] if problem.torque_free else []
     settings += [Setting(solver, tolerance) for solver in ('auto', 'taylor')
                  for tolerance in _TOLERANCES]
-    longest = _natural_step(problem, motion, _LONGEST_ANGLE)
+    longest = problem.natural_step(motion, _LONGEST_ANGLE)
     for solver in ('rk4', 'strang', 'explicit_euler'):
         step = longest
         while step >= 1e-9 and problem.seconds / step <= _MOST_STEPS:
@@ -468,7 +317,7 @@ def _judge(whole: Problem, stretch: Problem, reference: Reference, runs: Sequenc
         if cost > left:
             return None
         left -= cost
-        known = known or _reference(whole)
+        known = known or Reference.of(whole)
         try:
             motion = whole.run(**run.setting.options)
         except ValueError:
@@ -476,38 +325,3 @@ def _judge(whole: Problem, stretch: Problem, reference: Reference, runs: Sequenc
         apart = so3.angle_between(motion.attitude, known.trajectory.attitude)
         return float(apart.max()) + known.floor
     return judge
-
-
-def _readings(problem: Problem) -> tuple[Reading, ...]:
-    """Return what each reading of the log leaves open, by leaving samples out of it."""
-    log = problem.log
-    if len(log) < 3 or np.unique(log.in_space).size > 1 or problem.torque_free:
-        return ()
-    readings = []
-    for name in INTERPOLATIONS:
-        try:
-            half, quarter = (_thinned(problem, name, every) for every in (2, 4))
-        except ValueError:  # this reading alone spins the body beyond all bounds
-            continue
-        # How fast it converges is what is seen, not the order for smooth torques: pulses have 1.
-        highest = 2.0 ** READING_ORDERS[name]
-        ratio = min(max(quarter / half - 1.0, 2.0), highest) if half else highest
-        readings.append(Reading(name, half, half / (ratio - 1.0)))
-    return tuple(readings)
-
-
-def _thinned(problem: Problem, interpolation: str, every: int) -> float:
-    """Return what it changes, rad at most, to take one of so many samples only."""
-    rows = np.arange(len(problem.log))
-    full = _read(problem, interpolation, rows)
-    # From each beginning: a pulse that lasts an even number of samples may not miss one of them.
-    thin = [_read(problem, interpolation, np.union1d(rows[first::every], rows[[0, -1]]))
-            for first in range(every)]
-    return max(float(so3.angle_between(full.attitude, motion.attitude).max()) for motion in thin)
-
-
-def _read(problem: Problem, interpolation: str, rows: NDArray[np.intp]) -> Trajectory:
-    log = problem.log
-    frame = 'space' if log.in_space[0] else 'body'
-    part = TorqueLog(log.times_ns[rows], log.torques[rows], frame, interpolation)
-    return replace(problem, log=part).run(solver='taylor')

@@ -6,7 +6,8 @@ from importlib import metadata
 import platform
 from typing import Any
 
-from rigid_body_ros.tradeoff import READING_ORDERS, Reading, Run, Tradeoff
+from rigid_body_ros.tradeoff import Run, Tradeoff
+from rigid_body_ros.tradeoff.readings import READING_ORDERS, Reading
 
 _WIDTH = 18
 _HEADER = ('', 'solver', 'setting', 'final rad', 'largest rad', 'rad/s', 'momentum', 'energy',

@@ -1,0 +1,161 @@
+"""
+The motion that is measured: the whole of it, a stretch of it that is little work, what is right.
+
+The right motion is the series at its tightest tolerance in shorter steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigid_body_ros import so3
+from rigid_body_ros.body import RigidBody, State
+from rigid_body_ros.propagate import LONGEST, Trajectory, propagate
+from rigid_body_ros.torque import TorqueLog
+
+TIGHTEST = 1e-15
+#: Turns of a motion without torques.
+TURNS = 50.0
+#: Angle of the series' own steps, rad.
+_SERIES_ANGLE = 0.5
+#: Samples and series steps in a stretch: a tenth of a second.
+_WORK = 4000
+#: Outputs besides those at the stamps, so that between two far ones an error is seen, too.
+_OUTPUTS = 100
+#: Samples beyond a stretch that its cubic polynomials are made from.
+_BESIDE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """
+    A motion, and when it is asked for.
+
+    Attributes
+    ----------
+    body : RigidBody
+    start : State
+    log : TorqueLog
+        Empty: no torques.
+    times_ns : array of int64, shape (m,)
+        Ascending.
+    torque_timeout : float, s
+
+    """
+
+    body: RigidBody
+    start: State
+    log: TorqueLog
+    times_ns: NDArray[np.int64]
+    torque_timeout: float = 0.0
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time."""
+        return (int(self.times_ns[-1]) - self.start.time_ns) * 1e-9
+
+    @property
+    def torque_free(self) -> bool:
+        """Whether there is no torque at all."""
+        return not self.log.torques.any()
+
+    def run(self, **options: Any) -> Trajectory:
+        """Return the motion, or raise ValueError as `propagate` does."""
+        return propagate(self.body, self.start, self.log, at=self.times_ns,
+                         torque_timeout=self.torque_timeout, **options)
+
+    def until(self, end_ns: int) -> Problem:
+        """Return the problem up to an end, with the samples that matter until then."""
+        log, start_ns = self.log, self.start.time_ns
+        stop = int(np.searchsorted(log.times_ns, end_ns, 'right')) + _BESIDE
+        first = max(int(np.searchsorted(log.times_ns, start_ns, 'right')) - _BESIDE, 0)
+        frames = np.where(log.in_space[first:stop], 'space', 'body').tolist()
+        part = TorqueLog(log.times_ns[first:stop], log.torques[first:stop], frames,
+                         log.interpolation) if len(log) else log
+        return replace(self, log=part, times_ns=_times(part, start_ns, end_ns))
+
+    def stretch(self) -> Problem:
+        """Return the longest half, quarter ... of this that is little work, or this."""
+        start_ns, span_ns = self.start.time_ns, int(self.times_ns[-1]) - self.start.time_ns
+        # From the short end: what the whole would take is not known before.
+        shorter = self.until(start_ns + max(span_ns >> 30, 1))
+        for halvings in range(29, -1, -1):
+            longer = self.until(start_ns + max(span_ns >> halvings, 1))
+            angle = turned_angle(longer.run(solver='taylor'))
+            if angle / _SERIES_ANGLE + len(longer.times_ns) > _WORK:
+                return shorter
+            shorter = longer
+        return self
+
+    def natural_step(self, motion: Trajectory, angle: float) -> float:
+        """Return the time, s, of an angle at the largest speed, or the longest between samples."""
+        inside = self.log.times_ns[self.log.times_ns > self.start.time_ns]
+        edges = np.union1d([self.start.time_ns, self.times_ns[-1]],
+                           inside[inside < self.times_ns[-1]])
+        speed = float(np.linalg.norm(motion.angular_velocity, axis=1).max())
+        return min(angle / speed if speed else math.inf, float(np.diff(edges).max()) * 1e-9)
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """
+    The right motion.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+    floor : float, rad
+        What runs at the tightest tolerance differ by that differ in their steps only.
+
+    """
+
+    trajectory: Trajectory
+    floor: float
+
+    @classmethod
+    def of(cls, problem: Problem) -> Reference:
+        """Return that of a problem."""
+        plain = problem.run(solver='taylor', tolerance=TIGHTEST)
+        step = problem.natural_step(plain, _SERIES_ANGLE)
+        best, other = (problem.run(solver='taylor', tolerance=TIGHTEST, max_step=share * step)
+                       for share in (0.7, 0.4))
+        floor = max(float(so3.angle_between(motion.attitude, best.attitude).max())
+                    for motion in (plain, other))
+        return cls(best, max(floor, math.ulp(1.0)))
+
+
+def whole(body: RigidBody, start: State, log: TorqueLog | None, end_ns: int | None,
+          torque_timeout: float) -> Problem:
+    """Return all of a motion: to the last stamp, or some turns where there are no torques."""
+    speed = float(np.linalg.norm(start.angular_velocity))
+    moved = log is not None and log.torques.any()
+    if not speed and not moved:
+        raise ValueError('initial_angular_velocity: expected a body that turns, or torques '
+                         'that turn it, found neither')
+    log = TorqueLog([], []) if log is None else log
+    if end_ns is None and len(log):
+        end_ns = int(log.times_ns[-1])
+    if end_ns is None:
+        turns = min(TURNS * 2.0 * math.pi / speed, LONGEST) * 1e9
+        end_ns = start.time_ns + max(round(turns), 1)
+    if end_ns <= start.time_ns:
+        raise ValueError('expected torques over some time, found no torque after the start, '
+                         f'{start.time_ns} ns')
+    return Problem(body, start, log, _times(log, start.time_ns, end_ns), torque_timeout)
+
+
+def _times(log: TorqueLog, start_ns: int, end_ns: int) -> NDArray[np.int64]:
+    grid = start_ns + np.linspace(0, end_ns - start_ns, _OUTPUTS + 1).astype(np.int64)
+    inside = (log.times_ns > start_ns) & (log.times_ns <= end_ns)
+    return np.union1d(log.times_ns[inside], np.append(grid[1:], end_ns))
+
+
+def turned_angle(motion: Trajectory) -> float:
+    """Return the angle that a body turns by from the first output to the last, rad."""
+    speed = np.linalg.norm(motion.angular_velocity, axis=1)
+    return float(np.sum(np.maximum(speed[1:], speed[:-1]) * np.diff(motion.times_ns)) * 1e-9)
