@@ -120,22 +120,15 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
     table = np.empty((taylor.ROWS, taylor.MAX_ORDER + 1))
     free, prepared = free_motion.unchanging(begin, free_motion.LOST), False
     out = state
-    degree, none = torques.shape[1] - 1, (0.0, 0.0, 0.0)
+    degree = torques.shape[1] - 1
     while sample < stop and done < len(at_ns):
-        # Arrays are read here and not in functions: to hand one over costs half a short step.
         idle = silent or sample < 0
         next_ns = stamps_ns[sample + 1] if sample + 1 < len(stamps_ns) else NEVER_NS
         end_ns, falls_silent = next_ns, False
         if timeout_ns > 0 and not idle and stamps_ns[sample] + timeout_ns < next_ns:
             end_ns, falls_silent = stamps_ns[sample] + timeout_ns, True
-        torque, index, space = (none, none, none, none), sample - first, False
-        if not idle:
-            space = in_space[sample]
-            torque = _row(torques, index, 0), none, none, none
-            if degree > 0:
-                torque = torque[0], _row(torques, index, 1), none, none
-            if degree > 1:
-                torque = (torque[0], torque[1], _row(torques, index, 2), _row(torques, index, 3))
+        index = sample - first
+        torque, space = _torque(torques, index, idle), not idle and in_space[sample]
         coasts = _is_zero(torque)
         goes_on = coasts and (falls_silent or (next_ns < NEVER_NS
                                                and not np.any(torques[index + 1])))
@@ -174,9 +167,7 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
                 if not reached:
                     break
             if asked:
-                w, q = out[0], out[1]
-                rates[row, 0], rates[row, 1], rates[row, 2] = w
-                attitude[row, 0], attitude[row, 1], attitude[row, 2], attitude[row, 3] = q
+                _fill(out, row, attitude, rates)
                 done += 1
             if time_ns == end_ns and not goes_on:
                 state, grid_ns, begin, begin_ns, prepared = out, end_ns, out, end_ns, False
@@ -201,9 +192,7 @@ def _stream(state: vector.State, grid_ns: int, sample: int, done: int, at_ns: ND
         next_ns, torque = stamps_ns[sample + 1], _row(torques, sample, 0)
         row = done if len(rows) == 0 else rows[done]
         if at_ns[row] == grid_ns:
-            w, q, _, _ = state
-            rates[row, 0], rates[row, 1], rates[row, 2] = w
-            attitude[row, 0], attitude[row, 1], attitude[row, 2], attitude[row, 3] = q
+            _fill(state, row, attitude, rates)
             done += 1
             continue
         push, span_ns = taylor.response(equations, torque), next_ns - grid_ns
@@ -216,6 +205,26 @@ def _stream(state: vector.State, grid_ns: int, sample: int, done: int, at_ns: ND
         grid_ns = next_ns
         sample += 1
     return state, grid_ns, sample, done
+
+
+@inlined
+def _fill(state: vector.State, row: int, attitude: Floats, rates: Floats) -> None:
+    rates[row, 0], rates[row, 1], rates[row, 2] = state[0]
+    attitude[row, 0], attitude[row, 1], attitude[row, 2], attitude[row, 3] = state[1]
+
+
+@inlined
+def _torque(torques: Floats, index: int, idle: bool) -> vector.Polynomial:
+    # Inlined: to hand an array over costs half a short step.
+    none = 0.0, 0.0, 0.0
+    if idle:
+        return none, none, none, none
+    if torques.shape[1] == 1:
+        return _row(torques, index, 0), none, none, none
+    if torques.shape[1] == 2:
+        return _row(torques, index, 0), _row(torques, index, 1), none, none
+    return (_row(torques, index, 0), _row(torques, index, 1), _row(torques, index, 2),
+            _row(torques, index, 3))
 
 
 @inlined
