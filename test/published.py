@@ -1,0 +1,269 @@
+"""
+What others computed or observed, beside what this package makes of the same body and start.
+
+Each row of `ROWS` returns the figure to compare with, the one found, and how far apart they are:
+`test_validation.py` holds the rows to their bounds, `benchmarks/validation.py` prints them.
+"""
+
+import csv
+from functools import cache
+import os
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from conftest import EPOCH_NS, SECOND, Reference, chord
+from known import TOPS, landau_zener, period
+import numpy as np
+
+from rigid_body_ros import (
+    RigidBody,
+    State,
+    TorqueLog,
+    euler,
+    messages,
+    propagate,
+    recording,
+    scene,
+    so3,
+)
+from rigid_body_ros.replay import replay
+
+
+class DataNotHereError(Exception):
+    """Figures to compare with that are not part of the project, and not on this machine."""
+
+
+def attitudes(right, found):
+    """Return both scalar parts, and the angle between attitudes, rad; q and -q are apart."""
+    return f'{right[3]:.16f}', f'{found[3]:.16f}', float(chord(right, found))
+
+
+def rates(right, found):
+    """Return both first components, and the difference of the vectors over their size."""
+    apart = np.linalg.norm(np.subtract(found, right)) / np.linalg.norm(right)
+    return f'{right[0]:.15e}', f'{found[0]:.15e}', float(apart)
+
+
+def numbers(right, found):
+    """Return both in 16 digits, and the difference."""
+    return f'{right:.16g}', f'{found:.16g}', abs(found - right)
+
+
+# The Space Station of NASA's JEOD.
+
+#: Where it is after 28 800 s by a series of 32 digits: attitude, and rates in rad/s.
+STATION_ATTITUDE = (0.58661706554081749108, -0.37694328926934867502, -0.64288757685711177322,
+                    -0.31700116500397213347)
+STATION_RATES = (-7.2821872205668973925e-4, -8.3323846270873258681e-4, -2.4249250448404216832e-4)
+STATION_SECONDS = (480, 960, 1980, 2340, 28800)
+
+
+@cache
+def station():
+    """Return JEOD's log, and the motion at its times."""
+    log = Reference('iss')
+    assert ((log.times_ns[1:] - log.times_ns[0]) // SECOND).tolist() == [*STATION_SECONDS]
+    return log, log.propagate()
+
+
+def station_attitude(row):
+    log, motion = station()
+    return attitudes(log.attitude[row], motion.attitude[row])
+
+
+def station_rates(row):
+    log, motion = station()
+    return rates(log.angular_velocity[row], motion.angular_velocity[row])
+
+
+def station_rows():
+    for row, seconds in enumerate(STATION_SECONDS, start=1):
+        yield (f'attitude after {seconds} s, rad', lambda row=row: station_attitude(row),
+               3e-14 if seconds < 28800 else 2e-12)
+    for row, seconds in enumerate(STATION_SECONDS, start=1):
+        yield (f'rates after {seconds} s, relative', lambda row=row: station_rates(row),
+               3e-14 if seconds < 28800 else 3e-13)
+    yield ('attitude after 28800 s, 32 digits, rad',
+           lambda: attitudes(STATION_ATTITUDE, station()[1].attitude[-1]), 1e-14)
+    yield ('rates after 28800 s, 32 digits, relative',
+           lambda: rates(STATION_RATES, station()[1].angular_velocity[-1]), 1e-14)
+    yield ("JEOD's attitude after 28800 s, 32 digits, rad",
+           lambda: attitudes(STATION_ATTITUDE, station()[0].attitude[-1]), 2e-12)
+
+
+# The tumbling brick of NASA's check-cases.
+
+
+@cache
+def brick():
+    """
+    Return how far off the brick is at worst: attitude, degrees, and rates, degrees/s.
+
+    Only the ratio of moment to inertia matters, so that slugs and feet may stay. The moments were
+    logged at 10 Hz and go through a recording, as a user's would.
+    """
+    if 'NESC_DATA' not in os.environ:
+        raise DataNotHereError('needs NESC_DATA')
+    with open(Path(os.environ['NESC_DATA']) / 'atmos_03_sim_04.csv', newline='') as stream:
+        rows = list(csv.DictReader(stream))
+
+    def columns(*endings):
+        names = [next(name for name in rows[0] if name.endswith(ending)) for ending in endings]
+        return np.array([[float(row[name]) for name in names] for row in rows])
+    times = EPOCH_NS + np.round(columns('time')[:, 0] * 10).astype(np.int64) * (SECOND // 10)
+    motion = brick_motion(times, columns('Moment_ftlbf_L', 'Moment_ftlbf_M', 'Moment_ftlbf_N'))
+    spin = columns('deg_s_Roll', 'deg_s_Pitch', 'deg_s_Yaw')
+    # The north-east-down frame turns about its north axis with the Earth and the longitude.
+    local = euler.to_quaternion(np.radians(columns('deg_Yaw', 'deg_Pitch', 'deg_Roll')), 'ZYX')
+    turned = (7.292115e-5 * (times - times[0]) * 1e-9
+              + np.radians(columns('longitude_deg')[:, 0]))
+    frame = so3.exp(turned[:, None] * [1.0, 0.0, 0.0])
+    apart = so3.angle_between(so3.multiply(frame, local), motion.attitude)
+    return (np.degrees(apart.max()),
+            np.abs(np.degrees(motion.angular_velocity) - spin).max())
+
+
+def brick_motion(times_ns, moments):
+    body = scene.Scene.from_values({
+        'inertia.ixx': 0.001894220, 'inertia.iyy': 0.006211019, 'inertia.izz': 0.007194665,
+        **{f'initial_angular_velocity.{axis}': np.radians(rate)
+           for axis, rate in zip('xyz', (10.0, 20.0, 30.0))}})
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / 'brick.mcap'
+        with recording.Writer(path) as writer:
+            writer.add_topic('/moment', messages.WRENCH)
+            for time_ns, moment in zip(times_ns.tolist(), moments):
+                writer.write('/moment', time_ns, messages.wrench(time_ns, 'base_link', moment))
+        return replay(path, body, interpolation='cubic').trajectory
+
+
+def brick_rows():
+    # The data stay where they are: the differences are all that is shown.
+    cells = 'logged at 10 Hz', 'replayed'
+    yield 'attitude, worst of 30 s, degrees', lambda: (*cells, brick()[0]), 1e-5
+    yield 'rates, worst of 30 s, degrees/s', lambda: (*cells, brick()[1]), 1e-6
+
+
+# The asteroid Toutatis.
+
+DAY = 86400.0
+TOUTATIS = RigidBody.from_moments(3.0836, 3.235, 1.0)  # of the long axis
+TOUTATIS_EPOCH = np.datetime64('1992-11-09T17:49:47')
+TOUTATIS_START = State(0, euler.to_quaternion(np.radians((145.498, 65.865, 241.524)), 'ZXZ'),
+                       np.radians((14.51, 33.529, -98.709)) / DAY)
+#: When radar saw it, its Euler angles 3-1-3, degrees, and how far off Principia's axes are, from
+#: that of the smallest moment on: the first of 17 times in 1992, and the last.
+TOUTATIS_SEEN = {
+    '1992-12-02T21:40': ((122.2, 86.5, 107.0), (7.9, 5.4, 5.9)),
+    '1992-12-18T07:09': ((91.6, 81.6, 142.4), (5.6, 6.3, 4.1)),
+}
+
+
+def angle_round(axis, vectors):
+    """Return by what angle, rad, vectors have gone round a unit axis since the first of them."""
+    ahead = np.cross(axis, vectors[0])
+    return np.unwrap(np.arctan2(vectors @ ahead, vectors @ np.cross(ahead, axis)))
+
+
+@cache
+def toutatis_periods():
+    """Return in how many days it turns about its long axis, and that about the momentum."""
+    seconds = np.arange(0.0, 6 * DAY, 60.0)
+    motion = propagate(TOUTATIS, TOUTATIS_START, at=(seconds * 1e9).astype(np.int64))
+    momentum = TOUTATIS.angular_momentum(motion.angular_velocity)
+    long_axis = np.array([0.0, 0.0, 1.0])
+    turn = np.interp(2 * np.pi, np.abs(angle_round(long_axis, momentum)), seconds)
+    north = motion.angular_momentum_space[0] / np.linalg.norm(motion.angular_momentum_space[0])
+    precessed = np.abs(angle_round(north, so3.rotate(motion.attitude, long_axis)))
+    return turn / DAY, turn / DAY * 2 * np.pi / np.interp(turn, seconds, precessed)
+
+
+def toutatis_period(which, published):
+    found = toutatis_periods()[which]
+    return f'{published:.2f}', f'{found:.4f}', abs(found - published)
+
+
+def toutatis_axes(seen):
+    """Compare how far off the axes are that were seen: Principia's solver, and here."""
+    angles, published = TOUTATIS_SEEN[seen]
+    time_ns = int((np.datetime64(seen) - TOUTATIS_EPOCH) / np.timedelta64(1, 'ns'))
+    axes = so3.matrix(propagate(TOUTATIS, TOUTATIS_START, at=[time_ns]).attitude[0])
+    radar = so3.matrix(euler.to_quaternion(np.radians(angles), 'ZXZ'))
+    found = np.degrees(np.arccos((axes * radar).sum(axis=0)))[[2, 0, 1]]
+    return (' '.join(f'{angle:.1f}' for angle in published),
+            ' '.join(f'{angle:.2f}' for angle in found), np.abs(found - published).max())
+
+
+def toutatis_rows():
+    yield 'period about the long axis, days', lambda: toutatis_period(0, 5.38), 0.03
+    yield 'period of its precession, days', lambda: toutatis_period(1, 7.40), 0.03
+    for seen in TOUTATIS_SEEN:
+        yield (f'axes 1, 2, 3 off radar on {seen[:10]}, degrees',
+               lambda seen=seen: toutatis_axes(seen), 0.1)
+
+
+# Bodies without torque from the literature.
+
+#: Attitude and rates, rad/s, of `TOPS` 10 s after the identity, by a series of 34 digits from the
+#: decimals of the literature: doubles begin a last digit off.
+STATES = {
+    'Hairer and Vilmart': (
+        (-0.57078695124035073, -0.29938857183079009, -0.20683908610467319, -0.73606136416079394),
+        (2.9432708475303459, -0.8693302462913614, 0.77955498148187109)),
+    'Hairer and Vilmart, water': (
+        (0.7497771466036243, -0.27756735059869179, -0.10754066386713205, -0.59095313005987768),
+        (5.2340541859516433, -0.44894191432162688, 0.92915521481064942)),
+    "van Zon's top": (
+        (0.17783618504593759, 0.45844158615951027, 0.34110922853543152, -0.80115547653113008),
+        (-8.9329781478705381, 10.951523571915611, 7.1771583276718637)),
+    "Gazebo's boxes": (
+        (-0.61992756249945249, -0.27702915068719459, 0.69874572364031014, 0.22516456341395816),
+        (2.7558404051468494, -3.7359635192162199, -3.1618090034675183)),
+}
+
+
+@cache
+def top(name):
+    moments, start, _ = TOPS[name]
+    return propagate(RigidBody.from_moments(*moments), State(0, angular_velocity=start),
+                     at=[10 * SECOND])
+
+
+def top_rows():
+    for name, (attitude, spin) in STATES.items():
+        yield (f'{name}, attitude after 10 s, rad',
+               lambda name=name, right=attitude: attitudes(right, top(name).attitude[0]), 2e-14)
+        yield (f'{name}, rates after 10 s, relative',
+               lambda name=name, right=spin: rates(right, top(name).angular_velocity[0]), 1e-14)
+    for name in TOPS:
+        yield f'{name}, period, s', lambda name=name: numbers(*period(name)), 5e-15
+
+
+# The sweep of Landau and Zener.
+
+
+def sweep():
+    """
+    Return the limit 2 exp(-pi / 2) - 1, and what is left of the axis along the rates.
+
+    The axis of the field rather than R33 of `landau_zener`, for that comes nearer by 1 / T only.
+    """
+    half_time = 200
+    start = State(0, angular_velocity=(1.0, 0.0, -half_time))
+    motion = propagate(RigidBody(np.eye(3)), start, TorqueLog([0], [[0.0, 0.0, 1.0]]),
+                       at=[2 * half_time * SECOND])
+    before, after = (w / np.linalg.norm(w)
+                     for w in (start.angular_velocity, motion.angular_velocity[0]))
+    return 2 * np.exp(-np.pi / 2) - 1, -before @ so3.matrix(motion.attitude[0]) @ after
+
+
+def sweep_rows():
+    yield 'R33 from -20 s to 20 s', lambda: numbers(*landau_zener(20)), 1e-13
+    yield 'R33 from -40 s to 40 s', lambda: numbers(*landau_zener(40)), 1e-13
+    yield 'limit, from -200 s to 200 s', lambda: numbers(*sweep()), 5e-7
+
+
+#: By source: what is compared, with its unit; how; and how far apart the two may be.
+ROWS = {source: {name: (compare, bound) for name, compare, bound in rows()}
+        for source, rows in {'jeod': station_rows, 'nesc': brick_rows, 'toutatis': toutatis_rows,
+                             'tops': top_rows, 'sweep': sweep_rows}.items()}
