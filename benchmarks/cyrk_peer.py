@@ -8,6 +8,7 @@ NAME = f'CyRK {__version__}'
 LADDER = [{'method': method, 'rtol': 10.0 ** -k}
           for method in ('Vern7', 'Vern8') for k in range(3, 15)]
 STREAM_TOLERANCE = 1e-9
+STREAM_LADDER = [{}]
 
 
 class Final:

@@ -6,6 +6,7 @@ NAME = f'heyoka {hy.__version__}'
 LADDER = [{'tol': 10.0 ** -k} for k in range(3, 16)] + [{}]
 #: Steps of a millisecond are at rounding level with it, and cheaper than with less or more.
 STREAM_TOLERANCE = 1e-6
+STREAM_LADDER = [{}]
 
 
 class Final:

@@ -1,19 +1,24 @@
-"""The loop that is written by hand: RK4 in numba, one step per torque, normalised."""
+"""The loop that is written by hand: RK4 in numba, steps of one length, normalised."""
 
 import numba
 import numpy as np
 
 NAME = f'RK4 in numba {numba.__version__}'
+LADDER = [{'steps': steps} for steps in (
+    200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000, 500_000, 1_000_000,
+    2_000_000)]
+STREAM_LADDER = [{}, {'substeps': 2}]
 
 
-class Stream:
-    """The attitude at the end; it keeps no other."""
+class Final:
+    """The attitude at the end, under at most one torque; it keeps no other."""
 
-    def __init__(self, problem):
-        """One step per torque is all it does."""
-        self.label = 'one step per sample'
-        self._arguments = (*problem.start_vector, *problem.coupling, problem.accelerations,
-                           problem.hold_ns * 1e-9)
+    def __init__(self, problem, steps):
+        """All steps are equal."""
+        self.label = f'{steps} steps'
+        accelerations = problem.accelerations if len(problem.torques) else np.zeros((1, 3))
+        self._arguments = (*problem.start_vector, *problem.coupling,
+                           np.broadcast_to(accelerations, (steps, 3)), problem.seconds / steps)
 
     def reset(self):
         """Go back to the start: nothing is kept that would have to."""
@@ -25,6 +30,17 @@ class Stream:
     def attitude(self):
         """Return x y z w."""
         return np.array(self._attitude)
+
+
+class Stream(Final):
+    """The same under torques that are each held for a step, or a few."""
+
+    def __init__(self, problem, substeps=1):
+        """One step per torque is at rounding level already."""
+        self.label = 'one step per sample' if substeps == 1 else f'{substeps} steps per sample'
+        self._arguments = (*problem.start_vector, *problem.coupling,
+                           np.repeat(problem.accelerations, substeps, axis=0),
+                           problem.hold_ns * 1e-9 / substeps)
 
 
 @numba.njit(cache=True)

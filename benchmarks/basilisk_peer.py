@@ -1,0 +1,95 @@
+"""Basilisk: a spacecraft of one rigid hub, integrated by its RK4 in Rodrigues parameters."""
+
+from importlib.metadata import version
+
+from Basilisk.architecture import bskLogging, messaging
+from Basilisk.architecture.numbaModel import NumbaModel
+from Basilisk.simulation import extForceTorque, spacecraft
+from Basilisk.utilities import SimulationBaseClass
+import numpy as np
+
+NAME = f"Basilisk {version('bsk')}"
+# Its clock counts nanoseconds, of which each step has to be a whole number.
+LADDER = [{'steps': steps} for steps in (
+    200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000, 500_000)]
+STREAM_LADDER = [{}, {'substeps': 2}]
+
+bskLogging.setDefaultLogLevel(bskLogging.BSK_ERROR)  # it warns of every start but the first
+
+
+class Final:
+    """The state at the end, under at most one torque."""
+
+    def __init__(self, problem, steps):
+        """All steps are equal."""
+        self.label = f'RK4, {steps} steps'
+        self._prepare(problem, problem.end_ns // steps)
+        if len(problem.torques):
+            self._effector.extTorquePntB_B = problem.torques.T.tolist()
+
+    def _prepare(self, problem, step_ns):
+        self._simulation = SimulationBaseClass.SimBaseClass()
+        process = self._simulation.CreateNewProcess('process')
+        process.addTask(self._simulation.CreateNewTask('task', step_ns))
+        self._spacecraft = spacecraft.Spacecraft()
+        self._simulation.AddModelToTask('task', self._spacecraft)
+        hub = self._spacecraft.hub
+        hub.mHub, hub.IHubPntBc_B = 1.0, np.diag(problem.moments).tolist()
+        hub.sigma_BNInit = [[0.0], [0.0], [0.0]]
+        hub.omega_BN_BInit = [[rate] for rate in problem.rates]
+        if len(problem.torques):
+            self._effector = extForceTorque.ExtForceTorque()
+            self._spacecraft.addDynamicEffector(self._effector)
+        self._end_ns = problem.end_ns
+
+    def reset(self):
+        """Go back to the start."""
+        self._simulation.InitializeSimulation()
+        self._simulation.ConfigureStopTime(self._end_ns)
+
+    def run(self):
+        """Integrate."""
+        self._simulation.ExecuteSimulation()
+
+    def attitude(self):
+        """Return x y z w, of either sign: the parameters do not tell which."""
+        sigma = np.array(self._spacecraft.scStateOutMsg.read().sigma_BN)
+        square = sigma @ sigma
+        return np.append(2.0 * sigma, 1.0 - square) / (1.0 + square)
+
+
+class Stream(Final):
+    """The state at the end, under torques that a compiled module sends, each for some steps."""
+
+    def __init__(self, problem, substeps=1):
+        """One step per torque is at rounding level already."""
+        self.label = 'RK4, ' + (
+            'one step per sample' if substeps == 1 else f'{substeps} steps per sample')
+        self._prepare(problem, problem.hold_ns // substeps)
+        self._sender = Sender(np.repeat(problem.torques, substeps, axis=0))
+        self._effector.cmdTorqueInMsg.subscribeTo(self._sender.torqueOutMsg)
+        # After the spacecraft, which goes from the sample before to this one when its turn comes:
+        # the other order would give it each torque a sample early.
+        for model in (self._sender, self._effector):
+            self._simulation.AddModelToTask('task', model)
+
+    def reset(self):
+        """Go back to the start."""
+        self._sender.memory.sent = 0
+        super().reset()
+
+
+class Sender(NumbaModel):
+    """A module that sends one torque after the other."""
+
+    def __init__(self, torques):
+        super().__init__()
+        self.torqueOutMsg = messaging.CmdTorqueBodyMsg()
+        self.memory.torques, self.memory.sent = torques, 0
+
+    @staticmethod
+    def UpdateStateImpl(torqueOutMsgPayload, memory):  # noqa: N802, N803
+        """Send the next; at the end of the last there is none."""
+        if memory.sent < len(memory.torques):
+            torqueOutMsgPayload.torqueRequestBody[:] = memory.torques[memory.sent]
+            memory.sent += 1

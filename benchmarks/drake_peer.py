@@ -1,0 +1,94 @@
+"""Drake: a floating body in a multibody plant, integrated by its fifth-order Runge-Kutta pair."""
+
+from importlib.metadata import version
+
+import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant, Propeller, PropellerInfo
+from pydrake.multibody.tree import SpatialInertia, UnitInertia
+from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource, ZeroOrderHold
+from pydrake.trajectories import PiecewisePolynomial
+
+NAME = f"Drake {version('drake')}"
+# At equal cost steps of one length are more accurate than those that its error control chooses.
+LADDER = [{'steps': steps} for steps in (
+    200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000)]
+
+
+class Final:
+    """The state at the end, under at most one torque."""
+
+    def __init__(self, problem, steps):
+        """All steps are equal."""
+        self.label = f'RK5, {steps} steps'
+        self._prepare(problem, problem.seconds / steps)
+
+    def _prepare(self, problem, step):
+        builder = DiagramBuilder()
+        self._plant = _body(builder, problem)
+        self._simulator = Simulator(builder.Build())
+        ResetIntegratorFromFlags(self._simulator, 'runge_kutta5', step).set_fixed_step_mode(True)
+        self._context = self._plant.GetMyMutableContextFromRoot(
+            self._simulator.get_mutable_context())
+        self._rates, self._end = problem.rates, float(problem.seconds)
+
+    def reset(self):
+        """Go back to the start."""
+        self._simulator.get_mutable_context().SetTime(0.0)
+        self._plant.SetPositions(self._context, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        self._plant.SetVelocities(self._context, [*self._rates, 0.0, 0.0, 0.0])
+        self._simulator.Initialize()
+
+    def run(self):
+        """Integrate."""
+        self._simulator.AdvanceTo(self._end)
+
+    def attitude(self):
+        """Return x y z w, of a quaternion that Drake lets drift off unit length."""
+        attitude = np.roll(self._plant.GetPositions(self._context)[:4], -1)
+        return attitude / np.linalg.norm(attitude)
+
+
+class Stream(Final):
+    """The state at the end, under torques that a block of the diagram holds."""
+
+    def __init__(self, problem):
+        """One step per torque is at rounding level already."""
+        self.label = 'RK5, zero-order hold, one step per sample'
+        self._prepare(problem, problem.hold_ns * 1e-9)
+
+
+def _body(builder, problem):
+    plant = builder.AddSystem(MultibodyPlant(0.0))
+    inertia = SpatialInertia(1.0, np.zeros(3), UnitInertia(*problem.moments))
+    body = plant.AddRigidBody('body', inertia)
+    plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
+    plant.Finalize()
+    if len(problem.torques):
+        # Applied forces are about space axes. What turns with the body without Python in the
+        # loop is a propeller, here one per axis that has a moment and no thrust.
+        propeller = builder.AddSystem(Propeller([
+            PropellerInfo(body.index(), RigidTransform(RotationMatrix.MakeFromOneVector(axis, 2)),
+                          thrust_ratio=0.0, moment_ratio=1.0) for axis in np.eye(3)]))
+        builder.Connect(plant.get_body_poses_output_port(),
+                        propeller.get_body_poses_input_port())
+        builder.Connect(propeller.get_spatial_forces_output_port(),
+                        plant.get_applied_spatial_force_input_port())
+        builder.Connect(_torques(builder, problem), propeller.get_command_input_port())
+    return plant
+
+
+def _torques(builder, problem):
+    if len(problem.torques) == 1:
+        return builder.AddSystem(ConstantVectorSource(problem.torques[0])).get_output_port()
+    hold = problem.hold_ns * 1e-9
+    # The hold samples in the middle of a piece, where rounding of time cannot mistake it.
+    breaks = (np.arange(len(problem.torques) + 1) - 0.5) * hold
+    pieces = PiecewisePolynomial.ZeroOrderHold(
+        breaks, np.vstack([problem.torques, problem.torques[-1]]).T)
+    source = builder.AddSystem(TrajectorySource(pieces))
+    sampler = builder.AddSystem(ZeroOrderHold(hold, 3))
+    builder.Connect(source.get_output_port(), sampler.get_input_port())
+    return sampler.get_output_port()

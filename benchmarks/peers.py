@@ -1,0 +1,261 @@
+"""
+Measure what an error costs, here and with what a user would pick instead.
+
+    python benchmarks/peers.py [--json FILE] [--plot PNG] [--page docs/tradeoff.md] [PROBLEM ...]
+
+Each contender runs each problem over a ladder of settings, from coarse to fine, until a run takes
+a second. For every level of error the cheapest setting that stays below it counts; ours and the
+best of the peers are then timed against each other in turns. Errors are angles, rad, between final
+attitudes and the truth in 30 digits; times are of one thread, warm. With --page the tables there
+are made anew: all between the lines `MARK` and `END`.
+"""
+
+import argparse
+import importlib
+import json
+from pathlib import Path
+import time
+from typing import Any, NamedTuple
+
+from engine import Ours, first_run, machine
+from extremes import header, row
+from matplotlib.figure import Figure
+import numpy as np
+from pairs import compare, quick
+from problems import PROBLEMS, error
+from tqdm import tqdm
+
+MARK = '<!-- what follows is printed by benchmarks/peers.py -->'
+END = '<!-- end of what is printed by benchmarks/peers.py -->'
+PEERS = ('heyoka', 'cyrk', 'rk4', 'scipy', 'numpy', 'mujoco', 'drake', 'basilisk')
+US = 'rigid_body_ros'
+LEVELS = tuple(float(f'1e-{k}') for k in range(3, 14))
+#: s; a ladder ends with the first rung that takes longer.
+LONGEST = 1.0
+#: s; a run of so long need not be repeated to choose by.
+LONG = 0.1
+TITLES = {
+    'P1': 'no torque, near the intermediate axis, 100 s',
+    'P1f': 'the same ten times as fast',
+    'P2': 'no torque, 1000 s',
+    'P3': 'constant body torque, 100 s',
+    'P4': 'torque held for 1 ms each, 60 s',
+    'P5': 'no torque, moments 1e-9 apart, 1000 s',
+    'P6': 'no torque, rod 1e-6 : 1 : 1, 10 s',
+}
+COLOURS = ('#000000', '#0072b2', '#d55e00', '#009e73', '#cc79a7', '#56b4e9', '#e69f00',
+           '#999999', '#7b3294')
+MARKERS = 'osD^vPX<>'
+
+
+class Rung(NamedTuple):
+    """A contender with one setting, the error, rad, and the time, s, of a run."""
+
+    contender: Any
+    setting: str
+    error: float
+    seconds: float
+
+
+def our_ladder(problem):
+    """Return our settings, from coarse to fine."""
+    span = problem.hold_ns * 1e-9
+    # At most one step a sample, or the radian or so that the coarsest peers begin with.
+    longest = span if len(problem.torques) > 1 else span / 2 ** np.ceil(
+        np.log2(span * np.linalg.norm(problem.rates)))
+    return [{'solver': 'auto', 'tolerance': 10.0 ** -k} for k in range(1, 16)] + [
+        {'solver': 'rk4', 'max_step': longest / 2 ** k} for k in range(8)]
+
+
+class Named(Ours):
+    """Ours at the end only, as the peers answer, with the name of its setting."""
+
+    def __init__(self, problem, **options):
+        """`options` are those of `propagate`."""
+        super().__init__(problem, at=problem.at[-1:], **options)
+        self.label = ' '.join(f'{value:.0e}' if name == 'tolerance' else
+                              f'{value:.3g} s' if name == 'max_step' else value
+                              for name, value in options.items())
+
+
+def ladders(problem, peers):
+    """Yield the name of a contender, how to make it, and its settings, group by group."""
+    ours = our_ladder(problem)
+    for solver in ('auto', 'rk4'):
+        yield US, Named, [options for options in ours if options['solver'] == solver]
+    stream = len(problem.torques) > 1
+    for name, module in peers.items():
+        yield (name, *((module.Stream, module.STREAM_LADDER) if stream else
+                       (module.Final, module.LADDER)))
+
+
+def climb(name, make, ladder):
+    """Return the rungs of a ladder that are not too long, and what was wrong with others."""
+    rungs, failed = [], []
+    for options in ladder:
+        try:
+            contender, _ = first_run(make, PROBLEMS[name], **options)
+        except (RuntimeError, ValueError) as problem:
+            failed.append(f'{options}: {str(problem).splitlines()[0]}')
+            continue
+        seconds = cost(contender)
+        rungs.append(Rung(contender, contender.label, error(name, contender.attitude()), seconds))
+        if seconds > LONGEST:
+            break
+    return rungs, failed
+
+
+def cost(contender):
+    """Return about how long a run takes, s."""
+    contender.reset()
+    began = time.process_time()
+    contender.run()
+    seconds = time.process_time() - began
+    return seconds if seconds > LONG else quick(contender)
+
+
+def measure(name, peers):
+    """Return the rungs of every contender at a problem, and those that failed."""
+    rungs, failed = {}, []
+    for who, make, ladder in tqdm([*ladders(PROBLEMS[name], peers)], desc=name, leave=False):
+        found, why = climb(name, make, ladder)
+        rungs.setdefault(who, []).extend(found)
+        failed += [f'{who} {reason}' for reason in why]
+    return rungs, failed
+
+
+def cheapest(rungs, level):
+    """Return the cheapest rung of an error up to a level, or None."""
+    return min((rung for rung in rungs if rung.error <= level),
+               key=lambda rung: rung.seconds, default=None)
+
+
+def duels(rungs):
+    """Return by level how many times as fast as the best peer ours is, with its interval."""
+    found, known = {}, {}
+    for level in LEVELS:
+        ours = cheapest(rungs[US], level)
+        peer = cheapest([rung for who, some in rungs.items() if who != US for rung in some],
+                        level)
+        if ours and peer:
+            pair = id(ours), id(peer)
+            if pair not in known:
+                known[pair] = [float(end) for end in compare(ours.contender,
+                                                             peer.contender).ratio]
+            found[level] = known[pair]
+    return found
+
+
+def verdict(ours, ratio):
+    """Return the cell of a level: what the best peer takes, over what ours does."""
+    if ratio is None:
+        return 'alone' if ours else '-'
+    median, low, high = ratio
+    word = '' if low > 1.0 else ' (level)' if high >= 1.0 else ' (behind)'
+    return f'{median:.3g}{word}'
+
+
+def table(name, rungs, ratios):
+    """Return the lines of a problem: us by contender and level."""
+    lines = [f'### {name}: {TITLES[name]}', '',
+             *header('us', *(f'{level:.0e}' for level in LEVELS), 'least error')]
+    for who, some in rungs.items():
+        best = [cheapest(some, level) for level in LEVELS]
+        least = min((rung.error for rung in some), default=np.nan)
+        lines.append(row(who, *(f'{1e6 * rung.seconds:.3g}' if rung else '-' for rung in best),
+                         f'{least:.0e}'))
+    lines.append(row('best peer / ours', *(
+        verdict(cheapest(rungs[US], level), ratios.get(level)) for level in LEVELS), ''))
+    return [*lines, '']
+
+
+def draw(path, results):
+    """Draw the front of every contender at every problem."""
+    figure = Figure(figsize=(11.0, 6.4), layout='constrained')
+    panels = figure.subplots(2, 4, sharex=True).ravel()
+    names = dict.fromkeys(who for rungs, *_ in results.values() for who in rungs)
+    for panel, (name, (rungs, *_)) in zip(panels, results.items()):
+        panel.set_title(f'{name}: {TITLES[name]}', fontsize=8, loc='left')
+        for number, who in enumerate(names):
+            front = [(level, rung.seconds * 1e6) for level in LEVELS
+                     if (rung := cheapest(rungs.get(who, ()), level))]
+            if front:
+                panel.loglog(*zip(*front), marker=MARKERS[number], color=COLOURS[number],
+                             linewidth=2.2 if who == US else 1.0, markersize=4, label=who,
+                             zorder=3 if who == US else 2)
+        panel.grid(alpha=0.25)
+        panel.tick_params(labelsize=8)
+    for panel in panels[len(results):]:
+        panel.set_axis_off()
+    handles = {label: handle for panel in panels
+               for handle, label in zip(*panel.get_legend_handles_labels())}
+    figure.legend(handles.values(), handles, loc='lower right', fontsize=9, frameon=False)
+    figure.supxlabel('final attitude error at most (rad)', fontsize=9)
+    figure.supylabel('time of a run (us)', fontsize=9)
+    figure.savefig(path, dpi=150)
+
+
+def installed():
+    """Return the modules of the peers by name; tell which are not installed."""
+    modules, missing = {}, []
+    for name in PEERS:
+        try:
+            modules[name] = importlib.import_module(f'{name}_peer')
+        except ImportError as problem:
+            missing.append(f'left out: {name}: {problem}')
+    return modules, missing
+
+
+def described(modules, missing):
+    """Return the lines that tell where and of what the figures are."""
+    about = machine()
+    versions = [f"rigid_body_ros {about['versions']['rigid_body_ros']}",
+                *(module.NAME for module in modules.values())]
+    processors = about['processors']
+    return [f"{len(processors)} x {processors[0]}, Python {about['python']}; "
+            f"{', '.join(versions)}.", *missing, '']
+
+
+def as_data(rungs, failed, ratios):
+    """Return what was measured at a problem, for a file."""
+    return {'rungs': [{'contender': who, 'setting': rung.setting, 'error_rad': rung.error,
+                       'seconds': rung.seconds} for who, some in rungs.items() for rung in some],
+            'failed': failed, 'best_peer_over_ours_by_level': ratios}
+
+
+def main():
+    """Measure the problems that are named, or all, and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument('problems', nargs='*', metavar='PROBLEM', default=[*PROBLEMS],
+                        help=f'any of {", ".join(PROBLEMS)}; all if none is named')
+    parser.add_argument('--json', type=Path, help='write every figure')
+    parser.add_argument('--plot', type=Path, help='draw the fronts')
+    parser.add_argument('--page', type=Path, help='write the tables into a page')
+    arguments = parser.parse_args()
+    if unknown := set(arguments.problems) - set(PROBLEMS):
+        parser.error(f'no problem {", ".join(sorted(unknown))}; there are {", ".join(PROBLEMS)}')
+    modules, missing = installed()
+    results = {}
+    for name in arguments.problems:
+        rungs, failed = measure(name, modules)
+        results[name] = rungs, failed, duels(rungs)
+    lines = described(modules, missing)
+    for name, (rungs, failed, ratios) in results.items():
+        lines += table(name, rungs, ratios)
+        lines += [f'* failed: {reason}' for reason in failed] + [''] * bool(failed)
+    text = '\n'.join(lines)
+    print(text)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(
+            {'machine': machine(), 'problems': {
+                name: as_data(*result) for name, result in results.items()}}, indent=1) + '\n')
+    if arguments.plot:
+        draw(arguments.plot, results)
+    if arguments.page:
+        page = arguments.page.read_text()
+        arguments.page.write_text(
+            f'{page.split(MARK)[0]}{MARK}\n\n{text}\n{END}{page.split(END)[1]}')
+
+
+if __name__ == '__main__':
+    main()
