@@ -15,6 +15,7 @@ NAME = f"Drake {version('drake')}"
 # At equal cost steps of one length are more accurate than those that its error control chooses.
 LADDER = [{'steps': steps} for steps in (
     200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000)]
+STREAM_LADDER = [{}]
 
 
 class Final:

@@ -27,7 +27,9 @@ from tqdm import tqdm
 
 MARK = '<!-- what follows is printed by benchmarks/peers.py -->'
 END = '<!-- end of what is printed by benchmarks/peers.py -->'
-PEERS = ('heyoka', 'cyrk', 'rk4', 'scipy', 'numpy', 'mujoco', 'drake', 'basilisk')
+#: By the names of their modules.
+PEERS = {'heyoka': 'heyoka', 'cyrk': 'CyRK', 'rk4': 'RK4, numba', 'scipy': 'scipy',
+         'numpy': 'RK4, numpy', 'mujoco': 'MuJoCo', 'drake': 'Drake', 'basilisk': 'Basilisk'}
 US = 'rigid_body_ros'
 LEVELS = tuple(float(f'1e-{k}') for k in range(3, 14))
 #: s; a ladder ends with the first rung that takes longer.
@@ -98,8 +100,14 @@ def climb(name, make, ladder):
         except (RuntimeError, ValueError) as problem:
             failed.append(f'{options}: {str(problem).splitlines()[0]}')
             continue
+        attitude = np.asarray(contender.attitude())
+        if not np.all(np.isfinite(attitude)):
+            failed.append(f'{contender.label}: not finite')
+            continue
+        # Not every peer can tell q from -q.
+        off = min(error(name, sign * attitude) for sign in (1.0, -1.0))
         seconds = cost(contender)
-        rungs.append(Rung(contender, contender.label, error(name, contender.attitude()), seconds))
+        rungs.append(Rung(contender, contender.label, off, seconds))
         if seconds > LONGEST:
             break
     return rungs, failed
@@ -172,7 +180,7 @@ def table(name, rungs, ratios):
 def draw(path, results):
     """Draw the front of every contender at every problem."""
     figure = Figure(figsize=(11.0, 6.4), layout='constrained')
-    panels = figure.subplots(2, 4, sharex=True).ravel()
+    panels = figure.subplots(2, 4).ravel()
     names = dict.fromkeys(who for rungs, *_ in results.values() for who in rungs)
     for panel, (name, (rungs, *_)) in zip(panels, results.items()):
         panel.set_title(f'{name}: {TITLES[name]}', fontsize=8, loc='left')
@@ -183,6 +191,7 @@ def draw(path, results):
                 panel.loglog(*zip(*front), marker=MARKERS[number], color=COLOURS[number],
                              linewidth=2.2 if who == US else 1.0, markersize=4, label=who,
                              zorder=3 if who == US else 2)
+        panel.set_xlim(0.5 * LEVELS[-1], 2.0 * LEVELS[0])
         panel.grid(alpha=0.25)
         panel.tick_params(labelsize=8)
     for panel in panels[len(results):]:
@@ -198,11 +207,11 @@ def draw(path, results):
 def installed():
     """Return the modules of the peers by name; tell which are not installed."""
     modules, missing = {}, []
-    for name in PEERS:
+    for name, label in PEERS.items():
         try:
-            modules[name] = importlib.import_module(f'{name}_peer')
+            modules[label] = importlib.import_module(f'{name}_peer')
         except ImportError as problem:
-            missing.append(f'left out: {name}: {problem}')
+            missing.append(f'Left out: {label}: {problem}')
     return modules, missing
 
 

@@ -117,6 +117,4 @@ def error(name, attitude):
         raise SystemExit(f'{name}: the numbers here differ from those that {TRUTH.name} was made '
                          f'from; run python {HERE.name}/make_truth.py {name}')
     with mp.workdps(40):
-        true = truth.exact(recorded['attitude'])
-        # A peer without quaternions cannot tell q from -q, which are one attitude.
-        return min(truth.chord(true, sign * np.asarray(attitude)) for sign in (1.0, -1.0))
+        return truth.chord(truth.exact(recorded['attitude']), attitude)
