@@ -74,7 +74,8 @@ def free(tensor, attitude, rates, time_ns, digits=50):
 def chord(truth, attitude):
     """Return the angle, rad, between a true attitude and one in doubles; q and -q are apart."""
     with mp.workdps(50):
-        return float(4 * mp.asin(_length(truth - _unit(exact(attitude))) / 2))
+        # Rounding takes opposite ends further apart than 2.
+        return float(4 * mp.asin(min(mp.one, _length(truth - _unit(exact(attitude))) / 2)))
 
 
 def rotate(q, v):
