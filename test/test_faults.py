@@ -247,6 +247,7 @@ def test_a_motion_beyond_real_time_hangs_no_shutdown(domain):
         words = live.words()
         assert 'Traceback' not in words
 
+
 def test_a_body_beyond_all_bounds_ends_nothing(domain):
     with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'solver:=rk4', '-p', 'max_step:=0.05',
                      '-p', 'history:=0.6') as live:
