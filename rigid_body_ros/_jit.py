@@ -16,6 +16,9 @@ try:
 except ImportError:
     numba = None
 
+#: Whether kernels are compiled.
+COMPILES = numba is not None
+
 Kernel = TypeVar('Kernel', bound=Callable[..., Any])
 
 
@@ -28,7 +31,7 @@ def njit(kernel: Kernel) -> Kernel:
     hundreds of times slower. Where no cache folder can be written, as in a read-only install
     without a home, kernels are compiled anew by every process, and one warning says so.
     """
-    if numba is None:
+    if not COMPILES:
         return kernel
     try:
         compiled = numba.njit(cache=True, error_model='numpy')(kernel)
@@ -55,7 +58,7 @@ def inlined(kernel: Kernel) -> Kernel:
 
 def _part(kernel: Kernel, **options: bool) -> Kernel:
     # The wrappers for calls from elsewhere take as long to compile as the parts themselves.
-    if numba is None:
+    if not COMPILES:
         return kernel
     compiled = numba.njit(error_model='numpy', no_cpython_wrapper=True, no_cfunc_wrapper=True,
                           **options)(kernel)
@@ -114,4 +117,4 @@ def _generate_fma(_context: Any, a: Any, b: Any, c: Any) -> Any:
 #: the rounding error of a product available, fma(a, b, -(a * b)). It is asked for by name, and
 #: not left to the compiler, which may fuse the same formula here and not there.
 fma: Callable[[float, float, float], float] = \
-    intrinsic(_generate_fma) if numba is not None else _exact_fma
+    intrinsic(_generate_fma) if COMPILES else _exact_fma

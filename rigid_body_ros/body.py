@@ -66,8 +66,9 @@ class RigidBody:
         self.principal_moments, self.principal_axes = (high.copy() for high, _ in self._principal)
         self.triangle_excess = _checked_excess(self.principal_moments)
         self.symmetry = _symmetry(self.principal_moments)
-        #: Euler's equations (2, 3, 9) as the kernels want them.
+        #: Euler's equations (2, 3, 9), and all that the kernels need to know.
         self._coefficients = _worked_out(constants.euler_coefficients, self.inertia)
+        self._constants = constants.packed(self._coefficients, *self._principal)
         self.inertia.flags.writeable = False
 
     @classmethod
@@ -189,6 +190,10 @@ def rate_in_space(rate_in_body: ArrayLike, angular_velocity: ArrayLike,
     return np.asarray(rate_in_body, float) + np.cross(w, a)
 
 
+#: Size of a state as an array.
+SIZE = 16
+
+
 @dataclass(frozen=True, eq=False, init=False)
 class State:
     """
@@ -214,25 +219,25 @@ class State:
     time_ns: int
     attitude: Floats
     angular_velocity: Floats
-    #: What rounding left over of w and q: with it a restarted run goes on bit for bit.
-    _carry: Floats = field(repr=False)
+    #: Angular velocity and a zero, attitude, and what rounding took from each: with all of it a
+    #: restarted run goes on bit for bit.
+    _packed: Floats = field(init=False, repr=False)
     #: And if it lies between two torque changes, where the steps to it began.
-    _origin: object = field(repr=False)
+    _origin: object = field(init=False, repr=False)
 
     @classmethod
-    def _as_computed(cls, time_ns: int, attitude: Floats, angular_velocity: Floats, carry: Floats,
-                     origin: object = None) -> State:
+    def _as_computed(cls, time_ns: int, packed: Floats, origin: object = None) -> State:
         """Return a state with every bit as it is: no norm is restored."""
         state = object.__new__(cls)
-        for name, value in (('time_ns', time_ns), ('attitude', attitude),
-                            ('angular_velocity', angular_velocity), ('_carry', carry),
+        packed.flags.writeable = False
+        for name, value in (('time_ns', time_ns), ('attitude', packed[4:8]),
+                            ('angular_velocity', packed[:3]), ('_packed', packed),
                             ('_origin', origin)):
             object.__setattr__(state, name, value)
         return state
 
     def __init__(self, time_ns: int = 0, attitude: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-                 angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-                 _carry: Floats | None = None, _origin: object = None) -> None:
+                 angular_velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         q = _checked_vector(attitude, 4, 'attitude quaternion (x, y, z, w)')
         if not q.any():
             raise ValueError('attitude quaternion (x, y, z, w): expected a rotation, '
@@ -240,12 +245,8 @@ class State:
         if abs(np.linalg.norm(q) - 1.0) > 4.0 * np.finfo(float).eps:
             q = so3.normalize(q)
         w = _checked_vector(angular_velocity, 3, 'angular velocity')
-        for array in (q, w):
-            array.flags.writeable = False
-        carry = np.zeros(7) if _carry is None else _carry
-        for name, value in (('time_ns', operator.index(time_ns)), ('attitude', q),
-                            ('angular_velocity', w), ('_carry', carry), ('_origin', _origin)):
-            object.__setattr__(self, name, value)
+        packed = np.concatenate([w, [0.0], q, np.zeros(8)])
+        self.__dict__.update(self._as_computed(operator.index(time_ns), packed).__dict__)
 
 
 def _checked_vector(values: ArrayLike, size: int, what: str) -> Floats:

@@ -33,10 +33,22 @@ import math
 from typing import NamedTuple
 
 from rigid_body_ros import double_double as dd
-from rigid_body_ros import elliptic
+from rigid_body_ros import elliptic, four
 from rigid_body_ros._jit import part
 from rigid_body_ros.double_double import Double
-from rigid_body_ros.vector import Frame, Quaternion, State, Vector, combine, multiply
+from rigid_body_ros.vector import (
+    Frame,
+    Quaternion,
+    State,
+    Vector,
+    add,
+    add_scaled,
+    combine,
+    dot,
+    multiply,
+    of,
+    scale,
+)
 
 #: What rounding does to numbers of 32 digits, and how much of m_c, which near the separatrix is a
 #: difference of such numbers, may be in doubt: a step by step solution would be further off.
@@ -113,7 +125,7 @@ def prepare(state: State, frame: Frame) -> Motion:
     rows = frame[2]
     if second[0] < 0.0:  # axes 3, -2, 1; all differences change their signs
         i, m = (i[2], i[1], i[0]), (m[2], _negative(m[1]), m[0])
-        rows = (rows[2], _opposite(rows[1]), rows[0])
+        rows = (rows[2], four.negative(rows[1]), rows[0])
         d21, d31, d32 = d32, d31, d21
         first, second, third = third, _negative(second), first
         sign = -1.0
@@ -121,7 +133,7 @@ def prepare(state: State, frame: Frame) -> Motion:
         sign = 1.0
     if m[2][0] < 0.0:
         m = (_negative(m[0]), m[1], _negative(m[2]))
-        rows = (_opposite(rows[0]), rows[1], _opposite(rows[2]))
+        rows = (four.negative(rows[0]), rows[1], four.negative(rows[2]))
     return _canonical(state, scale, i, m, rows, d21, d31, d32, first, second, third, sign)
 
 
@@ -161,8 +173,8 @@ def _canonical(state: State, scale: float, i: Doubles, m: Doubles,
                                       + complement[0] * sine * sine, 1.0)
     return Motion(
         kind, state, scale, rows,
-        (b[0][0] / i[0][0], b[1][0] / i[1][0], b[2][0] / i[2][0]),
-        (b[0][0] / momentum[0], b[1][0] / momentum[0], b[2][0] / momentum[0]),
+        of(b[0][0] / i[0][0], b[1][0] / i[1][0], b[2][0] / i[2][0]),
+        of(b[0][0] / momentum[0], b[1][0] / momentum[0], b[2][0] / momentum[0]),
         complement[0], n[0], factor[0], phase, odd, speed, half_period,
         dd.divide(momentum, i[0] if n[0] >= -1.0 else i[2]), gain)
 
@@ -170,8 +182,8 @@ def _canonical(state: State, scale: float, i: Doubles, m: Doubles,
 @part
 def unchanging(state: State, kind: int) -> Motion:
     """Return a motion of kind STEADY or LOST: it says no more than its start."""
-    unit = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    none = (0.0, 0.0, 0.0)
+    unit = (of(1.0, 0.0, 0.0), of(0.0, 1.0, 0.0), of(0.0, 0.0, 1.0))
+    none = of(0.0, 0.0, 0.0)
     return Motion(kind, state, 1.0, unit, none, none, 0.0, 0.0, 0.0, 0.0, False, _ZERO, _ZERO,
                   _ZERO, _ZERO)
 
@@ -192,11 +204,10 @@ def at(motion: Motion, span_ns: int) -> State:
     before, first, _ = _reduced(motion, motion.phase, motion.odd)
     after, last, rates = _reduced(motion, u[0], motion.odd != (count % 2.0 != 0.0))
     half = 0.5 * dd.add(_modulo(psi), dd.two_sum(after, -before))[0]
-    turn = multiply(multiply((-first[0], -first[1], -first[2], first[3]),
-                             (0.0, 0.0, math.sin(half), math.cos(half))), last)
-    x, y, z = combine(motion.axes, (turn[0], turn[1], turn[2]))
-    w, in_body = combine(motion.axes, rates), (x, y, z, turn[3])
-    return _state(motion, w, in_body)
+    turn = multiply(multiply(four.of(-first[0], -first[1], -first[2], first[3]),
+                             four.of(0.0, 0.0, math.sin(half), math.cos(half))), last)
+    x = combine(motion.axes, turn)
+    return _state(motion, combine(motion.axes, rates), four.of(x[0], x[1], x[2], turn[3]))
 
 
 @part
@@ -218,12 +229,10 @@ def _reduced(motion: Motion, u: float, odd: bool) -> tuple[float, Quaternion, Ve
     psi = motion.factor * integral + math.atan2(math.sqrt(1.0 - n) * sn, cn)
     if odd:
         sn, cn = -sn, -cn
-    x, y, z = motion.directions
-    cosine = math.sqrt(0.5 * (1.0 + z * dn))
-    tilt = (-0.5 * y * sn / cosine, -0.5 * x * cn / cosine, 0.0, cosine)
-    x, y, z = motion.rates
-    x, y, z = motion.scale * x, motion.scale * y, motion.scale * z
-    return psi, tilt, (x * cn, -y * sn, z * dn)
+    along = motion.directions
+    cosine = math.sqrt(0.5 * (1.0 + along[2] * dn))
+    tilt = four.of(-0.5 * along[1] * sn / cosine, -0.5 * along[0] * cn / cosine, 0.0, cosine)
+    return psi, tilt, four.multiply(scale(motion.scale, motion.rates), of(cn, -sn, dn))
 
 
 @part
@@ -237,18 +246,14 @@ def _turned(motion: Motion, span_ns: int) -> State:
         return motion.start
     half = 0.5 * _modulo(dd.multiply(speed, dd.seconds(span_ns)))[0]
     sine = math.sin(half) / speed[0]
-    return _state(motion, w, (sine * w[0], sine * w[1], sine * w[2], math.cos(half)))
+    return _state(motion, w, add(scale(sine, w), four.of(0.0, 0.0, 0.0, math.cos(half))))
 
 
 @part
 def _state(motion: Motion, w: Vector, turn: Quaternion) -> State:
     _, q, _, low = motion.start
-    more = multiply(low, turn)
-    q = multiply(q, turn)
-    q = (q[0] + more[0], q[1] + more[1], q[2] + more[2], q[3] + more[3])
-    excess = 0.5 * ((q[0] * q[0] + q[1] * q[1]) + (q[2] * q[2] + q[3] * q[3]) - 1.0)
-    q = (q[0] - excess * q[0], q[1] - excess * q[1], q[2] - excess * q[2], q[3] - excess * q[3])
-    return w, q, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
+    q = add(multiply(q, turn), multiply(low, turn))
+    return w, add_scaled(q, -0.5 * (dot(q, q) - 1.0), q), four.every(0.0), four.every(0.0)
 
 
 @part
@@ -256,12 +261,13 @@ def _principal(state: State, frame: Frame) -> tuple[Doubles, Doubles, Doubles, f
     # Angular velocity, angular momentum and moments along the principal axes, all about 1, and
     # the scale of the rates: neither fourth powers nor products of moments leave the range then.
     w, low = state[0], state[2]
-    (i, j, k), (a, b, c), axes, rest = frame
+    high, low_moments, axes, rest = frame
     scale = _power_of_two(max(abs(w[0]), abs(w[1]), abs(w[2])))
-    size = _power_of_two(k)
+    size = _power_of_two(high[2])
     v = ((w[0] / scale, low[0] / scale), (w[1] / scale, low[1] / scale),
          (w[2] / scale, low[2] / scale))
-    moments = ((i / size, a / size), (j / size, b / size), (k / size, c / size))
+    moments = ((high[0] / size, low_moments[0] / size), (high[1] / size, low_moments[1] / size),
+               (high[2] / size, low_moments[2] / size))
     rates = (_along(v, axes[0], rest[0]), _along(v, axes[1], rest[1]), _along(v, axes[2], rest[2]))
     return rates, (dd.multiply(moments[0], rates[0]), dd.multiply(moments[1], rates[1]),
                    dd.multiply(moments[2], rates[2])), moments, scale
@@ -304,8 +310,3 @@ def _double(a: Double) -> Double:
 @part
 def _negative(a: Double) -> Double:
     return -a[0], -a[1]
-
-
-@part
-def _opposite(a: Vector) -> Vector:
-    return -a[0], -a[1], -a[2]

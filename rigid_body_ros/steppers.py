@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from rigid_body_ros import four
 from rigid_body_ros._jit import part
 from rigid_body_ros.vector import (
     Coefficients,
@@ -22,6 +23,7 @@ from rigid_body_ros.vector import (
     combine,
     dot,
     multiply,
+    of,
     scale,
     to_body,
 )
@@ -33,7 +35,7 @@ def explicit_euler(state: State, seconds: float, equations: Coefficients, torque
     """Return the state after a step of Euler's method, order 1; conserves the norm of q only."""
     w, q = state[0], state[1]
     a, v = _derivative(w, q, 0.0, equations, torque, in_space)
-    return _state(add_scaled(w, seconds, a), _moved(q, seconds, v))
+    return _state(add_scaled(w, seconds, a), add_scaled(q, seconds, v))
 
 
 @part
@@ -47,16 +49,15 @@ def rk4(state: State, seconds: float, equations: Coefficients, torque: Polynomia
     w, q = state[0], state[1]
     half = 0.5 * seconds
     a1, v1 = _derivative(w, q, 0.0, equations, torque, in_space)
-    a2, v2 = _derivative(add_scaled(w, half, a1), _moved(q, half, v1), 0.5, equations, torque,
+    a2, v2 = _derivative(add_scaled(w, half, a1), add_scaled(q, half, v1), 0.5, equations, torque,
                          in_space)
-    a3, v3 = _derivative(add_scaled(w, half, a2), _moved(q, half, v2), 0.5, equations, torque,
+    a3, v3 = _derivative(add_scaled(w, half, a2), add_scaled(q, half, v2), 0.5, equations, torque,
                          in_space)
-    a4, v4 = _derivative(add_scaled(w, seconds, a3), _moved(q, seconds, v3), 1.0, equations,
+    a4, v4 = _derivative(add_scaled(w, seconds, a3), add_scaled(q, seconds, v3), 1.0, equations,
                          torque, in_space)
     a = add(add(a1, a4), scale(2.0, add(a2, a3)))
-    v = (v1[0] + v4[0] + 2.0 * (v2[0] + v3[0]), v1[1] + v4[1] + 2.0 * (v2[1] + v3[1]),
-         v1[2] + v4[2] + 2.0 * (v2[2] + v3[2]), v1[3] + v4[3] + 2.0 * (v2[3] + v3[3]))
-    return _state(add_scaled(w, seconds / 6.0, a), _moved(q, seconds / 6.0, v))
+    v = add(add(v1, v4), scale(2.0, add(v2, v3)))
+    return _state(add_scaled(w, seconds / 6.0, a), add_scaled(q, seconds / 6.0, v))
 
 
 @part
@@ -72,29 +73,29 @@ def strang(state: State, seconds: float, equations: Coefficients, frame: Frame,
     w, q = state[0], state[1]
     half = 0.5 * seconds
     w = add_scaled(w, half, _push(q, 0.0, equations, torque, in_space))
-    (i, j, k), _, axes, _ = frame
-    m = (i * dot(axes[0], w), j * dot(axes[1], w), k * dot(axes[2], w))
-    turn = (0.0, 0.0, 0.0, 1.0)
+    moments, _, axes, _ = frame
+    i, j, k = moments[0], moments[1], moments[2]
+    m = of(i * dot(axes[0], w), j * dot(axes[1], w), k * dot(axes[2], w))
+    turn = four.of(0.0, 0.0, 0.0, 1.0)
     m, turn = _about_1(m, turn, half / i)
     m, turn = _about_2(m, turn, half / j)
     m, turn = _about_3(m, turn, seconds / k)
     m, turn = _about_2(m, turn, half / j)
     m, turn = _about_1(m, turn, half / i)
-    w = combine(axes, (m[0] / i, m[1] / j, m[2] / k))
-    x, y, z = combine(axes, (turn[0], turn[1], turn[2]))
-    q = _unit(multiply(q, (x, y, z, turn[3])))
+    w = combine(axes, of(m[0] / i, m[1] / j, m[2] / k))
+    x = combine(axes, turn)
+    q = _unit(multiply(q, four.of(x[0], x[1], x[2], turn[3])))
     return _state(add_scaled(w, half, _push(q, 1.0, equations, torque, in_space)), q)
 
 
 @part
 def _derivative(w: Vector, q: Quaternion, fraction: float, equations: Coefficients,
                 torque: Polynomial, in_space: bool) -> tuple[Vector, Quaternion]:
-    a, b, c = equations[0]
-    products = (w[1] * w[2], w[2] * w[0], w[0] * w[1], w[0] * w[0], w[1] * w[1], w[2] * w[2])
-    x, y, z = _push(q, fraction, equations, torque, in_space)
-    for k in range(6):
-        x, y, z = x + a[k] * products[k], y + b[k] * products[k], z + c[k] * products[k]
-    return (x, y, z), multiply(q, (0.5 * w[0], 0.5 * w[1], 0.5 * w[2], 0.0))
+    columns = equations[0]
+    rate = _push(q, fraction, equations, torque, in_space)
+    rate = add(rate, combine(columns[:3], four.multiply(four.yzx(w), four.zxy(w))))
+    rate = add(rate, combine(columns[3:6], four.multiply(w, w)))
+    return rate, multiply(q, scale(0.5, w))
 
 
 @part
@@ -105,48 +106,39 @@ def _push(q: Quaternion, fraction: float, equations: Coefficients, torque: Polyn
         torque[2], fraction, torque[3])))
     if in_space:
         tau = to_body(_unit(q), tau)
-    a, b, c = equations[0]
-    return (dot((a[6], a[7], a[8]), tau), dot((b[6], b[7], b[8]), tau),
-            dot((c[6], c[7], c[8]), tau))
-
-
-@part
-def _moved(q: Quaternion, seconds: float, rate: Quaternion) -> Quaternion:
-    return (q[0] + seconds * rate[0], q[1] + seconds * rate[1], q[2] + seconds * rate[2],
-            q[3] + seconds * rate[3])
+    return combine(equations[0][6:], tau)
 
 
 @part
 def _unit(q: Quaternion) -> Quaternion:
-    factor = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    return factor * q[0], factor * q[1], factor * q[2], factor * q[3]
+    return scale(1.0 / math.sqrt(dot(q, q)), q)
 
 
 @part
 def _state(w: Vector, q: Quaternion) -> State:
-    return w, _unit(q), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
+    return w, _unit(q), four.every(0.0), four.every(0.0)
 
 
 @part
 def _about_1(m: Vector, turn: Quaternion, step: float) -> tuple[Vector, Quaternion]:
     # The flow of the energy m1^2 / 2 I1: a rotation of the body about that axis.
     sine, cosine, s, c = _half_and_full(step * m[0])
-    return ((m[0], c * m[1] + s * m[2], c * m[2] - s * m[1]),
-            multiply(turn, (sine, 0.0, 0.0, cosine)))
+    return (of(m[0], c * m[1] + s * m[2], c * m[2] - s * m[1]),
+            multiply(turn, four.of(sine, 0.0, 0.0, cosine)))
 
 
 @part
 def _about_2(m: Vector, turn: Quaternion, step: float) -> tuple[Vector, Quaternion]:
     sine, cosine, s, c = _half_and_full(step * m[1])
-    return ((c * m[0] - s * m[2], m[1], c * m[2] + s * m[0]),
-            multiply(turn, (0.0, sine, 0.0, cosine)))
+    return (of(c * m[0] - s * m[2], m[1], c * m[2] + s * m[0]),
+            multiply(turn, four.of(0.0, sine, 0.0, cosine)))
 
 
 @part
 def _about_3(m: Vector, turn: Quaternion, step: float) -> tuple[Vector, Quaternion]:
     sine, cosine, s, c = _half_and_full(step * m[2])
-    return ((c * m[0] + s * m[1], c * m[1] - s * m[0], m[2]),
-            multiply(turn, (0.0, 0.0, sine, cosine)))
+    return (of(c * m[0] + s * m[1], c * m[1] - s * m[0], m[2]),
+            multiply(turn, four.of(0.0, 0.0, sine, cosine)))
 
 
 @part

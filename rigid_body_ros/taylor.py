@@ -22,13 +22,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
+from rigid_body_ros import four
 from rigid_body_ros._jit import fma, inlined, part
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.vector import (
     Coefficients,
-    Nine,
     Polynomial,
     Quaternion,
     State,
@@ -36,26 +34,33 @@ from rigid_body_ros.vector import (
     accumulate,
     add,
     add_scaled,
+    combine,
     cross,
     dot,
     multiply,
     scale,
     to_body,
+    total,
 )
 
-#: Products y z, z x, x y, x x, y y, z z of a vector, or their Cauchy sums.
-Products = tuple[float, float, float, float, float, float]
+#: Products y z, z x, x y and x x, y y, z z of a vector, or their Cauchy sums.
+Products = tuple[Vector, Vector]
 
 MAX_ORDER = 40
-#: Rows of the table of coefficients: u, the rotation since the beginning, up to four torques.
-ROWS = 19
-#: Bounds on the local error of the short step of order 3 and 5, for a turn of one radian: far
+#: What the table holds of each term: u, itself and turned round; the rotation since the beginning,
+#: itself and times i, j and k; up to four torques, themselves and turned round.
+_U, _U_YZX, _U_ZXY, _R, _R_I, _R_J, _R_K, _TORQUES = range(0, 32, 4)
+_TERM = _TORQUES + 4 * 3 * 4
+#: Size of the table.
+WORKSPACE = _TERM * (MAX_ORDER + 1)
+#: Bounds on the local error of the short step of order 3, 4 and 5, for a turn of one radian: far
 #: above the error itself, because errors of w add up to errors of attitude that grow with the
 #: square of the time.
 _ERROR_3 = 0.5
+_ERROR_4 = 0.2
 _ERROR_5 = 0.1
-#: Square of the angle, rad^2, up to which the short step is right and one step suffices.
-_LARGEST = 0.01
+#: Fourth power of the angle, rad^4, up to which the short step is right and one step suffices.
+_LARGEST = 1e-4
 
 
 @part
@@ -71,9 +76,9 @@ def step_angle(tolerance: float) -> float:
 
 
 @inlined
-def step_seconds(w: float, acceleration: float, angle: float) -> float:
-    """Return the time, s, in which a body at |w| turns by an angle, or infinity at rest."""
-    rate = w + math.sqrt(w * w + 2.0 * angle * acceleration)
+def step_seconds(square: float, acceleration: float, angle: float) -> float:
+    """Return the time, s, in which a body of |w|^2 turns by an angle, or infinity at rest."""
+    rate = math.sqrt(square) + math.sqrt(fma(2.0 * angle, acceleration, square))
     return 2.0 * angle / rate if rate > 0.0 else math.inf
 
 
@@ -87,9 +92,8 @@ def acceleration_bound(torque: Polynomial, in_space: bool, coefficients: Coeffic
             bound += math.sqrt(dot(part, part))
         return bound
     norm = size = 0.0  # a torque in space may come to lie along any body axis
-    for row in coefficients[0]:
-        inverse = (row[6], row[7], row[8])
-        norm += dot(inverse, inverse)
+    for column in coefficients[0][6:]:
+        norm += dot(column, column)
     for vector in torque:
         size += math.sqrt(dot(vector, vector))
     return math.sqrt(norm) * size
@@ -98,13 +102,11 @@ def acceleration_bound(torque: Polynomial, in_space: bool, coefficients: Coeffic
 @inlined
 def response(coefficients: Coefficients, torque: Vector) -> Vector:
     """Return the angular acceleration J^-1 tau, rad/s^2."""
-    a, b, c = coefficients[0]
-    return (dot((a[6], a[7], a[8]), torque), dot((b[6], b[7], b[8]), torque),
-            dot((c[6], c[7], c[8]), torque))
+    return combine(coefficients[0][6:], torque)
 
 
 @inlined
-def is_short(state: State, seconds: float, acceleration: float, tolerance: float) -> bool:
+def is_short(state: State, seconds: float, push: Vector, tolerance: float) -> bool:
     """
     Return whether `short_step` is good enough, for a torque held in body axes.
 
@@ -113,56 +115,65 @@ def is_short(state: State, seconds: float, acceleration: float, tolerance: float
     state : State
     seconds : float
         Length of the step.
-    acceleration : float
-        |J^-1 tau|, rad/s^2.
+    push : Vector
+        J^-1 tau, rad/s^2.
     tolerance : float
         Attitude error per radian turned.
 
     """
-    square = dot(state[0], state[0])
-    size = seconds * seconds * (square + acceleration)
-    enough = tolerance * _angle(square, acceleration, seconds)
-    return size < _LARGEST and _ERROR_5 * size * size * size <= enough
+    size, enough = _squares(state, seconds, push, tolerance)
+    return size < _LARGEST and _ERROR_5 ** 2 * size ** 3 <= enough
 
 
 @inlined
-def _angle(square: float, acceleration: float, seconds: float) -> float:
-    return seconds * fma(0.5 * acceleration, seconds, math.sqrt(square))
+def _squares(state: State, seconds: float, push: Vector, tolerance: float) -> tuple[float, float]:
+    # The square of the size of a step, rad^4, and of the error allowed, rad^2, which come without
+    # the roots that a short step would notice.
+    factor = seconds * seconds
+    square, gain = dot(state[0], state[0]), factor * dot(push, push)
+    return (factor * fma(factor, square * square, gain),
+            tolerance * tolerance * factor * fma(0.25, gain, square))
 
 
 @inlined
 def short_step(state: State, seconds: float, coefficients: Coefficients, diagonal: bool,
-               push: Vector, acceleration: float, tolerance: float) -> State:
+               push: Vector, tolerance: float) -> State:
     """
-    Return the state after one step, by terms to order 5, or 3 where they do.
+    Return the state after one step, by terms to order 5, or fewer where they do.
 
     The rotation vector is integrated instead of the quaternion:
     d theta / dt = w + theta x w / 2 + theta x (theta x w) / 12 + ... (Bortz, "A new mathematical
-    formulation for strapdown inertial navigation", 1971). Parameters as for `step`, but `push`
-    is J^-1 tau, rad/s^2.
+    formulation for strapdown inertial navigation", 1971). Parameters as for `step` and
+    `is_short`.
     """
-    square = dot(state[0], state[0])
-    size = seconds * seconds * (square + acceleration)
-    fine = _ERROR_3 * size * size > tolerance * _angle(square, acceleration, seconds)
-    u0 = scale(seconds, state[0])
-    u1 = add_scaled(_rate(coefficients, diagonal, _square(u0)), seconds * seconds, push)
-    u2 = scale(1 / 2, _rate(coefficients, diagonal, _twice(u0, u1)))
-    u3 = scale(1 / 3, _rate(coefficients, diagonal, _plus_square(_twice(u0, u2), u1)))
+    size, enough = _squares(state, seconds, push, tolerance)
+    w = state[0]
+    # The terms of w, rad/s, and the same in radians a step. Factors go to what is known early,
+    # so that the next term need not wait for them.
+    u0 = scale(seconds, w)
+    w1 = add_scaled(_rate(coefficients, diagonal, _products(u0, w)), seconds, push)
+    w2 = _rate(coefficients, diagonal, _twice(scale(1 / 2, u0), w1))
+    u1, u2 = scale(seconds, w1), scale(seconds, w2)
+    w3 = _rate(coefficients, diagonal, _plus_twice(
+        _products(scale(1 / 3, u1), w1), scale(1 / 3, u0), w2))
     a = cross(u0, u1)
-    rise = add(u1, add(u2, u3))
+    rise = add(add(w1, w2), w3)
     turn = add_scaled(add_scaled(scale(1 / 2, u1), 1 / 3, u2), 1 / 12, a)
-    if fine:
-        u4 = scale(1 / 4, _rate(coefficients, diagonal, _plus_twice(_twice(u0, u3), u1, u2)))
-        u5 = scale(1 / 5, _rate(coefficients, diagonal, _plus_square(
-            _plus_twice(_twice(u0, u4), u1, u3), u2)))
-        b = cross(u0, u2)
-        rise = add(rise, add(u4, u5))
-        inner = add_scaled(scale(3 / 40, u3), 1 / 360, b)
-        small = add(cross(u0, add_scaled(inner, -1 / 720, cross(u0, a))),
-                    scale(1 / 60, cross(u1, add_scaled(u2, -1 / 4, a))))
-        small = add_scaled(small, 1 / 5, u4)
-        turn = add(turn, add_scaled(add_scaled(small, 1 / 12, b), 1 / 4, u3))
-    return _advance(state, scale(1.0 / seconds, rise), _half_turn(add(u0, turn)))
+    if _ERROR_3 ** 2 * size ** 2 > enough:
+        w4 = _rate(coefficients, diagonal, _plus_twice(
+            _twice(scale(1 / 4, u1), w2), scale(1 / 4, u0), w3))
+        u3, b = scale(seconds, w3), cross(u0, u2)
+        rise = add(rise, w4)
+        turn = add(turn, add_scaled(scale(1 / 4, u3), 1 / 12, b))
+        if _ERROR_4 ** 4 * size ** 5 > enough * enough:
+            w5 = _rate(coefficients, diagonal, _plus_twice(_plus_twice(
+                _products(scale(1 / 5, u2), w2), scale(1 / 5, u1), w3), scale(1 / 5, u0), w4))
+            rise = add(rise, w5)
+            inner = add_scaled(scale(3 / 40, u3), 1 / 360, b)
+            small = add(cross(u0, add_scaled(inner, -1 / 720, cross(u0, a))),
+                        scale(1 / 60, cross(u1, add_scaled(u2, -1 / 4, a))))
+            turn = add(turn, add_scaled(small, 1 / 5 * seconds, w4))
+    return _advance(state, rise, _half_turn(add(u0, turn)))
 
 
 @inlined
@@ -171,8 +182,9 @@ def _half_turn(turn: Vector) -> Quaternion:
     half = scale(0.5, turn)
     square = dot(half, half)
     sinc = fma(-square, fma(-square, fma(-square, 1 / 5040, 1 / 120), 1 / 6), 1.0)
-    x, y, z = scale(sinc, half)
-    return x, y, z, -square * fma(-square, fma(-square, 1 / 720, 1 / 24), 1 / 2)
+    x = scale(sinc, half)
+    return four.of(x[0], x[1], x[2],
+                   -square * fma(-square, fma(-square, 1 / 720, 1 / 24), 1 / 2))
 
 
 @inlined
@@ -200,36 +212,32 @@ def step(state: State, seconds: float, coefficients: Coefficients, diagonal: boo
         A bound on |J^-1 torque|, rad/s^2.
     tolerance : float
         Attitude error per radian turned.
-    table : float64 (ROWS, MAX_ORDER + 1)
+    table : float64 (WORKSPACE,)
         Workspace.
 
     """
-    enough = tolerance * _angle(dot(state[0], state[0]), acceleration, seconds)
+    angle = seconds * fma(0.5 * acceleration, seconds, math.sqrt(dot(state[0], state[0])))
+    enough = tolerance * angle
     order = _expand(state, seconds, coefficients, diagonal, torque, degree, in_space, enough,
                     table)
-    x = y = z = 0.0
-    p = q = r = s = 0.0
+    rise = turn = four.every(0.0)
     for k in range(order, 0, -1):  # the small terms first
-        x, y, z = x + table[0, k], y + table[1, k], z + table[2, k]
-        p, q, r, s = p + table[3, k], q + table[4, k], r + table[5, k], s + table[6, k]
-    excess = fma(0.5, fma(p, p, fma(q, q, fma(r, r, s * s))), s)
-    factor = 1.0 / math.sqrt(1.0 + 2.0 * excess)  # the series cut off is not of unit length
-    p, q, r = factor * p, factor * q, factor * r
-    s = factor * (s - 2.0 * excess / (1.0 + 1.0 / factor))
-    return _advance(state, scale(1.0 / seconds, (x, y, z)), (p, q, r, s))
+        rise = add(rise, four.load(table, _TERM * k + _U))
+        turn = add(turn, four.load(table, _TERM * k + _R))
+    excess = fma(0.5, dot(turn, turn), turn[3])
+    norm = math.sqrt(1.0 + 2.0 * excess)  # the series cut off is not of unit length
+    rest = four.of(0.0, 0.0, 0.0, -2.0 * excess / (1.0 + norm))
+    return _advance(state, scale(1.0 / seconds, rise), scale(1.0 / norm, add(turn, rest)))
 
 
 @inlined
 def _expand(state: State, seconds: float, coefficients: Coefficients, diagonal: bool,
             torque: Polynomial, degree: int, in_space: bool, enough: float, table: Floats) -> int:
     # Fill the table with the terms of u and of the rotation, and return the order needed.
-    table[0, 0], table[1, 0], table[2, 0] = scale(seconds, state[0])
-    table[3, 0] = table[4, 0] = table[5, 0] = 0.0
-    table[6, 0] = 1.0
+    _keep(table, 0, scale(seconds, state[0]), four.of(0.0, 0.0, 0.0, 1.0))
     if in_space:
         for i in range(degree + 1):
-            vector = to_body(state[1], torque[i])
-            table[7 + 3 * i, 0], table[8 + 3 * i, 0], table[9 + 3 * i, 0] = vector
+            _keep_turned(table, _TORQUES + 12 * i, to_body(state[1], torque[i]))
     # A body at rest under a torque ~ t^degree has non-zero terms only at every (degree + 2)nd
     # order, so that fewer small terms in succession prove nothing.
     small = 0
@@ -241,13 +249,10 @@ def _expand(state: State, seconds: float, coefficients: Coefficients, diagonal: 
             u = add_scaled(u, seconds * seconds, push)
         u = scale(1.0 / (k + 1), u)
         factor = 0.5 / (k + 1)
-        x, y, z, w = rotation
-        x, y, z, w = factor * x, factor * y, factor * z, factor * w
-        table[0, k + 1], table[1, k + 1], table[2, k + 1] = u
-        table[3, k + 1], table[4, k + 1], table[5, k + 1], table[6, k + 1] = x, y, z, w
+        turn = scale(factor, rotation)
+        _keep(table, k + 1, u, turn)
         # Errors of w are held lower: those of attitude that they lead to add up.
-        if 4.0 * (abs(u[0]) + abs(u[1]) + abs(u[2])) \
-                + abs(x) + abs(y) + abs(z) + abs(w) > enough:
+        if total(add_scaled(four.absolute(turn), 4.0, four.absolute(u))) > enough:
             small = 0
         else:
             small += 1
@@ -257,26 +262,48 @@ def _expand(state: State, seconds: float, coefficients: Coefficients, diagonal: 
 
 
 @inlined
+def _keep(table: Floats, k: int, u: Vector, turn: Quaternion) -> None:
+    row = _TERM * k
+    _keep_turned(table, row + _U, u)
+    four.store(table, row + _R, turn)
+    four.store(table, row + _R_I, four.times_i(turn))
+    four.store(table, row + _R_J, four.times_j(turn))
+    four.store(table, row + _R_K, four.times_k(turn))
+
+
+@inlined
+def _keep_turned(table: Floats, row: int, vector: Vector) -> None:
+    four.store(table, row, vector)
+    four.store(table, row + 4, four.yzx(vector))
+    four.store(table, row + 8, four.zxy(vector))
+
+
+@inlined
 def _cauchy(table: Floats, k: int, diagonal: bool) -> tuple[Products, Quaternion]:
-    # The terms of order k of the products of u, and of the rotation times (u, 0).
-    # Each sum is kept in two, so that one product need not wait for the other.
-    yz = zx = xy = xx = yy = zz = 0.0
-    p = q = r = s = 0.0
-    p2 = q2 = r2 = s2 = 0.0
-    last = np.uintp(k)  # an index without sign need not be looked at for being negative
-    for j in range(last + np.uintp(1)):
-        i = last - j
-        a, b, c = table[0, i], table[1, i], table[2, i]
-        d, e, f = table[0, j], table[1, j], table[2, j]
-        yz, zx, xy = fma(b, f, yz), fma(c, d, zx), fma(a, e, xy)
-        if not diagonal:
-            xx, yy, zz = fma(a, d, xx), fma(b, e, yy), fma(c, f, zz)
-        x, y, z, w = table[3, j], table[4, j], table[5, j], table[6, j]
-        p, p2 = fma(w, a, p), fma(y, c, fma(-z, b, p2))
-        q, q2 = fma(w, b, q), fma(z, a, fma(-x, c, q2))
-        r, r2 = fma(w, c, r), fma(x, b, fma(-y, a, r2))
-        s, s2 = fma(-x, a, s), fma(-y, b, fma(-z, c, s2))
-    return (yz, zx, xy, xx, yy, zz), (p + p2, q + q2, r + r2, s + s2)
+    # The terms of order k of the products of u, and of the rotation times (u, 0). What has the
+    # latest term comes last, so that the rest need not wait for it.
+    sums = (four.every(0.0), four.every(0.0), four.every(0.0), four.every(0.0), four.every(0.0))
+    row = _TERM * k
+    for j in range(_TERM, row, _TERM):
+        sums = _add_term(sums, table, row - j, j, diagonal)
+    if k > 0:
+        sums = _add_term(sums, table, 0, row, diagonal)
+    products, squares, x, y, z = _add_term(sums, table, row, 0, diagonal)
+    return (products, squares), add(add(x, y), z)
+
+
+@inlined
+def _add_term(sums: tuple[Vector, Vector, Quaternion, Quaternion, Quaternion], table: Floats,
+              i: int, j: int,
+              diagonal: bool) -> tuple[Vector, Vector, Quaternion, Quaternion, Quaternion]:
+    products, squares, x, y, z = sums
+    products = four.fma(four.load(table, i + _U_YZX), four.load(table, j + _U_ZXY), products)
+    if not diagonal:
+        squares = four.fma(four.load(table, i + _U), four.load(table, j + _U), squares)
+    u = four.load(table, i + _U)
+    return (products, squares, add_scaled(x, u[0], four.load(table, j + _R_I)),
+            add_scaled(y, u[1], four.load(table, j + _R_J)),
+            add_scaled(z, u[2], four.load(table, j + _R_K)))
 
 
 @inlined
@@ -285,83 +312,68 @@ def _torque_term(table: Floats, k: int, torque: Polynomial, degree: int,
     # The term of order k of the torque in body axes.
     if not in_space:
         return torque[k]
-    x = y = z = 0.0
+    term = four.every(0.0)
     for i in range(degree + 1):
-        row = 7 + 3 * i
         if i <= k:
-            x, y, z = x + table[row, k - i], y + table[row + 1, k - i], z + table[row + 2, k - i]
-        _turn_torque(table, k, row)
-    return x, y, z
+            term = add(term, four.load(table, _TERM * (k - i) + _TORQUES + 12 * i))
+        _turn_torque(table, k, _TORQUES + 12 * i)
+    return term
 
 
 @part
-def _turn_torque(table: Floats, k: int, row: int) -> None:
+def _turn_torque(table: Floats, k: int, kind: int) -> None:
     # dv/dt = v x w for a vector v that is fixed in space, in body components.
-    x = y = z = 0.0
+    one = other = four.every(0.0)
     for j in range(k + 1):
-        i = k - j
-        a, b, c = table[row, j], table[row + 1, j], table[row + 2, j]
-        x += fma(b, table[2, i], -c * table[1, i])
-        y += fma(c, table[0, i], -a * table[2, i])
-        z += fma(a, table[1, i], -b * table[0, i])
-    table[row, k + 1], table[row + 1, k + 1], table[row + 2, k + 1] = \
-        scale(1.0 / (k + 1), (x, y, z))
+        row, i = _TERM * j + kind, _TERM * (k - j)
+        one = four.fma(four.load(table, row + 4), four.load(table, i + _U_ZXY), one)
+        other = four.fma(four.load(table, row + 8), four.load(table, i + _U_YZX), other)
+    _keep_turned(table, _TERM * (k + 1) + kind,
+                 scale(1.0 / (k + 1), four.subtract(one, other)))
 
 
 @inlined
 def _advance(state: State, rise: Vector, turn: Quaternion) -> State:
     # Add the rise of w, and turn q by 1 + `turn`; the norm's error so far is taken out.
     w, q, low_w, low_q = state
-    excess = fma(q[0], fma(0.5, q[0], low_q[0]), fma(q[1], fma(0.5, q[1], low_q[1]), fma(
-        q[2], fma(0.5, q[2], low_q[2]), fma(q[3], fma(0.5, q[3], low_q[3]), -0.5))))
-    change = multiply(q, (turn[0], turn[1], turn[2], turn[3] - excess))
-    w0, c0 = accumulate(w[0], low_w[0], rise[0])
-    w1, c1 = accumulate(w[1], low_w[1], rise[1])
-    w2, c2 = accumulate(w[2], low_w[2], rise[2])
-    q0, d0 = accumulate(q[0], low_q[0], change[0])
-    q1, d1 = accumulate(q[1], low_q[1], change[1])
-    q2, d2 = accumulate(q[2], low_q[2], change[2])
-    q3, d3 = accumulate(q[3], low_q[3], change[3])
-    return (w0, w1, w2), (q0, q1, q2, q3), (c0, c1, c2), (d0, d1, d2, d3)
+    excess = dot(q, add_scaled(low_q, 0.5, q)) - 0.5
+    change = add_scaled(multiply(q, turn), -excess, q)
+    w, low_w = accumulate(w, low_w, rise)
+    q, low_q = accumulate(q, low_q, change)
+    return w, q, low_w, low_q
 
 
 @inlined
 def _rate(coefficients: Coefficients, diagonal: bool, products: Products) -> Vector:
     # Euler's equations without torque.
-    (a, b, c), (low_a, low_b, low_c) = coefficients
+    columns, low, main = coefficients
+    mixed, squares = products
     if diagonal:  # what rounding took averages to zero over a period
-        return a[0] * products[0], b[1] * products[1], c[2] * products[2]
-    return (_row(a, products, _row(low_a, products, 0.0)),
-            _row(b, products, _row(low_b, products, 0.0)),
-            _row(c, products, _row(low_c, products, 0.0)))
+        return four.multiply(main, mixed)
+    rest = add(combine(low[:3], mixed), combine(low[3:], squares))
+    return _add_combined(_add_combined(rest, columns[3:6], squares), columns[:3], mixed)
 
 
 @inlined
-def _row(a: Nine, p: Products, rest: float) -> float:
-    return fma(a[0], p[0], fma(a[1], p[1], fma(a[2], p[2], fma(a[3], p[3], fma(
-        a[4], p[4], fma(a[5], p[5], rest))))))
+def _add_combined(rest: Vector, columns: tuple[Vector, Vector, Vector], a: Vector) -> Vector:
+    # Each sum is rounded once: the energy of a long run drifts by what more would take.
+    rest = add_scaled(rest, a[2], columns[2])
+    return add_scaled(add_scaled(rest, a[1], columns[1]), a[0], columns[0])
 
 
 @inlined
-def _square(a: Vector) -> Products:
-    return a[1] * a[2], a[2] * a[0], a[0] * a[1], a[0] * a[0], a[1] * a[1], a[2] * a[2]
-
-
-@inlined
-def _plus_square(p: Products, a: Vector) -> Products:
-    return (fma(a[1], a[2], p[0]), fma(a[2], a[0], p[1]), fma(a[0], a[1], p[2]),
-            fma(a[0], a[0], p[3]), fma(a[1], a[1], p[4]), fma(a[2], a[2], p[5]))
+def _products(a: Vector, b: Vector) -> Products:
+    return four.multiply(four.yzx(a), four.zxy(b)), four.multiply(a, b)
 
 
 @inlined
 def _twice(a: Vector, b: Vector) -> Products:
     # a times b and b times a.
-    return (fma(a[1], b[2], a[2] * b[1]), fma(a[2], b[0], a[0] * b[2]),
-            fma(a[0], b[1], a[1] * b[0]), 2.0 * a[0] * b[0], 2.0 * a[1] * b[1], 2.0 * a[2] * b[2])
+    return (four.fma(four.yzx(a), four.zxy(b), four.multiply(four.zxy(a), four.yzx(b))),
+            scale(2.0, four.multiply(a, b)))
 
 
 @inlined
 def _plus_twice(p: Products, a: Vector, b: Vector) -> Products:
-    return (fma(a[1], b[2], fma(a[2], b[1], p[0])), fma(a[2], b[0], fma(a[0], b[2], p[1])),
-            fma(a[0], b[1], fma(a[1], b[0], p[2])), fma(2.0 * a[0], b[0], p[3]),
-            fma(2.0 * a[1], b[1], p[4]), fma(2.0 * a[2], b[2], p[5]))
+    return (four.fma(four.yzx(a), four.zxy(b), four.fma(four.zxy(a), four.yzx(b), p[0])),
+            four.fma(scale(2.0, a), b, p[1]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -94,7 +95,7 @@ class TorqueLog:
 
     def in_force(self, time_ns: int, timeout_ns: int = 0) -> tuple[int, bool]:
         """Return the sample (-1: none yet) that rules at a time, and whether it timed out."""
-        sample = int(self.times_ns.searchsorted(time_ns, side='right')) - 1
+        sample = bisect.bisect_right(self.times_ns, time_ns) - 1
         return sample, sample >= 0 and 0 < timeout_ns <= time_ns - int(self.times_ns[sample])
 
     def polynomials(self, first: int) -> Iterator[tuple[int, int, Floats]]:

@@ -1,56 +1,68 @@
 """
-Vectors and quaternions for the compiled kernels: tuples of three and four floats.
+Vectors and quaternions for the compiled kernels: four floats in a register, see `four`.
 
-A tuple lives in registers, where a small array would be memory to manage. Quaternions are stored
-and composed as in `so3`, which is for arrays.
+The fourth of a vector is zero. Quaternions are stored and composed as in `so3`, which is for
+arrays.
 """
 
 from __future__ import annotations
 
-from rigid_body_ros._jit import fma, inlined
+from rigid_body_ros import four
+from rigid_body_ros._jit import inlined
+from rigid_body_ros.four import Four
 
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
+Vector = Four
+Quaternion = Four
 #: Angular velocity and attitude, and what rounding took from them.
 State = tuple[Vector, Quaternion, Vector, Quaternion]
 #: Torque, N m: coefficients of a cubic in the fraction of a span of time.
 Polynomial = tuple[Vector, Vector, Vector, Vector]
-Nine = tuple[float, float, float, float, float, float, float, float, float]
-#: Euler's equations by rows, and what rounding took: as `tensor.euler_coefficients` has them.
-Coefficients = tuple[tuple[Nine, Nine, Nine], tuple[Nine, Nine, Nine]]
+#: Euler's equations, dw/dt by the products of w and by the torque: as `tensor.euler_coefficients`
+#: has them, a vector a column, and what rounding took from those of the products. The last is
+#: the diagonal of the first three.
+Coefficients = tuple[tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector],
+                     tuple[Vector, Vector, Vector, Vector, Vector, Vector], Vector]
 #: Principal moments and axes, and what rounding took from both, as `tensor.principal` does.
 Frame = tuple[Vector, Vector, tuple[Vector, Vector, Vector], tuple[Vector, Vector, Vector]]
 
-
-@inlined
-def add(a: Vector, b: Vector) -> Vector:
-    """Return a + b."""
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+add = four.add
 
 
 @inlined
-def scale(factor: float, a: Vector) -> Vector:
+def of(x: float, y: float, z: float) -> Vector:
+    """Return the vector with these components."""
+    return four.of(x, y, z, 0.0)
+
+
+@inlined
+def scale(factor: float, a: Four) -> Four:
     """Return factor a."""
-    return factor * a[0], factor * a[1], factor * a[2]
+    return four.multiply(four.every(factor), a)
 
 
 @inlined
-def add_scaled(a: Vector, factor: float, b: Vector) -> Vector:
+def add_scaled(a: Four, factor: float, b: Four) -> Four:
     """Return a + factor b."""
-    return fma(factor, b[0], a[0]), fma(factor, b[1], a[1]), fma(factor, b[2], a[2])
+    return four.fma(four.every(factor), b, a)
 
 
 @inlined
-def dot(a: Vector, b: Vector) -> float:
+def dot(a: Four, b: Four) -> float:
     """Return the scalar product."""
-    return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
+    return total(four.multiply(a, b))
+
+
+@inlined
+def total(a: Four) -> float:
+    """Return the sum of the components."""
+    return (a[0] + a[2]) + (a[1] + a[3])
 
 
 @inlined
 def cross(a: Vector, b: Vector) -> Vector:
     """Return the vector product."""
-    return (fma(a[1], b[2], -a[2] * b[1]), fma(a[2], b[0], -a[0] * b[2]),
-            fma(a[0], b[1], -a[1] * b[0]))
+    return four.fma(four.yzx(a), four.zxy(b), four.negative(
+        four.multiply(four.zxy(a), four.yzx(b))))
 
 
 @inlined
@@ -62,29 +74,27 @@ def combine(axes: tuple[Vector, Vector, Vector], a: Vector) -> Vector:
 @inlined
 def multiply(p: Quaternion, q: Quaternion) -> Quaternion:
     """Return Hamilton's product p q."""
-    return (fma(p[3], q[0], fma(p[1], q[2], fma(p[0], q[3], -p[2] * q[1]))),
-            fma(p[3], q[1], fma(p[2], q[0], fma(p[1], q[3], -p[0] * q[2]))),
-            fma(p[3], q[2], fma(p[0], q[1], fma(p[2], q[3], -p[1] * q[0]))),
-            fma(p[3], q[3], -fma(p[0], q[0], fma(p[1], q[1], p[2] * q[2]))))
+    return add_scaled(add_scaled(add_scaled(scale(
+        q[3], p), q[2], four.times_k(p)), q[1], four.times_j(p)), q[0], four.times_i(p))
 
 
 @inlined
 def to_body(q: Quaternion, vector: Vector) -> Vector:
     """Return the body components of a space vector."""
     # R^T v = v - w t + u x t with t = 2 u x v, u the vector part of q.
-    u = (q[0], q[1], q[2])
+    u = of(q[0], q[1], q[2])
     t = scale(2.0, cross(u, vector))
     return add(add_scaled(vector, -q[3], t), cross(u, t))
 
 
 @inlined
-def accumulate(total: float, carry: float, increment: float) -> tuple[float, float]:
+def accumulate(total: Four, carry: Four, increment: Four) -> tuple[Four, Four]:
     """
     Return total + increment, and what rounding took from it.
 
     Kahan's form: exact where the increment is the smaller, and where it is not, no worse than
     the rounding of the increment itself.
     """
-    increment += carry
-    new = total + increment
-    return new, increment - (new - total)
+    increment = four.add(increment, carry)
+    new = four.add(total, increment)
+    return new, four.subtract(increment, four.subtract(new, total))

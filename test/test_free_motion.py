@@ -155,7 +155,8 @@ def test_attitude_is_the_continuous_lift(rates):
 def test_what_rounding_took_from_the_start_counts():
     # A state from the middle of a run carries more digits than its doubles.
     body, low = RigidBody(ASYMMETRIC), np.array([3e-17, -2e-17, 5e-17])
-    start = State(0, angular_velocity=(1.0, 0.4, 2.0), _carry=np.append(low, np.zeros(4)))
+    start = State._as_computed(0, np.array(
+        [1.0, 0.4, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0, *low, *np.zeros(5)]))
     span_ns = 10 ** 6 * SECOND
     motion = propagate(body, start, at=[span_ns], solver='exact')
     with mp.workdps(60):

@@ -20,7 +20,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from rigid_body_ros import euler, so3
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.propagate.loop import BUDGET, IN_ORDER, NEVER_NS, SIZE, order, origin, run
+from rigid_body_ros.propagate.loop import (
+    BUDGET,
+    IN_ORDER,
+    NEVER_NS,
+    order,
+    origin,
+    run,
+    working_states,
+)
 from rigid_body_ros.propagate.models import Answers, Model
 from rigid_body_ros.propagate.options import LONGEST, SOLVERS, TOLERANCES, Options
 from rigid_body_ros.propagate.propagator import Propagator
@@ -123,9 +131,9 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
     # One block of memory: two, freed together, go back to the system, and to get their pages
     # again costs the next run as much as its arithmetic.
     block = np.empty(7 * times.size)
+    closed = _run_log(body, start, log, options, times, rows, block)
     attitude = block[:4 * times.size].reshape(-1, 4)
     rates = block[4 * times.size:].reshape(-1, 3)
-    closed = _run_log(body, start, log, options, times, rows, attitude, rates)
     return Trajectory(body, times, attitude, rates,
                       Answers(body, log, options, start.time_ns, end_ns, closed))
 
@@ -144,11 +152,11 @@ def _known_options(*values: Any) -> Options:
 
 def _checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], bool, int]:
     """Return times, whether they ascend, and the last of them."""
-    times = np.asarray(at)
+    times = np.array(at)
     if times.ndim != 1 or (times.size and times.dtype.kind not in 'iu'):
         raise ValueError('at: expected integer nanoseconds of shape (m,), '
                          f'found {times.dtype} of shape {times.shape}')
-    times = times.astype(np.int64)
+    times = times.astype(np.int64, copy=False)
     ascends, first_ns, last_ns = order(times) if times.size else (True, start_ns, start_ns)
     for time_ns in (first_ns, last_ns):
         if not start_ns <= time_ns < NEVER_NS:
@@ -165,21 +173,20 @@ def _check_solver(options: Options, log: TorqueLog) -> None:
 
 
 def _run_log(body: RigidBody, start: State, log: TorqueLog, options: Options,
-             times: NDArray[np.int64], rows: NDArray[np.intp], attitude: Floats,
-             rates: Floats) -> NDArray[np.bool_]:
-    """Fill attitude and rates, and tell in which samples a coast was answered in closed form."""
+             times: NDArray[np.int64], rows: NDArray[np.intp],
+             motion: Floats) -> NDArray[np.bool_]:
+    """Fill the motion, and tell in which samples a coast was answered in closed form."""
     closed = np.zeros(len(log) + 1, np.bool_)
     sample, silent = log.in_force(start.time_ns, options.timeout_ns)
     start_from = origin(start, _rule_at_start(body, start, log, options, sample, silent))
-    packed, begin, last = start_from.grid.copy(), start_from.begin.copy(), np.empty(SIZE)
+    states = working_states(start_from.grid, start_from.begin)
     at = (start_from.grid_ns, start_from.begin_ns, sample, silent, 0)
     arguments = options.kernel_arguments(body)
     for first, stop, torques in log.polynomials(sample):
         while at[2] < stop and at[4] < times.size:
-            at = run(*(packed, begin, *at, times, rows, attitude, rates, last, closed,
-                       log.times_ns, torques, log.in_space, first, stop, options.timeout_ns,
-                       *arguments, BUDGET))
-            options.check_speed(last, at[0])
+            at = run(*(states, *at, times, rows, motion, closed, log.times_ns, torques,
+                       log.in_space, first, stop, options.timeout_ns, *arguments, BUDGET))
+            options.check_speed(states[2], at[0])
     return closed
 
 

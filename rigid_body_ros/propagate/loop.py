@@ -9,14 +9,13 @@ torque are one *coast*.
 from __future__ import annotations
 
 from collections.abc import Hashable
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rigid_body_ros import body as bodies
-from rigid_body_ros import free_motion, steppers, taylor, vector
+from rigid_body_ros import four, free_motion, steppers, taylor, vector
 from rigid_body_ros._jit import inlined, njit, part
 from rigid_body_ros.propagate.options import (
     EXACT,
@@ -30,8 +29,6 @@ from rigid_body_ros.so3 import Floats
 
 #: Later than any time that can be asked for.
 NEVER_NS = 2 ** 63 - 1
-#: Size of a state as an array: w (3), q (4), and what rounding took from them (7).
-SIZE = 14
 #: For `rows` of `run`: the times ascend.
 IN_ORDER = np.empty(0, np.intp)
 #: Steps, some 50 ms of work, after which a kernel returns, so that signals are heard.
@@ -57,14 +54,14 @@ def origin(start: bodies.State, rule: Hashable) -> Origin:
     found = start._origin
     if isinstance(found, Origin) and found.rule == rule:
         return found
-    packed = np.concatenate([start.angular_velocity, start.attitude, start._carry])
-    return Origin(rule, start.time_ns, packed, start.time_ns, packed)
+    return Origin(rule, start.time_ns, start._packed, start.time_ns, start._packed)
 
 
-def unpack(time_ns: int, packed: Floats, origin: Origin) -> bodies.State:
-    """Return the state of the kernels, shape (14,), at a time."""
-    packed.flags.writeable = False
-    return bodies.State._as_computed(time_ns, packed[3:7], packed[:3], packed[7:], origin)
+def working_states(grid: Floats, begin: Floats) -> Floats:
+    """Return what `run` works on, from the state on the grid and at the segment's beginning."""
+    states = np.empty((3, bodies.SIZE))
+    states[0], states[1] = grid, begin
+    return states
 
 
 @njit
@@ -78,28 +75,27 @@ def order(times_ns: NDArray[np.int64]) -> tuple[bool, int, int]:
 
 
 @njit
-def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sample: int,
-        silent: bool, done: int, at_ns: NDArray[np.int64], rows: NDArray[np.intp],
-        attitude: Floats, rates: Floats, last: Floats, closed: NDArray[np.bool_],
-        stamps_ns: NDArray[np.int64], torques: Floats, in_space: NDArray[np.bool_], first: int,
-        stop: int, timeout_ns: int, coefficients: Floats,
-        moments: Floats, axes: Floats, solver: int, tolerance: float, max_step_ns: int,
+def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, done: int,
+        at_ns: NDArray[np.int64], rows: NDArray[np.intp], motion: Floats,
+        closed: NDArray[np.bool_], stamps_ns: NDArray[np.int64], torques: Floats,
+        in_space: NDArray[np.bool_], first: int, stop: int, timeout_ns: int, constants: Floats,
+        solver: int, tolerance: float, max_step_ns: int,
         budget: int) -> tuple[int, int, int, bool, int]:
     """
     Go from torque to torque, and fill attitude and rates at sorted times.
 
     Parameters
     ----------
-    packed, packed_begin : float64 (14,)
-        The state on the grid of steps, and the one that the segment began with; changed.
+    states : float64 (3, bodies.SIZE)
+        The state on the grid of steps, and the one that the segment began with; changed. Last,
+        filled, the state that was worked out last.
     grid_ns, begin_ns, sample, silent, done : int, int, int, bool, int
         Their times, the sample in force and whether it timed out, and how many times are filled.
     at_ns : int64 (m,)
     rows : int (m,) or (0,)
         Where each time's motion goes; empty if in their order.
-    attitude, rates : float64 (m, 4), (m, 3)
-    last : float64 (14,)
-        Filled with the state that was worked out last.
+    motion : float64 (7 m,)
+        Filled with the attitudes, and then the angular velocities.
     closed : bool (n + 1,)
         Set where a coast was answered in closed form, by sample + 1.
     stamps_ns, in_space : int64 (n,), bool (n,)
@@ -114,10 +110,10 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
         Where it got until all was done, the budget of steps used up, or the body too fast.
 
     """
-    state, begin = _load(packed), _load(packed_begin)
-    equations, frame = _equations(coefficients), _frame(moments, axes)
-    diagonal, angle = _is_diagonal(coefficients), taylor.step_angle(tolerance)
-    table = np.empty((taylor.ROWS, taylor.MAX_ORDER + 1))
+    state, begin = _load(states[0]), _load(states[1])
+    equations, frame = _equations(constants), _frame(constants)
+    diagonal, angle = _is_diagonal(equations), taylor.step_angle(tolerance)
+    table = np.empty(taylor.WORKSPACE)
     free, prepared = free_motion.unchanging(begin, free_motion.LOST), False
     out = state
     degree = torques.shape[1] - 1
@@ -138,7 +134,6 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
             time_ns = at_ns[row] if asked else end_ns
             rest_ns, seconds = time_ns - grid_ns, (time_ns - grid_ns) / 1e9
             push = taylor.response(equations, torque[0])
-            bound = math.sqrt(vector.dot(push, push))
             formula = coasts and _is_long(solver, begin, time_ns - begin_ns)
             if formula and not prepared:
                 free, prepared = free_motion.prepare(begin, frame), True
@@ -149,15 +144,14 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
                 out = state
             elif (grid_ns == begin_ns and rest_ns < max_step_ns and solver <= EXACT
                   and (coasts or (degree == 0 and not space))
-                  and taylor.is_short(state, seconds, bound, tolerance)):
+                  and taylor.is_short(state, seconds, push, tolerance)):
                 if not asked and not coasts and not falls_silent:
                     state, grid_ns, sample, done = _stream(
-                        state, grid_ns, sample, done, at_ns, rows, attitude, rates, stamps_ns,
-                        torques, in_space, timeout_ns, equations, diagonal, tolerance, max_step_ns)
+                        state, grid_ns, sample, done, at_ns, rows, motion, stamps_ns, torques,
+                        in_space, timeout_ns, equations, diagonal, tolerance, max_step_ns)
                     begin, begin_ns, prepared = state, grid_ns, False
                     continue
-                out = taylor.short_step(state, seconds, equations, diagonal, push, bound,
-                                        tolerance)
+                out = taylor.short_step(state, seconds, equations, diagonal, push, tolerance)
             else:
                 origin_ns, span = _span(stamps_ns, sample)
                 state, grid_ns, out, reached, budget = _move(
@@ -167,23 +161,23 @@ def run(packed: Floats, packed_begin: Floats, grid_ns: int, begin_ns: int, sampl
                 if not reached:
                     break
             if asked:
-                _fill(out, row, attitude, rates)
+                _fill(out, row, motion)
                 done += 1
             if time_ns == end_ns and not goes_on:
                 state, grid_ns, begin, begin_ns, prepared = out, end_ns, out, end_ns, False
         if not asked or begin_ns == end_ns:
             sample, silent = (sample, True) if falls_silent else (sample + 1, False)
-    _store(state, packed)
-    _store(begin, packed_begin)
-    _store(out, last)
+    _store(state, states[0])
+    _store(begin, states[1])
+    _store(out, states[2])
     return grid_ns, begin_ns, sample, silent, done
 
 
 @part
 def _stream(state: vector.State, grid_ns: int, sample: int, done: int, at_ns: NDArray[np.int64],
-            rows: NDArray[np.intp], attitude: Floats, rates: Floats,
-            stamps_ns: NDArray[np.int64], torques: Floats, in_space: NDArray[np.bool_],
-            timeout_ns: int, equations: vector.Coefficients, diagonal: bool, tolerance: float,
+            rows: NDArray[np.intp], motion: Floats, stamps_ns: NDArray[np.int64],
+            torques: Floats, in_space: NDArray[np.bool_], timeout_ns: int,
+            equations: vector.Coefficients, diagonal: bool, tolerance: float,
             max_step_ns: int) -> tuple[vector.State, int, int, int]:
     # Go from stamp to stamp under held body torques for as long as one short step each will do,
     # and nothing is asked for in between. Apart from `run`, because there is nothing else in
@@ -192,31 +186,32 @@ def _stream(state: vector.State, grid_ns: int, sample: int, done: int, at_ns: ND
         next_ns, torque = stamps_ns[sample + 1], _row(torques, sample, 0)
         row = done if len(rows) == 0 else rows[done]
         if at_ns[row] == grid_ns:
-            _fill(state, row, attitude, rates)
+            _fill(state, row, motion)
             done += 1
             continue
         push, span_ns = taylor.response(equations, torque), next_ns - grid_ns
-        bound, seconds = math.sqrt(vector.dot(push, push)), span_ns / 1e9
+        seconds = span_ns / 1e9
         if (at_ns[row] < next_ns or span_ns >= max_step_ns or in_space[sample]
-                or torque == (0.0, 0.0, 0.0) or 0 < timeout_ns < next_ns - stamps_ns[sample]
-                or not taylor.is_short(state, seconds, bound, tolerance)):
+                or _is_nothing(torque) or 0 < timeout_ns < next_ns - stamps_ns[sample]
+                or not taylor.is_short(state, seconds, push, tolerance)):
             break
-        state = taylor.short_step(state, seconds, equations, diagonal, push, bound, tolerance)
+        state = taylor.short_step(state, seconds, equations, diagonal, push, tolerance)
         grid_ns = next_ns
         sample += 1
     return state, grid_ns, sample, done
 
 
 @inlined
-def _fill(state: vector.State, row: int, attitude: Floats, rates: Floats) -> None:
-    rates[row, 0], rates[row, 1], rates[row, 2] = state[0]
-    attitude[row, 0], attitude[row, 1], attitude[row, 2], attitude[row, 3] = state[1]
+def _fill(state: vector.State, row: int, motion: Floats) -> None:
+    w, place = state[0], len(motion) // 7 * 4 + 3 * row
+    four.store(motion, 4 * row, state[1])
+    motion[place], motion[place + 1], motion[place + 2] = w[0], w[1], w[2]
 
 
 @inlined
 def _torque(torques: Floats, index: int, idle: bool) -> vector.Polynomial:
     # Inlined: to hand an array over costs half a short step.
-    none = 0.0, 0.0, 0.0
+    none = four.every(0.0)
     if idle:
         return none, none, none, none
     if torques.shape[1] == 1:
@@ -229,13 +224,18 @@ def _torque(torques: Floats, index: int, idle: bool) -> vector.Polynomial:
 
 @inlined
 def _row(torques: Floats, index: int, k: int) -> vector.Vector:
-    return torques[index, k, 0], torques[index, k, 1], torques[index, k, 2]
+    return vector.of(torques[index, k, 0], torques[index, k, 1], torques[index, k, 2])
 
 
 @inlined
 def _is_zero(torque: vector.Polynomial) -> bool:
     a, b, c, d = torque
-    return a == b == c == d == (0.0, 0.0, 0.0)
+    return _is_nothing(a) and _is_nothing(b) and _is_nothing(c) and _is_nothing(d)
+
+
+@inlined
+def _is_nothing(a: vector.Vector) -> bool:
+    return a[0] == 0.0 and a[1] == 0.0 and a[2] == 0.0
 
 
 @inlined
@@ -302,7 +302,7 @@ def _natural_ns(state: vector.State, rest_ns: int, bound: float, solver: int, an
     square, rest = vector.dot(state[0], state[0]), rest_ns / 1e9
     if rest_ns <= max_step_ns and rest * rest * (square + bound) < 0.01:
         return rest_ns  # turns by about 0.1 rad at most
-    seconds = taylor.step_seconds(math.sqrt(square), bound, angle)
+    seconds = taylor.step_seconds(square, bound, angle)
     return max(1, int(min(seconds * 1e9, float(max_step_ns))))
 
 
@@ -332,47 +332,37 @@ def _local(torque: vector.Polynomial, offset: float, ratio: float) -> vector.Pol
 
 
 @part
-def _equations(rows: Floats) -> vector.Coefficients:
-    return ((_nine(rows[0, 0]), _nine(rows[0, 1]), _nine(rows[0, 2])),
-            (_nine(rows[1, 0]), _nine(rows[1, 1]), _nine(rows[1, 2])))
+def _equations(constants: Floats) -> vector.Coefficients:
+    at = four.load
+    c = constants
+    return ((at(c, 0), at(c, 4), at(c, 8), at(c, 12), at(c, 16), at(c, 20), at(c, 24), at(c, 28),
+             at(c, 32)), (at(c, 36), at(c, 40), at(c, 44), at(c, 48), at(c, 52), at(c, 56)),
+            vector.of(c[0], c[5], c[10]))
 
 
 @part
-def _nine(row: Floats) -> vector.Nine:
-    return row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8]
+def _frame(constants: Floats) -> vector.Frame:
+    at, c = four.load, constants
+    return (at(c, 60), at(c, 64), (at(c, 68), at(c, 72), at(c, 76)),
+            (at(c, 80), at(c, 84), at(c, 88)))
 
 
 @part
-def _is_diagonal(rows: Floats) -> bool:
-    for i in range(3):
-        for j in range(6):
-            if i != j and rows[0, i, j] != 0.0:
-                return False
-    return True
-
-
-@part
-def _frame(moments: Floats, axes: Floats) -> vector.Frame:
-    return (_three(moments[0]), _three(moments[1]),
-            (_three(axes[0, :, 0]), _three(axes[0, :, 1]), _three(axes[0, :, 2])),
-            (_three(axes[1, :, 0]), _three(axes[1, :, 1]), _three(axes[1, :, 2])))
-
-
-@part
-def _three(values: Floats) -> vector.Vector:
-    return values[0], values[1], values[2]
+def _is_diagonal(equations: vector.Coefficients) -> bool:
+    a, b, c, d, e, f, _, _, _ = equations[0]
+    return (a[1] == a[2] == b[0] == b[2] == c[0] == c[1] == 0.0
+            and _is_nothing(d) and _is_nothing(e) and _is_nothing(f))
 
 
 @part
 def _load(packed: Floats) -> vector.State:
-    return ((packed[0], packed[1], packed[2]), (packed[3], packed[4], packed[5], packed[6]),
-            (packed[7], packed[8], packed[9]), (packed[10], packed[11], packed[12], packed[13]))
+    return (four.load(packed, 0), four.load(packed, 4), four.load(packed, 8),
+            four.load(packed, 12))
 
 
 @part
 def _store(state: vector.State, packed: Floats) -> None:
-    w, q, low_w, low_q = state
-    packed[0], packed[1], packed[2] = w
-    packed[3], packed[4], packed[5], packed[6] = q
-    packed[7], packed[8], packed[9] = low_w
-    packed[10], packed[11], packed[12], packed[13] = low_q
+    four.store(packed, 0, state[0])
+    four.store(packed, 4, state[1])
+    four.store(packed, 8, state[2])
+    four.store(packed, 12, state[3])

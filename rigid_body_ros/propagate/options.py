@@ -43,13 +43,13 @@ class Options:
         self.max_step_ns = max(1, round(longest))
         self.timeout_ns = duration_ns(torque_timeout, 'torque_timeout')
 
-    def kernel_arguments(self, body: RigidBody) -> tuple[Floats, Floats, Floats, int, float, int]:
+    def kernel_arguments(self, body: RigidBody) -> tuple[Floats, int, float, int]:
         """Return what every kernel needs to know."""
-        return (body._coefficients, *body._principal, self.code, self.tolerance, self.max_step_ns)
+        return body._constants, self.code, self.tolerance, self.max_step_ns
 
     def rule(self, body: RigidBody, torque: Floats, in_space: bool) -> Hashable:
         """Return what the motion under a held torque depends on, besides its start."""
-        return (body._coefficients.tobytes(), self.solver, self.tolerance, self.max_step_ns,
+        return (body._constants.tobytes(), self.solver, self.tolerance, self.max_step_ns,
                 tuple(torque.ravel().tolist()), in_space and bool(torque.any()))
 
     def check_speed(self, state: Floats, time_ns: int) -> None:

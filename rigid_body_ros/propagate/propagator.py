@@ -21,8 +21,7 @@ from rigid_body_ros.torque import FRAMES
 
 _NO_TORQUE = np.zeros((1, 3))
 #: What a kernel fills and nobody reads: only its last state is wanted.
-_UNUSED = np.empty((1, 4)), np.empty((1, 3))
-_UNUSED_FLAGS = np.empty(2, np.bool_)
+_UNUSED = np.empty(7), np.empty(2, np.bool_)
 
 
 class Propagator:
@@ -228,7 +227,7 @@ def _time_ns(change: _Change) -> int:
 
 def _bare(state: State) -> State:
     """Return a state that does not tell where it comes from."""
-    return State._as_computed(state.time_ns, state.attitude, state.angular_velocity, state._carry)
+    return State._as_computed(state.time_ns, state._packed)
 
 
 def _frozen(values: ArrayLike) -> NDArray[Any]:
@@ -254,15 +253,15 @@ class _Segment:
 
     def state_at(self, time_ns: int, until: float) -> State:
         if time_ns == self._grid_ns[0]:
-            return loop.unpack(time_ns, self._states[0], Origin(
+            return State._as_computed(time_ns, self._states[0], Origin(
                 self._rule, time_ns, self._states[0], time_ns, self._states[0]))
         nearest = bisect.bisect_right(self._grid_ns, time_ns) - 1
-        grid, begin = self._states[nearest].copy(), self._states[0].copy()
-        out = np.empty(loop.SIZE)
+        states = loop.working_states(self._states[nearest], self._states[0])
+        grid, _, out = states
         at = (self._grid_ns[nearest], self._grid_ns[0], 0, False, 0)
         while not at[-1]:
-            at = loop.run(*(grid, begin, *at, np.array([time_ns]), loop.IN_ORDER, *_UNUSED, out,
-                            _UNUSED_FLAGS, *self._log, *self._arguments, loop.BUDGET))
+            at = loop.run(*(states, *at, np.array([time_ns]), loop.IN_ORDER, *_UNUSED,
+                            *self._log, *self._arguments, loop.BUDGET))
             self._options.check_speed(grid, at[0])
             if time.monotonic() > until:
                 break
@@ -273,8 +272,8 @@ class _Segment:
         if not at[-1]:
             raise TimeoutError(f'the motion is known up to {at[0]} ns, not yet to {time_ns} ns')
         self._options.check_speed(out, time_ns)
-        return loop.unpack(time_ns, out, Origin(self._rule, self._grid_ns[0], self._states[0],
-                                                at[0], grid))
+        return State._as_computed(time_ns, out, Origin(
+            self._rule, self._grid_ns[0], self._states[0], at[0], grid))
 
     def end_at(self, time_ns: int, until: float) -> State:
         """Return a state that the next segment begins with, even if the torque stays the same."""

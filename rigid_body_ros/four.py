@@ -1,0 +1,147 @@
+"""
+Four doubles in one register, for the compiled kernels: a quaternion, or a vector and a zero.
+
+What is done to one is done to each, and rounded as for a single double, so that results do not
+depend on how many of them a machine's registers hold. Kernels read one of the four as a[0] to
+a[3]. Without numba, four doubles are a tuple.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import operator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigid_body_ros import _jit
+
+if _jit.COMPILES:
+    from llvmlite import ir
+    from numba.core import types
+    from numba.core.cgutils import get_or_insert_function
+    from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+    from numba.extending import intrinsic, lower_builtin, models, register_model
+
+    class _Type(types.Type):
+        def __init__(self) -> None:
+            super().__init__('Four')
+
+    _REGISTER = ir.VectorType(ir.DoubleType(), 4)
+    _BITS = ir.VectorType(ir.IntType(64), 4)
+    _TYPES = {'four': _Type(), 'float': types.float64}
+
+    @register_model(_Type)
+    class _Model(models.PrimitiveModel):
+        def __init__(self, manager: Any, kind: Any) -> None:
+            super().__init__(manager, kind, _REGISTER)
+
+    @infer_global(operator.getitem)
+    class _Element(AbstractTemplate):
+        def generic(self, arguments: Any, _: Any) -> Any:
+            if isinstance(arguments[0], _Type):
+                return signature(types.float64, *arguments)
+            return None
+
+    @lower_builtin(operator.getitem, _Type, types.Integer)
+    def _element(_: Any, builder: Any, __: Any, values: Any) -> Any:
+        return builder.extract_element(*values)
+
+Four = tuple[float, float, float, float]
+
+
+def _operation(plain: Callable[..., Any], kinds: str,
+               generate: Callable[..., Any]) -> Callable[..., Four]:
+    # An operation of the kernels: in Python, the kinds of its arguments, and in instructions.
+    if not _jit.COMPILES:
+        return plain
+    arguments = [_TYPES[kind] for kind in kinds.split()]
+    found = (_TYPES['four'](*arguments),
+             lambda _, builder, __, values: generate(builder, *values))
+    by_count = (lambda _, a: found, lambda _, a, b: found, lambda _, a, b, c: found,
+                lambda _, a, b, c, d: found)
+    return intrinsic(by_count[len(arguments) - 1])
+
+
+def _each(operation: Callable[..., float]) -> Callable[..., tuple[float, ...]]:
+    return lambda *operands: tuple(map(operation, *operands))
+
+
+def _called(builder: Any, name: str, *values: Any) -> Any:
+    kind = ir.FunctionType(_REGISTER, [_REGISTER] * len(values))
+    return builder.call(get_or_insert_function(builder.module, kind, f'{name}.v4f64'), values)
+
+
+def _gathered(builder: Any, *values: Any) -> Any:
+    register = ir.Constant(_REGISTER, ir.Undefined)
+    for place, value in enumerate(values):
+        register = builder.insert_element(register, value, ir.Constant(ir.IntType(32), place))
+    return register
+
+
+def _permuted(order: str, signs: str = '++++') -> Callable[[Four], Four]:
+    # The elements in another order, with these signs.
+    places = ['xyzw'.index(letter) for letter in order]
+    factors = [-1.0 if sign == '-' else 1.0 for sign in signs]
+
+    def generate(builder: Any, a: Any) -> Any:
+        mask = ir.Constant(ir.VectorType(ir.IntType(32), 4), places)
+        bits = builder.bitcast(builder.shuffle_vector(a, a, mask), _BITS)
+        flips = ir.Constant(_BITS, [int(factor < 0.0) << 63 for factor in factors])
+        return builder.bitcast(builder.xor(bits, flips), _REGISTER)
+    return _operation(
+        lambda a: tuple(factor * a[place] for factor, place in zip(factors, places)), 'four',
+        generate)
+
+
+#: Four floats, and one float four times.
+of = _operation(lambda *values: values, 'float float float float', _gathered)
+every = _operation(lambda value: (value,) * 4, 'float',
+                   lambda builder, value: _gathered(builder, *[value] * 4))
+add = _operation(_each(operator.add), 'four four', lambda builder, a, b: builder.fadd(a, b))
+subtract = _operation(_each(operator.sub), 'four four', lambda builder, a, b: builder.fsub(a, b))
+multiply = _operation(_each(operator.mul), 'four four', lambda builder, a, b: builder.fmul(a, b))
+negative = _operation(_each(operator.neg), 'four', lambda builder, a: builder.fneg(a))
+absolute = _operation(_each(abs), 'four', lambda builder, a: _called(builder, 'llvm.fabs', a))
+#: a b + c, rounded once.
+fma = _operation(_each(_jit.fma), 'four four four',
+                 lambda builder, *values: _called(builder, 'llvm.fma', *values))
+#: y z x and z x y of a vector.
+yzx, zxy = _permuted('yzxw'), _permuted('zxyw')
+#: The quaternion times i, j and k.
+times_i, times_j, times_k = (_permuted('wzyx', '++--'), _permuted('zwxy', '-++-'),
+                             _permuted('yxwz', '+-+-'))
+
+
+def load(values: NDArray[np.float64], start: int) -> Four:
+    """Return four successive elements of a contiguous array, shape (n,)."""
+    a, b, c, d = values[start:start + 4].tolist()
+    return a, b, c, d
+
+
+def store(values: NDArray[np.float64], start: int, four: Four) -> None:
+    """Set four successive elements of a contiguous array, shape (n,)."""
+    values[start:start + 4] = four
+
+
+if _jit.COMPILES:
+    def _pointer(context: Any, builder: Any, kind: Any, array: Any, start: Any) -> Any:
+        data = context.make_array(kind)(context, builder, array).data
+        return builder.bitcast(builder.gep(data, [start]), _REGISTER.as_pointer())
+
+    @intrinsic
+    def _load(_context: Any, values: Any, start: Any) -> Any:
+        def generate(context: Any, builder: Any, _: Any, operands: Any) -> Any:
+            return builder.load(_pointer(context, builder, values, *operands), align=8)
+        return _TYPES['four'](values, types.intp), generate
+
+    @intrinsic
+    def _store(_context: Any, values: Any, start: Any, four: Any) -> Any:
+        def generate(context: Any, builder: Any, _: Any, operands: Any) -> Any:
+            array, start, value = operands
+            builder.store(value, _pointer(context, builder, values, array, start), align=8)
+            return context.get_dummy_value()
+        return types.void(values, types.intp, four), generate
+
+    load, store = _load, _store
