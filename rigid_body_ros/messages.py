@@ -2,7 +2,7 @@
 ROS messages as bytes: the one place that knows fields, CDR and message definitions.
 
 All types here have one shape: a header, for some a second frame name, and then doubles. (A
-TFMessage is a list of such; here it always has one entry.)
+TFMessage is a list of such; here it always has one entry. A Wrench has no header.)
 Encoded by the XCDR1 rules of the DDS-XTypes specification, section 7.4: little-endian when
 written, either when read; doubles are aligned to 8 bytes behind the 4 bytes of encapsulation.
 """
@@ -16,7 +16,7 @@ import struct
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from rigid_body_ros.body import State
 from rigid_body_ros.so3 import Floats
@@ -55,6 +55,21 @@ _FIELDS = {
 }
 
 
+_HASHES = {name: f'RIHS01_{digits}' for name, digits in {
+    'geometry_msgs/msg/Wrench':
+        '018e8519d57c16adbe97c9fe1460ef21fec7e31bc541de3d653a35895677ce52',
+    'geometry_msgs/msg/WrenchStamped':
+        '8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77',
+    'geometry_msgs/msg/QuaternionStamped':
+        '381add86c6c3160644d228ca342182c7fd6c7fab11c7a85ad817a9cc22dbac6e',
+    'geometry_msgs/msg/Vector3Stamped':
+        'd4829622288cbb443886e7ea94ea5671a3b1be6bab4ad04224432a65f7d7887a',
+    'sensor_msgs/msg/Imu': '7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b',
+    'nav_msgs/msg/Odometry': '3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0',
+    'tf2_msgs/msg/TFMessage': 'e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087',
+}.items()}
+
+
 class Stamped(NamedTuple):
     """A decoded message: its time, its frame (and child frame), its doubles in field order."""
 
@@ -73,6 +88,12 @@ class MessageType:
     has_child_frame: bool = False
     #: Whether it is a list, of one entry.
     is_list: bool = False
+    has_header: bool = True
+
+    @property
+    def hash(self) -> str:
+        """What ROS 2 tells types apart by, from Iron on (REP-2011)."""
+        return _HASHES[self.name]
 
     @property
     def definition(self) -> str:
@@ -87,6 +108,20 @@ class MessageType:
         before, after = _around_stamp(self, frame_id, child_frame_id)
         stamp = struct.pack('<iI', *divmod(stamp_ns, 10 ** 9))
         return before + stamp + after + np.asarray(values, '<f8').tobytes()
+
+    def layout(self, frame_id: str, child_frame_id: str = '') -> np.dtype[np.void]:
+        """Return where the fields of a message lie, for arrays of messages that `fill` fills."""
+        before, after = _around_stamp(self, frame_id, child_frame_id)
+        return np.dtype([('before', f'V{len(before)}'), ('sec', '<i4'), ('nanosec', '<u4'),
+                         ('after', f'V{len(after)}'), ('values', '<f8', (self.doubles,))])
+
+    def fill(self, rows: NDArray[np.void], stamps_ns: NDArray[np.int64], values: Floats,
+             frame_id: str, child_frame_id: str = '') -> None:
+        """Set messages of that layout, shape (n,); values in field order, shape (n, doubles)."""
+        before, after = _around_stamp(self, frame_id, child_frame_id)
+        rows['before'], rows['after'] = np.void(before), np.void(after)
+        rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, 10 ** 9)
+        rows['values'] = values
 
     def decode(self, data: bytes) -> Stamped:
         """
@@ -115,6 +150,8 @@ class MessageType:
             if entries != 1:
                 raise ValueError(f'a list of {entries}')
             offset = 4
+        if not self.has_header:
+            return Stamped(0, '', '', self._doubles(body, offset, order))
         seconds, nanoseconds = struct.unpack_from(order + 'iI', body, offset)
         if seconds < 0 or nanoseconds >= 10 ** 9:
             raise ValueError(f'a stamp of {seconds} s and {nanoseconds} ns')
@@ -122,12 +159,15 @@ class MessageType:
         child_frame_id = ''
         if self.has_child_frame:
             child_frame_id, offset = _string(body, offset, order)
-        values = np.frombuffer(body, order + 'f8', self.doubles, offset + -offset % 8)
         return Stamped(seconds * 10 ** 9 + nanoseconds, frame_id, child_frame_id,
-                       values.astype(float))
+                       self._doubles(body, offset, order))
+
+    def _doubles(self, body: memoryview, offset: int, order: str) -> Floats:
+        return np.frombuffer(body, order + 'f8', self.doubles, offset + -offset % 8).astype(float)
 
 
 WRENCH = MessageType('geometry_msgs/msg/WrenchStamped', 6)
+BARE_WRENCH = MessageType('geometry_msgs/msg/Wrench', 6, has_header=False)
 QUATERNION = MessageType('geometry_msgs/msg/QuaternionStamped', 4)
 VECTOR3 = MessageType('geometry_msgs/msg/Vector3Stamped', 3)
 IMU = MessageType('sensor_msgs/msg/Imu', 37)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 import time
@@ -120,7 +120,7 @@ def read(path: str | Path, scene: Scene, topic: str | None = None,
         The recording cannot be read or does not fit the scene.
 
     """
-    recorded = recording.read(path, topic, track=bar('reading'))
+    recorded = recording.read(path, topic, track=bar('reading', size=len))
     log = recording.torque_log(path, recorded, scene.values['body_frame'],
                                scene.values['space_frame'],
                                interpolation or scene.values['interpolation'])
@@ -225,12 +225,16 @@ def _solvers(result: Replay) -> list[str]:
     return [f'{span_ns * 1e-9:.9g} s by {name}' for name, span_ns in spans.items()]
 
 
-def bar(label: str, unit: str = ' stamps') -> recording.Track:
-    """Return what shows the progress through an iterable, where somebody watches."""
-    def track(items: Iterable[Any], total: int) -> Iterable[Any]:
+def bar(label: str, unit: str = ' stamps',
+        size: Callable[[Any], int] = lambda item: 1) -> recording.Track:
+    """Return what shows the progress through items of some size, where somebody watches."""
+    def track(items: Iterable[Any], total: int) -> Iterator[Any]:
         # disable=None: no bar where standard error is no terminal.
-        return tqdm(items, label, total, unit=unit, unit_scale=True, leave=False,
-                    disable=None)
+        with tqdm(None, label, total, unit=unit, unit_scale=True, leave=False,
+                  disable=None) as shown:
+            for item in items:
+                yield item
+                shown.update(size(item))
     return track
 
 

@@ -1,0 +1,194 @@
+"""
+Messages in bulk: the bytes of many at once, to arrays.
+
+A kernel goes from message to message, where a loop in Python would take a hundred times as long.
+What does not look regular to it is left to `MessageType.decode`, which can tell why.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigid_body_ros._jit import inlined, njit
+from rigid_body_ros.messages import MessageType
+from rigid_body_ros.so3 import Floats
+
+Bytes = NDArray[np.uint8]
+Ints = NDArray[np.int64]
+
+
+class BadMessageError(ValueError):
+    """A message is not what its type says; `row` is its index."""
+
+    def __init__(self, row: int, reason: str) -> None:
+        super().__init__(reason)
+        self.row = row
+
+
+class Raw(NamedTuple):
+    """
+    Messages of one topic as bytes.
+
+    Attributes
+    ----------
+    data : array of uint8, shape (size,)
+    starts, sizes : array of int64, shape (n,)
+        Where each message lies in the data.
+    log_ns, publish_ns : array of int64, shape (n,)
+
+    """
+
+    data: Bytes
+    starts: Ints
+    sizes: Ints
+    log_ns: Ints
+    publish_ns: Ints
+
+    def message(self, row: int) -> bytes:
+        """Return the bytes of one message."""
+        return self.data[self.starts[row]:self.starts[row] + self.sizes[row]].tobytes()
+
+
+class Decoded(NamedTuple):
+    """
+    What messages of one topic say.
+
+    Attributes
+    ----------
+    stamps_ns : array of int64, shape (n,)
+        Zero where the type has no header.
+    frames : array of int, shape (n,)
+        Indices of `names`.
+    names : list of str
+        The frame_ids.
+    values : array, shape (n, doubles)
+
+    """
+
+    stamps_ns: Ints
+    frames: NDArray[np.intp]
+    names: list[str]
+    values: Floats
+
+
+def decode(kind: MessageType, raw: Raw) -> Decoded:
+    """Return what messages say, or raise BadMessageError."""
+    count = len(raw.starts)
+    stamps, bits = np.zeros(count, np.int64), np.empty((count, kind.doubles), np.int64)
+    texts, changes = np.zeros((count, 2), np.int64), np.zeros(count, np.bool_)
+    done = _decode(raw.data, raw.starts, raw.sizes, kind.has_header, kind.is_list,
+                   kind.has_child_frame, stamps, bits, texts, changes)
+    names: dict[str, int] = {}
+    codes = np.zeros(count, np.intp)
+    rows = np.flatnonzero(changes[:done])
+    try:
+        for row, end in zip(rows.tolist(), [*rows[1:].tolist(), done]):
+            start, size = texts[row].tolist()
+            name = str(raw.data[start:start + size].tobytes(), 'utf-8')
+            codes[row:end] = names.setdefault(name, len(names))
+        if done < count:
+            row = done
+            kind.decode(raw.message(row))
+            raise ValueError(f'expected a {kind.name} in CDR')
+    except ValueError as error:
+        raise BadMessageError(row, str(error)) from error
+    return Decoded(stamps, codes, [*names], bits.view(np.float64))
+
+
+@njit
+def _decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: bool,
+            has_child_frame: bool, stamps: Ints, bits: Ints, texts: Ints,
+            changes: NDArray[np.bool_]) -> int:
+    # Fill stamps, the bits of the doubles, where frame_ids lie and whether one differs from the
+    # one before; return how many messages are regular.
+    for row in range(len(starts)):
+        start, end = starts[row], starts[row] + sizes[row]
+        if sizes[row] < 4 or data[start] != 0 or data[start + 1] > 1:
+            return row
+        little, body = data[start + 1] == 1, start + 4
+        offset = body
+        if is_list:
+            if offset + 4 > end or _int(data, offset, 4, little) != 1:
+                return row
+            offset += 4
+        if has_header:
+            if offset + 8 > end:
+                return row
+            seconds, rest = _int(data, offset, 4, little), _int(data, offset + 4, 4, little)
+            if seconds >= 2 ** 31 or rest >= 10 ** 9:
+                return row
+            stamps[row] = seconds * 10 ** 9 + rest
+            offset += 8
+            for text in range(2 if has_child_frame else 1):
+                offset += (body - offset) % 4
+                size = _int(data, offset, 4, little) if offset + 4 <= end else 0
+                if size < 1 or size > end - offset - 4:
+                    return row
+                if text == 0:
+                    texts[row, 0], texts[row, 1] = offset + 4, size - 1
+                    changes[row] = row == 0 or not _same(data, texts[row - 1], texts[row])
+                offset += 4 + size
+            offset += (body - offset) % 8
+        elif row == 0:
+            changes[row] = True
+        if offset + 8 * bits.shape[1] > end:
+            return row
+        for k in range(bits.shape[1]):
+            bits[row, k] = _int(data, offset + 8 * k, 8, little)
+    return len(starts)
+
+
+@inlined
+def _int(data: Bytes, start: int, size: int, little: bool) -> Any:
+    # Eight bytes come with a sign, fewer without.
+    value = np.int64(0)
+    for k in range(size):
+        place = size - 1 - k if little else k
+        value = value << np.int64(8) | np.int64(data[start + place])
+    return value
+
+
+@inlined
+def _same(data: Bytes, one: Ints, other: Ints) -> bool:
+    if one[1] != other[1]:
+        return False
+    for k in range(one[1]):
+        if data[one[0] + k] != data[other[0] + k]:
+            return False
+    return True
+
+
+@njit
+def scan(data: Bytes, position: int, count: int, channels: Ints, log_ns: Ints, publish_ns: Ints,
+         starts: Ints, sizes: Ints) -> tuple[int, int]:
+    """
+    Find the messages among MCAP records, up to the first record that is none.
+
+    Parameters
+    ----------
+    data : uint8 (size,)
+    position, count : int
+        Where to begin, and how many were found before.
+    channels, log_ns, publish_ns, starts, sizes : int64
+        Filled from `count` on.
+
+    Returns
+    -------
+    position, count
+
+    """
+    end = len(data)
+    while position + 31 <= end and data[position] == 5:  # opcode, length, and the fields of one
+        length = _int(data, position + 1, 8, True)
+        if length < 22 or length > end - position - 9:
+            break
+        channels[count] = _int(data, position + 9, 2, True)
+        log_ns[count] = _int(data, position + 15, 8, True)
+        publish_ns[count] = _int(data, position + 23, 8, True)
+        starts[count], sizes[count] = position + 31, length - 22
+        position += 9 + length
+        count += 1
+    return position, count

@@ -1,0 +1,178 @@
+"""The container of an MCAP file, written front to back: chunks, their indexes, the summary."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import IO, NamedTuple
+import zlib
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC
+import numpy as np
+from numpy.typing import NDArray
+import zstandard
+
+#: The fastest that shrinks doubles as much as the slower ones do.
+_LEVEL = 1
+_INDEX = np.dtype([('time', '<u8'), ('offset', '<u8')])
+
+
+class Indexed(NamedTuple):
+    """Where the messages of a channel lie in a chunk, and their times; int64 (n,)."""
+
+    channel: int
+    times_ns: NDArray[np.int64]
+    offsets: NDArray[np.int64]
+
+
+class Container:
+    """
+    An MCAP file in the profile of ROS 2.
+
+    Chunks are packed by a thread beside the caller's; each is in the file, and flushed, before
+    the one after the next is taken.
+    """
+
+    def __init__(self, stream: IO[bytes], library: str) -> None:
+        self._stream = stream
+        self._place = 0
+        self._schemas: list[Schema] = []
+        self._channels: list[Channel] = []
+        self._chunks: list[ChunkIndex] = []
+        self._metadata: list[MetadataIndex] = []
+        self._counts: dict[int, int] = {}
+        self._first_ns, self._last_ns = 2 ** 63, 0
+        self._packer = ThreadPoolExecutor(1)
+        self._packed: Future[tuple[Chunk, list[Indexed]]] | None = None
+        self._write(MCAP0_MAGIC)
+        self._write(_record(Header('ros2', library)))
+
+    def add_channel(self, topic: str, type_name: str, definition: str,
+                    metadata: dict[str, str]) -> int:
+        """Announce a topic, and return its channel."""
+        known = [schema.id for schema in self._schemas if schema.name == type_name]
+        if not known:
+            schema = Schema(id=len(self._schemas) + 1, name=type_name, encoding='ros2msg',
+                            data=definition.encode())
+            self._schemas.append(schema)
+            self._write(_record(schema))
+        channel = Channel(id=len(self._channels) + 1, topic=topic, message_encoding='cdr',
+                          metadata=metadata, schema_id=known[0] if known else schema.id)
+        self._channels.append(channel)
+        self._counts[channel.id] = 0
+        self._write(_record(channel))
+        return channel.id
+
+    def add_chunk(self, data: bytes, indexed: list[Indexed]) -> None:
+        """Append message records, and where in them each message lies."""
+        for channel, times_ns, _ in indexed:
+            self._counts[channel] += len(times_ns)
+        self._finish_chunk()
+        self._packed = self._packer.submit(_packed, data, indexed)
+
+    def add_metadata(self, name: str, content: dict[str, str]) -> None:
+        """Append metadata."""
+        self._finish_chunk()
+        record = _record(Metadata(name=name, metadata=content))
+        self._metadata.append(MetadataIndex(offset=self._place, length=len(record), name=name))
+        self._write(record)
+
+    def finish(self) -> None:
+        """Write what makes the file complete."""
+        self._finish_chunk()
+        self._write(_record(DataEnd(data_section_crc=0)))
+        start = self._place
+        offsets = [self._write_group(opcode, group) for opcode, group in (
+            (Opcode.SCHEMA, self._schemas), (Opcode.CHANNEL, self._channels),
+            (Opcode.STATISTICS, [self._statistics()]), (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.METADATA_INDEX, self._metadata)) if group]
+        offset_start = self._place
+        for offset in offsets:
+            self._write(_record(offset))
+        self._write(_record(Footer(summary_start=start, summary_offset_start=offset_start,
+                                   summary_crc=0)))
+        self._write(MCAP0_MAGIC)
+        self.close()
+
+    def close(self) -> None:
+        """End the thread; what was not written is not written any more."""
+        self._packer.shutdown(cancel_futures=True)
+
+    def _finish_chunk(self) -> None:
+        if self._packed is None:
+            return
+        chunk, indexed = self._packed.result()
+        self._packed = None
+        start = self._place
+        self._write(_record(chunk))
+        length = self._place - start
+        places = {}
+        for channel, times_ns, offsets in indexed:
+            places[channel] = self._place
+            entries = np.empty(len(times_ns), _INDEX)
+            entries['time'], entries['offset'] = times_ns, offsets
+            builder = RecordBuilder()
+            builder.start_record(Opcode.MESSAGE_INDEX)
+            builder.write2(channel)
+            builder.write4(entries.nbytes)
+            builder.write(entries.tobytes())
+            builder.finish_record()
+            self._write(builder.end())
+        self._chunks.append(ChunkIndex(
+            chunk_length=length, chunk_start_offset=start, compression=chunk.compression,
+            compressed_size=len(chunk.data), message_end_time=chunk.message_end_time,
+            message_index_length=self._place - start - length, message_index_offsets=places,
+            message_start_time=chunk.message_start_time,
+            uncompressed_size=chunk.uncompressed_size))
+        self._first_ns = min(self._first_ns, chunk.message_start_time)
+        self._last_ns = max(self._last_ns, chunk.message_end_time)
+        self._stream.flush()
+
+    def _statistics(self) -> Statistics:
+        count = sum(self._counts.values())
+        return Statistics(
+            attachment_count=0, channel_count=len(self._channels),
+            channel_message_counts=self._counts, chunk_count=len(self._chunks),
+            message_count=count, metadata_count=len(self._metadata),
+            message_start_time=self._first_ns if count else 0, message_end_time=self._last_ns,
+            schema_count=len(self._schemas))
+
+    def _write_group(self, opcode: int, records: Iterable[McapRecord]) -> SummaryOffset:
+        start = self._place
+        for record in records:
+            self._write(_record(record))
+        return SummaryOffset(group_opcode=opcode, group_start=start,
+                             group_length=self._place - start)
+
+    def _write(self, data: bytes) -> None:
+        self._stream.write(data)
+        self._place += len(data)
+
+
+def _packed(data: bytes, indexed: list[Indexed]) -> tuple[Chunk, list[Indexed]]:
+    times = np.concatenate([each.times_ns for each in indexed])
+    return Chunk(compression='zstd', data=zstandard.ZstdCompressor(_LEVEL).compress(data),
+                 message_start_time=int(times.min()), message_end_time=int(times.max()),
+                 uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data)), indexed
+
+
+def _record(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()

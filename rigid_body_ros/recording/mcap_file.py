@@ -1,0 +1,240 @@
+"""MCAP files, read from front to back: their messages in blocks, up to the end or to damage."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from io import BytesIO
+import os
+from pathlib import Path
+import struct
+from typing import IO
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, Schema
+from mcap.stream_reader import MAGIC_SIZE, get_chunk_data_stream, read_magic
+from mcap.summary import Summary
+from mcap.writer import MCAP0_MAGIC
+import numpy as np
+
+from rigid_body_ros.recording import bulk
+from rigid_body_ros.recording.bulk import Ints, Raw
+from rigid_body_ros.scene import InputError
+
+#: Bytes of messages outside of chunks that make a block.
+_BLOCK = 2 ** 20
+#: Bytes that a chunk may hold; rosbag2 and mcap write about one million.
+_LARGEST = 2 ** 30
+_RECORD = struct.Struct('<BQ')
+
+
+class DamageError(Exception):
+    """From here on the file cannot be used."""
+
+
+class McapFile:
+    """
+    The messages of an MCAP file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Attributes
+    ----------
+    damage : str
+        What was lost and where, once the messages were read; '' if nothing.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or is no MCAP file.
+
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._counts: dict[int, int] = {}
+        self.damage = ''
+        try:
+            self._size = path.stat().st_size
+            with open(path, 'rb') as stream:
+                self._begin(stream)
+                summary = _summary(stream)
+        except OSError as error:
+            raise InputError(f'{path}: cannot read the recording: {error.strerror}') from error
+        if summary is None:  # what is in it, only all of it tells
+            for _ in self._blocks():
+                pass
+            if self.damage and not self._channels:
+                raise InputError(f'{path}: expected an MCAP file with messages, found none '
+                                 f'({self.damage})')
+        else:
+            self._schemas, self._channels = summary.schemas, summary.channels
+            self._counts = dict(summary.statistics.channel_message_counts) \
+                if summary.statistics else {}
+
+    @property
+    def types(self) -> dict[str, str]:
+        """The type of each topic, '' if it is not told."""
+        return {channel.topic: self._schemas[channel.schema_id].name
+                if channel.schema_id in self._schemas else ''
+                for channel in self._channels.values()}
+
+    def count(self, topic: str) -> int:
+        """Return how many messages a topic has."""
+        return sum(self._counts.get(number, 0) for number, channel in self._channels.items()
+                   if channel.topic == topic)
+
+    def read(self, topic: str) -> Iterator[Raw]:
+        """Generate the messages of a topic, in the order of the file."""
+        for data, channels, found in self._blocks():
+            wanted = [number for number, channel in self._channels.items()
+                      if channel.topic == topic]
+            rows = np.flatnonzero(np.isin(channels, wanted))
+            for number in wanted:
+                encoding = self._channels[number].message_encoding
+                if encoding != 'cdr':
+                    raise InputError(f'{self.path}: {topic}: expected the message encoding cdr, '
+                                     f'found {encoding!r}')
+            if rows.size:
+                yield Raw(data, *(column[rows] for column in found))
+
+    def _begin(self, stream: IO[bytes]) -> None:
+        try:
+            read_magic(ReadDataStream(stream))
+        except Exception as error:  # too short, or other bytes
+            raise InputError(f'{self.path}: expected an MCAP file, found none '
+                             f'({_told(error)})') from error
+
+    def _blocks(self) -> Iterator[tuple[bulk.Bytes, Ints, tuple[Ints, Ints, Ints, Ints]]]:
+        # Data, the channel of each message, its place, size and times.
+        self.damage = ''
+        self._counts = {}
+        messages = 0
+        try:
+            with open(self.path, 'rb') as stream:
+                stream.seek(MAGIC_SIZE)
+                for begin, data in self._stretches(stream):
+                    channels, found = self._scanned(begin, data)
+                    messages += len(channels)
+                    yield data, channels, found
+                stream.seek(-MAGIC_SIZE, os.SEEK_END)
+                if stream.read() != MCAP0_MAGIC:
+                    self.damage = 'cut off behind its messages, which are all there'
+        except DamageError as problem:
+            self.damage = f'{problem}; {messages} messages of all topics come before'
+        except OSError as error:
+            raise InputError(f'{self.path}: cannot read the recording: '
+                             f'{error.strerror}') from error
+
+    def _stretches(self, stream: IO[bytes]) -> Iterator[tuple[int, bulk.Bytes]]:
+        # Records as they are in chunks, and those outside of chunks together.
+        loose, begin = bytearray(), 0
+        problem = None
+        try:
+            for place, opcode, record in self._records(stream):
+                if opcode == Opcode.CHUNK:
+                    if loose:
+                        yield begin, np.frombuffer(bytes(loose), np.uint8)
+                        loose.clear()
+                    yield place, _unpacked(place, record)
+                else:
+                    begin = place if not loose else begin
+                    loose += _RECORD.pack(opcode, len(record)) + record
+                    if len(loose) > _BLOCK:
+                        yield begin, np.frombuffer(bytes(loose), np.uint8)
+                        loose.clear()
+        except DamageError as error:
+            problem = error
+        if loose:
+            yield begin, np.frombuffer(bytes(loose), np.uint8)
+        if problem:
+            raise problem
+
+    def _records(self, stream: IO[bytes]) -> Iterator[tuple[int, int, bytes]]:
+        # Place, opcode and content of those that messages are read from.
+        wanted = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
+        place = MAGIC_SIZE
+        while True:
+            head = stream.read(_RECORD.size)
+            if len(head) < _RECORD.size:
+                raise DamageError(f'cut off at byte {place}')
+            opcode, length = _RECORD.unpack(head)
+            if opcode == Opcode.DATA_END:
+                return
+            if length > self._size - place - _RECORD.size:
+                raise DamageError(f'cut off or damaged at byte {place}: a record of {length} '
+                                  f'bytes, of which {self._size - place - _RECORD.size} are there')
+            if opcode in wanted:
+                yield place, opcode, stream.read(length)
+            else:
+                stream.seek(length, os.SEEK_CUR)
+            place += _RECORD.size + length
+
+    def _scanned(self, begin: int,
+                 data: bulk.Bytes) -> tuple[Ints, tuple[Ints, Ints, Ints, Ints]]:
+        columns = np.empty((5, len(data) // 31 + 1), np.int64)
+        channels, starts, sizes, log_ns, publish_ns = columns
+        position = count = 0
+        while position < len(data):
+            position, count = bulk.scan(data, position, count, channels, log_ns, publish_ns,
+                                        starts, sizes)
+            if position < len(data):
+                position = self._learned(begin, data, position)
+        channels, starts, sizes, log_ns, publish_ns = columns[:, :count]
+        numbers, counts = np.unique(channels, return_counts=True)
+        unknown = set(numbers.tolist()) - self._channels.keys()
+        if unknown:
+            raise DamageError(f'damaged at byte {begin}: messages of channels that were not '
+                              f'announced: {sorted(unknown)}')
+        for number, more in zip(numbers.tolist(), counts.tolist()):
+            self._counts[number] = self._counts.get(number, 0) + more
+        return channels, (starts, sizes, log_ns, publish_ns)
+
+    def _learned(self, begin: int, data: bulk.Bytes, position: int) -> int:
+        # Take a schema or a channel, and return where the next record is.
+        if position + _RECORD.size > len(data):
+            raise DamageError(f'damaged at byte {begin}: half a record')
+        opcode, length = _RECORD.unpack(data[position:position + _RECORD.size].tobytes())
+        position += _RECORD.size
+        if length > len(data) - position or opcode == Opcode.MESSAGE:
+            raise DamageError(f'damaged at byte {begin}: a record of {length} bytes')
+        content = ReadDataStream(BytesIO(data[position:position + length].tobytes()))
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(content)
+                self._schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(content)
+                self._channels[channel.id] = channel
+        except Exception as error:  # on damaged bytes mcap raises a dozen kinds
+            raise DamageError(f'damaged at byte {begin}: {_told(error)}') from error
+        return position + length
+
+
+def _unpacked(place: int, record: bytes) -> bulk.Bytes:
+    try:
+        chunk = Chunk.read(ReadDataStream(BytesIO(record)))
+        if chunk.uncompressed_size > _LARGEST:
+            raise ValueError(f'a chunk of {chunk.uncompressed_size} bytes')
+        content, size = get_chunk_data_stream(chunk, validate_crc=True)
+        return np.frombuffer(content.read(size), np.uint8)
+    except Exception as error:  # of mcap, zstandard and lz4
+        raise DamageError(f'damaged chunk at byte {place} ({_told(error)})') from error
+
+
+def _summary(stream: IO[bytes]) -> Summary | None:
+    try:
+        stream.seek(0)
+        summary = make_reader(stream).get_summary()
+    except Exception:  # cut off or damaged: `McapFile` then reads what there is
+        return None
+    return summary if summary and summary.channels else None
+
+
+def _told(error: Exception) -> str:
+    return ' '.join(str(error).split()) or type(error).__name__

@@ -1,0 +1,236 @@
+"""A topic of a recording of any kind, message by message or block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+import tempfile
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+import yaml
+import zstandard
+
+from rigid_body_ros.messages import MessageType
+from rigid_body_ros.recording import bulk
+from rigid_body_ros.recording.bulk import Raw
+from rigid_body_ros.recording.mcap_file import McapFile
+from rigid_body_ros.recording.sqlite_file import SqliteFile
+from rigid_body_ros.scene import InputError
+from rigid_body_ros.so3 import Floats
+
+#: Where the time of a message is taken from.
+TIME_SOURCES = ('header', 'log', 'publish')
+
+
+class File(Protocol):
+    """A file of a recording."""
+
+    path: Path
+    damage: str
+
+    @property
+    def types(self) -> dict[str, str]:
+        """The type of each topic."""
+
+    def count(self, topic: str) -> int:
+        """Return how many messages a topic has."""
+
+    def read(self, topic: str) -> Iterator[Raw]:
+        """Generate the messages of a topic, in the order of the file."""
+
+
+@dataclass(frozen=True, eq=False)
+class Messages:
+    """
+    Messages of a topic, in the order of the recording.
+
+    Attributes
+    ----------
+    topic : str
+    stamps_ns : array of int64, shape (n,)
+        From the headers, unless another source of time was asked for or there are none.
+    frames : array of int, shape (n,)
+        Indices of `names`.
+    names : list of str
+        The frame_ids.
+    values : array, shape (n, d)
+        The doubles of each message in field order.
+    damage : str
+        What was lost and where; '' if nothing.
+
+    """
+
+    topic: str
+    stamps_ns: NDArray[np.int64]
+    frames: NDArray[np.intp]
+    names: list[str]
+    values: Floats
+    damage: str = ''
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    @property
+    def frame_ids(self) -> list[str]:
+        """The frame_id of each message."""
+        return [self.names[code] for code in self.frames.tolist()]
+
+
+class Source:
+    """
+    A topic of a recording; as a context manager, and iterated for blocks of `Messages`.
+
+    Parameters
+    ----------
+    path : str or Path
+        An MCAP file, a SQLite file of rosbag2, or a folder of either with metadata.yaml.
+    topic : str, optional
+        May be left out where only one topic has one of the types.
+    kinds : sequence of MessageType
+    time_source : str
+        'header', 'log' or 'publish'.
+
+    Attributes
+    ----------
+    topic : str
+    kind : MessageType
+    count : int
+        Messages of the topic, as far as the files tell.
+    damage : str
+        What was lost and where, once the messages were read; '' if nothing.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read, has no such topic, one of another type, or several that
+        are meant, or, when iterated, a message is not what its type says.
+
+    """
+
+    def __init__(self, path: str | Path, topic: str | None, kinds: Sequence[MessageType],
+                 time_source: str = 'header') -> None:
+        self._path = path
+        self._time_source = time_source
+        self._stack = ExitStack()
+        with ExitStack() as stack:
+            self._files = _files(Path(path), stack)
+            types = {name: kind for file in self._files for name, kind in file.types.items()}
+            self.topic, self.kind = _chosen(path, types, topic, kinds)
+            self._stack = stack.pop_all()
+        self._holders = [file for file in self._files if self.topic in file.types]
+        self.count = sum(file.count(self.topic) for file in self._holders)
+
+    def __enter__(self) -> Source:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    @property
+    def damage(self) -> str:
+        """What was lost and where."""
+        return '; '.join(f'{file.path}: {file.damage}' for file in self._files if file.damage)
+
+    def __iter__(self) -> Iterator[Messages]:
+        number = 0
+        for file in self._holders:
+            for raw in file.read(self.topic):
+                yield self._messages(raw, number)
+                number += len(raw.starts)
+            if file.damage:
+                return
+
+    def _messages(self, raw: Raw, number: int) -> Messages:
+        try:
+            decoded = bulk.decode(self.kind, raw)
+        except bulk.BadMessageError as error:
+            raise InputError(f'{self._path}: {self.topic}: message {number + error.row + 1}: '
+                             f'{error}') from error
+        stamps = decoded.stamps_ns
+        if self._time_source == 'publish':
+            stamps = raw.publish_ns
+        elif self._time_source == 'log' or not self.kind.has_header:
+            stamps = raw.log_ns
+        return Messages(self.topic, stamps, decoded.frames, decoded.names, decoded.values)
+
+
+def joined(topic: str, kind: MessageType, blocks: list[Messages], damage: str) -> Messages:
+    """Return the messages of blocks as one."""
+    names: dict[str, int] = {}
+    frames = [np.array([names.setdefault(name, len(names)) for name in block.names],
+                       np.intp)[block.frames] for block in blocks]
+    return Messages(
+        topic,
+        np.concatenate([np.empty(0, np.int64), *(block.stamps_ns for block in blocks)]),
+        np.concatenate([np.empty(0, np.intp), *frames]), [*names],
+        np.concatenate([np.empty((0, kind.doubles)), *(block.values for block in blocks)]),
+        damage)
+
+
+def _chosen(path: str | Path, types: dict[str, str], topic: str | None,
+            kinds: Sequence[MessageType]) -> tuple[str, MessageType]:
+    by_name = {kind.name: kind for kind in kinds}
+    expected = ' or '.join(by_name)
+    fitting = [name for name, kind in types.items() if kind in by_name]
+    if topic is None:
+        if len(fitting) != 1:
+            raise InputError(f'{path}: expected one topic of {expected}, or the name of one '
+                             f'with --topic; found {", ".join(fitting) or "none"}')
+        topic = fitting[0]
+    if topic not in types:
+        raise InputError(f'{path}: no topic {topic}; found {", ".join(types) or "none"}')
+    if topic not in fitting:
+        raise InputError(f'{path}: {topic}: expected {expected}, '
+                         f'found {types[topic] or "no type"}')
+    return topic, by_name[types[topic]]
+
+
+def _files(path: Path, stack: ExitStack) -> list[File]:
+    if not path.is_dir():
+        return [_file(path, False, stack)]
+    about = _metadata(path / 'metadata.yaml')
+    mode = str(about.get('compression_mode', '')).lower()
+    names = about.get('relative_file_paths')
+    if not names or not all(isinstance(name, str) for name in names):
+        raise InputError(f'{path}/metadata.yaml: relative_file_paths: expected names of files, '
+                         f'found {names!r}')
+    return [_file(path / name, mode == 'message', stack) for name in names]
+
+
+def _metadata(path: Path) -> dict[str, Any]:
+    try:
+        found = yaml.safe_load(path.read_text(encoding='utf-8'))
+        about = found['rosbag2_bagfile_information']
+        if isinstance(about, dict):
+            return about
+    except OSError as error:
+        raise InputError(f'{path}: cannot read, and without it a folder is no recording: '
+                         f'{error.strerror}') from error
+    except (yaml.YAMLError, UnicodeDecodeError, TypeError, KeyError):
+        pass
+    raise InputError(f'{path}: expected rosbag2_bagfile_information, found none')
+
+
+def _file(path: Path, compressed: bool, stack: ExitStack) -> File:
+    if path.suffix in ('.zstd', '.zst'):
+        path = _unpacked(path, stack)
+    if path.suffix == '.db3':
+        if not path.is_file():
+            raise InputError(f'{path}: cannot read the recording: No such file or directory')
+        return SqliteFile(path, compressed)
+    return McapFile(path)
+
+
+def _unpacked(path: Path, stack: ExitStack) -> Path:
+    folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='rigid_body_ros.'))
+    target = Path(folder) / path.stem
+    try:
+        with open(path, 'rb') as packed, open(target, 'wb') as unpacked:
+            zstandard.ZstdDecompressor().copy_stream(packed, unpacked)
+    except (OSError, zstandard.ZstdError) as error:
+        raise InputError(f'{path}: cannot unpack: {error}') from error
+    return target

@@ -1,0 +1,179 @@
+"""Recordings out: MCAP files that `ros2 bag play`, Foxglove and PlotJuggler take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+import os
+from pathlib import Path
+import struct
+from types import TracebackType
+from typing import NamedTuple
+import weakref
+
+from mcap.opcode import Opcode
+import numpy as np
+from numpy.typing import NDArray
+
+from rigid_body_ros.messages import MessageType
+from rigid_body_ros.recording.container import Container, Indexed
+from rigid_body_ros.scene import InputError
+from rigid_body_ros.so3 import Floats
+
+#: Bytes of messages that make a chunk.
+_CHUNK = 2 ** 20
+#: Opcode, length, channel, sequence, times of log and of publishing.
+_HEAD = struct.Struct('<BQHIQQ')
+_HEAD_FIELDS = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
+                         ('sequence', '<u4'), ('log', '<u8'), ('publish', '<u8')])
+# The QoS that a player offers again: reliable, volatile, keep last 10, in the numbers that
+# rosbag2 has read since Humble (later versions also read names).
+_QOS = '\n'.join([
+    '- history: 1', '  depth: 10', '  reliability: 1', '  durability: 2',
+    '  deadline:', '    sec: 9223372036', '    nsec: 854775807',
+    '  lifespan:', '    sec: 9223372036', '    nsec: 854775807',
+    '  liveliness: 1',
+    '  liveliness_lease_duration:', '    sec: 9223372036', '    nsec: 854775807',
+    '  avoid_ros_namespace_conventions: false',
+])
+
+
+class Column(NamedTuple):
+    """Messages of a topic in bulk: their frame_id, and their doubles, shape (n, d)."""
+
+    topic: str
+    frame_id: str
+    values: Floats
+    child_frame_id: str = ''
+
+
+class Writer:
+    """
+    Write an MCAP file.
+
+    As a context manager. The file gets its name when it is complete; where anything goes wrong
+    before, nothing is left and a file of that name stays as it was.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self._path = Path(path)
+        # Where a link leads to, so that the link stays one.
+        self._target = Path(os.path.realpath(path))
+        self._part = self._target.with_name(f'.{self._target.name[:100]}.{os.getpid()}.part')
+        self._channels: dict[str, int] = {}
+        self._kinds: dict[str, MessageType] = {}
+        self._sequence: dict[str, int] = {}
+        #: Single messages that wait for a chunk: their records, and topic, time and offset each.
+        self._records = bytearray()
+        self._waiting: list[tuple[int, int, int]] = []
+
+    def __enter__(self) -> Writer:
+        # From before there is a file, and at the latest when Python ends: a signal may come
+        # between any two lines.
+        self._remove_part = weakref.finalize(self, _remove, self._part)
+        try:
+            if self._target.exists() and not self._target.is_file():
+                kind = 'a folder' if self._target.is_dir() else 'something else'
+                raise InputError(f'{self._path}: expected a file to write, found {kind}')
+            self._stream = open(self._part, 'wb')
+            self._container = Container(self._stream, 'rigid_body_ros')
+        except OSError as error:
+            self._remove_part()
+            raise InputError(f'{self._path}: cannot write: {error.strerror}') from error
+        return self
+
+    def add_topic(self, topic: str, kind: MessageType) -> None:
+        """Announce a topic; to be done once, before its messages."""
+        self._channels[topic] = self._container.add_channel(
+            topic, kind.name, kind.definition,
+            {'offered_qos_profiles': _QOS, 'topic_type_hash': kind.hash})
+        self._kinds[topic] = kind
+        self._sequence[topic] = 0
+
+    def add_metadata(self, name: str, content: dict[str, str]) -> None:
+        """Append what is to be known of the whole."""
+        self._container.add_metadata(name, content)
+
+    def write(self, topic: str, time_ns: int, data: bytes) -> None:
+        """Append a message in CDR to a topic, logged and published at a time."""
+        channel = self._channels[topic]
+        self._waiting.append((channel, time_ns, len(self._records)))
+        self._records += _HEAD.pack(Opcode.MESSAGE, _HEAD.size - 9 + len(data), channel,
+                                    self._sequence[topic], time_ns, time_ns) + data
+        self._sequence[topic] += 1
+        if len(self._records) > _CHUNK:
+            self._flush()
+
+    def write_columns(self, times_ns: NDArray[np.int64], columns: Sequence[Column]) -> None:
+        """Append a message of each column at each time, which is their stamp, too."""
+        self._flush()
+        fields = [(str(k), self._fields(column)) for k, column in enumerate(columns)]
+        layout = np.dtype(fields)
+        step = max(1, _CHUNK // layout.itemsize)
+        for first in range(0, len(times_ns), step):
+            part = slice(first, first + step)
+            times = times_ns[part]
+            rows = np.empty(len(times), layout)
+            indexed = []
+            for (name, _), column in zip(fields, columns):
+                self._fill(rows[name], times, column, column.values[part])
+                offsets = rows[name].__array_interface__['data'][0] - rows.ctypes.data \
+                    + np.arange(len(times)) * layout.itemsize
+                indexed.append(Indexed(self._channels[column.topic], times, offsets))
+            self._container.add_chunk(rows.tobytes(), indexed)
+
+    def _fields(self, column: Column) -> np.dtype[np.void]:
+        kind = self._kinds[column.topic]
+        return np.dtype([('head', _HEAD_FIELDS),
+                         ('message', kind.layout(column.frame_id, column.child_frame_id))])
+
+    def _fill(self, rows: NDArray[np.void], times_ns: NDArray[np.int64], column: Column,
+              values: Floats) -> None:
+        head, message = rows['head'], rows['message']
+        first = self._sequence[column.topic]
+        self._sequence[column.topic] += len(times_ns)
+        head['opcode'] = Opcode.MESSAGE
+        head['length'] = rows.dtype.itemsize - 9
+        head['channel'] = self._channels[column.topic]
+        head['sequence'] = np.arange(first, first + len(times_ns))
+        head['log'] = head['publish'] = times_ns
+        self._kinds[column.topic].fill(message, times_ns, values, column.frame_id,
+                                       column.child_frame_id)
+
+    def _flush(self) -> None:
+        if self._waiting:
+            waiting = np.array(self._waiting)
+            indexed = [Indexed(channel, *waiting[waiting[:, 0] == channel, 1:].T)
+                       for channel in np.unique(waiting[:, 0]).tolist()]
+            self._container.add_chunk(bytes(self._records), indexed)
+            self._records.clear()
+            self._waiting.clear()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        try:
+            if error is None:
+                self._flush()
+                self._container.finish()
+                self._stream.close()
+                os.replace(self._part, self._target)
+        except OSError as failure:
+            error = failure
+        finally:
+            self._container.close()
+            with suppress(OSError):  # closing flushes, which fails again on a full disk
+                self._stream.close()
+            self._remove_part()
+        if isinstance(error, OSError):
+            raise InputError(f'{self._path}: cannot write: {error.strerror}') from error
+
+
+def _remove(part: Path) -> None:
+    with suppress(FileNotFoundError, NotADirectoryError):
+        part.unlink()
