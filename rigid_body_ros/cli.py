@@ -70,15 +70,16 @@ def _node(arguments: Sequence[str] | None) -> None:
 
 def _replay(options: argparse.Namespace) -> None:
     from rigid_body_ros import replay, scene
+    from rigid_body_ros.replay.report import summary
     _check_apart(options, 'input', 'scene', 'output', 'plot')
-    result = replay.replay(options.input, scene.load(options.scene), topic=options.topic,
-                           interpolation=options.interpolation, rate=options.rate,
-                           until=options.until)
-    replay.write(options.output, result)
+    result = replay.replay(options.input, scene.load(options.scene), options.output,
+                           topic=options.topic, interpolation=options.interpolation,
+                           rate=options.rate, until=options.until,
+                           time_source=options.time_source, keep=bool(options.plot))
     if options.plot:
         replay.plot(options.plot, result, Path(options.input).name)
     written = [options.output, *filter(None, [options.plot])]
-    _print(f'{replay.summary(result)}\n{"wrote":14}{", ".join(written)}')
+    _print(f'{summary(result)}\n{"wrote":14}{", ".join(written)}')
 
 
 def _tradeoff(options: argparse.Namespace) -> None:
@@ -89,7 +90,7 @@ def _tradeoff(options: argparse.Namespace) -> None:
     log, start, end_ns, where = None, loaded.start, None, options.scene
     if options.recording:
         recorded, log, start = replay.read(options.recording, loaded)
-        end_ns = int(replay.output_times(options.recording, log, start.time_ns)[-1])
+        end_ns = replay.end_of(options.recording, int(log.times_ns[-1]), start.time_ns)
         where = f'{options.recording}: {recorded.topic}'
     try:
         result = measure(loaded.body, start, log, end_ns=end_ns, target=options.target,
@@ -145,7 +146,8 @@ def _check_apart(options: argparse.Namespace, *names: str) -> None:
 def _replay_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='attitude_replay', description='Turn recorded torques into recorded motion.')
-    parser.add_argument('input', metavar='INPUT', help='MCAP file with WrenchStamped messages')
+    parser.add_argument('input', metavar='INPUT',
+                        help='recording of torques: an MCAP file, or a bag of rosbag2')
     parser.add_argument('--scene', required=True, metavar='FILE',
                         help='ROS 2 parameter file with inertia and start, as for attitude_node')
     parser.add_argument('-o', '--output', required=True, metavar='OUTPUT',
@@ -155,8 +157,10 @@ def _replay_parser() -> argparse.ArgumentParser:
                         help="what a torque does between its samples, instead of the scene's")
     parser.add_argument('--rate', type=_positive, metavar='HZ',
                         help='of the output; otherwise at the stamps of the torques')
-    parser.add_argument('--until', type=_positive, metavar='SECONDS',
+    parser.add_argument('--until', '--duration', type=_positive, metavar='SECONDS',
                         help='end, counted from the start; otherwise the last stamp')
+    parser.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
+                        help='where the time of a torque is taken from (default: header)')
     parser.add_argument('--plot', metavar='PNG', help='draw angles, rates and torque over time')
     return parser
 

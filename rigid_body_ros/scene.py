@@ -130,6 +130,11 @@ class Scene:
         """The keyword arguments of `propagate`."""
         return _options(self.values)
 
+    @property
+    def timeout_ns(self) -> int:
+        """The torque timeout."""
+        return round(self.values['torque_timeout'] * 1e9)
+
     @classmethod
     def from_values(cls, given: Mapping[str, Any]) -> Scene:
         """

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from rigid_body_ros import cli, messages, propagate, recording, scene
-from rigid_body_ros.replay import energy_balance, replay
+from rigid_body_ros.replay import replay
+from rigid_body_ros.replay.check import energy_balance
 
 ISS = (str(RECORDINGS / 'iss.mcap'), '--scene', str(CONFIG / 'iss.yaml'))
 COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.cli import attitude_replay; '
@@ -126,7 +127,8 @@ def test_work_and_energy_agree(name, interpolation):
     config = CONFIG / f'{name}.yaml'
     config = config if config.exists() else RECORDINGS / f'{name}.yaml'
     result = replay(RECORDINGS / f'{name}.mcap', scene.load(config), interpolation=interpolation)
-    imbalance, seconds = energy_balance(result)
+    imbalance, seconds = energy_balance(result.scene, result.log, result.start,
+                                        result.trajectory)
     assert imbalance < 1e-9
     span = result.trajectory.times_ns[-1] - result.start.time_ns
     assert seconds == pytest.approx(span * 1e-9)
@@ -134,9 +136,10 @@ def test_work_and_energy_agree(name, interpolation):
 
 def test_work_and_energy_are_compared_over_what_memory_allows(monkeypatch):
     result = replay(RECORDINGS / 'fast_spin.mcap', scene.load(RECORDINGS / 'fast_spin.yaml'))
-    whole, seconds = energy_balance(result)
-    monkeypatch.setattr('rigid_body_ros.replay._PIECES', 1000)
-    part, first = energy_balance(result)
+    motion = result.scene, result.log, result.start, result.trajectory
+    whole, seconds = energy_balance(*motion)
+    monkeypatch.setattr('rigid_body_ros.replay.check._PIECES', 1000)
+    part, first = energy_balance(*motion)
     assert (seconds, 0.0 < first < 0.02) == (1.0, True)
     assert max(whole, part) < 1e-14
 

@@ -35,8 +35,8 @@ from rigid_body_ros.propagate.propagator import Propagator
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import TorqueLog
 
-__all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Model', 'Options', 'Propagator', 'Trajectory',
-           'propagate', 'warm_up']
+__all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Model', 'Options', 'Propagator', 'Run',
+           'Trajectory', 'propagate', 'warm_up']
 
 _NO_LOG = TorqueLog([], [])
 
@@ -123,19 +123,104 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
         'exact' is given torques, or the torques bring the body beyond 1e9 rad/s.
 
     """
-    options = _options(solver, tolerance, max_step, torque_timeout)
-    times, ascends, end_ns = _checked_times(at, start.time_ns)
-    log = _NO_LOG if log is None else log
-    _check_solver(options, log)
-    rows = IN_ORDER if ascends else np.argsort(times, kind='stable')
-    # One block of memory: two, freed together, go back to the system, and to get their pages
-    # again costs the next run as much as its arithmetic.
-    block = np.empty(7 * times.size)
-    closed = _run_log(body, start, log, options, times, rows, block)
-    attitude = block[:4 * times.size].reshape(-1, 4)
-    rates = block[4 * times.size:].reshape(-1, 3)
-    return Trajectory(body, times, attitude, rates,
-                      Answers(body, log, options, start.time_ns, end_ns, closed))
+    run = Run(body, start, solver=solver, tolerance=tolerance, max_step=max_step,
+              torque_timeout=torque_timeout)
+    return run.advance(_NO_LOG if log is None else log, at)
+
+
+class Run:
+    """
+    A motion worked out piece by piece, with the bits of `propagate` under the whole log.
+
+    Parameters
+    ----------
+    body : RigidBody
+    start : State
+    solver, tolerance, max_step, torque_timeout
+        As for `propagate`.
+
+    Raises
+    ------
+    ValueError
+        An option is out of its range.
+
+    """
+
+    def __init__(self, body: RigidBody, start: State, *, solver: str = 'auto',
+                 tolerance: float = 1e-15, max_step: float | None = None,
+                 torque_timeout: float = 0.0) -> None:
+        self._body, self._start = body, start
+        self._options = _options(solver, tolerance, max_step, torque_timeout)
+        self._arguments = self._options.kernel_arguments(body)
+        self._place: tuple[Floats, int, int, int, bool] | None = None
+        self._reached_ns = start.time_ns
+
+    def advance(self, log: TorqueLog, at: ArrayLike, *, dropped: int = 0,
+                stop: int | None = None) -> Trajectory:
+        """
+        Return the motion at times, none before those of the last call.
+
+        Parameters
+        ----------
+        log : TorqueLog
+            A piece: from the sample in force at the end of the piece before, or the start, on.
+        at : array of int, shape (m,), ns
+            In any order.
+        dropped : int
+            How many samples at the front of the piece before are left out of this one.
+        stop : int, optional
+            The sample that the next piece goes on from: none of `at` comes after its stamp, and
+            the motion is worked out up to there. None: the piece is used up, or goes on.
+
+        Raises
+        ------
+        ValueError
+            As `propagate`.
+
+        """
+        times, ascends, end_ns = _checked_times(at, self._reached_ns)
+        _check_solver(self._options, log)
+        count, begin_ns = times.size, self._reached_ns
+        if stop is not None and end_ns < log.times_ns[stop]:
+            end_ns = int(log.times_ns[stop])
+            times = np.append(times, end_ns)
+        rows = IN_ORDER if ascends else np.argsort(times, kind='stable')
+        # One block of memory: two, freed together, go back to the system, and to get their pages
+        # again costs the next run as much as its arithmetic.
+        block = np.empty(7 * times.size)
+        closed = self._fill(log, times, rows, block, dropped, len(log) if stop is None else stop)
+        self._reached_ns = end_ns
+        attitude = block[:4 * times.size].reshape(-1, 4)[:count]
+        rates = block[4 * times.size:].reshape(-1, 3)[:count]
+        return Trajectory(self._body, times[:count], attitude, rates, Answers(
+            self._body, log, self._options, begin_ns, end_ns, closed))
+
+    def _fill(self, log: TorqueLog, times: NDArray[np.int64], rows: NDArray[np.intp],
+              motion: Floats, dropped: int, stop: int) -> NDArray[np.bool_]:
+        """Fill the motion, and tell in which samples a coast was answered in closed form."""
+        closed = np.zeros(len(log) + 1, np.bool_)
+        if not self._place:
+            if stop < len(log) and log.times_ns[stop] <= self._start.time_ns:
+                return closed  # all of it before the start
+            self._place, dropped = self._begun(log), 0
+        states, grid_ns, begin_ns, sample, silent = self._place
+        # In a coast that goes on, an earlier sample may be in force, which says no more than that.
+        at = (grid_ns, begin_ns, max(sample - dropped, -1), silent, 0)
+        for first, end, torques in log.polynomials(at[2]):
+            while at[2] < min(end, stop) and at[4] < times.size:
+                at = run(*(states, *at, times, rows, motion, closed, log.times_ns, torques,
+                           log.in_space, first, min(end, stop), self._options.timeout_ns,
+                           *self._arguments, BUDGET))
+                self._options.check_speed(states[2], at[0])
+        self._place = (states, *at[:4])
+        return closed
+
+    def _begun(self, log: TorqueLog) -> tuple[Floats, int, int, int, bool]:
+        sample, silent = log.in_force(self._start.time_ns, self._options.timeout_ns)
+        rule = _rule_at_start(self._body, self._start, log, self._options, sample, silent)
+        begun = origin(self._start, rule)
+        states = working_states(begun.grid, begun.begin)
+        return states, begun.grid_ns, begun.begin_ns, sample, silent
 
 
 def _options(*values: Any) -> Options:
@@ -170,24 +255,6 @@ def _check_solver(options: Options, log: TorqueLog) -> None:
         row = int(np.flatnonzero(log.torques.any(axis=1))[0])
         raise ValueError(f"solver 'exact' is for motion without torque, found torque {row} of "
                          f'{log.torques[row].tolist()} N m at {log.times_ns[row]} ns')
-
-
-def _run_log(body: RigidBody, start: State, log: TorqueLog, options: Options,
-             times: NDArray[np.int64], rows: NDArray[np.intp],
-             motion: Floats) -> NDArray[np.bool_]:
-    """Fill the motion, and tell in which samples a coast was answered in closed form."""
-    closed = np.zeros(len(log) + 1, np.bool_)
-    sample, silent = log.in_force(start.time_ns, options.timeout_ns)
-    start_from = origin(start, _rule_at_start(body, start, log, options, sample, silent))
-    states = working_states(start_from.grid, start_from.begin)
-    at = (start_from.grid_ns, start_from.begin_ns, sample, silent, 0)
-    arguments = options.kernel_arguments(body)
-    for first, stop, torques in log.polynomials(sample):
-        while at[2] < stop and at[4] < times.size:
-            at = run(*(states, *at, times, rows, motion, closed, log.times_ns, torques,
-                       log.in_space, first, stop, options.timeout_ns, *arguments, BUDGET))
-            options.check_speed(states[2], at[0])
-    return closed
 
 
 def _rule_at_start(body: RigidBody, start: State, log: TorqueLog, options: Options, sample: int,

@@ -1,0 +1,276 @@
+"""
+Recorded torques in, recorded motion out.
+
+The torques come piece by piece, and so does the motion: memory holds neither as a whole, unless
+only the whole tells what the log is (where stamps go far back, or a node began its log anew).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+import time
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from rigid_body_ros import messages, recording
+from rigid_body_ros.body import State
+from rigid_body_ros.propagate import Trajectory, warm_up
+from rigid_body_ros.recording import Column, Messages, NotInOrderError, Piece, Source
+from rigid_body_ros.replay.check import drift
+from rigid_body_ros.replay.stretches import Asked, Stretch, Stretches, end_of
+from rigid_body_ros.scene import InputError, Scene
+from rigid_body_ros.torque import TorqueLog
+
+__all__ = ['ANGULAR_VELOCITY', 'ATTITUDE', 'EULER_ANGLES', 'Replay', 'bar', 'end_of', 'plot',
+           'read', 'replay']
+
+ATTITUDE, EULER_ANGLES, ANGULAR_VELOCITY = '/attitude', '/euler_angles', '/angular_velocity'
+_TOPICS = {ATTITUDE: messages.QUATERNION, EULER_ANGLES: messages.VECTOR3,
+           ANGULAR_VELOCITY: messages.VECTOR3}
+
+
+@dataclass(eq=False)
+class Replay:
+    """
+    A replayed recording.
+
+    Attributes
+    ----------
+    scene : Scene
+    interpolation : str
+    topic : str
+        Where the torques came from.
+    messages : int
+        How many there were.
+    logs : int
+        How many logs they make, of which the last was replayed.
+    first_ns, last_ns : int
+        The stamps that it begins and ends with.
+    damage : str
+        What of the recording was lost, and where; '' if nothing.
+    start, last : State
+    solvers : dict
+        By solver and reason, the time, ns, that it answered for.
+    readings : dict
+        By interpolation, how far away, rad, another reading between the samples would end; None
+        where that spins the body beyond all bounds.
+    check : str
+        How far the motion is, at its beginning, from what physics keeps.
+    seconds : dict
+        The time that it took to read, propagate and write.
+    log, trajectory : TorqueLog, Trajectory
+        Where they were to be kept.
+
+    """
+
+    scene: Scene
+    interpolation: str
+    topic: str
+    messages: int = 0
+    logs: int = 1
+    first_ns: int = 0
+    last_ns: int = 0
+    damage: str = ''
+    start: State = field(default_factory=State)
+    last: State = field(default_factory=State)
+    solvers: dict[str, int] = field(default_factory=dict)
+    readings: dict[str, float | None] = field(default_factory=dict)
+    check: str = ''
+    seconds: dict[str, float] = field(default_factory=lambda: {'read': 0.0, 'propagate': 0.0,
+                                                              'write': 0.0})
+    log: TorqueLog | None = None
+    trajectory: Trajectory | None = None
+
+
+def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
+           topic: str | None = None, interpolation: str | None = None, rate: float | None = None,
+           until: float | None = None, time_source: str = 'header',
+           keep: bool | None = None) -> Replay:
+    """
+    Turn the torques of a recording into motion.
+
+    Parameters
+    ----------
+    path : str or Path
+        A recording, see `recording.Source`.
+    scene : Scene
+    output : str or Path, optional
+        MCAP file to write attitude, Euler angles and angular velocity to.
+    topic : str, optional
+        May be left out where only one topic has torques.
+    interpolation : str, optional
+        Instead of the scene's.
+    rate : float, optional, Hz
+        Of the output; otherwise there is one at every torque stamp from the start on, and at
+        `until`.
+    until : float, optional, s
+        End, counted from the start; otherwise the last stamp.
+    time_source : str
+        Where stamps are taken from: 'header', 'log' or 'publish'.
+    keep : bool, optional
+        Whether to return log and trajectory, which takes memory; if there is no output.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read or does not fit the scene, or the output cannot be written;
+        none is left then.
+
+    """
+    keep = output is None if keep is None else keep
+    for prepare in bar('kernels, compiled on first use')([warm_up], 1):
+        prepare()
+    asked = Asked(path, scene, interpolation or scene.values['interpolation'], rate, until)
+    with Source(path, topic, recording.TORQUES, time_source) as source:
+        if not keep:
+            try:
+                return _replayed(asked, source, _pieces, output)
+            except NotInOrderError:
+                pass  # then as a whole
+        return _replayed(asked, source, _whole, output, keep)
+
+
+def read(path: str | Path, scene: Scene, topic: str | None = None,
+         interpolation: str | None = None) -> tuple[recording.Messages, TorqueLog, State]:
+    """
+    Return the torques of a recording, the log that they make, and the start of its motion.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read or does not fit the scene.
+
+    """
+    recorded = recording.read(path, topic, track=bar('reading', size=len))
+    log = recording.torque_log(path, recorded, scene.values['body_frame'],
+                               scene.values['space_frame'],
+                               interpolation or scene.values['interpolation'])
+    start = replace(scene.start, time_ns=scene.start.time_ns or int(log.times_ns[0]))
+    return recorded, log, start
+
+
+def bar(label: str, unit: str = ' stamps',
+        size: Callable[[Any], int] = lambda item: 1) -> recording.Track:
+    """Return what shows the progress through items of some size, where somebody watches."""
+    def track(items: Iterable[Any], total: int) -> Iterator[Any]:
+        # disable=None: no bar where standard error is no terminal.
+        with tqdm(None, label, total, unit=unit, unit_scale=True, leave=False,
+                  disable=None) as shown:
+            for item in items:
+                yield item
+                shown.update(size(item))
+    return track
+
+
+def plot(path: str | Path, result: Replay, title: str) -> None:
+    """
+    Draw the motion, which must have been kept, and its torques into a PNG file.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+
+    """
+    from rigid_body_ros import plots  # matplotlib takes longer to load than most replays
+    assert result.trajectory is not None
+    assert result.log is not None
+    sequence = result.scene.values['euler_sequence']
+    try:
+        plots.motion(path, result.trajectory, result.log, sequence, title,
+                     result.scene.timeout_ns)
+    except OSError as error:
+        raise InputError(f'{path}: cannot write: {error.strerror}') from error
+
+
+def _pieces(asked: Asked, source: Source, result: Replay) -> Iterator[Piece]:
+    """Return the log piece by piece."""
+    def counted() -> Iterator[Messages]:
+        for block in bar('replaying', size=len)(source, source.count):
+            result.messages += len(block)
+            yield block
+    values = asked.scene.values
+    return recording.torque_pieces(f'{asked.path}: {source.topic}', counted(),
+                                   values['body_frame'], values['space_frame'])
+
+
+def _whole(asked: Asked, source: Source, result: Replay) -> Iterator[Piece]:
+    """Return the log as one piece."""
+    recorded = recording.joined(source.topic, source.kind,
+                                [*bar('reading', size=len)(source, source.count)], source.damage)
+    values = asked.scene.values
+    log = recording.torque_log(asked.path, recorded, values['body_frame'], values['space_frame'])
+    result.messages, result.logs = len(recorded), len(recording.new_logs(recorded)) + 1
+    yield Piece(log.times_ns, log.torques, log.in_space)
+
+
+def _replayed(asked: Asked, source: Source,
+              pieces: Callable[[Asked, Source, Replay], Iterator[Piece]],
+              output: str | Path | None, keep: bool = False) -> Replay:
+    result = Replay(asked.scene, asked.interpolation, source.topic)
+    began, kept = time.perf_counter(), []
+    stretches = Stretches(asked, source.topic, pieces(asked, source, result))
+    result.start = result.last = stretches.start
+    with ExitStack() as stack:
+        writer = stack.enter_context(recording.Writer(output)) if output is not None else None
+        if writer:
+            _announce(writer, asked)
+        for stretch in stretches:
+            _take(result, stretch)
+            if writer:
+                writing = time.perf_counter()
+                _write(writer, asked.scene, stretch.trajectory)
+                result.seconds['write'] += time.perf_counter() - writing
+            if keep:
+                kept.append(stretch)
+    result.seconds['read'] = time.perf_counter() - began - result.seconds['propagate'] \
+        - result.seconds['write']
+    result.damage = source.damage
+    result.readings = stretches.readings(result.last.attitude)
+    if keep:
+        result.log, result.trajectory = kept[0].log, _joined(kept)
+    return result
+
+
+def _take(result: Replay, stretch: Stretch) -> None:
+    """Add a stretch to what is known of the whole."""
+    began = time.perf_counter()
+    log, trajectory = stretch.log, stretch.trajectory
+    if not result.check:
+        result.first_ns = int(log.times_ns[0])
+        result.check = drift(result.scene, log, result.start, trajectory)
+    result.last_ns = int(log.times_ns[-1])
+    if trajectory.times_ns.size:
+        result.last = State(int(trajectory.times_ns[-1]), trajectory.attitude[-1],
+                            trajectory.angular_velocity[-1])
+    for model in trajectory.models:
+        name = f'{model.solver} ({model.reason})'
+        result.solvers[name] = result.solvers.get(name, 0) + model.end_ns - model.start_ns
+    result.seconds['propagate'] += stretch.seconds + time.perf_counter() - began
+
+
+def _announce(writer: recording.Writer, asked: Asked) -> None:
+    for topic, kind in _TOPICS.items():
+        writer.add_topic(topic, kind)
+
+
+def _write(writer: recording.Writer, scene: Scene, trajectory: Trajectory) -> None:
+    values = scene.values
+    space, body = values['space_frame'], values['body_frame']
+    writer.write_columns(trajectory.times_ns, [
+        Column(ATTITUDE, space, trajectory.attitude),
+        Column(EULER_ANGLES, space, trajectory.euler_angles(values['euler_sequence'])),
+        Column(ANGULAR_VELOCITY, body, trajectory.angular_velocity)])
+
+
+def _joined(stretches: list[Stretch]) -> Trajectory:
+    """Return the motion of stretches under one log as one; its `models` are those of the last."""
+    parts = [stretch.trajectory for stretch in stretches]
+    return replace(parts[-1], times_ns=np.concatenate([part.times_ns for part in parts]),
+                   attitude=np.concatenate([part.attitude for part in parts]),
+                   angular_velocity=np.concatenate([part.angular_velocity for part in parts]))

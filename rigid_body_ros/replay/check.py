@@ -1,0 +1,82 @@
+"""What tells whether a motion is right: the balance of work and energy, or the momentum kept."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigid_body_ros import so3
+from rigid_body_ros.body import State
+from rigid_body_ros.propagate import Trajectory, propagate
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.torque import TorqueLog
+
+#: The balance of work and energy is taken over at most so many pieces of at most this angle, rad.
+_PIECES = 200_000
+_PIECE_ANGLE = 0.05
+_GAUSS_POINTS = 0.5 + 0.1 * np.sqrt(15.0) * np.array([-1.0, 0.0, 1.0])
+_GAUSS_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
+
+
+def drift(scene: Scene, log: TorqueLog, start: State, trajectory: Trajectory) -> str:
+    """Return how far a motion is from what physics keeps, in words."""
+    if not log.torques.any():
+        momentum = trajectory.angular_momentum_space
+        size = float(np.linalg.norm(momentum[0]))
+        lost = float(np.linalg.norm(momentum - momentum[0], axis=1).max())
+        return f'space angular momentum drifts by {lost / size if size else lost:.1e} of itself'
+    imbalance, seconds = energy_balance(scene, log, start, trajectory)
+    return (f'work and energy differ by {imbalance:.1e} of the largest energy, '
+            f'over {seconds:.9g} s')
+
+
+def energy_balance(scene: Scene, log: TorqueLog, start: State,
+                   trajectory: Trajectory) -> tuple[float, float]:
+    """
+    Compare the work of the torques with the change of the kinetic energy.
+
+    The work is the integral of tau w over time, by Gauss' formula with three points in pieces of
+    at most 0.05 rad between the changes of the torque. Its points are whole nanoseconds, which
+    limits the comparison to about 1e-10 of a piece.
+
+    Returns
+    -------
+    imbalance : float
+        |work - change of energy|, relative to the largest kinetic energy met.
+    seconds : float
+        How far from the start that was looked at: there is a limit to the number of pieces.
+
+    """
+    timeout_ns = scene.timeout_ns
+    edges = _piece_edges(log, start, trajectory, timeout_ns)
+    lengths = np.diff(edges)
+    points = edges[:-1, None] + np.round(lengths[:, None] * _GAUSS_POINTS).astype(np.int64)
+    times = np.concatenate([points.ravel(), edges[[0, -1]]])
+    motion = propagate(scene.body, start, log, at=times, **scene.options)
+    torque, in_space = log.at(times[:-2], timeout_ns)
+    to_body = so3.conjugate(motion.attitude[:-2])
+    torque = np.where(in_space[:, None], so3.rotate(to_body, torque), torque)
+    power = np.sum(torque * motion.angular_velocity[:-2], axis=1).reshape(-1, 3)
+    work = np.sum(power @ _GAUSS_WEIGHTS * lengths) * 1e-9
+    energy = motion.kinetic_energy
+    change, scale = energy[-1] - energy[-2], energy.max()
+    return (abs(float((work - change) / scale)) if scale else 0.0), \
+        float(edges[-1] - edges[0]) * 1e-9
+
+
+def _piece_edges(log: TorqueLog, start: State, trajectory: Trajectory,
+                 timeout_ns: int) -> NDArray[np.int64]:
+    # Every change of the torque, and so many points between that no piece turns by more.
+    changes, _ = log.segments(timeout_ns)
+    start_ns, end_ns = start.time_ns, int(trajectory.times_ns[-1])
+    inside = changes[(changes > start_ns) & (changes < end_ns)]
+    edges = np.concatenate([[start_ns], inside, [end_ns]])[:_PIECES + 1]
+    lengths = np.diff(edges)
+    speed = float(np.linalg.norm(trajectory.angular_velocity, axis=1).max())
+    counts = np.ceil(lengths * 1e-9 * speed / _PIECE_ANGLE).clip(1, _PIECES).astype(int)
+    counts = counts[:np.searchsorted(np.cumsum(counts), _PIECES) + 1]
+    lengths = lengths[:len(counts)]
+    number = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    offsets = np.round(number / np.repeat(counts, counts) * np.repeat(lengths, counts))
+    pieces = np.repeat(edges[:len(counts)], counts) + offsets.astype(np.int64)
+    return np.append(pieces, edges[len(counts)])[:_PIECES + 1]

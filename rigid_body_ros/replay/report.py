@@ -1,0 +1,58 @@
+"""What happened in a replay, for a person to read."""
+
+from __future__ import annotations
+
+from rigid_body_ros import euler
+from rigid_body_ros.body import RigidBody
+from rigid_body_ros.replay import Replay
+from rigid_body_ros.so3 import Floats
+
+
+def summary(result: Replay) -> str:
+    """Return what happened, in lines."""
+    last = result.last
+    sequence = result.scene.values['euler_sequence']
+    span = (last.time_ns - result.start.time_ns) * 1e-9
+    total = sum(result.seconds.values())
+    split = ', '.join(f'{name} {seconds:.2g} s' for name, seconds in result.seconds.items())
+    rows = [
+        ('torques', f'{result.messages} on {result.topic}, over '
+                    f'{(result.last_ns - result.first_ns) * 1e-9:.9g} s'
+                    + (f'; the last of {result.logs} epochs' if result.logs > 1 else '')),
+        *([('lost', result.damage)] if result.damage else []),
+        ('between them', _reading(result)),
+        ('body', f'{result.scene.body.symmetry}{_excess(result.scene.body)}'),
+        *(('solver', text) for text in _solvers(result)),
+        ('final state', f'{span:.9g} s after the start'),
+        ('  attitude', f'{_numbers(last.attitude)}  (x y z w)'),
+        (f'  {sequence}', f'{_numbers(euler.from_quaternion(last.attitude, sequence))}  rad'),
+        ('  body rates', f'{_numbers(last.angular_velocity)}  rad/s'),
+        ('check', result.check),
+        ('speed', f'{span / total:.3g} times real time ({split})'),
+    ]
+    return '\n'.join(f'{name:14}{text}' for name, text in rows)
+
+
+def _solvers(result: Replay) -> list[str]:
+    if len(result.solvers) == 1:
+        return [*result.solvers]
+    return [f'{span_ns * 1e-9:.9g} s by {name}' for name, span_ns in result.solvers.items()]
+
+
+def _numbers(values: Floats) -> str:
+    return ' '.join(f'{value:.15g}' for value in values)
+
+
+def _excess(body: RigidBody) -> str:
+    if not body.triangle_excess:
+        return ''
+    return (f' (its largest moment exceeds the sum of the others by {body.triangle_excess:.2g} '
+            'of it, which no body has: rounded numbers?)')
+
+
+def _reading(result: Replay) -> str:
+    # How the log is read between its samples, and what another reading would give.
+    others = [f'{name} would spin it up beyond what can be worked out' if apart is None else
+              f'{name} would end {apart:.2g} rad away'
+              for name, apart in result.readings.items()]
+    return f'{result.interpolation} ({", ".join(others)})' if others else result.interpolation

@@ -1,0 +1,155 @@
+"""The motion of a replay, stretch by stretch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+import time
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigid_body_ros import messages, so3
+from rigid_body_ros.propagate import Run, Trajectory
+from rigid_body_ros.recording import Piece
+from rigid_body_ros.scene import InputError, Scene
+from rigid_body_ros.so3 import Floats
+from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
+
+#: Outputs of a stretch.
+_BATCH = 2 ** 16
+#: What a disk can hold.
+_MOST_OUTPUTS = 10 ** 8
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked for; see `replay`."""
+
+    path: str | Path
+    scene: Scene
+    interpolation: str
+    rate: float | None
+    until: float | None
+
+
+class Stretch(NamedTuple):
+    """A stretch of the motion, the piece of the log that rules it, and the time, s, it took."""
+
+    log: TorqueLog
+    trajectory: Trajectory
+    seconds: float
+
+
+class Stretches:
+    """
+    The motion under a log that comes piece by piece.
+
+    Attributes
+    ----------
+    start : State
+
+    """
+
+    def __init__(self, asked: Asked, topic: str, pieces: Iterator[Piece]) -> None:
+        self._where = f'{asked.path}: {topic}'
+        self._asked, self._pieces = asked, pieces
+        self._piece = next(pieces)
+        if not len(self._piece.times_ns):
+            raise InputError(f'{self._where}: expected torques, found no message')
+        start = asked.scene.start
+        self.start = replace(start, time_ns=start.time_ns or int(self._piece.times_ns[0]))
+        self._run = Run(asked.scene.body, self.start, **asked.scene.options)
+        names = [name for name in INTERPOLATIONS if name != asked.interpolation]
+        #: Other readings, and where each has got; None where it got nowhere.
+        self._others = {name: Run(asked.scene.body, self.start, **asked.scene.options)
+                        for name in names}
+        self._ends: dict[str, Floats | None] = {}
+        self._end_ns, self._count = self.start.time_ns, 0
+        self._until_ns = None if asked.until is None else \
+            end_of(asked.path, 0, self.start.time_ns, asked.until)
+
+    def __iter__(self) -> Iterator[Stretch]:
+        piece: Piece | None = self._piece
+        while piece is not None:
+            stop = piece.stop
+            if stop is not None and self._until_ns is not None \
+                    and piece.times_ns[stop] >= self._until_ns:
+                stop = None
+            yield from self._of_piece(piece, stop)
+            piece = next(self._pieces) if stop is not None else None
+
+    def readings(self, end: Floats) -> dict[str, float | None]:
+        """Return how far from an attitude, rad, other readings end; None: beyond all bounds."""
+        return {name: None if other is None else float(so3.angle_between(other, end))
+                for name, other in self._ends.items()}
+
+    def _of_piece(self, piece: Piece, stop: int | None) -> Iterator[Stretch]:
+        began = time.perf_counter()
+        times = self._outputs(piece.times_ns, stop)
+        try:
+            log = piece.log(self._asked.interpolation)
+            batches = [times[first:first + _BATCH]
+                       for first in range(0, max(times.size, 1), _BATCH)]
+            for number, batch in enumerate(batches):
+                trajectory = self._run.advance(
+                    log, batch, dropped=0 if number else piece.dropped,
+                    stop=stop if number == len(batches) - 1 else None)
+                if number == len(batches) - 1:
+                    self._read_otherwise(piece, stop, times)
+                yield Stretch(log, trajectory, time.perf_counter() - began)
+                began = time.perf_counter()
+        except ValueError as error:
+            raise InputError(f'{self._where}: {error}') from error
+
+    def _outputs(self, stamps_ns: NDArray[np.int64], stop: int | None) -> NDArray[np.int64]:
+        # Times of output after those before, up to the end of a piece, or of it all.
+        start_ns, rate = self.start.time_ns, self._asked.rate
+        end_ns = int(stamps_ns[-1 if stop is None else stop])
+        if stop is None:
+            end_ns = end_of(self._asked.path, end_ns, start_ns, self._asked.until)
+        if rate is None:
+            first = np.searchsorted(stamps_ns, self._end_ns, 'right' if self._count else 'left')
+            times = stamps_ns[first:np.searchsorted(stamps_ns, end_ns, 'right')]
+            times = times if stop is not None else np.union1d(times, [end_ns])
+        else:
+            count = int((end_ns - start_ns) * 1e-9 * rate * (1.0 + 1e-15)) + 1
+            if count > _MOST_OUTPUTS:
+                raise InputError(
+                    f'--rate: expected at most {_MOST_OUTPUTS} outputs, found {rate} Hz '
+                    f'over {(end_ns - start_ns) * 1e-9:.9g} s')
+            numbers = np.arange(self._count, max(count, self._count))
+            times = start_ns + np.round(numbers * (1e9 / rate)).astype(np.int64)
+            times = times[times <= end_ns]
+        self._count += times.size
+        self._end_ns = max(self._end_ns, end_ns)
+        return times
+
+    def _read_otherwise(self, piece: Piece, stop: int | None, times: NDArray[np.int64]) -> None:
+        # Go on with the other readings to the end of the piece.
+        if piece.in_space.any() and not piece.in_space.all():
+            self._others.clear()
+            self._ends.clear()
+        for name, run in [*self._others.items()]:
+            self._ends[name] = None
+            with suppress(ValueError):  # this reading alone spins the body beyond all bounds
+                motion = run.advance(piece.log(name), times[-1:] if stop is None else [],
+                                     dropped=piece.dropped, stop=stop)
+                self._ends[name] = motion.attitude[-1] if stop is None else self._ends[name]
+                continue
+            del self._others[name]
+
+
+def end_of(path: str | Path, last_ns: int, start_ns: int, until: float | None = None) -> int:
+    """Return when a replay ends, or raise InputError where it cannot."""
+    end_ns = last_ns if until is None else start_ns + round(until * 1e9)
+    if end_ns > messages.LAST_NS:
+        raise InputError(f'--until: expected an end that a ROS stamp can name, before '
+                         f'{messages.LAST_NS} ns, found {until} s after {start_ns} ns')
+    if end_ns < start_ns:
+        raise InputError(f'{path}: the last torque, at {end_ns} ns, lies before the start of the '
+                         f'scene, {start_ns} ns')
+    return end_ns

@@ -1,0 +1,74 @@
+"""A replay piece by piece: the same bits as in one piece, whatever the pieces."""
+
+from conftest import CONFIG, EPOCH_NS, RECORDINGS, SECOND
+import numpy as np
+import pytest
+
+from rigid_body_ros import RigidBody, State, TorqueLog, messages, propagate, recording, scene
+from rigid_body_ros.propagate import Run
+from rigid_body_ros.recording import torques
+from rigid_body_ros.replay import replay, stretches
+
+BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
+TOPICS = {'/attitude': messages.QUATERNION, '/euler_angles': messages.VECTOR3,
+          '/angular_velocity': messages.VECTOR3}
+
+
+def some_torques(random, count=400):
+    """Return irregular stamps and torques, of which stretches are zero."""
+    stamps = EPOCH_NS + np.cumsum(random.integers(1, SECOND // 5, count))
+    values = random.normal(size=(count, 3))
+    values[np.repeat(random.uniform(size=count // 10) < 0.4, 10)] = 0.0
+    return stamps, values
+
+
+@pytest.mark.parametrize('options', [
+    {}, {'solver': 'taylor'}, {'torque_timeout': 0.05}, {'solver': 'rk4', 'max_step': 0.01},
+    {'tolerance': 1e-6, 'torque_timeout': 0.12}], ids=str)
+@pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
+def test_a_run_in_pieces_has_the_bits_of_the_whole(interpolation, options):
+    random = np.random.default_rng(8)
+    for _ in range(4):
+        stamps, values = some_torques(random)
+        frames = random.choice(['body', 'space'], len(stamps)).tolist() \
+            if interpolation == 'hold' else 'space'
+        start = State(EPOCH_NS + SECOND, angular_velocity=(2.0, -0.1, 1.0))
+        times = np.sort(random.integers(start.time_ns, int(stamps[-1]), 300))
+        whole = propagate(BODY, start, TorqueLog(stamps, values, frames, interpolation),
+                          at=times, **options)
+        run, attitudes, front = Run(BODY, start, **options), [], 0
+        cuts = [*np.sort(random.choice(np.arange(6, 390), 8, replace=False)).tolist(), None]
+        reached, dropped = start.time_ns - 1, 0
+        for cut in cuts:
+            back = None if cut is None else cut + 3
+            log = TorqueLog(stamps[front:back], values[front:back],
+                            frames if isinstance(frames, str) else frames[front:back],
+                            interpolation)
+            end = int(stamps[-1 if cut is None else cut])
+            asked = times[(times > reached) & (times <= end)]
+            motion = run.advance(log, asked, dropped=dropped,
+                                 stop=None if cut is None else cut - front)
+            attitudes.append(motion.attitude)
+            reached = max(end, reached)
+            if cut is not None:
+                dropped, front = cut - 2 - front, cut - 2
+        np.testing.assert_array_equal(np.concatenate(attitudes), whole.attitude)
+
+
+@pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
+@pytest.mark.parametrize('options', [{}, {'rate': 37.0}, {'until': 7.3}, {'until': 900.0}],
+                         ids=str)
+def test_a_recording_in_pieces_gives_the_bits_of_the_whole(tmp_path, monkeypatch, interpolation,
+                                                           options):
+    loaded = scene.load(CONFIG / 'tumbler.yaml')
+    whole = replay(RECORDINGS / 'tumbler.mcap', loaded, interpolation=interpolation, **options)
+    monkeypatch.setattr(torques, '_SAMPLES', 100)
+    monkeypatch.setattr(stretches, '_BATCH', 70)
+    result = replay(RECORDINGS / 'tumbler.mcap', loaded, tmp_path / 'out.mcap',
+                    interpolation=interpolation, **options)
+    written = recording.read(tmp_path / 'out.mcap', '/attitude', messages.QUATERNION)
+    np.testing.assert_array_equal(written.stamps_ns, whole.trajectory.times_ns)
+    np.testing.assert_array_equal(written.values, whole.trajectory.attitude)
+    assert result.readings == whole.readings
+    assert result.messages == whole.messages
+    assert result.last_ns == whole.last_ns
