@@ -37,7 +37,7 @@ setup(
         f'attitude_tradeoff = {NAME}.cli:attitude_tradeoff',
     ]},
     python_requires='>=3.10',
-    install_requires=['PyYAML', 'matplotlib>=3.5', 'mcap>=1.0', 'numba', 'numpy', 'tqdm',
+    install_requires=['PyYAML', 'lz4', 'matplotlib>=3.5', 'mcap>=1.0', 'numba', 'numpy', 'tqdm',
                       'zstandard'],
     extras_require={
         # ROS 2 with Fast DDS, as wheels: Kilted, or Jazzy in an environment of its own.

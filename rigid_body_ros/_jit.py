@@ -26,15 +26,16 @@ def njit(kernel: Kernel) -> Kernel:
     """
     Compile a kernel that Python calls on its first call, and cache the result on disk.
 
-    IEEE arithmetic is kept (no fast-math), so a kernel gives the same bits wherever it is
-    inlined. Without numba the plain function is returned: the same results within rounding,
-    hundreds of times slower. Where no cache folder can be written, as in a read-only install
-    without a home, kernels are compiled anew by every process, and one warning says so.
+    While it runs, other threads of Python do. IEEE arithmetic is kept (no fast-math), so a
+    kernel gives the same bits wherever it is inlined. Without numba the plain function is
+    returned: the same results within rounding, hundreds of times slower. Where no cache folder
+    can be written, as in a read-only install without a home, kernels are compiled anew by every
+    process, and one warning says so.
     """
     if not COMPILES:
         return kernel
     try:
-        compiled = numba.njit(cache=True, error_model='numpy')(kernel)
+        compiled = numba.njit(cache=True, error_model='numpy', nogil=True)(kernel)
     except RuntimeError:
         _warn_uncached()
         return numba.njit(error_model='numpy')(kernel)

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rigid_body_ros._jit import njit
 from rigid_body_ros.so3 import Floats
 
 FRAMES = ('body', 'space')
@@ -183,8 +184,8 @@ def _checked_samples(times_ns: ArrayLike, torques: ArrayLike) -> tuple[NDArray[n
         else np.array(torques, float, order='C')
     if values.shape != (times.size, 3):
         raise ValueError(f'torques: expected shape ({times.size}, 3), found {values.shape}')
-    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-    if bad.size:
+    if not np.isfinite(values).all():  # by rows it takes ten times as long
+        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
         raise ValueError(f'torque {bad[0]} at {times[bad[0]]} ns: expected finite numbers, '
                          f'found {values[bad[0]].tolist()}')
     return times.astype(np.int64), values
@@ -200,19 +201,26 @@ def _checked_frames(frame: str | Sequence[str], count: int) -> NDArray[np.bool_]
     return np.array(np.broadcast_to(names == 'space', count))
 
 
+@njit
 def _slopes(times_ns: NDArray[np.int64], values: Floats, nodes: NDArray[np.int64]) -> Floats:
     # Derivative at each node of the polynomial through the nearest samples (barycentric weights;
     # Berrut and Trefethen, "Barycentric Lagrange interpolation", 2004, section 9.3).
     count = min(_NEAREST, len(times_ns))
-    window = np.clip(nodes - count // 2, 0, len(times_ns) - count)[:, None] + np.arange(count)
-    at = nodes - window[:, 0]
-    rows = np.arange(len(nodes))
-    seconds = (times_ns[window] - times_ns[nodes][:, None]) * 1e-9
-    scale = np.ptp(seconds, axis=1)[:, None] if count > 1 else 1.0
-    gaps = (seconds[:, :, None] - seconds[:, None, :]) / np.asarray(scale)[..., None]
-    gaps[:, np.arange(count), np.arange(count)] = 1.0
-    weights = 1.0 / gaps.prod(axis=2)
-    slopes = weights / weights[rows, at][:, None] / gaps[rows, at]
-    slopes[rows, at] = 0.0
-    differences = values[window] - values[nodes][:, None, :]
-    return np.einsum('nk,nkc->nc', slopes, differences) / np.asarray(scale)
+    slopes, seconds, weights = np.zeros((len(nodes), 3)), np.empty(count), np.ones(count)
+    for row in range(len(nodes)):
+        node = nodes[row]
+        first = min(max(node - count // 2, 0), len(times_ns) - count)
+        for k in range(count):
+            seconds[k] = (times_ns[first + k] - times_ns[node]) * 1e-9
+        span = seconds[count - 1] - seconds[0]
+        for k in range(count):
+            weights[k] = 1.0
+            for m in range(count):
+                if m != k:
+                    weights[k] /= (seconds[k] - seconds[m]) / span
+        for k in range(count):
+            if first + k != node:
+                slope = -weights[k] / weights[node - first] / seconds[k]
+                for axis in range(3):
+                    slopes[row, axis] += slope * (values[first + k, axis] - values[node, axis])
+    return slopes

@@ -7,6 +7,7 @@ What does not look regular to it is left to `MessageType.decode`, which can tell
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +29,11 @@ class BadMessageError(ValueError):
         self.row = row
 
 
+def one_line(error: Exception) -> str:
+    """Return what an error says, which may have several lines or none."""
+    return ' '.join(str(error).split()) or type(error).__name__
+
+
 class Raw(NamedTuple):
     """
     Messages of one topic as bytes.
@@ -46,6 +52,13 @@ class Raw(NamedTuple):
     sizes: Ints
     log_ns: Ints
     publish_ns: Ints
+
+    @classmethod
+    def of(cls, messages: Sequence[bytes], log_ns: Ints, publish_ns: Ints) -> Raw:
+        """Return messages that are apart as one."""
+        sizes = np.array([len(message) for message in messages], np.int64)
+        return cls(np.frombuffer(b''.join(messages), np.uint8), np.cumsum(sizes) - sizes, sizes,
+                   log_ns, publish_ns)
 
     def message(self, row: int) -> bytes:
         """Return the bytes of one message."""

@@ -8,15 +8,17 @@ import os
 from pathlib import Path
 import struct
 from typing import IO
+import zlib
 
+import lz4.frame
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, Schema
-from mcap.stream_reader import MAGIC_SIZE, get_chunk_data_stream, read_magic
+from mcap.records import Channel, Chunk, Schema, Statistics
+from mcap.stream_reader import MAGIC_SIZE, StreamReader, read_magic
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 import numpy as np
+import zstandard
 
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Ints, Raw
@@ -27,6 +29,8 @@ _BLOCK = 2 ** 20
 #: Bytes that a chunk may hold; rosbag2 and mcap write about one million.
 _LARGEST = 2 ** 30
 _RECORD = struct.Struct('<BQ')
+#: Bytes of the footer and what follows it.
+_ENDING = 37
 
 
 class DamageError(Exception):
@@ -40,9 +44,12 @@ class McapFile:
     Parameters
     ----------
     path : Path
+    unpacked : Path, optional
+        Where it lies, if the path is that of a compressed file.
 
     Attributes
     ----------
+    path : Path
     damage : str
         What was lost and where, once the messages were read; '' if nothing.
 
@@ -53,15 +60,15 @@ class McapFile:
 
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, unpacked: Path | None = None) -> None:
+        self.path, self._place = path, unpacked or path
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._counts: dict[int, int] = {}
         self.damage = ''
         try:
-            self._size = path.stat().st_size
-            with open(path, 'rb') as stream:
+            self._size = self._place.stat().st_size
+            with open(self._place, 'rb') as stream:
                 self._begin(stream)
                 summary = _summary(stream)
         except OSError as error:
@@ -108,7 +115,7 @@ class McapFile:
             read_magic(ReadDataStream(stream))
         except Exception as error:  # too short, or other bytes
             raise InputError(f'{self.path}: expected an MCAP file, found none '
-                             f'({_told(error)})') from error
+                             f'({bulk.one_line(error)})') from error
 
     def _blocks(self) -> Iterator[tuple[bulk.Bytes, Ints, tuple[Ints, Ints, Ints, Ints]]]:
         # Data, the channel of each message, its place, size and times.
@@ -116,7 +123,7 @@ class McapFile:
         self._counts = {}
         messages = 0
         try:
-            with open(self.path, 'rb') as stream:
+            with open(self._place, 'rb') as stream:
                 stream.seek(MAGIC_SIZE)
                 for begin, data in self._stretches(stream):
                     channels, found = self._scanned(begin, data)
@@ -166,6 +173,8 @@ class McapFile:
             opcode, length = _RECORD.unpack(head)
             if opcode == Opcode.DATA_END:
                 return
+            if opcode == 0:
+                raise DamageError(f'damaged at byte {place}: no record')
             if length > self._size - place - _RECORD.size:
                 raise DamageError(f'cut off or damaged at byte {place}: a record of {length} '
                                   f'bytes, of which {self._size - place - _RECORD.size} are there')
@@ -201,7 +210,7 @@ class McapFile:
             raise DamageError(f'damaged at byte {begin}: half a record')
         opcode, length = _RECORD.unpack(data[position:position + _RECORD.size].tobytes())
         position += _RECORD.size
-        if length > len(data) - position or opcode == Opcode.MESSAGE:
+        if length > len(data) - position or opcode in (0, Opcode.MESSAGE):
             raise DamageError(f'damaged at byte {begin}: a record of {length} bytes')
         content = ReadDataStream(BytesIO(data[position:position + length].tobytes()))
         try:
@@ -212,29 +221,49 @@ class McapFile:
                 channel = Channel.read(content)
                 self._channels[channel.id] = channel
         except Exception as error:  # on damaged bytes mcap raises a dozen kinds
-            raise DamageError(f'damaged at byte {begin}: {_told(error)}') from error
+            raise DamageError(f'damaged at byte {begin}: {bulk.one_line(error)}') from error
         return position + length
 
 
 def _unpacked(place: int, record: bytes) -> bulk.Bytes:
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(record)))
-        if chunk.uncompressed_size > _LARGEST:
-            raise ValueError(f'a chunk of {chunk.uncompressed_size} bytes')
-        content, size = get_chunk_data_stream(chunk, validate_crc=True)
-        return np.frombuffer(content.read(size), np.uint8)
+        size = chunk.uncompressed_size
+        if size > _LARGEST:
+            raise ValueError(f'a chunk of {size} bytes')
+        data = chunk.data
+        if chunk.compression == 'zstd':
+            if zstandard.frame_content_size(data) > size:
+                raise ValueError(f'more than its {size} bytes')
+            data = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+        elif chunk.compression == 'lz4':
+            data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size)
+        elif chunk.compression:
+            raise ValueError(f'unknown compression {chunk.compression!r}')
+        if len(data) != size:
+            raise ValueError(f'{len(data)} bytes, not {size}')
+        if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+            raise ValueError('its checksum is wrong')
+        return np.frombuffer(data, np.uint8)
     except Exception as error:  # of mcap, zstandard and lz4
-        raise DamageError(f'damaged chunk at byte {place} ({_told(error)})') from error
+        raise DamageError(f'damaged chunk at byte {place} ({bulk.one_line(error)})') from error
 
 
 def _summary(stream: IO[bytes]) -> Summary | None:
+    # From memory, where mcap cannot be led to take more of it than the file has.
     try:
-        stream.seek(0)
-        summary = make_reader(stream).get_summary()
+        stream.seek(-_ENDING, os.SEEK_END)
+        _, _, start, _, _, magic = struct.unpack('<BQQQI8s', stream.read())
+        stream.seek(start)
+        content = BytesIO(stream.read())
+        found = Summary()
+        for record in StreamReader(content, skip_magic=True).records:
+            if isinstance(record, Schema):
+                found.schemas[record.id] = record
+            elif isinstance(record, Channel):
+                found.channels[record.id] = record
+            elif isinstance(record, Statistics):
+                found.statistics = record
     except Exception:  # cut off or damaged: `McapFile` then reads what there is
         return None
-    return summary if summary and summary.channels else None
-
-
-def _told(error: Exception) -> str:
-    return ' '.join(str(error).split()) or type(error).__name__
+    return found if start and found.channels and magic == MCAP0_MAGIC else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 import tempfile
 from typing import Any, Protocol
 
@@ -117,7 +117,7 @@ class Source:
         self._time_source = time_source
         self._stack = ExitStack()
         with ExitStack() as stack:
-            self._files = _files(Path(path), stack)
+            self._files, self._packed, self._lost = _files(Path(path), stack)
             types = {name: kind for file in self._files for name, kind in file.types.items()}
             self.topic, self.kind = _chosen(path, types, topic, kinds)
             self._stack = stack.pop_all()
@@ -133,7 +133,8 @@ class Source:
     @property
     def damage(self) -> str:
         """What was lost and where."""
-        return '; '.join(f'{file.path}: {file.damage}' for file in self._files if file.damage)
+        found = [f'{file.path}: {file.damage}' for file in self._files if file.damage]
+        return '; '.join([*found, *filter(None, [self._lost])])
 
     def __iter__(self) -> Iterator[Messages]:
         number = 0
@@ -146,7 +147,7 @@ class Source:
 
     def _messages(self, raw: Raw, number: int) -> Messages:
         try:
-            decoded = bulk.decode(self.kind, raw)
+            decoded = bulk.decode(self.kind, _unpacked_each(raw) if self._packed else raw)
         except bulk.BadMessageError as error:
             raise InputError(f'{self._path}: {self.topic}: message {number + error.row + 1}: '
                              f'{error}') from error
@@ -189,16 +190,26 @@ def _chosen(path: str | Path, types: dict[str, str], topic: str | None,
     return topic, by_name[types[topic]]
 
 
-def _files(path: Path, stack: ExitStack) -> list[File]:
+def _files(path: Path, stack: ExitStack) -> tuple[list[File], bool, str]:
+    # The files, whether each message is compressed by itself, and why the last ones are missing.
     if not path.is_dir():
-        return [_file(path, False, stack)]
+        return [_file(path, stack)], False, ''
     about = _metadata(path / 'metadata.yaml')
-    mode = str(about.get('compression_mode', '')).lower()
     names = about.get('relative_file_paths')
-    if not names or not all(isinstance(name, str) for name in names):
+    if not names or not isinstance(names, list) or not all(isinstance(name, str)
+                                                           for name in names):
         raise InputError(f'{path}/metadata.yaml: relative_file_paths: expected names of files, '
                          f'found {names!r}')
-    return [_file(path / name, mode == 'message', stack) for name in names]
+    packed = str(about.get('compression_mode', '')).lower() == 'message'
+    files: list[File] = []
+    for name in names:
+        try:  # early rosbag2 put the folder's own name before
+            files.append(_file(path / PurePath(name).name, stack))
+        except InputError as error:
+            if not files:
+                raise
+            return files, packed, f'{error}; the files before it are used'
+    return files, packed, ''
 
 
 def _metadata(path: Path) -> dict[str, Any]:
@@ -210,19 +221,18 @@ def _metadata(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f'{path}: cannot read, and without it a folder is no recording: '
                          f'{error.strerror}') from error
-    except (yaml.YAMLError, UnicodeDecodeError, TypeError, KeyError):
+    except (yaml.YAMLError, UnicodeDecodeError, TypeError, KeyError, RecursionError):
         pass
     raise InputError(f'{path}: expected rosbag2_bagfile_information, found none')
 
 
-def _file(path: Path, compressed: bool, stack: ExitStack) -> File:
-    if path.suffix in ('.zstd', '.zst'):
-        path = _unpacked(path, stack)
-    if path.suffix == '.db3':
-        if not path.is_file():
+def _file(path: Path, stack: ExitStack) -> File:
+    unpacked = _unpacked(path, stack) if path.suffix in ('.zstd', '.zst') else path
+    if unpacked.suffix == '.db3':
+        if not unpacked.is_file():
             raise InputError(f'{path}: cannot read the recording: No such file or directory')
-        return SqliteFile(path, compressed)
-    return McapFile(path)
+        return SqliteFile(path, unpacked)
+    return McapFile(path, unpacked)
 
 
 def _unpacked(path: Path, stack: ExitStack) -> Path:
@@ -231,6 +241,19 @@ def _unpacked(path: Path, stack: ExitStack) -> Path:
     try:
         with open(path, 'rb') as packed, open(target, 'wb') as unpacked:
             zstandard.ZstdDecompressor().copy_stream(packed, unpacked)
-    except (OSError, zstandard.ZstdError) as error:
-        raise InputError(f'{path}: cannot unpack: {error}') from error
+    except OSError as error:
+        raise InputError(f'{path}: cannot read the recording: {error.strerror}') from error
+    except zstandard.ZstdError as error:
+        raise InputError(f'{path}: expected a file compressed by zstd, found none '
+                         f'({error})') from error
     return target
+
+
+def _unpacked_each(raw: Raw) -> Raw:
+    messages, unpack = [], zstandard.ZstdDecompressor().decompress
+    for row in range(len(raw.starts)):
+        try:
+            messages.append(unpack(raw.message(row)))
+        except zstandard.ZstdError as error:
+            raise bulk.BadMessageError(row, f'cannot unpack: {error}') from error
+    return Raw.of(messages, raw.log_ns, raw.publish_ns)

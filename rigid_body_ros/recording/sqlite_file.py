@@ -8,8 +8,8 @@ from pathlib import Path
 import sqlite3
 
 import numpy as np
-import zstandard
 
+from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.scene import InputError
 
@@ -24,11 +24,12 @@ class SqliteFile:
     Parameters
     ----------
     path : Path
-    compressed : bool
-        Whether each message is compressed by itself, with zstd.
+    unpacked : Path, optional
+        Where it lies, if the path is that of a compressed file.
 
     Attributes
     ----------
+    path : Path
     damage : str
         What was lost and where, once the messages were read; '' if nothing.
 
@@ -39,9 +40,8 @@ class SqliteFile:
 
     """
 
-    def __init__(self, path: Path, compressed: bool = False) -> None:
-        self.path = path
-        self._compressed = compressed
+    def __init__(self, path: Path, unpacked: Path | None = None) -> None:
+        self.path, self._place = path, unpacked or path
         self.damage = ''
         try:
             with closing(self._opened()) as database:
@@ -53,7 +53,7 @@ class SqliteFile:
                     'GROUP BY name'))
         except (sqlite3.Error, UnicodeDecodeError) as error:
             raise InputError(f'{path}: expected a bag of rosbag2 in SQLite, found none '
-                             f'({error})') from error
+                             f'({bulk.one_line(error)})') from error
 
     def count(self, topic: str) -> int:
         """Return how many messages a topic has."""
@@ -71,20 +71,17 @@ class SqliteFile:
                     'SELECT timestamp, data FROM messages JOIN topics ON topic_id = topics.id '
                     'WHERE name = ? ORDER BY messages.id', (topic,))
                 while block := rows.fetchmany(_BLOCK):
-                    yield self._raw(block)
+                    yield _raw(block)
                     count += len(block)
-        except (sqlite3.Error, zstandard.ZstdError, TypeError, OverflowError) as error:
-            self.damage = f'damaged behind {count} messages of {topic} ({error})'
+        except (sqlite3.Error, TypeError, OverflowError) as error:
+            self.damage = f'damaged behind {count} messages of {topic} ' \
+                          f'({bulk.one_line(error)})'
 
     def _opened(self) -> sqlite3.Connection:
-        return sqlite3.connect(f'{self.path.resolve().as_uri()}?mode=ro', uri=True)
+        return sqlite3.connect(f'{self._place.resolve().as_uri()}?mode=ro', uri=True)
 
-    def _raw(self, block: list[tuple[int, bytes]]) -> Raw:
-        times, messages = zip(*block)
-        if self._compressed:
-            unpack = zstandard.ZstdDecompressor().decompress
-            messages = tuple(map(unpack, messages))
-        sizes = np.array([len(message) for message in messages], np.int64)
-        log_ns = np.array(times, np.int64)
-        return Raw(np.frombuffer(b''.join(messages), np.uint8), np.cumsum(sizes) - sizes, sizes,
-                   log_ns, log_ns)
+
+def _raw(block: list[tuple[int, bytes]]) -> Raw:
+    times, messages = zip(*block)
+    log_ns = np.array(times, np.int64)
+    return Raw.of(messages, log_ns, log_ns)

@@ -56,7 +56,8 @@ def _checked(where: str, recorded: Messages, body_frame: str, space_frame: str,
              before: int = 0) -> list[str]:
     """Return the axes of each frame, or raise InputError that names a message to refuse."""
     torques = recorded.values[:, 3:]
-    for row in np.flatnonzero(~np.isfinite(torques).all(axis=1)):
+    if not np.isfinite(torques).all():
+        row = int(np.flatnonzero(~np.isfinite(torques).all(axis=1))[0])
         raise InputError(f'{where}: message {before + row + 1} at {recorded.stamps_ns[row]} ns: '
                          f'expected a finite torque, found {torques[row].tolist()}')
     axes = []

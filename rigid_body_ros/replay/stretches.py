@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Thread
 import time
 from typing import NamedTuple
 
@@ -68,6 +69,8 @@ class Stretches:
         self._others = {name: Run(asked.scene.body, self.start, **asked.scene.options)
                         for name in names}
         self._ends: dict[str, Floats | None] = {}
+        #: They are worked out beside, by a thread that does not keep the program from ending.
+        self._beside: Thread | None = None
         self._end_ns, self._count = self.start.time_ns, 0
         self._until_ns = None if asked.until is None else \
             end_of(asked.path, 0, self.start.time_ns, asked.until)
@@ -84,12 +87,16 @@ class Stretches:
 
     def readings(self, end: Floats) -> dict[str, float | None]:
         """Return how far from an attitude, rad, other readings end; None: beyond all bounds."""
+        self._wait()
         return {name: None if other is None else float(so3.angle_between(other, end))
                 for name, other in self._ends.items()}
 
     def _of_piece(self, piece: Piece, stop: int | None) -> Iterator[Stretch]:
         began = time.perf_counter()
         times = self._outputs(piece.times_ns, stop)
+        self._wait()
+        self._beside = Thread(target=self._read_otherwise, args=(piece, stop, times), daemon=True)
+        self._beside.start()
         try:
             log = piece.log(self._asked.interpolation)
             batches = [times[first:first + _BATCH]
@@ -98,8 +105,6 @@ class Stretches:
                 trajectory = self._run.advance(
                     log, batch, dropped=0 if number else piece.dropped,
                     stop=stop if number == len(batches) - 1 else None)
-                if number == len(batches) - 1:
-                    self._read_otherwise(piece, stop, times)
                 yield Stretch(log, trajectory, time.perf_counter() - began)
                 began = time.perf_counter()
         except ValueError as error:
@@ -127,6 +132,10 @@ class Stretches:
         self._count += times.size
         self._end_ns = max(self._end_ns, end_ns)
         return times
+
+    def _wait(self) -> None:
+        if self._beside:
+            self._beside.join()
 
     def _read_otherwise(self, piece: Piece, stop: int | None, times: NDArray[np.int64]) -> None:
         # Go on with the other readings to the end of the piece.

@@ -1,0 +1,67 @@
+"""
+Replay with the packages a user would join: reader and writer of mcap-ros2-support, our engine.
+
+    python benchmarks/plain_replay.py INPUT SCENE OUTPUT
+
+Prints the seconds it took, without those of loading and compiling.
+"""
+
+from dataclasses import replace
+import sys
+import time
+
+from mcap_ros2.reader import read_ros2_messages
+from mcap_ros2.writer import Writer
+import numpy as np
+
+from rigid_body_ros import TorqueLog, messages, propagate, scene
+from rigid_body_ros.propagate import warm_up
+
+
+def read(path):
+    """Return the log of a recording."""
+    stamps, torques = [], []
+    for message in read_ros2_messages(path, ['/torque']):
+        stamp, torque = message.ros_msg.header.stamp, message.ros_msg.wrench.torque
+        stamps.append(stamp.sec * 10 ** 9 + stamp.nanosec)
+        torques.append((torque.x, torque.y, torque.z))
+    return TorqueLog(np.array(stamps), np.array(torques))
+
+
+def write(path, motion, values):
+    """Write three topics at every stamp."""
+    with open(path, 'wb') as stream, Writer(stream) as writer:
+        quaternion, vector = (writer.register_msgdef(kind.name, kind.definition)
+                              for kind in (messages.QUATERNION, messages.VECTOR3))
+        rows = zip(motion.times_ns.tolist(), motion.attitude.tolist(),
+                   motion.euler_angles(values['euler_sequence']).tolist(),
+                   motion.angular_velocity.tolist())
+        for stamp_ns, attitude, angles, rates in rows:
+            sec, nanosec = divmod(stamp_ns, 10 ** 9)
+            in_space, in_body = ({'stamp': {'sec': sec, 'nanosec': nanosec}, 'frame_id': frame}
+                                 for frame in (values['space_frame'], values['body_frame']))
+            for topic, schema, message in (
+                    ('/attitude', quaternion,
+                     {'header': in_space, 'quaternion': dict(zip('xyzw', attitude))}),
+                    ('/euler_angles', vector,
+                     {'header': in_space, 'vector': dict(zip('xyz', angles))}),
+                    ('/angular_velocity', vector,
+                     {'header': in_body, 'vector': dict(zip('xyz', rates))})):
+                writer.write_message(topic, schema, message, stamp_ns)
+
+
+def main():
+    """Replay."""
+    recording, config, output = sys.argv[1:]
+    warm_up()
+    began = time.perf_counter()
+    loaded = scene.load(config)
+    log = read(recording)
+    start = replace(loaded.start, time_ns=int(log.times_ns[0]))
+    motion = propagate(loaded.body, start, log, at=log.times_ns, **loaded.options)
+    write(output, motion, loaded.values)
+    print(time.perf_counter() - began)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,400 @@
+"""Recordings of every form: the torques are read to the last bit, or what is lost is told."""
+
+from contextlib import contextmanager
+from functools import cache
+from io import BytesIO
+import os
+import re
+import signal
+import tracemalloc
+
+import bags
+from bags import FORMS, LOGGED, PUBLISHED, UNINDEXED, Torques, mcap, records, traffic
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import lz4.frame
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.reader import NonSeekingReader
+from mcap.records import Chunk
+from mcap.writer import CompressionType
+import numpy as np
+import pytest
+import zstandard
+
+from rigid_body_ros import recording
+from rigid_body_ros.scene import InputError
+
+ALONE = bags.torques()
+MIXED = bags.torques(frames=['base_link', 'world'], seed=2)
+SENT = {'alone': traffic(ALONE), 'others': traffic(MIXED, others=True)}
+RECORDED = {'alone': ALONE, 'others': MIXED}
+#: For a nightly run 10 000.
+EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '300'))
+#: Records that messages are read from.
+WITH_MESSAGES = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
+
+every_form = pytest.mark.parametrize('form', FORMS)
+#: Of which each message has two times.
+MCAP = [form for form in FORMS if form.startswith(('mcap', 'ros2-'))]
+every_traffic = pytest.mark.parametrize('sent', SENT)
+
+
+def read(path, **options):
+    """Return what is read, as it can be compared, and what is said of damage."""
+    found = recording.read(path, **options)
+    assert found.stamps_ns.dtype == np.int64
+    assert found.values.dtype == np.float64
+    assert found.values.shape == (len(found.stamps_ns), 6)
+    assert len(found.frame_ids) == len(found.stamps_ns)
+    assert '\n' not in found.damage
+    return Torques(found.stamps_ns, found.frame_ids, found.values), found.damage
+
+
+def read_whole(path, **options):
+    found, damage = read(path, **options)
+    assert damage == ''
+    return found
+
+
+def outcome(path):
+    """Return a line on what is wrong, or '', and the rows that are read; within 10 s."""
+    def too_long(number, frame):
+        pytest.fail('reads for more than 10 s')
+    before = signal.signal(signal.SIGALRM, too_long)
+    signal.setitimer(signal.ITIMER_REAL, 10)
+    try:
+        found, damage = read(path)
+    except InputError as error:
+        assert path.name in str(error)
+        assert '\n' not in str(error)
+        return str(error), []
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    return damage, found.rows()
+
+
+@contextmanager
+def memory_limit():
+    """Limit what Python and its libraries take to 200 MB."""
+    tracemalloc.start()
+    try:
+        yield
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 200e6
+
+
+@every_form
+@every_traffic
+def test_every_form_is_read_to_the_last_bit(tmp_path, form, sent):
+    path = FORMS[form](tmp_path, SENT[sent])
+    before = {file: file.read_bytes() for file in tmp_path.rglob('*') if file.is_file()}
+    assert read_whole(path).rows() == RECORDED[sent].rows()
+    assert {file: file.read_bytes() for file in before} == before
+
+
+@pytest.mark.parametrize('form', [form for form in FORMS if form not in bags.UNREAD])
+def test_rosbags_reads_the_same(tmp_path, form):
+    found, log_ns = bags.read_by_rosbags(FORMS[form](tmp_path, SENT['others']))
+    assert found.rows() == MIXED.rows()
+    np.testing.assert_array_equal(log_ns, MIXED.stamps_ns + LOGGED)
+
+
+@pytest.mark.parametrize('form', MCAP)
+def test_mcap_reads_the_same(tmp_path, form):
+    assert bags.read_by_mcap(FORMS[form](tmp_path, SENT['others'])).rows() == MIXED.rows()
+
+
+@every_form
+def test_times_are_those_of_the_log_where_wanted(tmp_path, form):
+    path = FORMS[form](tmp_path, SENT['others'])
+    found = read_whole(path, time_source='log')
+    np.testing.assert_array_equal(found.stamps_ns, MIXED.stamps_ns + LOGGED)
+    assert found.frame_ids == MIXED.frame_ids
+
+
+@pytest.mark.parametrize('form', MCAP)
+def test_times_are_those_of_the_publisher_where_wanted(tmp_path, form):
+    path = FORMS[form](tmp_path, SENT['others'])
+    found = read_whole(path, time_source='publish')
+    np.testing.assert_array_equal(found.stamps_ns, MIXED.stamps_ns + PUBLISHED)
+
+
+SOME = ['mcap-zstd', 'mcap-none-unchunked-unindexed', 'mcap-big-endian', 'mcap-dirty',
+        'ros2-support', 'ours', 'rosbag2-mcap-message', 'split-sqlite3', 'bare-sqlite3']
+some_forms = pytest.mark.parametrize('form', SOME)
+
+
+@some_forms
+def test_frames_may_have_any_length(tmp_path, form):
+    recorded = bags.torques(frames=bags.FRAMES, seed=3)
+    assert read_whole(FORMS[form](tmp_path, traffic(recorded))).rows() == recorded.rows()
+
+
+@some_forms
+def test_messages_are_in_the_order_of_the_file(tmp_path, form):
+    recorded = ALONE[np.random.default_rng(4).permutation(200)]
+    assert read_whole(FORMS[form](tmp_path, traffic(recorded))).rows() == recorded.rows()
+
+
+@some_forms
+def test_a_second_topic_has_to_be_told_from_the_first(tmp_path, form):
+    both = [*traffic(ALONE, '/left'), *traffic(MIXED, '/right')]
+    path = FORMS[form](tmp_path, sorted(both, key=lambda one: one.stamp_ns))
+    assert read_whole(path, topic='/left').rows() == ALONE.rows()
+    assert read_whole(path, topic='/right').rows() == MIXED.rows()
+    with pytest.raises(InputError, match='--topic; found /left, /right'):
+        recording.read(path)
+
+
+@pytest.mark.parametrize('form', ['mcap-zstd', 'mcap-none-unchunked-unindexed', 'ros2-support',
+                                  'rosbag2-mcap-message', 'bare-sqlite3'])
+@pytest.mark.parametrize('time_source', ['header', 'log'])
+def test_a_wrench_without_a_header_has_the_time_of_the_log(tmp_path, form, time_source):
+    path = FORMS[form](tmp_path, traffic(MIXED, others=True, header=False))
+    expected = Torques(MIXED.stamps_ns + LOGGED, [''] * 200, MIXED.values)
+    assert read_whole(path, time_source=time_source).rows() == expected.rows()
+
+
+def test_a_wrench_without_a_header_has_the_time_of_its_publisher_where_wanted(tmp_path):
+    path = mcap(tmp_path, traffic(ALONE, header=False), encoding='ros2idl')
+    found = read_whole(path, time_source='publish')
+    np.testing.assert_array_equal(found.stamps_ns, ALONE.stamps_ns + PUBLISHED)
+
+
+@pytest.mark.parametrize('form', ['mcap-zstd', 'mcap-zstd-unindexed', 'bare-sqlite3'])
+def test_other_topics_alone_are_no_torques(tmp_path, form):
+    path = FORMS[form](tmp_path, [one for one in SENT['others'] if one.topic != '/torque'])
+    with pytest.raises(InputError, match='found none'):
+        recording.read(path)
+
+
+@pytest.mark.parametrize('options', [{}, UNINDEXED], ids=['indexed', 'unindexed'])
+@pytest.mark.parametrize('cut', range(20))
+@every_traffic
+def test_of_a_truncated_file_all_whole_chunks_are_read(tmp_path, sent, options, cut):
+    path = mcap(tmp_path, SENT[sent], compression=CompressionType.ZSTD, **options)
+    data = path.read_bytes()
+    end = len(data) * (2 * cut + 1) // 40
+    check_truncated(path, data, end, RECORDED[sent])
+
+
+@pytest.mark.parametrize('options', [{}, UNINDEXED], ids=['indexed', 'unindexed'])
+@pytest.mark.parametrize('cut', range(20))
+@every_traffic
+def test_of_a_truncated_file_without_chunks_all_messages_are_read(tmp_path, sent, options, cut):
+    path = mcap(tmp_path, SENT[sent], use_chunking=False, **options)
+    data = path.read_bytes()
+    end = len(data) * (2 * cut + 1) // 40
+    check_truncated(path, data, end, RECORDED[sent])
+
+
+@pytest.mark.parametrize(('chunked', 'opcode'), [(True, Opcode.CHUNK), (False, Opcode.MESSAGE)],
+                         ids=['chunked', 'unchunked'])
+@pytest.mark.parametrize('beyond', [-1, 0, 1, 8, 9, 10, 40])
+def test_a_file_may_be_cut_at_the_end_of_a_record(tmp_path, chunked, opcode, beyond):
+    path = mcap(tmp_path, SENT['others'], use_chunking=chunked)
+    data = path.read_bytes()
+    ends = [end for code, _, end in records(data) if code == opcode]
+    check_truncated(path, data, ends[len(ends) * 2 // 3] + beyond, MIXED)
+
+
+@pytest.mark.parametrize('form', ['mcap-zstd', 'mcap-lz4', 'mcap-none', 'mcap-none-unchunked'])
+@pytest.mark.parametrize('share', [0.2, 0.5, 0.99])
+def test_zeros_that_a_crash_left_at_the_end_are_damage(tmp_path, form, share):
+    path = FORMS[form](tmp_path, SENT['others'])
+    data = path.read_bytes()
+    ends = [end for *_, end in records(data)]
+    check_truncated(path, data, ends[int(len(ends) * share)], MIXED, zeros=2 ** 26)
+
+
+def check_truncated(path, data, end, recorded, zeros=0):
+    """Read the first bytes of a file: what the whole records there hold, or a line."""
+    expected = held(data, [place for place in records(data) if place[2] <= end])
+    path.write_bytes(data[:end])
+    os.truncate(path, end + zeros)
+    told, found = outcome(path)
+    assert told
+    assert found == recorded.rows()[:expected]
+
+
+def held(data, places):
+    """Return how many torques the records hold, by mcap's own reader."""
+    whole = data[:8] + b''.join(data[start:end] for code, start, end in places
+                                if code in WITH_MESSAGES)
+    footer = bytes([Opcode.FOOTER]) + (20).to_bytes(8, 'little') + bytes(20)
+    reader = NonSeekingReader(BytesIO(whole + footer + data[:8]), validate_crcs=True)
+    return len([*reader.iter_messages(['/torque'], log_time_order=False)])
+
+
+@pytest.mark.parametrize('options', [{}, {'use_chunking': False}, {'enable_data_crcs': True}],
+                         ids=['chunked', 'unchunked', 'data-crc'])
+@pytest.mark.parametrize('lost', ['data-end', 'summary', 'half-summary', 'footer', 'last-byte'])
+def test_a_file_that_lost_its_summary_only_has_all_messages(tmp_path, options, lost):
+    path = mcap(tmp_path, SENT['others'], **options)
+    data = path.read_bytes()
+    places = {code: (start, end) for code, start, end in records(data)}
+    begin, after = places[Opcode.DATA_END]
+    footer, _ = places[Opcode.FOOTER]
+    end = {'data-end': begin, 'summary': after, 'half-summary': (after + footer) // 2,
+           'footer': footer, 'last-byte': len(data) - 1}[lost]
+    path.write_bytes(data[:end])
+    found, damage = read(path)
+    assert found.rows() == MIXED.rows()
+    assert re.search('summary|index|end|cut', damage)
+
+
+@pytest.mark.parametrize('compression', list(CompressionType), ids=lambda kind: kind.name.lower())
+@pytest.mark.parametrize('options', [{}, UNINDEXED], ids=['indexed', 'unindexed'])
+def test_of_a_damaged_chunk_nothing_is_used_but_all_before_it(tmp_path, compression, options):
+    path = mcap(tmp_path, SENT['alone'], compression=compression, **options)
+    data = bytearray(path.read_bytes())
+    chunks = [place for place in records(data) if place[0] == Opcode.CHUNK]
+    _, start, end = chunks[2]
+    before, within = (held(data, chunks[:count]) for count in (2, 3))
+    data[(start + end) // 2] ^= 0x10
+    path.write_bytes(data)
+    found, damage = read(path)
+    assert damage
+    assert found.rows() in (ALONE.rows()[:before], ALONE.rows()[:before] + ALONE.rows()[within:])
+
+
+@pytest.mark.parametrize('storage', ['MCAP', 'SQLITE3'])
+@pytest.mark.parametrize('compression', ['NONE', 'MESSAGE', 'FILE'])
+@pytest.mark.parametrize('harm', ['cut', 'emptied', 'removed'])
+def test_of_split_files_those_before_the_damage_are_read(tmp_path, storage, compression, harm):
+    bag = bags.split(tmp_path, SENT['alone'], storage=storage, compression=compression, parts=4)
+    part, = bag.glob('bag_2.*')
+    if harm == 'removed':
+        part.unlink()
+    else:
+        part.write_bytes(part.read_bytes()[:500 if harm == 'cut' else 0])
+    told, rows = outcome(bag)
+    assert part.name in told
+    assert rows in (ALONE.rows()[:100], ALONE.rows()[:100] + ALONE.rows()[150:]) or (
+        harm == 'removed' and not rows)
+
+
+@pytest.mark.parametrize('text', [
+    '', 'x', '[]', '\0', '{', pytest.param('[' * 5000, id='deep'),
+    'rosbag2_bagfile_information: 3', 'rosbag2_bagfile_information: {version: 99}',
+    '!!python/object/apply:os.abort []', 'a: &a [1, *a]'])
+def test_a_description_that_is_none_is_told(tmp_path, text):
+    bag = bags.rosbag2(tmp_path, SENT['alone'])
+    (bag / 'metadata.yaml').write_text(text)
+    told, rows = outcome(bag)
+    assert 'metadata.yaml' in told
+    assert rows in ([], ALONE.rows())
+
+
+@pytest.mark.parametrize(('part', 'other'), [
+    ('storage_identifier: mcap', 'storage_identifier: tape'),
+    ("compression_mode: ''", 'compression_mode: magic'),
+    ('- bag.mcap', '- other.mcap'), ('- bag.mcap', '- ../../etc/passwd'), ('- bag.mcap', '- 7')])
+def test_a_description_that_does_not_fit_is_told_or_not_needed(tmp_path, part, other):
+    bag = bags.rosbag2(tmp_path, SENT['alone'])
+    text = (bag / 'metadata.yaml').read_text()
+    assert part in text
+    (bag / 'metadata.yaml').write_text(text.replace(part, other))
+    told, rows = outcome(bag)
+    assert rows == ALONE.rows() or (told and not rows)
+
+
+@pytest.mark.parametrize('storage', ['MCAP', 'SQLITE3'])
+def test_compressed_messages_without_their_description_are_read_or_told(tmp_path, storage):
+    path = bags.bare(tmp_path, SENT['alone'], storage=storage, compression='MESSAGE')
+    told, rows = outcome(path)
+    assert told or rows == ALONE.rows()
+
+
+@pytest.mark.parametrize('compression', ['zstd', 'lz4'])
+@pytest.mark.parametrize('claimed', [1000, 2 ** 60])
+@pytest.mark.parametrize('says_its_size', [True, False])
+def test_a_chunk_that_would_fill_the_memory_is_damage(tmp_path, compression, claimed,
+                                                      says_its_size):
+    path = mcap(tmp_path, SENT['alone'], **UNINDEXED)
+    data = path.read_bytes()
+    read_whole(path)
+    end, = (start for code, start, _ in records(data) if code == Opcode.DATA_END)
+    builder = RecordBuilder()
+    Chunk(compression, bomb(compression, says_its_size), 0, 1, 0, claimed).write(builder)
+    path.write_bytes(data[:end] + builder.end() + data[end:])
+    with memory_limit():
+        told, rows = outcome(path)
+    assert told
+    assert rows == ALONE.rows()
+
+
+@cache
+def bomb(compression, says_its_size):
+    """Return 256 MB of zeros, compressed to almost nothing."""
+    size = 2 ** 28 * says_its_size
+    if compression == 'zstd':
+        compressor = zstandard.ZstdCompressor().compressobj(size or -1)
+        pieces = [b'']
+    else:
+        compressor = lz4.frame.LZ4FrameCompressor()
+        pieces = [compressor.begin(size)]
+    pieces += [compressor.compress(bytes(2 ** 20)) for _ in range(2 ** 8)]
+    return b''.join([*pieces, compressor.flush()])
+
+
+#: Forms and of each the file that is harmed.
+FUZZED = {
+    'mcap-zstd': 'recording.mcap',
+    'mcap-zstd-unindexed': 'recording.mcap',
+    'mcap-lz4': 'recording.mcap',
+    'mcap-none-unchunked': 'recording.mcap',
+    'sqlite3-humble': 'bag_0.db3',
+    'rosbag2-sqlite3-message': 'bag/bag.db3',
+    'rosbag2-mcap-file': 'bag/bag.mcap.zstd',
+    'rosbag2-mcap-none': 'bag/metadata.yaml',
+}
+#: Those whose messages have a checksum.
+CHECKED = ('mcap-zstd', 'mcap-zstd-unindexed', 'mcap-lz4')
+
+
+def harms(data):
+    """Return a strategy of ways to harm bytes, often where something begins."""
+    begins = [start for _, start, _ in records(data)] if data.startswith(b'\x89MCAP') \
+        else range(0, len(data), 4096)
+    near = st.builds(lambda begin, more: min(begin + more, len(data) - 1),
+                     st.sampled_from(begins), st.integers(0, 60))
+    place = st.integers(0, len(data) - 1) | near
+    return st.one_of(
+        st.tuples(st.just('flip'), st.lists(st.tuples(place, st.integers(1, 255)), min_size=1,
+                                            max_size=8)),
+        st.tuples(st.just('cut'), place),
+        st.tuples(st.just('repeat'), st.tuples(place, place).map(sorted)))
+
+
+def harmed(data, harm):
+    match harm:
+        case 'cut', end:
+            return data[:end]
+        case 'repeat', (start, end):
+            return data[:end] + data[start:]
+    flipped = bytearray(data)
+    for place, bits in harm[1]:
+        flipped[place] ^= bits
+    return bytes(flipped)
+
+
+@pytest.mark.parametrize('form', FUZZED)
+def test_harmed_files_give_genuine_messages_or_a_line(tmp_path, form):
+    path = FORMS[form](tmp_path, SENT['others'])
+    genuine = set(read_whole(path).rows())
+    target = tmp_path / FUZZED[form]
+    data = target.read_bytes()
+
+    @settings(max_examples=max(1, EXAMPLES // len(FUZZED)), database=None)
+    @given(harms(data))
+    def check(harm):
+        target.write_bytes(harmed(data, harm))
+        with memory_limit():
+            _, rows = outcome(path)
+        assert form not in CHECKED or genuine.issuperset(rows)
+    check()

@@ -1,0 +1,181 @@
+"""attitude_replay, ended at any moment: nothing false or incomplete bears the final name."""
+
+import itertools
+from pathlib import Path
+import resource
+import signal
+import subprocess
+import sys
+import time
+from typing import NamedTuple
+
+from conftest import CONFIG
+from mcap.exceptions import EndOfFile
+from mcap.reader import make_reader
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
+import numpy as np
+import pytest
+from replay import recorded
+
+pytestmark = pytest.mark.slow
+
+COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.cli import attitude_replay; '
+                                 'sys.exit(attitude_replay())']
+MESSAGES = 30_000
+#: What a replay reaches, in this order; moments are shares of the time from there to its end.
+STAGES = {'started': lambda process, folder: True,
+          'listening': lambda process, folder: catches(process, signal.SIGTERM),
+          'writing': lambda process, folder: bool(parts(folder))}
+KILLS = [*zip(itertools.cycle(['started', 'writing']),
+              np.random.default_rng(6).random(20).round(3))]
+
+
+class Whole(NamedTuple):
+    """A replay that nobody interrupts."""
+
+    arguments: list
+    #: Time from each stage to the end, s.
+    seconds: dict
+    size: int
+    messages: list
+
+
+@pytest.fixture(scope='module')
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('whole')
+    arguments = [recorded(folder, MESSAGES / 3.6e6), '--scene', CONFIG / 'tumbler.yaml', '-o']
+    output = folder / 'motion.mcap'
+    start([*arguments, output]).communicate()  # compiles what is not yet
+    process, reached = start([*arguments, output]), {}
+    for stage in STAGES:
+        wait_for(stage, process, folder)
+        reached[stage] = time.perf_counter()
+    process.communicate()
+    assert process.returncode == 0
+    seconds = {stage: time.perf_counter() - when for stage, when in reached.items()}
+    return Whole(arguments, seconds, output.stat().st_size, complete(output))
+
+
+@pytest.fixture
+def output(tmp_path):
+    return tmp_path / 'motion.mcap'
+
+
+def start(arguments):
+    return subprocess.Popen([*COMMAND, *arguments], stdout=subprocess.DEVNULL,
+                            stderr=subprocess.PIPE, text=True)
+
+
+def wait_for(stage, process, folder):
+    while not STAGES[stage](process, folder) and process.poll() is None:
+        time.sleep(0.001)
+
+
+def catches(process, number):
+    """Return whether a process has a handler of its own for a signal."""
+    status = Path(f'/proc/{process.pid}/status').read_text()
+    caught = next(line.split()[1] for line in status.splitlines() if line.startswith('SigCgt'))
+    return int(caught, 16) >> (number - 1) & 1
+
+
+def parts(folder):
+    return list(folder.glob('.*.part'))
+
+
+def interrupt(whole, output, number, stage, moment):
+    """Send a signal to a replay; return its exit status and what it said."""
+    process = start([*whole.arguments, output])
+    wait_for(stage, process, output.parent)
+    time.sleep(moment * whole.seconds[stage])
+    process.send_signal(number)
+    _, words = process.communicate(timeout=60)
+    return process.returncode, words
+
+
+def check(whole, output):
+    """Check what a replay left behind; return the number of messages in its unfinished file."""
+    folder = output.parent
+    assert set(folder.iterdir()) <= {output, *parts(folder)}
+    if output.exists():
+        assert complete(output) == whole.messages
+    salvaged = [message for part in parts(folder) for message in readable(part)]
+    assert salvaged == whole.messages[:len(salvaged)]
+    return len(salvaged)
+
+
+def complete(path):
+    """Return topics, times and bytes of a file that is whole."""
+    with open(path, 'rb') as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        statistics = reader.get_summary().statistics
+        found = [content(channel.topic, message)
+                 for _, channel, message in reader.iter_messages(log_time_order=False)]
+    assert statistics.message_count == len(found) == 3 * MESSAGES
+    return found
+
+
+def readable(path):
+    """Return the same of one that may break off anywhere."""
+    topics, found = {}, []
+    with open(path, 'rb') as stream:
+        try:
+            for record in StreamReader(stream, validate_crcs=True).records:
+                if isinstance(record, Channel):
+                    topics[record.id] = record.topic
+                elif isinstance(record, Message):
+                    found.append(content(topics[record.channel_id], record))
+        except EndOfFile:
+            pass
+    return found
+
+
+def content(topic, message):
+    return topic, message.sequence, message.log_time, message.publish_time, message.data
+
+
+@pytest.mark.parametrize(('stage', 'moment'), KILLS)
+def test_a_killed_replay_leaves_nothing_false(whole, output, stage, moment):
+    status, _ = interrupt(whole, output, signal.SIGKILL, stage, moment)
+    assert status in (0, -signal.SIGKILL)
+    assert output.exists() or status != 0
+    check(whole, output)
+
+
+def test_what_a_killed_replay_wrote_can_be_read(whole, output):
+    process = start([*whole.arguments, output])
+    while not any(part.stat().st_size > whole.size / 2 for part in parts(output.parent)):
+        assert process.poll() is None, 'it was too quick for us'
+        time.sleep(0.001)
+    process.kill()
+    process.communicate()
+    assert not output.exists()
+    assert check(whole, output) > MESSAGES
+
+
+@pytest.mark.parametrize('moment', [0.0, 0.2, 0.4, 0.6, 0.8])
+@pytest.mark.parametrize('stage', ['listening', 'writing'])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_replay_says_so(whole, output, number, stage, moment):
+    status, words = interrupt(whole, output, number, stage, moment)
+    check(whole, output)
+    if status in (0, -number):  # it was through, and perhaps Python's handlers gone
+        assert output.exists()
+        assert not words
+        return
+    line, = words.splitlines()
+    assert (status, line.startswith('attitude_replay: interrupted')) == (128 + number, True)
+
+
+@pytest.mark.parametrize('share', [0.0, 0.3, 0.6, 0.9, 1.0])
+def test_a_full_disk_is_told_in_one_line(whole, output, share):
+    limit = max(0, round(share * whole.size) - 1)
+    process = start([*whole.arguments, output])
+    # Python ignores the signal that comes with it: a write fails, as on a full disk.
+    resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, limit))
+    _, words = process.communicate(timeout=60)
+    line, = words.splitlines()
+    assert line.startswith(f'attitude_replay: error: {output}: cannot write: ')
+    assert process.returncode == 2
+    assert not output.exists()
+    check(whole, output)
