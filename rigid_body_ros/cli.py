@@ -69,6 +69,9 @@ def _node(arguments: Sequence[str] | None) -> None:
 
 
 def _replay(options: argparse.Namespace) -> None:
+    if options.verify:
+        _verify(options)
+        return
     from rigid_body_ros import replay, scene
     from rigid_body_ros.replay.report import summary
     _check_apart(options, 'input', 'scene', 'output', 'plot')
@@ -80,6 +83,14 @@ def _replay(options: argparse.Namespace) -> None:
         replay.plot(options.plot, result, Path(options.input).name)
     written = [options.output, *filter(None, [options.plot])]
     _print(f'{summary(result)}\n{"wrote":14}{", ".join(written)}')
+
+
+def _verify(options: argparse.Namespace) -> None:
+    from rigid_body_ros import scene
+    from rigid_body_ros.replay.verify import summary, verify
+    result = verify(options.input, scene.load(options.scene), options.verify,
+                    topic=options.topic, interpolation=options.interpolation)
+    _print(summary(result))
 
 
 def _tradeoff(options: argparse.Namespace) -> None:
@@ -150,8 +161,13 @@ def _replay_parser() -> argparse.ArgumentParser:
                         help='recording of torques: an MCAP file, or a bag of rosbag2')
     parser.add_argument('--scene', required=True, metavar='FILE',
                         help='ROS 2 parameter file with inertia and start, as for attitude_node')
-    parser.add_argument('-o', '--output', required=True, metavar='OUTPUT',
-                        help='MCAP file to write: attitude, euler_angles, angular_velocity')
+    target = parser.add_mutually_exclusive_group(required=True)
+    target.add_argument('-o', '--output', metavar='OUTPUT',
+                        help='to write attitude, euler_angles and angular_velocity to: an MCAP '
+                        'file, or without that ending a folder of rosbag2')
+    target.add_argument('--verify', metavar='MOTION',
+                        help='recording of a motion to compare with, bit for bit: the states that '
+                        'a node committed, or the attitude of a replay')
     parser.add_argument('--topic', help='of the torques; needed where there are several')
     parser.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
                         help="what a torque does between its samples, instead of the scene's")

@@ -4,6 +4,7 @@ import itertools
 from pathlib import Path
 import resource
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -125,7 +126,7 @@ def readable(path):
                     topics[record.id] = record.topic
                 elif isinstance(record, Message):
                     found.append(content(topics[record.channel_id], record))
-        except EndOfFile:
+        except (EndOfFile, struct.error):  # the latter where it breaks off in a number
             pass
     return found
 
@@ -153,7 +154,7 @@ def test_what_a_killed_replay_wrote_can_be_read(whole, output):
     assert check(whole, output) > MESSAGES
 
 
-@pytest.mark.parametrize('moment', [0.0, 0.2, 0.4, 0.6, 0.8])
+@pytest.mark.parametrize('moment', [0.1, 0.5])
 @pytest.mark.parametrize('stage', ['listening', 'writing'])
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_replay_says_so(whole, output, number, stage, moment):
@@ -167,7 +168,7 @@ def test_an_interrupted_replay_says_so(whole, output, number, stage, moment):
     assert (status, line.startswith('attitude_replay: interrupted')) == (128 + number, True)
 
 
-@pytest.mark.parametrize('share', [0.0, 0.3, 0.6, 0.9, 1.0])
+@pytest.mark.parametrize('share', [0.0, 0.6, 1.0])
 def test_a_full_disk_is_told_in_one_line(whole, output, share):
     limit = max(0, round(share * whole.size) - 1)
     process = start([*whole.arguments, output])

@@ -205,8 +205,8 @@ def test_a_mistake_is_answered_by_one_line(name, message, tmp_path, output, caps
 
 @pytest.mark.parametrize(('arguments', 'message'), [
     (('-o', 'none/motion.mcap'), 'none/motion.mcap: cannot write: No such file or directory'),
-    (('-o', '.'), '.: expected a file to write, found a folder'),
-    (('-o', '/dev/null'), '/dev/null: expected a file to write, found something else'),
+    (('-o', '.'), '.: expected a name that ends in .mcap, or one of no file or folder yet'),
+    (('-o', '/dev/null'), '/dev/null: expected a name that ends in .mcap, or one of no file'),
     (('-o', 'motion.mcap', '--until', '1e9'), '--until: expected an end that a ROS stamp can'),
     (('-o', 'motion.mcap', '--rate', '1e9'), '--rate: expected at most 100000000 outputs'),
     (('-o', ISS[0]), 'expected another file for the output than for the input'),

@@ -3,7 +3,7 @@ Recordings: torques in, motion out.
 
 `source` finds a topic in a recording of any kind; `mcap_file` and `sqlite_file` read the files it
 is made of, `bulk` what their messages say, and `torques` makes a log of it. `writer` writes MCAP
-files, `container` their bytes.
+files, `container` their bytes, and `folder` what rosbag2 wants beside them.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 
 from rigid_body_ros import messages
 from rigid_body_ros.messages import MessageType
+from rigid_body_ros.recording.folder import FolderWriter
 from rigid_body_ros.recording.source import TIME_SOURCES, Messages, Source, joined
 from rigid_body_ros.recording.torques import (
     NotInOrderError,
@@ -24,8 +25,9 @@ from rigid_body_ros.recording.torques import (
 )
 from rigid_body_ros.recording.writer import Column, Writer
 
-__all__ = ['TIME_SOURCES', 'TORQUES', 'Column', 'Messages', 'NotInOrderError', 'Piece', 'Source',
-           'Track', 'Writer', 'joined', 'new_logs', 'read', 'torque_log', 'torque_pieces']
+__all__ = ['TIME_SOURCES', 'TORQUES', 'Column', 'FolderWriter', 'Messages', 'NotInOrderError',
+           'Piece', 'Source', 'Track', 'Writer', 'joined', 'new_logs', 'read', 'torque_log',
+           'torque_pieces']
 
 #: Wraps an iterable of blocks of messages, so many in all, to show progress.
 Track = Callable[[Iterable[Any], int], Iterable[Any]]

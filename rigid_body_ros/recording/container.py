@@ -47,6 +47,12 @@ class Container:
 
     Chunks are packed by a thread beside the caller's; each is in the file, and flushed, before
     the one after the next is taken.
+
+    Attributes
+    ----------
+    counts : dict
+        Messages by channel.
+
     """
 
     def __init__(self, stream: IO[bytes], library: str) -> None:
@@ -56,7 +62,7 @@ class Container:
         self._channels: list[Channel] = []
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
-        self._counts: dict[int, int] = {}
+        self.counts: dict[int, int] = {}
         self._first_ns, self._last_ns = 2 ** 63, 0
         self._packer = ThreadPoolExecutor(1)
         self._packed: Future[tuple[Chunk, list[Indexed]]] | None = None
@@ -75,14 +81,14 @@ class Container:
         channel = Channel(id=len(self._channels) + 1, topic=topic, message_encoding='cdr',
                           metadata=metadata, schema_id=known[0] if known else schema.id)
         self._channels.append(channel)
-        self._counts[channel.id] = 0
+        self.counts[channel.id] = 0
         self._write(_record(channel))
         return channel.id
 
     def add_chunk(self, data: bytes, indexed: list[Indexed]) -> None:
         """Append message records, and where in them each message lies."""
         for channel, times_ns, _ in indexed:
-            self._counts[channel] += len(times_ns)
+            self.counts[channel] += len(times_ns)
         self._finish_chunk()
         self._packed = self._packer.submit(_packed, data, indexed)
 
@@ -119,12 +125,11 @@ class Container:
             return
         chunk, indexed = self._packed.result()
         self._packed = None
-        start = self._place
-        self._write(_record(chunk))
-        length = self._place - start
-        places = {}
+        # In one piece, so that a file that breaks off rarely does so between them.
+        start, data = self._place, _record(chunk)
+        length, places = len(data), {}
         for channel, times_ns, offsets in indexed:
-            places[channel] = self._place
+            places[channel] = start + len(data)
             entries = np.empty(len(times_ns), _INDEX)
             entries['time'], entries['offset'] = times_ns, offsets
             builder = RecordBuilder()
@@ -133,24 +138,31 @@ class Container:
             builder.write4(entries.nbytes)
             builder.write(entries.tobytes())
             builder.finish_record()
-            self._write(builder.end())
+            data += builder.end()
+        self._write(data)
         self._chunks.append(ChunkIndex(
             chunk_length=length, chunk_start_offset=start, compression=chunk.compression,
             compressed_size=len(chunk.data), message_end_time=chunk.message_end_time,
-            message_index_length=self._place - start - length, message_index_offsets=places,
+            message_index_length=len(data) - length, message_index_offsets=places,
             message_start_time=chunk.message_start_time,
             uncompressed_size=chunk.uncompressed_size))
         self._first_ns = min(self._first_ns, chunk.message_start_time)
         self._last_ns = max(self._last_ns, chunk.message_end_time)
         self._stream.flush()
 
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """The times of the first and the last message."""
+        return (self._first_ns, self._last_ns) if self._chunks else (0, 0)
+
     def _statistics(self) -> Statistics:
-        count = sum(self._counts.values())
+        count = sum(self.counts.values())
+        first_ns, last_ns = self.span_ns
         return Statistics(
             attachment_count=0, channel_count=len(self._channels),
-            channel_message_counts=self._counts, chunk_count=len(self._chunks),
+            channel_message_counts=self.counts, chunk_count=len(self._chunks),
             message_count=count, metadata_count=len(self._metadata),
-            message_start_time=self._first_ns if count else 0, message_end_time=self._last_ns,
+            message_start_time=first_ns, message_end_time=last_ns,
             schema_count=len(self._schemas))
 
     def _write_group(self, opcode: int, records: Iterable[McapRecord]) -> SummaryOffset:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
+from contextlib import suppress
 from io import BytesIO
 import os
 from pathlib import Path
@@ -13,7 +14,7 @@ import zlib
 import lz4.frame
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Schema, Statistics
+from mcap.records import Channel, Chunk, Metadata, Schema, Statistics
 from mcap.stream_reader import MAGIC_SIZE, StreamReader, read_magic
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
@@ -29,6 +30,8 @@ _BLOCK = 2 ** 20
 #: Bytes that a chunk may hold; rosbag2 and mcap write about one million.
 _LARGEST = 2 ** 30
 _RECORD = struct.Struct('<BQ')
+#: The records that messages are read from.
+_MESSAGES = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
 #: Bytes of the footer and what follows it.
 _ENDING = 37
 
@@ -90,6 +93,17 @@ class McapFile:
         return {channel.topic: self._schemas[channel.schema_id].name
                 if channel.schema_id in self._schemas else ''
                 for channel in self._channels.values()}
+
+    def metadata(self, name: str) -> dict[str, str]:
+        """Return what the file says under a name, or nothing."""
+        found: dict[str, str] = {}
+        with suppress(DamageError), open(self._place, 'rb') as stream:
+            stream.seek(MAGIC_SIZE)
+            for _, _, record in self._records(stream, (Opcode.METADATA,)):
+                metadata = Metadata.read(ReadDataStream(BytesIO(record)))
+                if metadata.name == name:
+                    found = metadata.metadata
+        return found
 
     def count(self, topic: str) -> int:
         """Return how many messages a topic has."""
@@ -162,9 +176,9 @@ class McapFile:
         if problem:
             raise problem
 
-    def _records(self, stream: IO[bytes]) -> Iterator[tuple[int, int, bytes]]:
-        # Place, opcode and content of those that messages are read from.
-        wanted = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
+    def _records(self, stream: IO[bytes],
+                 wanted: Container[int] = _MESSAGES) -> Iterator[tuple[int, int, bytes]]:
+        # Place, opcode and content of those that messages are read from, or of others.
         place = MAGIC_SIZE
         while True:
             head = stream.read(_RECORD.size)

@@ -36,6 +36,9 @@ class File(Protocol):
     def types(self) -> dict[str, str]:
         """The type of each topic."""
 
+    def metadata(self, name: str) -> dict[str, str]:
+        """Return what the file says under a name, or nothing."""
+
     def count(self, topic: str) -> int:
         """Return how many messages a topic has."""
 
@@ -135,6 +138,10 @@ class Source:
         """What was lost and where."""
         found = [f'{file.path}: {file.damage}' for file in self._files if file.damage]
         return '; '.join([*found, *filter(None, [self._lost])])
+
+    def metadata(self, name: str) -> dict[str, str]:
+        """Return what the recording says under a name, or nothing."""
+        return {key: value for file in self._files for key, value in file.metadata(name).items()}
 
     def __iter__(self) -> Iterator[Messages]:
         number = 0

@@ -55,6 +55,10 @@ class SqliteFile:
             raise InputError(f'{path}: expected a bag of rosbag2 in SQLite, found none '
                              f'({bulk.one_line(error)})') from error
 
+    def metadata(self, name: str) -> dict[str, str]:
+        """Return nothing: SQLite files have only what rosbag2 says of them."""
+        return {}
+
     def count(self, topic: str) -> int:
         """Return how many messages a topic has."""
         return int(self._counts.get(topic, 0))

@@ -26,9 +26,9 @@ _CHUNK = 2 ** 20
 _HEAD = struct.Struct('<BQHIQQ')
 _HEAD_FIELDS = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
                          ('sequence', '<u4'), ('log', '<u8'), ('publish', '<u8')])
-# The QoS that a player offers again: reliable, volatile, keep last 10, in the numbers that
-# rosbag2 has read since Humble (later versions also read names).
-_QOS = '\n'.join([
+#: The QoS that a player offers again: reliable, volatile, keep last 10, in the numbers that
+#: rosbag2 has read since Humble (later versions also read names).
+QOS = '\n'.join([
     '- history: 1', '  depth: 10', '  reliability: 1', '  durability: 2',
     '  deadline:', '    sec: 9223372036', '    nsec: 854775807',
     '  lifespan:', '    sec: 9223372036', '    nsec: 854775807',
@@ -92,7 +92,7 @@ class Writer:
         """Announce a topic; to be done once, before its messages."""
         self._channels[topic] = self._container.add_channel(
             topic, kind.name, kind.definition,
-            {'offered_qos_profiles': _QOS, 'topic_type_hash': kind.hash})
+            {'offered_qos_profiles': QOS, 'topic_type_hash': kind.hash})
         self._kinds[topic] = kind
         self._sequence[topic] = 0
 

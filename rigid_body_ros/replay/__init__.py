@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+import json
 from pathlib import Path
 import time
 from typing import Any
@@ -19,6 +20,7 @@ from tqdm import tqdm
 
 from rigid_body_ros import messages, recording
 from rigid_body_ros.body import State
+from rigid_body_ros.fingerprint import NAME, fingerprint
 from rigid_body_ros.propagate import Trajectory, warm_up
 from rigid_body_ros.recording import Column, Messages, NotInOrderError, Piece, Source
 from rigid_body_ros.replay.check import drift
@@ -100,7 +102,8 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         A recording, see `recording.Source`.
     scene : Scene
     output : str or Path, optional
-        MCAP file to write attitude, Euler angles and angular velocity to.
+        MCAP file, or without that ending folder of rosbag2, to write attitude, Euler angles and
+        angular velocity to.
     topic : str, optional
         May be left out where only one topic has torques.
     interpolation : str, optional
@@ -217,7 +220,7 @@ def _replayed(asked: Asked, source: Source,
     stretches = Stretches(asked, source.topic, pieces(asked, source, result))
     result.start = result.last = stretches.start
     with ExitStack() as stack:
-        writer = stack.enter_context(recording.Writer(output)) if output is not None else None
+        writer = stack.enter_context(_writer(output)) if output is not None else None
         if writer:
             _announce(writer, asked)
         for stretch in stretches:
@@ -254,9 +257,19 @@ def _take(result: Replay, stretch: Stretch) -> None:
     result.seconds['propagate'] += stretch.seconds + time.perf_counter() - began
 
 
+def _writer(output: str | Path) -> recording.Writer:
+    # As rosbag2 has it: a name that does not end in .mcap is that of a folder.
+    return (recording.Writer if str(output).endswith('.mcap') else recording.FolderWriter)(output)
+
+
 def _announce(writer: recording.Writer, asked: Asked) -> None:
+    """Say what comes, and how it was made."""
     for topic, kind in _TOPICS.items():
         writer.add_topic(topic, kind)
+    writer.add_metadata(NAME, {
+        'fingerprint': json.dumps(fingerprint()), 'scene': json.dumps(dict(asked.scene.values)),
+        'interpolation': asked.interpolation, # A file name need not be text.
+        'torques': Path(asked.path).name.encode(errors='replace').decode()})
 
 
 def _write(writer: recording.Writer, scene: Scene, trajectory: Trajectory) -> None:

@@ -1,0 +1,118 @@
+"""Work out a recorded motion again, and compare."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import json
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigid_body_ros import messages, recording, so3
+from rigid_body_ros.fingerprint import NAME, fingerprint
+from rigid_body_ros.propagate import propagate
+from rigid_body_ros.recording import Source
+from rigid_body_ros.replay import read
+from rigid_body_ros.scene import InputError, Scene
+from rigid_body_ros.so3 import Floats
+
+#: Where a node records its states, and a replay its attitude.
+_KINDS = (messages.ODOMETRY, messages.QUATERNION)
+
+
+@dataclass(frozen=True, eq=False)
+class Verified:
+    """
+    A recorded motion beside the one that its torques give.
+
+    Attributes
+    ----------
+    topic : str
+    stamps_ns : array of int64, shape (n,)
+    same : array of bool, shape (n,)
+        Whether all bits of a state agree.
+    apart : array, shape (n,), rad
+    differences : dict
+        What made the recording and runs here, where they differ.
+
+    """
+
+    topic: str
+    stamps_ns: NDArray[np.int64]
+    same: NDArray[np.bool_]
+    apart: Floats
+    differences: dict[str, tuple[str, str]]
+
+
+def verify(path: str | Path, scene: Scene, motion_path: str | Path, *, topic: str | None = None,
+           motion_topic: str | None = None, interpolation: str | None = None) -> Verified:
+    """
+    Work out a recorded motion again and compare.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording of the torques, such as a node's accepted_torque.
+    scene : Scene
+    motion_path : str or Path
+        The recording of the motion: a node's committed, or the attitude of a replay.
+    topic, motion_topic : str, optional
+        May be left out where only one fits.
+    interpolation : str, optional
+        Instead of the scene's.
+
+    Raises
+    ------
+    InputError
+        A recording cannot be read, does not fit the scene, or has no state from the start on.
+
+    """
+    _, log, start = read(path, scene, topic, interpolation)
+    with Source(motion_path, motion_topic, _KINDS) as source:
+        recorded = recording.joined(source.topic, source.kind, list(source), source.damage)
+        made_by = source.metadata(NAME)
+    is_state = source.kind is messages.ODOMETRY
+    begun = np.flatnonzero(recorded.stamps_ns == start.time_ns)
+    # A node records the start of each epoch: what comes before the last is of others.
+    first = int(begun[-1]) if is_state and begun.size else 0
+    stamps = recorded.stamps_ns[first:]
+    if not stamps.size or stamps.min() < start.time_ns:
+        raise InputError(f'{motion_path}: {source.topic}: expected states from the start of the '
+                         f'scene, {start.time_ns} ns, on, found '
+                         f'{f"one at {stamps.min()} ns" if stamps.size else "none"}')
+    motion = propagate(scene.body, start, log, at=stamps, **scene.options)
+    attitude = recorded.values[first:, messages.ORIENTATION] if is_state else \
+        recorded.values[first:]
+    found, expected = attitude, motion.attitude
+    if is_state:
+        rates = recorded.values[first:, messages.ANGULAR_VELOCITY]
+        found = np.hstack([attitude, rates])
+        expected = np.hstack([motion.attitude, motion.angular_velocity])
+    same = np.all(np.ascontiguousarray(found).view(np.int64) == expected.view(np.int64), axis=1)
+    return Verified(source.topic, stamps, same, so3.angle_between(attitude, motion.attitude),
+                    _differences(made_by))
+
+
+def summary(result: Verified) -> str:
+    """Return how far they agree, in lines."""
+    count = len(result.same)
+    rows = [('compared', f'{count} states of {result.topic}'),
+            ('same bits', f'{np.count_nonzero(result.same)} of {count}'),
+            ('apart', f'at most {result.apart.max():.2g} rad')]
+    if not result.same.all():
+        row = int(np.argmin(result.same))
+        rows.append(('first apart', f'state {row + 1} at {result.stamps_ns[row]} ns, by '
+                                    f'{result.apart[row]:.2g} rad'))
+    rows += [('made by', f'{name} {there}, here {here}: the last bits may differ')
+             for name, (there, here) in result.differences.items()]
+    return '\n'.join(f'{name:14}{text}' for name, text in rows)
+
+
+def _differences(made_by: dict[str, str]) -> dict[str, tuple[str, str]]:
+    try:
+        there = json.loads(made_by.get('fingerprint', '{}'))
+    except ValueError:
+        return {}
+    return {name: (str(there[name]), here) for name, here in fingerprint().items()
+            if name in there and there[name] != here}

@@ -1,0 +1,121 @@
+"""attitude_replay --verify: a motion comes out again to the last bit, or it is told where not."""
+
+import json
+
+from conftest import CONFIG, RECORDINGS
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+import yaml
+
+from rigid_body_ros import cli, messages, recording, scene
+from rigid_body_ros.fingerprint import fingerprint
+from rigid_body_ros.replay import replay
+from rigid_body_ros.replay.verify import verify
+
+TUMBLER, SCENE = RECORDINGS / 'tumbler.mcap', CONFIG / 'tumbler.yaml'
+
+
+def rewritten(source, target, change=lambda values: values, metadata=None):
+    """Write the attitude of a replay anew, changed."""
+    read = recording.read(source, '/attitude', messages.QUATERNION)
+    with recording.Writer(target) as writer:
+        writer.add_topic('/attitude', messages.QUATERNION)
+        writer.write_columns(read.stamps_ns, [
+            recording.Column('/attitude', 'world', change(read.values.copy()))])
+        if metadata:
+            writer.add_metadata('rigid_body_ros', metadata)
+    return target
+
+
+@pytest.mark.parametrize('name', ['motion.mcap', 'motion'])
+@pytest.mark.parametrize('options', [[], ['--rate', '37'], ['--interpolation', 'cubic']], ids=str)
+def test_a_replay_comes_out_again(tmp_path, capsys, name, options):
+    arguments = [str(TUMBLER), '--scene', str(SCENE)]
+    assert cli.attitude_replay([*arguments, '-o', str(tmp_path / name), *options]) == 0
+    capsys.readouterr()
+    again = [] if options[:1] == ['--rate'] else options
+    assert cli.attitude_replay([*arguments, '--verify', str(tmp_path / name), *again]) == 0
+    lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    count = len(recording.read(tmp_path / name, '/attitude', messages.QUATERNION))
+    assert lines['compared'] == f'{count} states of /attitude'
+    assert f'{count} of {count}' in lines['same']
+    assert lines['apart'] == 'at most 0 rad'
+    assert 'made' not in lines
+
+
+def test_the_first_difference_is_told(tmp_path):
+    replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion.mcap')
+
+    def nudged(values):
+        values[700:, 2] = np.nextafter(values[700:, 2], 1.0)
+        values[900, :] = -values[900, :]
+        return values
+    path = rewritten(tmp_path / 'motion.mcap', tmp_path / 'nudged.mcap', nudged)
+    result = verify(TUMBLER, scene.load(SCENE), path)
+    assert result.same[:700].all()
+    assert not result.same[700:].any()
+    assert result.apart.max() < 1e-15
+
+
+def test_what_another_machine_made_is_told(tmp_path, capsys):
+    replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion.mcap')
+    other = {**fingerprint(), 'processor': 'arm64 cortex-a72'}
+    path = rewritten(tmp_path / 'motion.mcap', tmp_path / 'other.mcap',
+                     metadata={'fingerprint': json.dumps(other)})
+    assert cli.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '--verify', str(path)]) == 0
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert line.startswith('made by       processor arm64 cortex-a72, here ')
+
+
+def test_a_motion_from_before_the_start_is_refused(tmp_path, capsys):
+    path = tmp_path / 'early.mcap'
+    with recording.Writer(path) as writer:
+        writer.add_topic('/attitude', messages.QUATERNION)
+        writer.write('/attitude', 5, messages.QUATERNION.encode(5, '', [0, 0, 0, 1]))
+    assert cli.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '--verify', str(path)]) == 2
+    assert 'early.mcap: /attitude: expected states from the start' in capsys.readouterr().err
+
+
+def test_a_folder_is_what_rosbag2_wants(tmp_path):
+    result = replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion')
+    assert sorted(path.name for path in tmp_path.rglob('*')) == [
+        'metadata.yaml', 'motion', 'motion_0.mcap']
+    about = yaml.safe_load((tmp_path / 'motion' / 'metadata.yaml').read_text())
+    about = about['rosbag2_bagfile_information']
+    ours = recording.read(tmp_path / 'motion', '/attitude', messages.QUATERNION)
+    assert about['message_count'] == 3 * len(ours)
+    assert about['starting_time']['nanoseconds_since_epoch'] == ours.stamps_ns[0]
+    with AnyReader([tmp_path / 'motion']) as reader:
+        connections = [each for each in reader.connections if each.topic == '/attitude']
+        theirs = [reader.deserialize(data, connection.msgtype).quaternion
+                  for connection, _, data in reader.messages(connections)]
+        assert {each.topic: each.msgcount for each in reader.connections} == dict.fromkeys(
+            ['/attitude', '/euler_angles', '/angular_velocity'], len(ours))
+    np.testing.assert_array_equal([[q.x, q.y, q.z, q.w] for q in theirs], ours.values)
+    assert ours.stamps_ns[-1] == result.last.time_ns
+
+
+def test_a_folder_that_is_there_stays_as_it_is(tmp_path, capsys):
+    (tmp_path / 'motion').mkdir()
+    assert cli.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '-o',
+                                str(tmp_path / 'motion')]) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert 'motion: expected a name that ends in .mcap' in line
+    assert [path.name for path in tmp_path.rglob('*')] == ['motion']
+
+
+def test_a_recording_says_how_it_was_made(tmp_path):
+    replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion.mcap')
+    with recording.Source(tmp_path / 'motion.mcap', '/attitude', [messages.QUATERNION]) as source:
+        about = source.metadata('rigid_body_ros')
+    assert json.loads(about['fingerprint']) == fingerprint()
+    assert json.loads(about['scene']) == dict(scene.load(SCENE).values)
+    assert about['torques'] == 'tumbler.mcap'
+
+
+@pytest.mark.parametrize('kind', messages.TYPES.values(), ids=lambda kind: kind.name)
+def test_types_are_told_apart_as_ros_does(kind):
+    from rosbags.typesys import Stores, get_typestore
+    store = get_typestore(Stores.ROS2_JAZZY)
+    assert kind.hash == store.hash_rihs01(kind.name)
