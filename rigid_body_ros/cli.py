@@ -40,8 +40,7 @@ def attitude_node(arguments: Sequence[str] | None = None) -> int:
 
 
 def _guarded(name: str, command: Callable[[], None]) -> int:
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+    _listen()
     try:
         command()
     except InputError as error:
@@ -51,6 +50,11 @@ def _guarded(name: str, command: Callable[[], None]) -> int:
         print(f'{name}: interrupted; nothing incomplete was left', file=sys.stderr)
         return SIGNALLED + int(interrupt.args[0])
     return OK
+
+
+def _listen() -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -72,23 +76,46 @@ def _replay(options: argparse.Namespace) -> None:
     if options.verify:
         _verify(options)
         return
+    if len(options.input) > 1:
+        _replay_many(options)
+        return
     from rigid_body_ros import replay, scene
     from rigid_body_ros.replay.report import summary
+    options.input, = options.input
     _check_apart(options, 'input', 'scene', 'output', 'plot')
     result = replay.replay(options.input, scene.load(options.scene), options.output,
-                           topic=options.topic, interpolation=options.interpolation,
-                           rate=options.rate, until=options.until,
-                           time_source=options.time_source, keep=bool(options.plot))
+                           keep=bool(options.plot), **_replay_options(options))
     if options.plot:
         replay.plot(options.plot, result, Path(options.input).name)
     written = [options.output, *filter(None, [options.plot])]
     _print(f'{summary(result)}\n{"wrote":14}{", ".join(written)}')
 
 
+def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
+    return {'topic': options.topic, 'interpolation': options.interpolation, 'rate': options.rate,
+            'until': options.until, 'start': options.start, 'time_source': options.time_source,
+            'also': options.also}
+
+
+def _replay_many(options: argparse.Namespace) -> None:
+    from rigid_body_ros.replay.many import replay_many, table
+    if options.plot:
+        raise InputError(f'--plot: expected one recording, found {len(options.input)}')
+    outcomes = replay_many(options.input, options.scene, options.output, _listen,
+                           **_replay_options(options))
+    _print(table(outcomes))
+    failed = [outcome.path for outcome in outcomes if outcome.error]
+    if failed:
+        raise InputError(f'{len(failed)} of {len(outcomes)} recordings failed: '
+                         f'{", ".join(failed)}')
+
+
 def _verify(options: argparse.Namespace) -> None:
     from rigid_body_ros import scene
     from rigid_body_ros.replay.verify import summary, verify
-    result = verify(options.input, scene.load(options.scene), options.verify,
+    if len(options.input) > 1:
+        raise InputError(f'--verify: expected one recording, found {len(options.input)}')
+    result = verify(options.input[0], scene.load(options.scene), options.verify,
                     topic=options.topic, interpolation=options.interpolation)
     _print(summary(result))
 
@@ -157,14 +184,16 @@ def _check_apart(options: argparse.Namespace, *names: str) -> None:
 def _replay_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='attitude_replay', description='Turn recorded torques into recorded motion.')
-    parser.add_argument('input', metavar='INPUT',
-                        help='recording of torques: an MCAP file, or a bag of rosbag2')
+    parser.add_argument('input', metavar='INPUT', nargs='+',
+                        help='recording of torques: an MCAP file, a bag of rosbag2, or a CSV file '
+                        'of time (s), tx, ty, tz (N m)')
     parser.add_argument('--scene', required=True, metavar='FILE',
                         help='ROS 2 parameter file with inertia and start, as for attitude_node')
     target = parser.add_mutually_exclusive_group(required=True)
     target.add_argument('-o', '--output', metavar='OUTPUT',
                         help='to write attitude, euler_angles and angular_velocity to: an MCAP '
-                        'file, or without that ending a folder of rosbag2')
+                        'file, or without that ending a folder of rosbag2; for several recordings '
+                        'a folder of MCAP files')
     target.add_argument('--verify', metavar='MOTION',
                         help='recording of a motion to compare with, bit for bit: the states that '
                         'a node committed, or the attitude of a replay')
@@ -173,6 +202,10 @@ def _replay_parser() -> argparse.ArgumentParser:
                         help="what a torque does between its samples, instead of the scene's")
     parser.add_argument('--rate', type=_positive, metavar='HZ',
                         help='of the output; otherwise at the stamps of the torques')
+    parser.add_argument('--start', type=_positive, default=0.0, metavar='SECONDS',
+                        help='leave out torques from before this long after the first')
+    parser.add_argument('--also', nargs='+', choices=('imu', 'tf'), default=(),
+                        help='write /imu/data or /tf, too')
     parser.add_argument('--until', '--duration', type=_positive, metavar='SECONDS',
                         help='end, counted from the start; otherwise the last stamp')
     parser.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',

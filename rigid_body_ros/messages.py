@@ -226,17 +226,27 @@ def odometry(state: State, space_frame: str, body_frame: str) -> bytes:
 
 def imu(state: State, body_frame: str) -> bytes:
     """Return a state as an Imu that measures no acceleration and does not know its errors."""
-    values = np.zeros(IMU.doubles)
-    values[0:4], values[13:16] = state.attitude, state.angular_velocity
-    values[28] = -1.0  # linear_acceleration_covariance[0]: there is no such measurement
+    values = imu_values(state.attitude[None], state.angular_velocity[None])[0]
     return IMU.encode(state.time_ns, body_frame, values)
+
+
+def imu_values(attitude: Floats, angular_velocity: Floats) -> Floats:
+    """Return what Imu messages hold, shape (n, 37), of attitudes (n, 4) and body rates (n, 3)."""
+    values = np.zeros((len(attitude), IMU.doubles))
+    values[:, 0:4], values[:, 13:16] = attitude, angular_velocity
+    values[:, 28] = -1.0  # linear_acceleration_covariance[0]: there is no such measurement
+    return values
 
 
 def transform(state: State, space_frame: str, body_frame: str) -> bytes:
     """Return a state as the transform that takes body coordinates to space coordinates."""
-    values = np.zeros(TRANSFORM.doubles)
-    values[3:7] = state.attitude
-    return TRANSFORM.encode(state.time_ns, space_frame, values, body_frame)
+    return TRANSFORM.encode(state.time_ns, space_frame, transform_values(state.attitude[None])[0],
+                            body_frame)
+
+
+def transform_values(attitude: Floats) -> Floats:
+    """Return what transforms hold, shape (n, 7), of attitudes (n, 4)."""
+    return np.pad(attitude, ((0, 0), (3, 0)))
 
 
 @lru_cache

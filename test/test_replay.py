@@ -10,6 +10,7 @@ from conftest import CONFIG, EPOCH_NS, RECORDINGS, SECOND, Reference
 import matplotlib.image
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 
 from rigid_body_ros import cli, messages, propagate, recording, scene
 from rigid_body_ros.replay import replay
@@ -284,3 +285,35 @@ def test_no_progress_bar_where_nobody_watches(output):
     result = subprocess.run([*COMMAND, *ISS, '-o', str(output)], capture_output=True, text=True,
                             check=True)
     assert result.stderr == ''
+
+
+def test_imu_and_tf_are_written_on_request(tmp_path, output):
+    loaded = scene.load(CONFIG / 'tumbler.yaml')
+    replay(RECORDINGS / 'tumbler.mcap', loaded, output, also=('imu', 'tf'))
+    attitude, imu, transform = (recording.read(output, topic, kind) for topic, kind in (
+        ('/attitude', messages.QUATERNION), ('/imu/data', messages.IMU),
+        ('/tf', messages.TRANSFORM)))
+    rates = recording.read(output, '/angular_velocity', messages.VECTOR3)
+    for found in (imu, transform):
+        np.testing.assert_array_equal(found.stamps_ns, attitude.stamps_ns)
+    np.testing.assert_array_equal(imu.values[:, :4], attitude.values)
+    np.testing.assert_array_equal(imu.values[:, 13:16], rates.values)
+    np.testing.assert_array_equal(transform.values[:, 3:], attitude.values)
+    with AnyReader([output]) as reader:
+        connection, = (each for each in reader.connections if each.topic == '/tf')
+        _, _, data = next(reader.messages([connection]))
+        first, = reader.deserialize(data, connection.msgtype).transforms
+    assert (first.header.frame_id, first.child_frame_id) == ('world', 'base_link')
+
+
+@pytest.mark.parametrize('keep', [False, True])
+def test_torques_before_the_start_asked_for_are_left_out(tmp_path, output, keep):
+    source = recording.read(RECORDINGS / 'tumbler.mcap')
+    result = replay(RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml'), output,
+                    start=1.25, until=2.0, keep=keep)
+    rows = source.stamps_ns >= source.stamps_ns[0] + 1_250_000_000
+    assert result.start.time_ns == source.stamps_ns[rows][0]
+    assert result.last.time_ns == result.start.time_ns + 2 * SECOND
+    motion = propagate(result.scene.body, result.start, recording.torque_log(
+        '', source.rows(rows), 'base_link', 'world'), at=[result.last.time_ns])
+    np.testing.assert_array_equal(motion.attitude[0], result.last.attitude)

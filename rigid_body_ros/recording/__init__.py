@@ -1,9 +1,9 @@
 """
 Recordings: torques in, motion out.
 
-`source` finds a topic in a recording of any kind; `mcap_file` and `sqlite_file` read the files it
-is made of, `bulk` what their messages say, and `torques` makes a log of it. `writer` writes MCAP
-files, `container` their bytes, and `folder` what rosbag2 wants beside them.
+`source` finds a topic in a recording of any kind; `mcap_file`, `sqlite_file` and `csv_file` read
+the files it is made of, `bulk` what their messages say, and `torques` makes a log of it. `writer`
+writes MCAP files, `container` their bytes, and `folder` what rosbag2 wants beside them.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
     Parameters
     ----------
     path : str or Path
-        An MCAP file, a SQLite file of rosbag2, or a folder of either with metadata.yaml.
+        A recording, see `Source`.
     topic : str, optional
         May be left out where only one topic has the type.
     kind : MessageType, optional

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 import tempfile
 from typing import Any, Protocol
@@ -17,6 +17,7 @@ import zstandard
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Raw
+from rigid_body_ros.recording.csv_file import CsvFile
 from rigid_body_ros.recording.mcap_file import McapFile
 from rigid_body_ros.recording.sqlite_file import SqliteFile
 from rigid_body_ros.scene import InputError
@@ -77,6 +78,11 @@ class Messages:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
+    def rows(self, chosen: NDArray[np.bool_]) -> Messages:
+        """Return some of the messages."""
+        return replace(self, stamps_ns=self.stamps_ns[chosen], frames=self.frames[chosen],
+                       values=self.values[chosen])
+
     @property
     def frame_ids(self) -> list[str]:
         """The frame_id of each message."""
@@ -90,12 +96,15 @@ class Source:
     Parameters
     ----------
     path : str or Path
-        An MCAP file, a SQLite file of rosbag2, or a folder of either with metadata.yaml.
+        An MCAP file, a SQLite file of rosbag2, a folder of either with metadata.yaml, or a CSV
+        file of time (s), tx, ty, tz (N m).
     topic : str, optional
         May be left out where only one topic has one of the types.
     kinds : sequence of MessageType
     time_source : str
         'header', 'log' or 'publish'.
+    skip : float, s
+        Leave out messages from before this long after the first.
 
     Attributes
     ----------
@@ -115,8 +124,9 @@ class Source:
     """
 
     def __init__(self, path: str | Path, topic: str | None, kinds: Sequence[MessageType],
-                 time_source: str = 'header') -> None:
+                 time_source: str = 'header', skip: float = 0.0) -> None:
         self._path = path
+        self._skip_ns = round(skip * 1e9)
         self._time_source = time_source
         self._stack = ExitStack()
         with ExitStack() as stack:
@@ -144,11 +154,17 @@ class Source:
         return {key: value for file in self._files for key, value in file.metadata(name).items()}
 
     def __iter__(self) -> Iterator[Messages]:
-        number = 0
+        number, first_ns = 0, None
         for file in self._holders:
             for raw in file.read(self.topic):
-                yield self._messages(raw, number)
+                block = self._messages(raw, number)
                 number += len(raw.starts)
+                first_ns = int(block.stamps_ns.min()) if first_ns is None else first_ns
+                rows = block.stamps_ns >= first_ns + self._skip_ns
+                if not self._skip_ns or rows.all():
+                    yield block
+                elif rows.any():
+                    yield block.rows(rows)
             if file.damage:
                 return
 
@@ -234,6 +250,8 @@ def _metadata(path: Path) -> dict[str, Any]:
 
 
 def _file(path: Path, stack: ExitStack) -> File:
+    if path.suffix.lower() == '.csv':
+        return CsvFile(path)
     unpacked = _unpacked(path, stack) if path.suffix in ('.zstd', '.zst') else path
     if unpacked.suffix == '.db3':
         if not unpacked.is_file():

@@ -7,7 +7,7 @@ only the whole tells what the log is (where stamps go far back, or a node began 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 import json
@@ -28,12 +28,15 @@ from rigid_body_ros.replay.stretches import Asked, Stretch, Stretches, end_of
 from rigid_body_ros.scene import InputError, Scene
 from rigid_body_ros.torque import TorqueLog
 
-__all__ = ['ANGULAR_VELOCITY', 'ATTITUDE', 'EULER_ANGLES', 'Replay', 'bar', 'end_of', 'plot',
-           'read', 'replay']
+__all__ = ['ALSO', 'ANGULAR_VELOCITY', 'ATTITUDE', 'EULER_ANGLES', 'Replay', 'bar', 'end_of',
+           'plot', 'read', 'replay']
 
 ATTITUDE, EULER_ANGLES, ANGULAR_VELOCITY = '/attitude', '/euler_angles', '/angular_velocity'
 _TOPICS = {ATTITUDE: messages.QUATERNION, EULER_ANGLES: messages.VECTOR3,
            ANGULAR_VELOCITY: messages.VECTOR3}
+#: What can be written besides, by the names that are asked for.
+IMU, TF = 'imu', 'tf'
+ALSO = {IMU: ('/imu/data', messages.IMU), TF: ('/tf', messages.TRANSFORM)}
 
 
 @dataclass(eq=False)
@@ -91,8 +94,8 @@ class Replay:
 
 def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
            topic: str | None = None, interpolation: str | None = None, rate: float | None = None,
-           until: float | None = None, time_source: str = 'header',
-           keep: bool | None = None) -> Replay:
+           until: float | None = None, start: float = 0.0, time_source: str = 'header',
+           also: Collection[str] = (), keep: bool | None = None) -> Replay:
     """
     Turn the torques of a recording into motion.
 
@@ -113,8 +116,12 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         `until`.
     until : float, optional, s
         End, counted from the start; otherwise the last stamp.
+    start : float, s
+        Leave out torques from before this long after the first.
     time_source : str
         Where stamps are taken from: 'header', 'log' or 'publish'.
+    also : collection of str
+        'imu' (/imu/data) and 'tf' (/tf), to be written besides.
     keep : bool, optional
         Whether to return log and trajectory, which takes memory; if there is no output.
 
@@ -128,8 +135,8 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     keep = output is None if keep is None else keep
     for prepare in bar('kernels, compiled on first use')([warm_up], 1):
         prepare()
-    asked = Asked(path, scene, interpolation or scene.values['interpolation'], rate, until)
-    with Source(path, topic, recording.TORQUES, time_source) as source:
+    asked = Asked(path, scene, interpolation or scene.values['interpolation'], rate, until, also)
+    with Source(path, topic, recording.TORQUES, time_source, start) as source:
         if not keep:
             try:
                 return _replayed(asked, source, _pieces, output)
@@ -227,7 +234,7 @@ def _replayed(asked: Asked, source: Source,
             _take(result, stretch)
             if writer:
                 writing = time.perf_counter()
-                _write(writer, asked.scene, stretch.trajectory)
+                _write(writer, asked, stretch.trajectory)
                 result.seconds['write'] += time.perf_counter() - writing
             if keep:
                 kept.append(stretch)
@@ -264,7 +271,7 @@ def _writer(output: str | Path) -> recording.Writer:
 
 def _announce(writer: recording.Writer, asked: Asked) -> None:
     """Say what comes, and how it was made."""
-    for topic, kind in _TOPICS.items():
+    for topic, kind in [*_TOPICS.items(), *(ALSO[name] for name in asked.also)]:
         writer.add_topic(topic, kind)
     writer.add_metadata(NAME, {
         'fingerprint': json.dumps(fingerprint()), 'scene': json.dumps(dict(asked.scene.values)),
@@ -272,13 +279,18 @@ def _announce(writer: recording.Writer, asked: Asked) -> None:
         'torques': Path(asked.path).name.encode(errors='replace').decode()})
 
 
-def _write(writer: recording.Writer, scene: Scene, trajectory: Trajectory) -> None:
-    values = scene.values
+def _write(writer: recording.Writer, asked: Asked, trajectory: Trajectory) -> None:
+    values = asked.scene.values
     space, body = values['space_frame'], values['body_frame']
-    writer.write_columns(trajectory.times_ns, [
-        Column(ATTITUDE, space, trajectory.attitude),
-        Column(EULER_ANGLES, space, trajectory.euler_angles(values['euler_sequence'])),
-        Column(ANGULAR_VELOCITY, body, trajectory.angular_velocity)])
+    attitude, rates = trajectory.attitude, trajectory.angular_velocity
+    columns = [Column(ATTITUDE, space, attitude),
+               Column(EULER_ANGLES, space, trajectory.euler_angles(values['euler_sequence'])),
+               Column(ANGULAR_VELOCITY, body, rates)]
+    if IMU in asked.also:
+        columns.append(Column(ALSO[IMU][0], body, messages.imu_values(attitude, rates)))
+    if TF in asked.also:
+        columns.append(Column(ALSO[TF][0], space, messages.transform_values(attitude), body))
+    writer.write_columns(trajectory.times_ns, columns)
 
 
 def _joined(stretches: list[Stretch]) -> Trajectory:

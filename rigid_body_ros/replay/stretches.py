@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,6 +35,7 @@ class Asked:
     interpolation: str
     rate: float | None
     until: float | None
+    also: Collection[str] = ()
 
 
 class Stretch(NamedTuple):

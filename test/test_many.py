@@ -1,0 +1,95 @@
+"""Many recordings in one call, and torques as text."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+from conftest import CONFIG, EPOCH_NS, RECORDINGS, SECOND
+import numpy as np
+import pytest
+
+from rigid_body_ros import cli, messages, recording
+from rigid_body_ros.scene import InputError
+
+SCENE = ['--scene', str(CONFIG / 'tumbler.yaml')]
+COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.cli import attitude_replay; '
+           'sys.exit(attitude_replay())']
+
+
+@pytest.mark.slow
+def test_a_bad_recording_does_not_keep_others_from_their_motion(tmp_path, capfd):
+    shutil.copy(RECORDINGS / 'tumbler.mcap', tmp_path / 'one.mcap')
+    (tmp_path / 'bad.mcap').write_bytes(b'nothing')
+    (tmp_path / 'two.csv').write_text('time,tx,ty,tz\n1.5,0,0,0\n2.5,0.1,0,0\n')
+    names = [str(tmp_path / name) for name in ('one.mcap', 'bad.mcap', 'two.csv')]
+    assert cli.attitude_replay([*names, *SCENE, '-o', str(tmp_path / 'out')]) == 2
+    one, bad, two, last = (captured := capfd.readouterr()).out.splitlines()
+    assert one.startswith(f'{names[0]}  ')
+    assert f'{names[1]}: expected an MCAP file' in bad
+    assert '2 torques, 1 s -> ' in two
+    assert last == '2 of 3 written'
+    assert captured.err == ('attitude_replay: error: 1 of 3 recordings failed: '
+                            f'{names[1]}\n')
+    assert sorted(path.name for path in (tmp_path / 'out').iterdir()) == ['one.mcap', 'two.mcap']
+    alone = tmp_path / 'alone.mcap'
+    assert cli.attitude_replay([names[0], *SCENE, '-o', str(alone)]) == 0
+    for found, expected in zip(*(recording.read(path, '/attitude', messages.QUATERNION).values
+                                 for path in (tmp_path / 'out' / 'one.mcap', alone))):
+        np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_all_of_them(tmp_path, number):
+    names = []
+    for name in 'ab':
+        names.append(str(tmp_path / f'{name}.mcap'))
+        shutil.copy(RECORDINGS / 'tumbler.mcap', names[-1])
+    process = subprocess.Popen([*COMMAND, *names, *SCENE, '-o', str(tmp_path / 'out'),
+                                '--rate', '1000', '--until', '86400'], stderr=subprocess.PIPE,
+                               stdout=subprocess.DEVNULL, text=True, start_new_session=True)
+    for _ in range(600):
+        if len(list((tmp_path / 'out').glob('.*.part'))) == 2:
+            break
+        time.sleep(0.1)
+    os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
+    _, words = process.communicate(timeout=30)
+    assert process.returncode == 128 + number
+    assert words.splitlines() == [
+        'attitude_replay: interrupted; nothing incomplete was left']
+    assert not list((tmp_path / 'out').iterdir())
+
+
+def test_two_recordings_of_one_name_are_refused(tmp_path, capsys):
+    assert cli.attitude_replay(['a/x.mcap', 'b/x.csv', *SCENE, '-o', str(tmp_path)]) == 2
+    assert 'x.mcap: expected recordings of different names' in capsys.readouterr().err
+
+
+def test_torques_as_text_are_read_to_the_nanosecond_and_the_last_bit(tmp_path):
+    random = np.random.default_rng(2)
+    stamps = EPOCH_NS + np.cumsum(random.integers(1, SECOND, 20_000))
+    torques = random.normal(size=(len(stamps), 3))
+    lines = [f'{stamp // SECOND}.{stamp % SECOND:09},{x!r},{y!r},{z!r}'
+             for stamp, (x, y, z) in zip(stamps.tolist(), torques.tolist())]
+    path = tmp_path / 'torque.csv'
+    path.write_text('\n'.join(['t,tx,ty,tz', *lines, '']))
+    found = recording.read(path)
+    np.testing.assert_array_equal(found.stamps_ns, stamps)
+    np.testing.assert_array_equal(found.values[:, 3:], torques)
+    assert set(found.frame_ids) == {''}
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    ('1,2,3\n', r"line 1: expected time \(s\), tx, ty, tz \(N m\), found '1,2,3'"),
+    ('1,0,0,0\n2,0,0,x\n', "line 2: expected .* found '2,0,0,x'"),
+    ('-1,0,0,0\n', 'line 1: expected time'), ('1e30,0,0,0\n', 'line 1: expected time'),
+    ('nan,0,0,0\n', 'line 1: expected time'), ('\0', 'expected'),
+    (b'\xff', 'text')])
+def test_a_wrong_line_is_named(tmp_path, text, message):
+    path = tmp_path / 'torque.csv'
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(InputError, match=message):
+        recording.torque_log(path, recording.read(path), 'base_link', 'world')
