@@ -115,6 +115,10 @@ def _verify(options: argparse.Namespace) -> None:
     from rigid_body_ros.replay.verify import summary, verify
     if len(options.input) > 1:
         raise InputError(f'--verify: expected one recording, found {len(options.input)}')
+    idle = [name for name in ('rate', 'until', 'start', 'also', 'plot') if getattr(options, name)]
+    if idle:
+        raise InputError(f'--verify: compares at the stamps of the motion, found --{idle[0]}, '
+                         'which chooses others')
     result = verify(options.input[0], scene.load(options.scene), options.verify,
                     topic=options.topic, interpolation=options.interpolation)
     _print(summary(result))

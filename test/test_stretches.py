@@ -8,6 +8,8 @@ from rigid_body_ros import RigidBody, State, TorqueLog, messages, propagate, rec
 from rigid_body_ros.propagate import Run
 from rigid_body_ros.recording import torques
 from rigid_body_ros.replay import replay, stretches
+from rigid_body_ros.replay.report import summary
+from rigid_body_ros.scene import InputError
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
 TOPICS = {'/attitude': messages.QUATERNION, '/euler_angles': messages.VECTOR3,
@@ -72,3 +74,37 @@ def test_a_recording_in_pieces_gives_the_bits_of_the_whole(tmp_path, monkeypatch
     assert result.readings == whole.readings
     assert result.messages == whole.messages
     assert result.last_ns == whole.last_ns
+
+
+def shuffled(path, order, frames=('',)):
+    """Write torques at 1 kHz in another order, in frames one after the other."""
+    with recording.Writer(path) as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        for row in order:
+            stamp_ns = EPOCH_NS + int(row) * SECOND // 1000
+            frame = frames[int(row) * len(frames) // len(order)]
+            writer.write('/torque', stamp_ns, messages.wrench(stamp_ns, frame, [row % 7, 0, 1]))
+    return path
+
+
+@pytest.mark.parametrize('distance', [3, 30_000])
+def test_stamps_out_of_order_are_put_in_order_and_told(tmp_path, monkeypatch, distance):
+    monkeypatch.setattr(torques, '_SAMPLES', 100)
+    count, loaded = 40_000, scene.load(CONFIG / 'tumbler.yaml')
+    order = np.arange(count)
+    order[[5000, 5000 + distance]] = order[[5000 + distance, 5000]]
+    whole = replay(shuffled(tmp_path / 'in.mcap', np.arange(count)), loaded)
+    result = replay(shuffled(tmp_path / 'out.mcap', order), loaded, tmp_path / 'motion.mcap')
+    np.testing.assert_array_equal(result.last.attitude, whole.last.attitude)
+    assert (whole.unordered, result.unordered) == (0, 2)
+    assert '2 stamps no later than the one before' in summary(result)
+
+
+def test_frames_that_change_late_are_refused_between_samples_as_well(tmp_path, monkeypatch):
+    monkeypatch.setattr(torques, '_SAMPLES', 100)
+    path = shuffled(tmp_path / 'in.mcap', np.arange(1000), ('base_link', 'world'))
+    loaded = scene.load(CONFIG / 'tumbler.yaml')
+    result = replay(path, loaded, tmp_path / 'motion.mcap')
+    assert result.readings == {}
+    with pytest.raises(InputError, match='interpolation linear: expected torques of one frame'):
+        replay(path, loaded, tmp_path / 'motion.mcap', interpolation='linear')

@@ -52,6 +52,8 @@ class Replay:
         Where the torques came from.
     messages : int
         How many there were.
+    unordered : int
+        How many have no later stamp than the one before.
     logs : int
         How many logs they make, of which the last was replayed.
     first_ns, last_ns : int
@@ -77,6 +79,7 @@ class Replay:
     interpolation: str
     topic: str
     messages: int = 0
+    unordered: int = 0
     logs: int = 1
     first_ns: int = 0
     last_ns: int = 0
@@ -201,8 +204,11 @@ def plot(path: str | Path, result: Replay, title: str) -> None:
 def _pieces(asked: Asked, source: Source, result: Replay) -> Iterator[Piece]:
     """Return the log piece by piece."""
     def counted() -> Iterator[Messages]:
+        last: list[int] = []
         for block in bar('replaying', size=len)(source, source.count):
             result.messages += len(block)
+            result.unordered += int(np.sum(np.diff(block.stamps_ns, prepend=last) <= 0))
+            last = [int(block.stamps_ns[-1])]
             yield block
     values = asked.scene.values
     return recording.torque_pieces(f'{asked.path}: {source.topic}', counted(),
@@ -216,6 +222,8 @@ def _whole(asked: Asked, source: Source, result: Replay) -> Iterator[Piece]:
     values = asked.scene.values
     log = recording.torque_log(asked.path, recorded, values['body_frame'], values['space_frame'])
     result.messages, result.logs = len(recorded), len(recording.new_logs(recorded)) + 1
+    if result.logs == 1:
+        result.unordered = int(np.sum(np.diff(recorded.stamps_ns) <= 0))
     yield Piece(log.times_ns, log.torques, log.in_space)
 
 

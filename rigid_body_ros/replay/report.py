@@ -20,6 +20,8 @@ def summary(result: Replay) -> str:
                     f'{(result.last_ns - result.first_ns) * 1e-9:.9g} s'
                     + (f'; the last of {result.logs} epochs' if result.logs > 1 else '')),
         *([('lost', result.damage)] if result.damage else []),
+        *([('order', f'{result.unordered} stamps no later than the one before: put in order; of '
+                     'equal ones the last counts')] if result.unordered else []),
         ('between them', _reading(result)),
         ('body', f'{result.scene.body.symmetry}{_excess(result.scene.body)}'),
         *(('solver', text) for text in _solvers(result)),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rigid_body_ros import messages, so3
 from rigid_body_ros.propagate import Run, Trajectory
-from rigid_body_ros.recording import Piece
+from rigid_body_ros.recording import NotInOrderError, Piece
 from rigid_body_ros.scene import InputError, Scene
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
@@ -70,6 +70,7 @@ class Stretches:
         self._others = {name: Run(asked.scene.body, self.start, **asked.scene.options)
                         for name in names}
         self._ends: dict[str, Floats | None] = {}
+        self._frames: set[bool] = set()
         #: They are worked out beside, by a thread that does not keep the program from ending.
         self._beside: Thread | None = None
         self._end_ns, self._count = self.start.time_ns, 0
@@ -94,8 +95,14 @@ class Stretches:
 
     def _of_piece(self, piece: Piece, stop: int | None) -> Iterator[Stretch]:
         began = time.perf_counter()
-        times = self._outputs(piece.times_ns, stop)
         self._wait()
+        self._frames |= set(np.unique(piece.in_space).tolist())
+        if len(self._frames) > 1:
+            if self._asked.interpolation != 'hold' and piece.dropped:
+                raise NotInOrderError  # and the whole is refused
+            self._others.clear()
+            self._ends.clear()
+        times = self._outputs(piece.times_ns, stop)
         self._beside = Thread(target=self._read_otherwise, args=(piece, stop, times), daemon=True)
         self._beside.start()
         try:
@@ -140,9 +147,6 @@ class Stretches:
 
     def _read_otherwise(self, piece: Piece, stop: int | None, times: NDArray[np.int64]) -> None:
         # Go on with the other readings to the end of the piece.
-        if piece.in_space.any() and not piece.in_space.all():
-            self._others.clear()
-            self._ends.clear()
         for name, run in [*self._others.items()]:
             self._ends[name] = None
             with suppress(ValueError):  # this reading alone spins the body beyond all bounds
