@@ -317,3 +317,28 @@ def test_torques_before_the_start_asked_for_are_left_out(tmp_path, output, keep)
     motion = propagate(result.scene.body, result.start, recording.torque_log(
         '', source.rows(rows), 'base_link', 'world'), at=[result.last.time_ns])
     np.testing.assert_array_equal(motion.attitude[0], result.last.attitude)
+
+
+@pytest.mark.parametrize('name', ['motion.mcap', 'motion'])
+def test_the_input_is_copied_byte_for_byte_on_request(tmp_path, name):
+    replay(RECORDINGS / 'iss.mcap', scene.load(CONFIG / 'iss.yaml'), tmp_path / name,
+           also=('input',))
+
+    def messages_of(path):
+        with AnyReader([path]) as reader:
+            return [(connection.topic, connection.msgtype, time_ns, bytes(data))
+                    for connection, time_ns, data in reader.messages()]
+    written, source = messages_of(tmp_path / name), messages_of(RECORDINGS / 'iss.mcap')
+    topics = {topic for topic, *_ in source}
+    assert sorted(row for row in written if row[0] in topics) == sorted(source)
+    assert {topic for topic, *_ in written} - topics == {
+        '/attitude', '/euler_angles', '/angular_velocity'}
+
+
+def test_an_input_with_the_topics_of_the_output_is_not_copied(tmp_path, capsys):
+    first, again = tmp_path / 'first.mcap', tmp_path / 'again.mcap'
+    assert cli.attitude_replay([*ISS, '-o', str(first), '--also', 'input']) == 0
+    assert cli.attitude_replay([str(first), *ISS[1:], '-o', str(again), '--also', 'input']) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert 'expected other topics in the recording to copy' in line
+    assert not again.exists()

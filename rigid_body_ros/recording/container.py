@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from typing import IO, NamedTuple
 import zlib
 
@@ -50,8 +51,9 @@ class Container:
 
     Attributes
     ----------
+    channels : list of Channel
     counts : dict
-        Messages by channel.
+        Messages by the number of a channel.
 
     """
 
@@ -59,7 +61,7 @@ class Container:
         self._stream = stream
         self._place = 0
         self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
+        self.channels: list[Channel] = []
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
         self.counts: dict[int, int] = {}
@@ -69,21 +71,28 @@ class Container:
         self._write(MCAP0_MAGIC)
         self._write(_record(Header('ros2', library)))
 
-    def add_channel(self, topic: str, type_name: str, definition: str,
-                    metadata: dict[str, str]) -> int:
-        """Announce a topic, and return its channel."""
-        known = [schema.id for schema in self._schemas if schema.name == type_name]
-        if not known:
-            schema = Schema(id=len(self._schemas) + 1, name=type_name, encoding='ros2msg',
-                            data=definition.encode())
-            self._schemas.append(schema)
-            self._write(_record(schema))
-        channel = Channel(id=len(self._channels) + 1, topic=topic, message_encoding='cdr',
-                          metadata=metadata, schema_id=known[0] if known else schema.id)
-        self._channels.append(channel)
+    def add_channel(self, topic: str, schema: Schema | None, metadata: dict[str, str],
+                    encoding: str = 'cdr') -> int:
+        """Announce a topic, and return its channel; the schema gets a number of its own."""
+        number = 0
+        if schema:
+            content = schema.name, schema.encoding, schema.data
+            known = [each.id for each in self._schemas
+                     if (each.name, each.encoding, each.data) == content]
+            number = known[0] if known else len(self._schemas) + 1
+            if not known:
+                self._schemas.append(replace(schema, id=number))
+                self._write(_record(self._schemas[-1]))
+        channel = Channel(id=len(self.channels) + 1, topic=topic, message_encoding=encoding,
+                          metadata=metadata, schema_id=number)
+        self.channels.append(channel)
         self.counts[channel.id] = 0
         self._write(_record(channel))
         return channel.id
+
+    def type(self, channel: Channel) -> str:
+        """Return the type of a channel's messages, '' if it is not told."""
+        return self._schemas[channel.schema_id - 1].name if channel.schema_id else ''
 
     def add_chunk(self, data: bytes, indexed: list[Indexed]) -> None:
         """Append message records, and where in them each message lies."""
@@ -105,7 +114,7 @@ class Container:
         self._write(_record(DataEnd(data_section_crc=0)))
         start = self._place
         offsets = [self._write_group(opcode, group) for opcode, group in (
-            (Opcode.SCHEMA, self._schemas), (Opcode.CHANNEL, self._channels),
+            (Opcode.SCHEMA, self._schemas), (Opcode.CHANNEL, self.channels),
             (Opcode.STATISTICS, [self._statistics()]), (Opcode.CHUNK_INDEX, self._chunks),
             (Opcode.METADATA_INDEX, self._metadata)) if group]
         offset_start = self._place
@@ -159,7 +168,7 @@ class Container:
         count = sum(self.counts.values())
         first_ns, last_ns = self.span_ns
         return Statistics(
-            attachment_count=0, channel_count=len(self._channels),
+            attachment_count=0, channel_count=len(self.channels),
             channel_message_counts=self.counts, chunk_count=len(self._chunks),
             message_count=count, metadata_count=len(self._metadata),
             message_start_time=first_ns, message_end_time=last_ns,

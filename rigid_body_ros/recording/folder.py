@@ -11,7 +11,7 @@ import weakref
 
 import yaml
 
-from rigid_body_ros.recording.writer import QOS, Writer
+from rigid_body_ros.recording.writer import Writer
 from rigid_body_ros.scene import InputError
 
 #: Of metadata.yaml: the newest that Humble reads.
@@ -71,10 +71,12 @@ class FolderWriter(Writer):
         return {
             'version': _VERSION, 'storage_identifier': 'mcap', **span,
             'topics_with_message_count': [
-                {'topic_metadata': {'name': topic, 'type': kind.name,
-                                    'serialization_format': 'cdr', 'offered_qos_profiles': QOS},
-                 'message_count': counts[self._channels[topic]]}
-                for topic, kind in self._kinds.items()],
+                {'topic_metadata': {'name': channel.topic, 'type': self._container.type(channel),
+                                    'serialization_format': channel.message_encoding,
+                                    'offered_qos_profiles':
+                                        channel.metadata.get('offered_qos_profiles', '')},
+                 'message_count': counts[channel.id]}
+                for channel in self._container.channels],
             'compression_format': '', 'compression_mode': '', 'relative_file_paths': [name],
             'files': [{'path': name, **span}],
         }

@@ -124,6 +124,15 @@ class McapFile:
             if rows.size:
                 yield Raw(data, *(column[rows] for column in found))
 
+    def read_all(self) -> Iterator[tuple[Channel, Schema | None, Raw]]:
+        """Generate the messages of every topic, block by block."""
+        for data, channels, found in self._blocks():
+            for number in np.unique(channels).tolist():
+                channel = self._channels[number]
+                rows = np.flatnonzero(channels == number)
+                yield channel, self._schemas.get(channel.schema_id), Raw(
+                    data, *(column[rows] for column in found))
+
     def _begin(self, stream: IO[bytes]) -> None:
         try:
             read_magic(ReadDataStream(stream))

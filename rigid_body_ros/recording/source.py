@@ -20,6 +20,7 @@ from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.csv_file import CsvFile
 from rigid_body_ros.recording.mcap_file import McapFile
 from rigid_body_ros.recording.sqlite_file import SqliteFile
+from rigid_body_ros.recording.writer import Writer
 from rigid_body_ros.scene import InputError
 from rigid_body_ros.so3 import Floats
 
@@ -152,6 +153,14 @@ class Source:
     def metadata(self, name: str) -> dict[str, str]:
         """Return what the recording says under a name, or nothing."""
         return {key: value for file in self._files for key, value in file.metadata(name).items()}
+
+    def copy_to(self, writer: Writer) -> None:
+        """Write every message of the recording, byte for byte, or raise InputError."""
+        for file in self._files:
+            if not isinstance(file, McapFile):
+                raise InputError(f'{file.path}: expected MCAP to copy messages from')
+            for channel, schema, raw in file.read_all():
+                writer.copy(channel, schema, raw)
 
     def __iter__(self) -> Iterator[Messages]:
         number, first_ns = 0, None

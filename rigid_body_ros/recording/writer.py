@@ -12,10 +12,12 @@ from typing import NamedTuple
 import weakref
 
 from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
 import numpy as np
 from numpy.typing import NDArray
 
 from rigid_body_ros.messages import MessageType
+from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.container import Container, Indexed
 from rigid_body_ros.scene import InputError
 from rigid_body_ros.so3 import Floats
@@ -28,7 +30,7 @@ _HEAD_FIELDS = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2')
                          ('sequence', '<u4'), ('log', '<u8'), ('publish', '<u8')])
 #: The QoS that a player offers again: reliable, volatile, keep last 10, in the numbers that
 #: rosbag2 has read since Humble (later versions also read names).
-QOS = '\n'.join([
+_QOS = '\n'.join([
     '- history: 1', '  depth: 10', '  reliability: 1', '  durability: 2',
     '  deadline:', '    sec: 9223372036', '    nsec: 854775807',
     '  lifespan:', '    sec: 9223372036', '    nsec: 854775807',
@@ -90,9 +92,9 @@ class Writer:
 
     def add_topic(self, topic: str, kind: MessageType) -> None:
         """Announce a topic; to be done once, before its messages."""
+        schema = Schema(id=0, name=kind.name, encoding='ros2msg', data=kind.definition.encode())
         self._channels[topic] = self._container.add_channel(
-            topic, kind.name, kind.definition,
-            {'offered_qos_profiles': QOS, 'topic_type_hash': kind.hash})
+            topic, schema, {'offered_qos_profiles': _QOS, 'topic_type_hash': kind.hash})
         self._kinds[topic] = kind
         self._sequence[topic] = 0
 
@@ -102,10 +104,26 @@ class Writer:
 
     def write(self, topic: str, time_ns: int, data: bytes) -> None:
         """Append a message in CDR to a topic, logged and published at a time."""
+        self._append(topic, time_ns, time_ns, data)
+
+    def copy(self, channel: Channel, schema: Schema | None, raw: Raw) -> None:
+        """Append messages of another file, with its channel and schema."""
+        topic = channel.topic
+        if topic in self._kinds:
+            raise InputError(f'{self._path}: expected other topics in the recording to copy than '
+                             f'those written, found {topic}')
+        if topic not in self._channels:
+            self._channels[topic] = self._container.add_channel(
+                topic, schema, channel.metadata, channel.message_encoding)
+            self._sequence[topic] = 0
+        for row, times_ns in enumerate(zip(raw.log_ns.tolist(), raw.publish_ns.tolist())):
+            self._append(topic, *times_ns, raw.message(row))
+
+    def _append(self, topic: str, log_ns: int, publish_ns: int, data: bytes) -> None:
         channel = self._channels[topic]
-        self._waiting.append((channel, time_ns, len(self._records)))
+        self._waiting.append((channel, log_ns, len(self._records)))
         self._records += _HEAD.pack(Opcode.MESSAGE, _HEAD.size - 9 + len(data), channel,
-                                    self._sequence[topic], time_ns, time_ns) + data
+                                    self._sequence[topic] % 2 ** 32, log_ns, publish_ns) + data
         self._sequence[topic] += 1
         if len(self._records) > _CHUNK:
             self._flush()

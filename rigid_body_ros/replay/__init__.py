@@ -35,7 +35,7 @@ ATTITUDE, EULER_ANGLES, ANGULAR_VELOCITY = '/attitude', '/euler_angles', '/angul
 _TOPICS = {ATTITUDE: messages.QUATERNION, EULER_ANGLES: messages.VECTOR3,
            ANGULAR_VELOCITY: messages.VECTOR3}
 #: What can be written besides, by the names that are asked for.
-IMU, TF = 'imu', 'tf'
+IMU, TF, INPUT = 'imu', 'tf', 'input'
 ALSO = {IMU: ('/imu/data', messages.IMU), TF: ('/tf', messages.TRANSFORM)}
 
 
@@ -124,7 +124,8 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     time_source : str
         Where stamps are taken from: 'header', 'log' or 'publish'.
     also : collection of str
-        'imu' (/imu/data) and 'tf' (/tf), to be written besides.
+        'imu' (/imu/data) and 'tf' (/tf), to be written besides, and 'input', all messages of the
+        recording, byte for byte.
     keep : bool, optional
         Whether to return log and trajectory, which takes memory; if there is no output.
 
@@ -246,6 +247,8 @@ def _replayed(asked: Asked, source: Source,
                 result.seconds['write'] += time.perf_counter() - writing
             if keep:
                 kept.append(stretch)
+        if writer and INPUT in asked.also:
+            source.copy_to(writer)
     result.seconds['read'] = time.perf_counter() - began - result.seconds['propagate'] \
         - result.seconds['write']
     result.damage = source.damage
@@ -279,7 +282,7 @@ def _writer(output: str | Path) -> recording.Writer:
 
 def _announce(writer: recording.Writer, asked: Asked) -> None:
     """Say what comes, and how it was made."""
-    for topic, kind in [*_TOPICS.items(), *(ALSO[name] for name in asked.also)]:
+    for topic, kind in [*_TOPICS.items(), *(ALSO[name] for name in asked.also if name in ALSO)]:
         writer.add_topic(topic, kind)
     writer.add_metadata(NAME, {
         'fingerprint': json.dumps(fingerprint()), 'scene': json.dumps(dict(asked.scene.values)),
