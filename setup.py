@@ -46,7 +46,8 @@ setup(
         'test': ['hypothesis', 'import-linter', 'mcap-ros2-support', 'mpmath', 'mypy', 'psutil',
                  'pytest', 'pytest-xdist', 'rosbags', 'ruff', 'scipy', 'setuptools>=70',
                  'types-PyYAML', 'types-tqdm'],
-        'bench': ['bsk', 'cyrk', 'drake', 'heyoka', 'mpmath', 'mujoco', 'psutil', 'scipy'],
+        'bench': ['bsk', 'cyrk', 'drake', 'heyoka', 'mcap-ros2-support', 'mpmath', 'mujoco',
+                  'psutil', 'scipy'],
     },
     zip_safe=False,
 )

@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 import signal
 import sys
+import threading
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
@@ -58,8 +59,20 @@ def _listen() -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
+    if _is_in_compiler(frame):
+        threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
+        return
     # As an exception, so that files are closed and half-written ones removed.
     raise KeyboardInterrupt(number)
+
+
+def _is_in_compiler(frame: FrameType | None) -> bool:
+    # Its C code calls back, and loses an exception that is raised there.
+    while frame:
+        if str(frame.f_globals.get('__name__', '')).startswith('llvmlite.'):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _node(arguments: Sequence[str] | None) -> None:

@@ -1,6 +1,7 @@
 """attitude_replay, ended at any moment: nothing false or incomplete bears the final name."""
 
 import itertools
+import os
 from pathlib import Path
 import resource
 import signal
@@ -180,3 +181,17 @@ def test_a_full_disk_is_told_in_one_line(whole, output, share):
     assert process.returncode == 2
     assert not output.exists()
     check(whole, output)
+
+
+@pytest.mark.parametrize('moment', [0.5, 1.5, 3.0])
+def test_a_signal_while_kernels_are_compiled_is_not_lost(whole, output, tmp_path, moment):
+    # The compiler calls back from C, where Python drops what a handler raises.
+    process = subprocess.Popen([*COMMAND, *whole.arguments, output], text=True,
+                               stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+                               env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path / 'cache')})
+    wait_for('listening', process, output.parent)
+    time.sleep(moment)
+    process.send_signal(signal.SIGINT)
+    _, words = process.communicate(timeout=60)
+    assert process.returncode == 128 + signal.SIGINT
+    assert words == 'attitude_replay: interrupted; nothing incomplete was left\n'
