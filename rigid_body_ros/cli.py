@@ -48,8 +48,10 @@ def _guarded(name: str, command: Callable[[], None]) -> int:
         print(f'{name}: error: {error}', file=sys.stderr)
         return USER_ERROR
     except KeyboardInterrupt as interrupt:
-        print(f'{name}: interrupted; nothing incomplete was left', file=sys.stderr)
-        return SIGNALLED + int(interrupt.args[0])
+        number, *kept = interrupt.args
+        print(f'{name}: interrupted; nothing incomplete has its final name{"".join(kept)}',
+              file=sys.stderr)
+        return SIGNALLED + int(number)
     return OK
 
 

@@ -98,10 +98,13 @@ def interrupt(whole, output, number, stage, moment):
 def check(whole, output):
     """Check what a replay left behind; return the number of messages in its unfinished file."""
     folder = output.parent
-    assert set(folder.iterdir()) <= {output, *parts(folder)}
+    partial = output.with_suffix('.partial.mcap')
+    assert set(folder.iterdir()) <= {output, partial, *parts(folder)}
     if output.exists():
         assert complete(output) == whole.messages
-    salvaged = [message for part in parts(folder) for message in readable(part)]
+    left = [*parts(folder), *([partial] if partial.exists() else [])]
+    assert len(left) <= 1
+    salvaged = [message for part in left for message in readable(part)]
     assert salvaged == whole.messages[:len(salvaged)]
     return len(salvaged)
 
@@ -167,6 +170,7 @@ def test_an_interrupted_replay_says_so(whole, output, number, stage, moment):
         return
     line, = words.splitlines()
     assert (status, line.startswith('attitude_replay: interrupted')) == (128 + number, True)
+    assert ('what was written so far is in ' in line) == bool(list(output.parent.iterdir()))
 
 
 @pytest.mark.parametrize('share', [0.0, 0.6, 1.0])
@@ -194,4 +198,4 @@ def test_a_signal_while_kernels_are_compiled_is_not_lost(whole, output, tmp_path
     process.send_signal(signal.SIGINT)
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + signal.SIGINT
-    assert words == 'attitude_replay: interrupted; nothing incomplete was left\n'
+    assert words == 'attitude_replay: interrupted; nothing incomplete has its final name\n'

@@ -59,8 +59,9 @@ def test_a_signal_ends_all_of_them(tmp_path, number):
     _, words = process.communicate(timeout=30)
     assert process.returncode == 128 + number
     assert words.splitlines() == [
-        'attitude_replay: interrupted; nothing incomplete was left']
-    assert not list((tmp_path / 'out').iterdir())
+        'attitude_replay: interrupted; nothing incomplete has its final name']
+    assert not list((tmp_path / 'out').glob('[ab].mcap'))
+    assert not list((tmp_path / 'out').glob('.*.part'))
 
 
 def test_two_recordings_of_one_name_are_refused(tmp_path, capsys):

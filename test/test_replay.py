@@ -262,7 +262,7 @@ def test_a_signal_is_heard_while_the_motion_is_worked_out(tmp_path, output, numb
     os.kill(process.pid, number)
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + number
-    assert words.strip() == 'attitude_replay: interrupted; nothing incomplete was left'
+    assert words.strip() == 'attitude_replay: interrupted; nothing incomplete has its final name'
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
@@ -277,8 +277,12 @@ def test_an_interrupted_replay_leaves_nothing_under_the_final_name(tmp_path, out
     os.kill(process.pid, number)
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + number
-    assert words.strip() == 'attitude_replay: interrupted; nothing incomplete was left'
-    assert not list(tmp_path.glob('*motion*'))
+    line, = words.splitlines()
+    assert line.startswith('attitude_replay: interrupted; nothing incomplete has its final name')
+    assert not output.exists()
+    partial = tmp_path / 'motion.partial.mcap'
+    assert line.endswith(str(partial)) == partial.exists()
+    assert {path.name for path in tmp_path.iterdir()} <= {'long.mcap', 'motion.partial.mcap'}
 
 
 def test_no_progress_bar_where_nobody_watches(output):

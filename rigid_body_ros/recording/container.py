@@ -164,6 +164,11 @@ class Container:
         """The times of the first and the last message."""
         return (self._first_ns, self._last_ns) if self._chunks else (0, 0)
 
+    @property
+    def has_chunks(self) -> bool:
+        """Whether a chunk is in the file."""
+        return bool(self._chunks)
+
     def _statistics(self) -> Statistics:
         count = sum(self.counts.values())
         first_ns, last_ns = self.span_ns

@@ -29,10 +29,11 @@ class FolderWriter(Writer):
 
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, keep_partial: bool = False) -> None:
         self._folder = Path(os.path.realpath(path))
         self._hidden = self._folder.with_name(f'.{self._folder.name[:100]}.{os.getpid()}.part')
-        super().__init__(self._hidden / f'{self._folder.name}_0.mcap')
+        super().__init__(self._hidden / f'{self._folder.name}_0.mcap', keep_partial)
+        self._partial = self._folder.with_name(f'{self._folder.name}.partial.mcap')
         self._path = Path(path)  # what errors name
 
     def __enter__(self) -> FolderWriter:

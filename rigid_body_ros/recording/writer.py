@@ -54,7 +54,15 @@ class Writer:
     Write an MCAP file.
 
     As a context manager. The file gets its name when it is complete; where anything goes wrong
-    before, nothing is left and a file of that name stays as it was.
+    before, nothing is left, unless it is to be kept, and a file of that name stays as it was.
+
+    Parameters
+    ----------
+    path : str or Path
+    keep_partial : bool
+        Where writing ends early, keep the chunks that were written, under a name that ends in
+        `.partial.mcap` and that the error tells: in its message, or as the last argument of
+        KeyboardInterrupt.
 
     Raises
     ------
@@ -63,11 +71,13 @@ class Writer:
 
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, keep_partial: bool = False) -> None:
         self._path = Path(path)
+        self._keep_partial = keep_partial
         # Where a link leads to, so that the link stays one.
         self._target = Path(os.path.realpath(path))
         self._part = self._target.with_name(f'.{self._target.name[:100]}.{os.getpid()}.part')
+        self._partial = self._target.with_suffix('.partial.mcap')
         self._channels: dict[str, int] = {}
         self._kinds: dict[str, MessageType] = {}
         self._sequence: dict[str, int] = {}
@@ -187,9 +197,20 @@ class Writer:
             self._container.close()
             with suppress(OSError):  # closing flushes, which fails again on a full disk
                 self._stream.close()
+            kept = self._kept_partial() if error is not None else ''
             self._remove_part()
+        if isinstance(error, KeyboardInterrupt) and kept:
+            error.args += (kept,)
         if isinstance(error, OSError):
-            raise InputError(f'{self._path}: cannot write: {error.strerror}') from error
+            raise InputError(f'{self._path}: cannot write: {error.strerror}{kept}') from error
+
+    def _kept_partial(self) -> str:
+        if not self._keep_partial or not self._container.has_chunks:
+            return ''
+        with suppress(OSError):
+            os.replace(self._part, self._partial)
+            return f'; what was written so far is in {self._partial}'
+        return ''
 
 
 def _remove(part: Path) -> None:

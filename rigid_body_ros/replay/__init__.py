@@ -277,7 +277,8 @@ def _take(result: Replay, stretch: Stretch) -> None:
 
 def _writer(output: str | Path) -> recording.Writer:
     # As rosbag2 has it: a name that does not end in .mcap is that of a folder.
-    return (recording.Writer if str(output).endswith('.mcap') else recording.FolderWriter)(output)
+    kind = recording.Writer if str(output).endswith('.mcap') else recording.FolderWriter
+    return kind(output, keep_partial=True)
 
 
 def _announce(writer: recording.Writer, asked: Asked) -> None:
