@@ -77,7 +77,8 @@ def _check_stamped(where: str, stamps_ns: NDArray[np.int64], first: int) -> None
     begins = stamps_ns[first] == 0 < stamps_ns.max() < _SIMULATED_NS
     if unstamped.size and not begins and len(stamps_ns) > 1:
         raise InputError(f'{where}: message {unstamped[0] + 1}: expected a stamp in its header, '
-                         f'found 0, as in {np.sum(stamps_ns == 0)} of {len(stamps_ns)} messages')
+                         f'found 0, as in {np.sum(stamps_ns == 0)} of {len(stamps_ns)} messages; '
+                         '--time-source log takes the times of the recording')
 
 
 def new_logs(recorded: Messages) -> NDArray[np.intp]:
