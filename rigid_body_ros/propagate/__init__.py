@@ -190,9 +190,11 @@ class Run:
         block = np.empty(7 * times.size)
         closed = self._fill(log, times, rows, block, dropped, len(log) if stop is None else stop)
         self._reached_ns = end_ns
-        attitude = block[:4 * times.size].reshape(-1, 4)[:count]
-        rates = block[4 * times.size:].reshape(-1, 3)[:count]
-        return Trajectory(self._body, times[:count], attitude, rates, Answers(
+        attitude = block[:4 * times.size].reshape(-1, 4)
+        rates = block[4 * times.size:].reshape(-1, 3)
+        if times.size > count:  # the end of the piece was not asked for
+            times, attitude, rates = times[:count], attitude[:count], rates[:count]
+        return Trajectory(self._body, times, attitude, rates, Answers(
             self._body, log, self._options, begin_ns, end_ns, closed))
 
     def _fill(self, log: TorqueLog, times: NDArray[np.int64], rows: NDArray[np.intp],
