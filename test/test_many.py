@@ -36,9 +36,9 @@ def test_a_bad_recording_does_not_keep_others_from_their_motion(tmp_path, capfd)
     assert sorted(path.name for path in (tmp_path / 'out').iterdir()) == ['one.mcap', 'two.mcap']
     alone = tmp_path / 'alone.mcap'
     assert cli.attitude_replay([names[0], *SCENE, '-o', str(alone)]) == 0
-    for found, expected in zip(*(recording.read(path, '/attitude', messages.QUATERNION).values
-                                 for path in (tmp_path / 'out' / 'one.mcap', alone))):
-        np.testing.assert_array_equal(found, expected)
+    found, expected = (recording.read(path, '/attitude', messages.QUATERNION).values
+                       for path in (tmp_path / 'out' / 'one.mcap', alone))
+    np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.slow

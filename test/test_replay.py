@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+import bags
 from conftest import CONFIG, EPOCH_NS, RECORDINGS, SECOND, Reference
 import matplotlib.image
 import numpy as np
@@ -346,3 +347,30 @@ def test_an_input_with_the_topics_of_the_output_is_not_copied(tmp_path, capsys):
     line, = capsys.readouterr().err.splitlines()
     assert 'expected other topics in the recording to copy' in line
     assert not again.exists()
+
+
+def test_messages_compressed_one_by_one_are_copied_as_they_were(tmp_path):
+    sent = bags.torques()
+    sent.values[:6] = 0.0  # of which there is no motion
+    source = bags.FORMS['rosbag2-mcap-message'](tmp_path, bags.traffic(sent))
+    replay(source, scene.load(CONFIG / 'tumbler.yaml'), tmp_path / 'motion.mcap', also=('input',))
+    read = [recording.read(path) for path in (source, tmp_path / 'motion.mcap')]
+    np.testing.assert_array_equal(read[0].values, read[1].values)
+
+
+def test_what_cannot_be_copied_is_told_before_anything_is_worked_out(tmp_path, output, capsys):
+    (tmp_path / 'log.csv').write_text('1,0,0,0\n2,0.1,0,0\n')
+    assert cli.attitude_replay([str(tmp_path / 'log.csv'), '--scene', str(CONFIG / 'tumbler.yaml'),
+                                '-o', str(output), '--also', 'input']) == 2
+    assert 'log.csv: expected MCAP to copy messages from' in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ['log.csv']
+
+
+def test_a_motion_that_cannot_go_on_leaves_nothing(tmp_path, output, capsys):
+    rows = [(EPOCH_NS + k * SECOND // 1000, '', [0.0 if k < 90_000 else 1e30, 0.0, 0.0])
+            for k in range(90_100)]
+    torques = write_torques(tmp_path / 'wild.mcap', rows)
+    assert cli.attitude_replay([str(torques), '--scene', str(CONFIG / 'tumbler.yaml'), '-o',
+                                str(output)]) == 2
+    assert 'turns faster than' in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ['wild.mcap']

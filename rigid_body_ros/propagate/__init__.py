@@ -123,9 +123,9 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
         'exact' is given torques, or the torques bring the body beyond 1e9 rad/s.
 
     """
-    run = Run(body, start, solver=solver, tolerance=tolerance, max_step=max_step,
-              torque_timeout=torque_timeout)
-    return run.advance(_NO_LOG if log is None else log, at)
+    motion = Run(body, start, solver=solver, tolerance=tolerance, max_step=max_step,
+                 torque_timeout=torque_timeout)
+    return motion.advance(_NO_LOG if log is None else log, at)
 
 
 class Run:

@@ -13,6 +13,7 @@ import numpy as np
 from rigid_body_ros import messages
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Raw
+from rigid_body_ros.recording.file import File
 from rigid_body_ros.scene import InputError
 
 #: What its only topic is called.
@@ -21,34 +22,16 @@ _TOPIC = '/torque'
 _BLOCK = 8192
 
 
-class CsvFile:
+class CsvFile(File):
     """
     The torques of a text file, as WrenchStamped in body axes; the first line may name columns.
 
-    Parameters
-    ----------
-    path : Path
-
-    Attributes
-    ----------
-    damage : str
-        Always '': a wrong line is refused.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or, when read, a line is not four numbers.
-
+    A wrong line is refused, with InputError, when it is read.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        super().__init__(path)
         self.types = {_TOPIC: messages.WRENCH.name}
-        self.damage = ''
-
-    def metadata(self, name: str) -> dict[str, str]:
-        """Return nothing."""
-        return {}
 
     def count(self, topic: str) -> int:
         """Return 0: only reading tells."""

@@ -23,6 +23,7 @@ import zstandard
 
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Ints, Raw
+from rigid_body_ros.recording.file import File
 from rigid_body_ros.scene import InputError
 
 #: Bytes of messages outside of chunks that make a block.
@@ -40,35 +41,14 @@ class DamageError(Exception):
     """From here on the file cannot be used."""
 
 
-class McapFile:
-    """
-    The messages of an MCAP file.
-
-    Parameters
-    ----------
-    path : Path
-    unpacked : Path, optional
-        Where it lies, if the path is that of a compressed file.
-
-    Attributes
-    ----------
-    path : Path
-    damage : str
-        What was lost and where, once the messages were read; '' if nothing.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is no MCAP file.
-
-    """
+class McapFile(File):
+    """An MCAP file."""
 
     def __init__(self, path: Path, unpacked: Path | None = None) -> None:
-        self.path, self._place = path, unpacked or path
+        super().__init__(path, unpacked)
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._counts: dict[int, int] = {}
-        self.damage = ''
         try:
             self._size = self._place.stat().st_size
             with open(self._place, 'rb') as stream:
@@ -86,13 +66,9 @@ class McapFile:
             self._schemas, self._channels = summary.schemas, summary.channels
             self._counts = dict(summary.statistics.channel_message_counts) \
                 if summary.statistics else {}
-
-    @property
-    def types(self) -> dict[str, str]:
-        """The type of each topic, '' if it is not told."""
-        return {channel.topic: self._schemas[channel.schema_id].name
-                if channel.schema_id in self._schemas else ''
-                for channel in self._channels.values()}
+        self.types = {channel.topic: self._schemas[channel.schema_id].name
+                      if channel.schema_id in self._schemas else ''
+                      for channel in self._channels.values()}
 
     def metadata(self, name: str) -> dict[str, str]:
         """Return what the file says under a name, or nothing."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 import tempfile
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.csv_file import CsvFile
+from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.mcap_file import McapFile
 from rigid_body_ros.recording.sqlite_file import SqliteFile
 from rigid_body_ros.recording.writer import Writer
@@ -26,26 +27,6 @@ from rigid_body_ros.so3 import Floats
 
 #: Where the time of a message is taken from.
 TIME_SOURCES = ('header', 'log', 'publish')
-
-
-class File(Protocol):
-    """A file of a recording."""
-
-    path: Path
-    damage: str
-
-    @property
-    def types(self) -> dict[str, str]:
-        """The type of each topic."""
-
-    def metadata(self, name: str) -> dict[str, str]:
-        """Return what the file says under a name, or nothing."""
-
-    def count(self, topic: str) -> int:
-        """Return how many messages a topic has."""
-
-    def read(self, topic: str) -> Iterator[Raw]:
-        """Generate the messages of a topic, in the order of the file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +92,8 @@ class Source:
     ----------
     topic : str
     kind : MessageType
+    types : dict
+        The type of each topic of the recording.
     count : int
         Messages of the topic, as far as the files tell.
     damage : str
@@ -132,8 +115,8 @@ class Source:
         self._stack = ExitStack()
         with ExitStack() as stack:
             self._files, self._packed, self._lost = _files(Path(path), stack)
-            types = {name: kind for file in self._files for name, kind in file.types.items()}
-            self.topic, self.kind = _chosen(path, types, topic, kinds)
+            self.types = {name: kind for file in self._files for name, kind in file.types.items()}
+            self.topic, self.kind = _chosen(path, self.types, topic, kinds)
             self._stack = stack.pop_all()
         self._holders = [file for file in self._files if self.topic in file.types]
         self.count = sum(file.count(self.topic) for file in self._holders)
@@ -154,13 +137,22 @@ class Source:
         """Return what the recording says under a name, or nothing."""
         return {key: value for file in self._files for key, value in file.metadata(name).items()}
 
-    def copy_to(self, writer: Writer) -> None:
-        """Write every message of the recording, byte for byte, or raise InputError."""
+    def check_copied(self, topics: Collection[str]) -> None:
+        """Raise InputError where `copy_to` cannot be, into a file that has these topics."""
         for file in self._files:
             if not isinstance(file, McapFile):
                 raise InputError(f'{file.path}: expected MCAP to copy messages from')
+        twice = sorted(self.types.keys() & set(topics))
+        if twice:
+            raise InputError(f'{self._path}: expected other topics in the recording to copy than '
+                             f'those written, found {", ".join(twice)}')
+
+    def copy_to(self, writer: Writer) -> None:
+        """Write every message of the recording, byte for byte."""
+        for file in self._files:
+            assert isinstance(file, McapFile)  # checked before
             for channel, schema, raw in file.read_all():
-                writer.copy(channel, schema, raw)
+                writer.copy(channel, schema, _unpacked_each(raw) if self._packed else raw)
 
     def __iter__(self) -> Iterator[Messages]:
         number, first_ns = 0, None

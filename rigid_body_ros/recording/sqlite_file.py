@@ -11,38 +11,18 @@ import numpy as np
 
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Raw
+from rigid_body_ros.recording.file import File
 from rigid_body_ros.scene import InputError
 
 #: Messages of a block.
 _BLOCK = 8192
 
 
-class SqliteFile:
-    """
-    The messages of a SQLite file.
-
-    Parameters
-    ----------
-    path : Path
-    unpacked : Path, optional
-        Where it lies, if the path is that of a compressed file.
-
-    Attributes
-    ----------
-    path : Path
-    damage : str
-        What was lost and where, once the messages were read; '' if nothing.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is no bag.
-
-    """
+class SqliteFile(File):
+    """A SQLite file of rosbag2."""
 
     def __init__(self, path: Path, unpacked: Path | None = None) -> None:
-        self.path, self._place = path, unpacked or path
-        self.damage = ''
+        super().__init__(path, unpacked)
         try:
             with closing(self._opened()) as database:
                 self.types = dict(database.execute('SELECT name, type FROM topics'))
@@ -54,10 +34,6 @@ class SqliteFile:
         except (sqlite3.Error, UnicodeDecodeError) as error:
             raise InputError(f'{path}: expected a bag of rosbag2 in SQLite, found none '
                              f'({bulk.one_line(error)})') from error
-
-    def metadata(self, name: str) -> dict[str, str]:
-        """Return nothing: SQLite files have only what rosbag2 says of them."""
-        return {}
 
     def count(self, topic: str) -> int:
         """Return how many messages a topic has."""

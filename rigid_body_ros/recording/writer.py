@@ -60,9 +60,9 @@ class Writer:
     ----------
     path : str or Path
     keep_partial : bool
-        Where writing ends early, keep the chunks that were written, under a name that ends in
-        `.partial.mcap` and that the error tells: in its message, or as the last argument of
-        KeyboardInterrupt.
+        Where writing is interrupted or the disk is full, keep the chunks that were written, under
+        a name that ends in `.partial.mcap` and that the error tells: as the last argument of
+        KeyboardInterrupt, or in its message.
 
     Raises
     ------
@@ -119,9 +119,6 @@ class Writer:
     def copy(self, channel: Channel, schema: Schema | None, raw: Raw) -> None:
         """Append messages of another file, with its channel and schema."""
         topic = channel.topic
-        if topic in self._kinds:
-            raise InputError(f'{self._path}: expected other topics in the recording to copy than '
-                             f'those written, found {topic}')
         if topic not in self._channels:
             self._channels[topic] = self._container.add_channel(
                 topic, schema, channel.metadata, channel.message_encoding)
@@ -197,7 +194,7 @@ class Writer:
             self._container.close()
             with suppress(OSError):  # closing flushes, which fails again on a full disk
                 self._stream.close()
-            kept = self._kept_partial() if error is not None else ''
+            kept = self._kept_partial() if isinstance(error, (KeyboardInterrupt, OSError)) else ''
             self._remove_part()
         if isinstance(error, KeyboardInterrupt) and kept:
             error.args += (kept,)

@@ -21,6 +21,7 @@ from tqdm import tqdm
 from rigid_body_ros import messages, recording
 from rigid_body_ros.body import State
 from rigid_body_ros.fingerprint import NAME, fingerprint
+from rigid_body_ros.messages import MessageType
 from rigid_body_ros.propagate import Trajectory, warm_up
 from rigid_body_ros.recording import Column, Messages, NotInOrderError, Piece, Source
 from rigid_body_ros.replay.check import drift
@@ -132,8 +133,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     Raises
     ------
     InputError
-        The recording cannot be read or does not fit the scene, or the output cannot be written;
-        none is left then.
+        The recording cannot be read or does not fit the scene, or the output cannot be written.
 
     """
     keep = output is None if keep is None else keep
@@ -141,6 +141,8 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         prepare()
     asked = Asked(path, scene, interpolation or scene.values['interpolation'], rate, until, also)
     with Source(path, topic, recording.TORQUES, time_source, start) as source:
+        if INPUT in also:
+            source.check_copied(_topics(also))
         if not keep:
             try:
                 return _replayed(asked, source, _pieces, output)
@@ -281,13 +283,18 @@ def _writer(output: str | Path) -> recording.Writer:
     return kind(output, keep_partial=True)
 
 
+def _topics(also: Collection[str]) -> dict[str, MessageType]:
+    return {**_TOPICS, **dict(ALSO[name] for name in also if name in ALSO)}
+
+
 def _announce(writer: recording.Writer, asked: Asked) -> None:
     """Say what comes, and how it was made."""
-    for topic, kind in [*_TOPICS.items(), *(ALSO[name] for name in asked.also if name in ALSO)]:
+    for topic, kind in _topics(asked.also).items():
         writer.add_topic(topic, kind)
     writer.add_metadata(NAME, {
         'fingerprint': json.dumps(fingerprint()), 'scene': json.dumps(dict(asked.scene.values)),
-        'interpolation': asked.interpolation, # A file name need not be text.
+        'interpolation': asked.interpolation,
+        # A file name need not be text.
         'torques': Path(asked.path).name.encode(errors='replace').decode()})
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -102,24 +102,25 @@ class Stretches:
                 raise NotInOrderError  # and the whole is refused
             self._others.clear()
             self._ends.clear()
-        times = self._outputs(piece.times_ns, stop)
-        self._beside = Thread(target=self._read_otherwise, args=(piece, stop, times), daemon=True)
+        numbers, at = self._outputs(piece.times_ns, stop)
+        self._beside = Thread(target=self._read_otherwise, args=(piece, stop, at(numbers[-1:])),
+                              daemon=True)
         self._beside.start()
         try:
             log = piece.log(self._asked.interpolation)
-            batches = [times[first:first + _BATCH]
-                       for first in range(0, max(times.size, 1), _BATCH)]
-            for number, batch in enumerate(batches):
+            for first in range(0, max(len(numbers), 1), _BATCH):
                 trajectory = self._run.advance(
-                    log, batch, dropped=0 if number else piece.dropped,
-                    stop=stop if number == len(batches) - 1 else None)
+                    log, at(numbers[first:first + _BATCH]), dropped=0 if first else piece.dropped,
+                    stop=stop if first + _BATCH >= len(numbers) else None)
                 yield Stretch(log, trajectory, time.perf_counter() - began)
                 began = time.perf_counter()
         except ValueError as error:
             raise InputError(f'{self._where}: {error}') from error
 
-    def _outputs(self, stamps_ns: NDArray[np.int64], stop: int | None) -> NDArray[np.int64]:
-        # Times of output after those before, up to the end of a piece, or of it all.
+    def _outputs(self, stamps_ns: NDArray[np.int64], stop: int | None
+                 ) -> tuple[range, Callable[[range], NDArray[np.int64]]]:
+        # Outputs after those before, up to the end of a piece, or of it all: their numbers, and
+        # what gives the times of some, because at a high rate all would not fit in memory.
         start_ns, rate = self.start.time_ns, self._asked.rate
         end_ns = int(stamps_ns[-1 if stop is None else stop])
         if stop is None:
@@ -128,29 +129,38 @@ class Stretches:
             first = np.searchsorted(stamps_ns, self._end_ns, 'right' if self._count else 'left')
             times = stamps_ns[first:np.searchsorted(stamps_ns, end_ns, 'right')]
             times = times if stop is not None else np.union1d(times, [end_ns])
+            numbers = range(len(times))
+
+            def at(part: range) -> NDArray[np.int64]:
+                return times[part.start:part.stop]
         else:
-            count = int((end_ns - start_ns) * 1e-9 * rate * (1.0 + 1e-15)) + 1
+            step_ns = 1e9 / rate
+            count = int((end_ns - start_ns) / step_ns * (1.0 + 1e-15)) + 1
             if count > _MOST_OUTPUTS:
                 raise InputError(
                     f'--rate: expected at most {_MOST_OUTPUTS} outputs, found {rate} Hz '
                     f'over {(end_ns - start_ns) * 1e-9:.9g} s')
-            numbers = np.arange(self._count, max(count, self._count))
-            times = start_ns + np.round(numbers * (1e9 / rate)).astype(np.int64)
-            times = times[times <= end_ns]
-        self._count += times.size
+            numbers = range(self._count, max(count, self._count))
+
+            def at(part: range) -> NDArray[np.int64]:
+                offsets = np.round(np.arange(part.start, part.stop) * step_ns)
+                return start_ns + offsets.astype(np.int64)
+            while numbers and at(numbers[-1:])[0] > end_ns:
+                numbers = numbers[:-1]
+        self._count += len(numbers)
         self._end_ns = max(self._end_ns, end_ns)
-        return times
+        return numbers, at
 
     def _wait(self) -> None:
         if self._beside:
             self._beside.join()
 
-    def _read_otherwise(self, piece: Piece, stop: int | None, times: NDArray[np.int64]) -> None:
+    def _read_otherwise(self, piece: Piece, stop: int | None, last: NDArray[np.int64]) -> None:
         # Go on with the other readings to the end of the piece.
         for name, run in [*self._others.items()]:
             self._ends[name] = None
             with suppress(ValueError):  # this reading alone spins the body beyond all bounds
-                motion = run.advance(piece.log(name), times[-1:] if stop is None else [],
+                motion = run.advance(piece.log(name), last if stop is None else [],
                                      dropped=piece.dropped, stop=stop)
                 self._ends[name] = motion.attitude[-1] if stop is None else self._ends[name]
                 continue
