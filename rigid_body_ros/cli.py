@@ -223,8 +223,9 @@ def _replay_parser() -> argparse.ArgumentParser:
                         help='of the output; otherwise at the stamps of the torques')
     parser.add_argument('--start', type=_positive, default=0.0, metavar='SECONDS',
                         help='leave out torques from before this long after the first')
-    parser.add_argument('--also', nargs='+', choices=('imu', 'tf', 'input'), default=(),
-                        help='write /imu/data or /tf, too, or copy the messages of the input')
+    parser.add_argument('--also', nargs='+', choices=('imu', 'tf', 'markers', 'input'), default=(),
+                        help='write /imu/data, /tf or what rviz and Foxglove draw (/marker/...), '
+                        'too, or copy the messages of the input')
     parser.add_argument('--until', '--duration', type=_positive, metavar='SECONDS',
                         help='end, counted from the start; otherwise the last stamp')
     parser.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',

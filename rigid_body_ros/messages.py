@@ -1,8 +1,9 @@
 """
 ROS messages as bytes: the one place that knows fields, CDR and message definitions.
 
-All types here have one shape: a header, for some a second frame name, and then doubles. (A
-TFMessage is a list of such; here it always has one entry. A Wrench has no header.)
+All types here have one shape: a header, for some a second name, and then doubles. (A TFMessage is
+a list of such; here it always has one entry. A Wrench has no header. A Marker has more around its
+doubles, but here always the same.)
 Encoded by the XCDR1 rules of the DDS-XTypes specification, section 7.4: little-endian when
 written, either when read; doubles are aligned to 8 bytes behind the 4 bytes of encapsulation.
 """
@@ -52,6 +53,21 @@ _FIELDS = {
     'nav_msgs/Odometry': 'std_msgs/Header header\nstring child_frame_id\n'
                          'geometry_msgs/PoseWithCovariance pose\n'
                          'geometry_msgs/TwistWithCovariance twist\n',
+    'builtin_interfaces/Duration': 'int32 sec\nuint32 nanosec\n',
+    'std_msgs/ColorRGBA': 'float32 r\nfloat32 g\nfloat32 b\nfloat32 a\n',
+    'sensor_msgs/CompressedImage': 'std_msgs/Header header\nstring format\nuint8[] data\n',
+    'visualization_msgs/UVCoordinate': 'float32 u\nfloat32 v\n',
+    'visualization_msgs/MeshFile': 'string filename\nuint8[] data\n',
+    'visualization_msgs/Marker': 'std_msgs/Header header\nstring ns\nint32 id\nint32 type\n'
+                                 'int32 action\ngeometry_msgs/Pose pose\n'
+                                 'geometry_msgs/Vector3 scale\nstd_msgs/ColorRGBA color\n'
+                                 'builtin_interfaces/Duration lifetime\nbool frame_locked\n'
+                                 'geometry_msgs/Point[] points\nstd_msgs/ColorRGBA[] colors\n'
+                                 'string texture_resource\n'
+                                 'sensor_msgs/CompressedImage texture\n'
+                                 'UVCoordinate[] uv_coordinates\nstring text\n'
+                                 'string mesh_resource\nMeshFile mesh_file\n'
+                                 'bool mesh_use_embedded_materials\n',
 }
 
 
@@ -67,11 +83,13 @@ _HASHES = {name: f'RIHS01_{digits}' for name, digits in {
     'sensor_msgs/msg/Imu': '7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b',
     'nav_msgs/msg/Odometry': '3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0',
     'tf2_msgs/msg/TFMessage': 'e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087',
+    'visualization_msgs/msg/Marker':
+        '45b13ccf791f225962bf74e746f9644518855d783a6f42ba0cc14fde2b4f3ce0',
 }.items()}
 
 
 class Stamped(NamedTuple):
-    """A decoded message: its time, its frame (and child frame), its doubles in field order."""
+    """A decoded message: its time, its frame (and second name), its doubles in field order."""
 
     stamp_ns: int
     frame_id: str
@@ -85,10 +103,14 @@ class MessageType:
 
     name: str
     doubles: int
+    #: Or, in a Marker, a namespace.
     has_child_frame: bool = False
     #: Whether it is a list, of one entry.
     is_list: bool = False
     has_header: bool = True
+    #: What lies between the names and the doubles, and behind them, in CDR.
+    between: bytes = b''
+    behind: bytes = b''
 
     @property
     def hash(self) -> str:
@@ -107,13 +129,14 @@ class MessageType:
         """Return the message as CDR; values in field order, shape (doubles,)."""
         before, after = _around_stamp(self, frame_id, child_frame_id)
         stamp = struct.pack('<iI', *divmod(stamp_ns, 10 ** 9))
-        return before + stamp + after + np.asarray(values, '<f8').tobytes()
+        return before + stamp + after + np.asarray(values, '<f8').tobytes() + self.behind
 
     def layout(self, frame_id: str, child_frame_id: str = '') -> np.dtype[np.void]:
         """Return where the fields of a message lie, for arrays of messages that `fill` fills."""
         before, after = _around_stamp(self, frame_id, child_frame_id)
         return np.dtype([('before', f'V{len(before)}'), ('sec', '<i4'), ('nanosec', '<u4'),
-                         ('after', f'V{len(after)}'), ('values', '<f8', (self.doubles,))])
+                         ('after', f'V{len(after)}'), ('values', '<f8', (self.doubles,)),
+                         ('behind', f'V{len(self.behind)}')])
 
     def fill(self, rows: NDArray[np.void], stamps_ns: NDArray[np.int64], values: Floats,
              frame_id: str, child_frame_id: str = '') -> None:
@@ -121,7 +144,7 @@ class MessageType:
         before, after = _around_stamp(self, frame_id, child_frame_id)
         rows['before'], rows['after'] = np.void(before), np.void(after)
         rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, 10 ** 9)
-        rows['values'] = values
+        rows['values'], rows['behind'] = values, np.void(self.behind)
 
     def decode(self, data: bytes) -> Stamped:
         """
@@ -159,11 +182,22 @@ class MessageType:
         child_frame_id = ''
         if self.has_child_frame:
             child_frame_id, offset = _string(body, offset, order)
+        offset += -offset % 4 + len(self.between)
         return Stamped(seconds * 10 ** 9 + nanoseconds, frame_id, child_frame_id,
                        self._doubles(body, offset, order))
 
     def _doubles(self, body: memoryview, offset: int, order: str) -> Floats:
         return np.frombuffer(body, order + 'f8', self.doubles, offset + -offset % 8).astype(float)
+
+
+def _marker(shape: int, *color: float) -> MessageType:
+    """Return a Marker of a shape and color (r, g, b, a); its doubles are pose and scale."""
+    no_text, no_list = struct.pack('<I4x', 1), bytes(4)
+    texture = bytes(8) + no_text + no_text + no_list
+    behind = [struct.pack('<4f8xB3x', *color, 0), no_list, no_list, no_text, texture, no_list,
+              no_text, no_text, no_text, no_list, b'\0']
+    return MessageType('visualization_msgs/msg/Marker', 10, has_child_frame=True,
+                       between=struct.pack('<3i', 0, shape, 0), behind=b''.join(behind))
 
 
 WRENCH = MessageType('geometry_msgs/msg/WrenchStamped', 6)
@@ -173,7 +207,10 @@ VECTOR3 = MessageType('geometry_msgs/msg/Vector3Stamped', 3)
 IMU = MessageType('sensor_msgs/msg/Imu', 37)
 ODOMETRY = MessageType('nav_msgs/msg/Odometry', 85, has_child_frame=True)
 TRANSFORM = MessageType('tf2_msgs/msg/TFMessage', 7, has_child_frame=True, is_list=True)
-TYPES = {kind.name: kind for kind in (WRENCH, QUATERNION, VECTOR3, IMU, ODOMETRY, TRANSFORM)}
+#: The three colours can be told apart in grey, and by the colour-blind.
+BOX = _marker(1, 0.70, 0.75, 0.80, 0.8)
+ORANGE_ARROW, BLUE_ARROW = _marker(0, 0.90, 0.62, 0.0, 1.0), _marker(0, 0.0, 0.27, 0.70, 1.0)
+TYPES = {kind.name: kind for kind in (WRENCH, QUATERNION, VECTOR3, IMU, ODOMETRY, TRANSFORM, BOX)}
 
 #: Where the doubles of Odometry tell of a rotation; position, velocity and covariances are 0.
 ORIENTATION, ANGULAR_VELOCITY = slice(3, 7), slice(46, 49)
@@ -257,6 +294,7 @@ def _around_stamp(kind: MessageType, frame_id: str, child_frame_id: str) -> tupl
     for name in (frame_id, child_frame_id)[:1 + kind.has_child_frame]:
         text = name.encode() + b'\0'
         body += bytes(-(begin + len(body)) % 4) + struct.pack('<I', len(text)) + text
+    body += bytes(-(begin + len(body)) % 4) + kind.between
     return b'\0\1\0\0' + before, body + bytes(-(begin + len(body)) % 8)
 
 

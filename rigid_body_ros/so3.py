@@ -77,6 +77,21 @@ def matrix(q: ArrayLike) -> Floats:
     return np.swapaxes(columns, -1, -2)
 
 
+def from_matrix(rotation: ArrayLike) -> Floats:
+    """
+    Return a quaternion, shape (4,), of a rotation matrix, shape (3, 3).
+
+    Of the four rows of 4 q q^T, the one that loses no digits (Shepperd, "Quaternion from rotation
+    matrix", 1978).
+    """
+    (a, b, c), (d, e, f), (g, h, i) = np.asarray(rotation, float)
+    rows = np.array([[1 + a - e - i, b + d, c + g, h - f],
+                     [b + d, 1 - a + e - i, f + h, c - g],
+                     [c + g, f + h, 1 - a - e + i, d - b],
+                     [h - f, c - g, d - b, 1 + a + e + i]])
+    return normalize(rows[np.argmax(np.diag(rows))])
+
+
 def exp(rotation_vector: ArrayLike) -> Floats:
     """
     Return the quaternion of a rotation vector (axis times angle, rad).

@@ -17,13 +17,15 @@ def values(kind):
 
 
 def doubles(message):
-    """Return the doubles of a rosbags message in field order."""
+    """Return the doubles of a rosbags message in field order; of a Marker those that change."""
     if isinstance(message, float):
         return [message]
     if isinstance(message, np.ndarray):
         return list(message)
     if isinstance(message, list):
         message, = message
+    if message.__msgtype__ == messages.BOX.name:
+        return doubles(message.pose) + doubles(message.scale)
     fields = [value for name, value in vars(message).items()
               if name not in ('header', 'child_frame_id', '__msgtype__')]
     return [number for field in fields for number in doubles(field)]
@@ -37,7 +39,7 @@ def test_others_read_what_we_encode(kind, frame):
         message, = message.transforms
     assert message.header.stamp.sec * 10 ** 9 + message.header.stamp.nanosec == STAMP_NS
     assert message.header.frame_id == frame
-    assert getattr(message, 'child_frame_id', 'child') == 'child'
+    assert getattr(message, 'child_frame_id', getattr(message, 'ns', 'child')) == 'child'
     assert doubles(message) == list(values(kind))
 
 
@@ -116,3 +118,18 @@ def test_the_frame_id_tells_the_axes(frame_id, frame):
 def test_another_frame_id_is_refused():
     with pytest.raises(ValueError, match="frame_id: expected 'b' or nothing .*'s' .*found 'map'"):
         messages.torque_frame('map', 'b', 's')
+
+
+@pytest.mark.parametrize(('kind', 'shape', 'color'), [
+    (messages.BOX, 1, (0.70, 0.75, 0.80, 0.8)), (messages.ORANGE_ARROW, 0, (0.90, 0.62, 0, 1)),
+    (messages.BLUE_ARROW, 0, (0.0, 0.27, 0.70, 1))])
+def test_a_marker_is_a_shape_of_a_colour_and_nothing_else(kind, shape, color):
+    marker = STORE.deserialize_cdr(kind.encode(STAMP_NS, 'world', values(kind), 'body'), kind.name)
+    assert (marker.id, marker.type, marker.action, marker.frame_locked) == (0, shape, 0, False)
+    found = [marker.color.r, marker.color.g, marker.color.b, marker.color.a]
+    np.testing.assert_allclose(found, color, rtol=1e-7)
+    assert (marker.lifetime.sec, marker.lifetime.nanosec) == (0, 0)
+    for empty in (marker.text, marker.mesh_resource, marker.texture_resource, marker.points,
+                  marker.colors, marker.texture.data, marker.mesh_file.data,
+                  marker.uv_coordinates):
+        assert len(empty) == 0

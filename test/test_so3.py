@@ -42,6 +42,13 @@ def test_convention_is_scipys():
                                atol=8 * EPS)
 
 
+@pytest.mark.parametrize('half_turn', [(1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)])
+def test_a_matrix_gives_its_quaternion_back(half_turn):
+    # Close to each axis too, where three of the four elements lose their digits.
+    for q in [*Q[0], *so3.normalize(half_turn + 1e-9 * Q[1])]:
+        assert so3.angle_between(so3.from_matrix(so3.matrix(q)), q) < 4 * EPS
+
+
 @pytest.mark.parametrize('size', [0.0, 1e-300, 1e-160, 1e-12, 1e-7, 1e-3, 1.0, 3.0, np.pi - 1e-9])
 def test_log_undoes_exp_at_every_size_of_angle(size):
     vectors = size * V / np.linalg.norm(V, axis=1, keepdims=True)

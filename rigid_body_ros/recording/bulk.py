@@ -93,7 +93,7 @@ def decode(kind: MessageType, raw: Raw) -> Decoded:
     stamps, bits = np.zeros(count, np.int64), np.empty((count, kind.doubles), np.int64)
     texts, changes = np.zeros((count, 2), np.int64), np.zeros(count, np.bool_)
     done = _decode(raw.data, raw.starts, raw.sizes, kind.has_header, kind.is_list,
-                   kind.has_child_frame, stamps, bits, texts, changes)
+                   kind.has_child_frame, len(kind.between), stamps, bits, texts, changes)
     names: dict[str, int] = {}
     codes = np.zeros(count, np.intp)
     rows = np.flatnonzero(changes[:done])
@@ -113,7 +113,7 @@ def decode(kind: MessageType, raw: Raw) -> Decoded:
 
 @njit
 def _decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: bool,
-            has_child_frame: bool, stamps: Ints, bits: Ints, texts: Ints,
+            has_child_frame: bool, between: int, stamps: Ints, bits: Ints, texts: Ints,
             changes: NDArray[np.bool_]) -> int:
     # Fill stamps, the bits of the doubles, where frame_ids lie and whether one differs from the
     # one before; return how many messages are regular.
@@ -144,6 +144,7 @@ def _decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: b
                     texts[row, 0], texts[row, 1] = offset + 4, size - 1
                     changes[row] = row == 0 or not _same(data, texts[row - 1], texts[row])
                 offset += 4 + size
+            offset += (body - offset) % 4 + between
             offset += (body - offset) % 8
         elif row == 0:
             changes[row] = True

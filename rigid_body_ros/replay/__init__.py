@@ -24,6 +24,7 @@ from rigid_body_ros.fingerprint import NAME, fingerprint
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.propagate import Trajectory, warm_up
 from rigid_body_ros.recording import Column, Messages, NotInOrderError, Piece, Source
+from rigid_body_ros.replay import markers
 from rigid_body_ros.replay.check import drift
 from rigid_body_ros.replay.stretches import Asked, Stretch, Stretches, end_of
 from rigid_body_ros.scene import InputError, Scene
@@ -36,8 +37,10 @@ ATTITUDE, EULER_ANGLES, ANGULAR_VELOCITY = '/attitude', '/euler_angles', '/angul
 _TOPICS = {ATTITUDE: messages.QUATERNION, EULER_ANGLES: messages.VECTOR3,
            ANGULAR_VELOCITY: messages.VECTOR3}
 #: What can be written besides, by the names that are asked for.
-IMU, TF, INPUT = 'imu', 'tf', 'input'
-ALSO = {IMU: ('/imu/data', messages.IMU), TF: ('/tf', messages.TRANSFORM)}
+IMU, TF, MARKERS, INPUT = 'imu', 'tf', 'markers', 'input'
+_IMU_DATA, _TF = '/imu/data', '/tf'
+_ALSO = {IMU: {_IMU_DATA: messages.IMU}, TF: {_TF: messages.TRANSFORM}, MARKERS: markers.TOPICS}
+ALSO = (*_ALSO, INPUT)
 
 
 @dataclass(eq=False)
@@ -125,8 +128,8 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     time_source : str
         Where stamps are taken from: 'header', 'log' or 'publish'.
     also : collection of str
-        'imu' (/imu/data) and 'tf' (/tf), to be written besides, and 'input', all messages of the
-        recording, byte for byte.
+        'imu' (/imu/data), 'tf' (/tf) and 'markers' (/marker/...), to be written besides, and
+        'input', all messages of the recording, byte for byte.
     keep : bool, optional
         Whether to return log and trajectory, which takes memory; if there is no output.
 
@@ -284,7 +287,10 @@ def _writer(output: str | Path) -> recording.Writer:
 
 
 def _topics(also: Collection[str]) -> dict[str, MessageType]:
-    return {**_TOPICS, **dict(ALSO[name] for name in also if name in ALSO)}
+    topics = dict(_TOPICS)
+    for name in also:
+        topics.update(_ALSO.get(name, {}))
+    return topics
 
 
 def _announce(writer: recording.Writer, asked: Asked) -> None:
@@ -306,9 +312,11 @@ def _write(writer: recording.Writer, asked: Asked, trajectory: Trajectory) -> No
                Column(EULER_ANGLES, space, trajectory.euler_angles(values['euler_sequence'])),
                Column(ANGULAR_VELOCITY, body, rates)]
     if IMU in asked.also:
-        columns.append(Column(ALSO[IMU][0], body, messages.imu_values(attitude, rates)))
+        columns.append(Column(_IMU_DATA, body, messages.imu_values(attitude, rates)))
     if TF in asked.also:
-        columns.append(Column(ALSO[TF][0], space, messages.transform_values(attitude), body))
+        columns.append(Column(_TF, space, messages.transform_values(attitude), body))
+    if MARKERS in asked.also:
+        columns += markers.columns(trajectory, space)
     writer.write_columns(trajectory.times_ns, columns)
 
 

@@ -1,0 +1,62 @@
+"""What rviz and Foxglove draw: the body as a box, angular momentum and velocity as arrows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rigid_body_ros import messages, so3
+from rigid_body_ros.body import RigidBody
+from rigid_body_ros.propagate import Trajectory
+from rigid_body_ros.recording import Column
+from rigid_body_ros.so3 import Floats
+
+BODY, ANGULAR_MOMENTUM, ANGULAR_VELOCITY = '/marker/body', '/marker/angular_momentum', \
+    '/marker/angular_velocity'
+TOPICS = {BODY: messages.BOX, ANGULAR_MOMENTUM: messages.ORANGE_ARROW,
+          ANGULAR_VELOCITY: messages.BLUE_ARROW}
+#: m; the length of an arrow says nothing: rates of all sizes are to be seen.
+_LENGTH, _THICKNESS = 1.0, 0.03
+#: rviz refuses what has no size.
+_LEAST = 1e-3
+
+
+def columns(trajectory: Trajectory, frame: str) -> list[Column]:
+    """Return the markers of a motion, in the space frame of that name."""
+    attitude, body = trajectory.attitude, trajectory.body
+    turned = so3.multiply(attitude, so3.from_matrix(body.principal_axes))
+    momentum = trajectory.angular_momentum_space
+    velocity = so3.rotate(attitude, trajectory.angular_velocity)
+    values = {BODY: _placed(turned, box(body)), ANGULAR_MOMENTUM: _arrows(momentum),
+              ANGULAR_VELOCITY: _arrows(velocity)}
+    return [Column(topic, frame, value, topic.rsplit('/')[-1]) for topic, value in values.items()]
+
+
+def box(body: RigidBody) -> Floats:
+    """
+    Return the edges of a uniform box that turns as the body does, shape (3,), m.
+
+    Along its principal axes. The edges of a box of mass m are sqrt(6 (I2 + I3 - I1) / m), and so
+    on; moments do not tell the mass, so that the longest one is 1 m here. The axes of the
+    equivalent ellipsoid are in the same ratios.
+    """
+    moments = body.principal_moments
+    squares = np.maximum(moments.sum() - 2.0 * moments, 0.0)
+    return np.maximum(np.sqrt(squares / squares.max()), _LEAST)
+
+
+def _arrows(vectors: Floats) -> Floats:
+    """Return arrows along vectors, shape (n, 3); an arrow of no rotation lies along x."""
+    sizes = np.linalg.norm(vectors, axis=1)
+    x, y, z = (vectors / np.where(sizes > 0.0, sizes, 1.0)[:, None]).T
+    # The turn about the axis halfway between x and the vector; where that is opposite, about z.
+    opposite = x < -1.0 + 1e-12
+    turn = np.stack([np.zeros_like(x), np.where(opposite, 0.0, -z), np.where(opposite, 1.0, y),
+                     np.where(opposite, 0.0, 1.0 + x)], axis=1)
+    scale = np.full((len(vectors), 3), _THICKNESS)
+    scale[:, 0] = np.where(sizes > 0.0, _LENGTH, _LEAST)
+    return _placed(so3.normalize(turn), scale)
+
+
+def _placed(attitude: Floats, scale: Floats) -> Floats:
+    return np.hstack([np.zeros((len(attitude), 3)), attitude,
+                      np.broadcast_to(scale, (len(attitude), 3))])
