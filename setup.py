@@ -43,9 +43,10 @@ setup(
         # ROS 2 with Fast DDS, as wheels: Kilted, or Jazzy in an environment of its own.
         'ros': [f'ros-{package}' for package in ROS_PACKAGES],
         'jazzy': [f'ros-jazzy-{package}' for package in ROS_PACKAGES],
-        'test': ['hypothesis', 'import-linter', 'mcap-ros2-support', 'mpmath', 'mypy', 'psutil',
-                 'pytest', 'pytest-xdist', 'rosbags', 'ruff', 'scipy', 'setuptools>=70',
-                 'types-PyYAML', 'types-tqdm'],
+        'test': ['colcon-bash', 'colcon-core', 'colcon-recursive-crawl', 'colcon-ros',
+                 'colcon-test-result', 'hypothesis', 'import-linter', 'mcap-ros2-support',
+                 'mpmath', 'mypy', 'psutil', 'pytest', 'pytest-xdist', 'rosbags', 'ruff', 'scipy',
+                 'setuptools>=70', 'types-PyYAML', 'types-tqdm'],
         'bench': ['bsk', 'cyrk', 'drake', 'heyoka', 'mcap-ros2-support', 'mpmath', 'mujoco',
                   'psutil', 'scipy'],
     },

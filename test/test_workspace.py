@@ -1,0 +1,98 @@
+"""The package in a ROS workspace: built, sourced, found, run and tested by colcon."""
+
+import os
+import shlex
+import subprocess
+import sys
+
+from conftest import CONFIG, NAME, RECORDINGS, ROOT
+import pytest
+
+pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
+pytest.importorskip('colcon_ros', reason='colcon (with colcon-ros) is not installed')
+
+pytestmark = pytest.mark.ros
+#: What `ros2 run PACKAGE EXECUTABLE` does: the package's prefix in the ament index, and there an
+#: executable file in lib/PACKAGE.
+RUN = (f'prefix=$({sys.executable} -c "from ament_index_python.packages import '
+       f'get_package_prefix; print(get_package_prefix(\'{NAME}\'))") && $prefix/lib/{NAME}/')
+
+
+@pytest.fixture(scope='module')
+def workspace(tmp_path_factory):
+    """Return a built workspace."""
+    return built(tmp_path_factory.mktemp('workspace'))
+
+
+def built(folder, *options):
+    """Build the files of this checkout, in a workspace."""
+    source = folder / 'src' / NAME
+    source.mkdir(parents=True)
+    listed = subprocess.run(['git', 'ls-files', '--cached', '--others', '--exclude-standard'],
+                            cwd=ROOT, check=True, capture_output=True, text=True)
+    files = [name for name in listed.stdout.splitlines() if (ROOT / name).exists()]
+    subprocess.run(['cp', '--parents', '-t', source, *files], cwd=ROOT, check=True)
+    colcon(folder, 'build', *options)
+    return folder
+
+
+def colcon(folder, *arguments):
+    # No other package of this machine is to be found.
+    environment = {**os.environ, 'AMENT_PREFIX_PATH': sys.prefix, 'PYTHONPATH': '',
+                   'COLCON_HOME': str(folder)}
+    result = subprocess.run([sys.executable, '-m', 'colcon', *arguments], cwd=folder, text=True,
+                            env=environment, check=False, capture_output=True)
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
+
+
+def sourced(folder, command, cwd):
+    """Return what a shell says that has sourced the workspace."""
+    return subprocess.run(
+        ['bash', '-c', f'. {shlex.quote(str(folder))}/install/setup.bash && {command}'], cwd=cwd,
+        env={**os.environ, 'AMENT_PREFIX_PATH': sys.prefix, 'PYTHONPATH': ''}, check=False,
+        capture_output=True, text=True)
+
+
+def test_what_python_imports_is_the_workspace(workspace, tmp_path):
+    result = sourced(workspace, f'{sys.executable} -c "import {NAME}; print({NAME}.__file__)"',
+                     tmp_path)
+    assert result.stdout.startswith(str(workspace)), result.stderr
+
+
+def test_the_ament_index_has_what_launch_files_look_for(workspace, tmp_path):
+    share = (f'{sys.executable} -c "from ament_index_python.packages import '
+             f'get_package_share_directory; print(get_package_share_directory(\'{NAME}\'))"')
+    result = sourced(workspace, f'cd $({share}) && ls package.xml config/* launch/*', tmp_path)
+    assert result.returncode == 0, result.stderr
+    listed = {str(path.relative_to(ROOT)) for folder in ('config', 'launch')
+              for path in (ROOT / folder).iterdir() if path.is_file()}
+    assert set(result.stdout.split()) == {'package.xml', *listed}
+
+
+@pytest.mark.parametrize('command', ['attitude_node', 'attitude_replay', 'attitude_tradeoff'])
+def test_ros2_run_finds_and_starts_a_command(workspace, tmp_path, command):
+    result = sourced(workspace, f'{RUN}{command} --help', tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert f'usage: {command}' in result.stdout
+
+
+def test_a_workspace_of_links_is_found_as_well(tmp_path):
+    built(tmp_path, '--symlink-install')
+    result = sourced(tmp_path, f'{RUN}attitude_replay --help', tmp_path)
+    assert 'usage: attitude_replay' in result.stdout, result.stderr
+
+
+def test_a_command_of_the_workspace_does_its_work(workspace, tmp_path):
+    result = sourced(workspace, f'{RUN}attitude_replay {RECORDINGS / "tumbler.mcap"} '
+                     f'--scene {CONFIG / "tumbler.yaml"} -o motion.mcap', tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / 'motion.mcap').stat().st_size > 100_000
+
+
+def test_colcon_runs_the_tests_and_finds_no_failure(workspace):
+    # One file's: all of them are what is being run right now.
+    colcon(workspace, 'test', '--pytest-args', 'test/test_euler.py')
+    said = colcon(workspace, 'test-result')
+    assert ' 0 errors, 0 failures' in said
+    assert 'Summary: 0 tests' not in said
