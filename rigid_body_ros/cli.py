@@ -13,7 +13,7 @@ import threading
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from rigid_body_ros.scene import InputError
+from rigid_body_ros.scene import InputError, Scene, load
 
 if TYPE_CHECKING:
     from rigid_body_ros.tradeoff import Tradeoff
@@ -94,16 +94,23 @@ def _replay(options: argparse.Namespace) -> None:
     if len(options.input) > 1:
         _replay_many(options)
         return
-    from rigid_body_ros import replay, scene
+    from rigid_body_ros import replay
     from rigid_body_ros.replay.report import summary
     options.input, = options.input
     _check_apart(options, 'input', 'scene', 'output', 'plot')
-    result = replay.replay(options.input, scene.load(options.scene), options.output,
+    result = replay.replay(options.input, _scene(options), options.output,
                            keep=bool(options.plot), **_replay_options(options))
     if options.plot:
         replay.plot(options.plot, result, Path(options.input).name)
     written = [options.output, *filter(None, [options.plot])]
     _print(f'{summary(result)}\n{"wrote":14}{", ".join(written)}')
+
+
+def _scene(options: argparse.Namespace) -> Scene:
+    scene = load(options.scene)
+    for doubt in scene.doubts:
+        print(f'warning: {options.scene}: {doubt}', file=sys.stderr)
+    return scene
 
 
 def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
@@ -116,7 +123,7 @@ def _replay_many(options: argparse.Namespace) -> None:
     from rigid_body_ros.replay.many import replay_many, table
     if options.plot:
         raise InputError(f'--plot: expected one recording, found {len(options.input)}')
-    outcomes = replay_many(options.input, options.scene, options.output, _listen,
+    outcomes = replay_many(options.input, _scene(options), options.output, _listen,
                            **_replay_options(options))
     _print(table(outcomes))
     failed = [outcome.path for outcome in outcomes if outcome.error]
@@ -126,7 +133,6 @@ def _replay_many(options: argparse.Namespace) -> None:
 
 
 def _verify(options: argparse.Namespace) -> None:
-    from rigid_body_ros import scene
     from rigid_body_ros.replay.verify import summary, verify
     if len(options.input) > 1:
         raise InputError(f'--verify: expected one recording, found {len(options.input)}')
@@ -134,16 +140,16 @@ def _verify(options: argparse.Namespace) -> None:
     if idle:
         raise InputError(f'--verify: compares at the stamps of the motion, found --{idle[0]}, '
                          'which chooses others')
-    result = verify(options.input[0], scene.load(options.scene), options.verify,
+    result = verify(options.input[0], _scene(options), options.verify,
                     topic=options.topic, interpolation=options.interpolation)
     _print(summary(result))
 
 
 def _tradeoff(options: argparse.Namespace) -> None:
-    from rigid_body_ros import replay, scene
+    from rigid_body_ros import replay
     from rigid_body_ros.tradeoff import measure, report
     _check_apart(options, 'recording', 'scene', 'json', 'plot')
-    loaded = scene.load(options.scene)
+    loaded = _scene(options)
     log, start, end_ns, where = None, loaded.start, None, options.scene
     if options.recording:
         recorded, log, start = replay.read(options.recording, loaded)

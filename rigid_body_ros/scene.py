@@ -7,9 +7,10 @@ files), so that one file means one thing everywhere.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 import difflib
+import math
 from pathlib import Path
 import re
 from typing import Any, NamedTuple
@@ -51,6 +52,10 @@ _MOMENT = 'moment of inertia about the centre of mass, body axes'
 _PRODUCT = 'off-diagonal entry of the inertia tensor itself, as in URDF'
 _QUATERNION = 'initial attitude quaternion, body to space'
 _VELOCITY = 'initial angular velocity, body axes'
+#: What a unit quaternion may be off, written with three digits.
+_UNIT = 1e-2
+#: rad/s; above are toy tops and flywheels, and vehicles whose rates are in degrees.
+_FAST = 10.0
 MODES = REALTIME, LOCKSTEP = 'realtime', 'lockstep'
 TIME_SOURCES = HEADER, ARRIVAL = 'header', 'arrival'
 TIME_JUMPS = RESET, REBASE, IGNORE = 'reset', 'rebase', 'ignore'
@@ -135,6 +140,11 @@ class Scene:
         """The torque timeout."""
         return round(self.values['torque_timeout'] * 1e9)
 
+    @property
+    def doubts(self) -> list[str]:
+        """What is allowed, but rarely meant: lines for the user."""
+        return [*_doubts(self.values, self.body)]
+
     @classmethod
     def from_values(cls, given: Mapping[str, Any]) -> Scene:
         """
@@ -152,9 +162,9 @@ class Scene:
             values do not fit together.
 
         """
-        for name in given:
+        for name, value in given.items():
             if name not in PARAMETERS and name not in _ROS and not name.startswith(_QOS):
-                raise InputError(f'{name}: unknown key{_suggestion(name)}')
+                raise InputError(_unknown(name, value))
         given = {**given, **_inertia_of_robot(given)}
         values = {name: checked(parameter, given.get(name, parameter.default))
                   for name, parameter in PARAMETERS.items()}
@@ -215,7 +225,9 @@ def checked(parameter: Parameter, given: Any) -> Any:
     if wrong:
         kind = {float: 'a number', int: 'an integer', str: 'a text',
                 bool: 'true or false'}[parameter.type]
-        raise InputError(f'{name}: expected {kind}{unit}, found {value!r}')
+        quoted = isinstance(value, str) and _FLOAT.fullmatch(value)
+        raise InputError(f'{name}: expected {kind}{unit}, found {value!r}'
+                         + ('; leave out the quotes' if quoted else f': {parameter.description}'))
     if parameter.choices and value not in parameter.choices:
         raise InputError(f'{name}: expected one of {", ".join(parameter.choices)}, '
                          f'found {value!r}')
@@ -273,15 +285,32 @@ def _check_together(values: Mapping[str, Any]) -> None:
                          f'({values["history"]} s), found {values["max_future"]}')
 
 
-def _group(values: Mapping[str, Any], prefix: str) -> dict[str, float]:
+def _doubts(values: Mapping[str, Any], body: RigidBody) -> Iterator[str]:
+    if body.triangle_excess:
+        yield ('inertia: the largest principal moment exceeds the sum of the others by '
+               f'{body.triangle_excess:.2g} of it, which no body has: rounded numbers?')
+    norm = math.hypot(*_group(values, 'initial_attitude').values())
+    if abs(norm - 1.0) > _UNIT:
+        yield ('initial_attitude: expected a unit quaternion x y z w, found one of norm '
+               f'{norm:.3g}, and made it 1: are these angles?')
+    rate = math.hypot(*_group(values, 'initial_angular_velocity').values())
+    if rate > _FAST:
+        yield (f'initial_angular_velocity: {rate:.4g} rad/s are {rate / (2.0 * math.pi):.3g} '
+               'turns a second: if these are degrees, multiply by pi / 180 = 0.0174533')
+
+
+def _group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     return {name.split('.')[1]: value for name, value in values.items()
             if name.startswith(prefix + '.')}
 
 
-def _suggestion(name: str) -> str:
+def _unknown(name: str, value: Any) -> str:
+    parts = [*_group(PARAMETERS, name)]
+    if parts:
+        return f'{name}: expected {", ".join(parts)} below it, found {value!r}'
     close = difflib.get_close_matches(name, PARAMETERS, 1)
-    return f'; did you mean {close[0]}?' if close else \
-        f'; expected one of {", ".join(PARAMETERS)}'
+    return f'{name}: unknown key; ' + (
+        f'did you mean {close[0]}?' if close else f'expected one of {", ".join(PARAMETERS)}')
 
 
 def _reason(error: Exception) -> str:
@@ -311,6 +340,9 @@ def _nodes(node: yaml.Node | None, prefix: str) -> list[tuple[str, yaml.Node]]:
     for key, value in _entries(node, prefix or 'the file'):
         if key == 'ros__parameters' and prefix:
             found.append((prefix, value))
+        elif prefix and isinstance(value, yaml.ScalarNode):
+            raise InputError(f'{prefix}: expected /**: and ros__parameters: above '
+                             f'what is for a node, found {key}: {value.value}')
         else:  # a node, or a namespace
             found += _nodes(value, f'{prefix}/{key.strip("/")}'.strip('/'))
     return found

@@ -119,7 +119,7 @@ def test_rounded_digits_of_a_tensor_are_told(output, capsys):
     path = RECORDINGS / 'constant_space_torque'
     assert cli.attitude_replay([f'{path}.mcap', '--scene', f'{path}.yaml',
                                 '-o', str(output)]) == 0
-    assert 'exceeds the sum of the others by 0.028 of it' in capsys.readouterr().out
+    assert 'exceeds the sum of the others by 0.028 of it' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
@@ -263,7 +263,9 @@ def test_a_signal_is_heard_while_the_motion_is_worked_out(tmp_path, output, numb
     os.kill(process.pid, number)
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + number
-    assert words.strip() == 'attitude_replay: interrupted; nothing incomplete has its final name'
+    doubt, last = words.splitlines()
+    assert doubt.startswith(f'warning: {config}: initial_angular_velocity: 6000 rad/s are 955')
+    assert last == 'attitude_replay: interrupted; nothing incomplete has its final name'
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])

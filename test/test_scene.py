@@ -82,7 +82,11 @@ def test_the_scenes_of_the_package_load(name):
 
 
 @pytest.mark.parametrize(('change', 'message'), [
-    ({'inertia.ixx': '1.0'}, r"inertia.ixx: expected a number \(kg m\^2\), found '1.0'"),
+    ({'inertia.ixx': '1.0'}, r"inertia.ixx: expected a number \(kg m\^2\), found '1.0'; leave out "
+                             'the quotes'),
+    ({'inertia.ixx': 'one'}, r"inertia.ixx: .*found 'one': moment of inertia about the centre of"),
+    ({'inertia': [1.0, 2.0]}, r'inertia: expected ixx, iyy, .*iyz below it, found \[1.0, 2.0\]'),
+    ({'initial_angular_velocity': 1.0}, 'velocity: expected x, y, z below it, found 1.0'),
     ({'inertia.ixx': True}, r'inertia.ixx: expected a number \(kg m\^2\), found True'),
     ({'inertia.ixx': [1.0]}, r'inertia.ixx: expected a number \(kg m\^2\), found \[1.0\]'),
     ({'inertia.ixx': -1.0}, r'inertia.ixx: expected a finite number greater than 0 .*found -1.0'),
@@ -110,6 +114,24 @@ def test_impossible_values_are_refused_with_name_and_value(change, message):
         Scene.from_values({**INERTIA, **change})
 
 
+@pytest.mark.parametrize(('given', 'doubt'), [
+    ({'initial_angular_velocity.x': 90.0}, 'initial_angular_velocity: 90 rad/s are 14.3 turns a '
+     'second: if these are degrees, multiply by pi / 180 = 0.0174533'),
+    ({'initial_attitude.x': 30.0, 'initial_attitude.y': 40.0}, 'initial_attitude: expected a unit '
+     'quaternion x y z w, found one of norm 50, and made it 1: are these angles?'),
+    ({'inertia.izz': 3.03}, 'inertia: the largest principal moment exceeds the sum of the others '
+     'by 0.01 of it, which no body has: rounded numbers?')])
+def test_what_is_rarely_meant_is_told_and_done(given, doubt):
+    assert Scene.from_values({**INERTIA, **given}).doubts == [doubt]
+
+
+@pytest.mark.parametrize('given', [
+    {}, {'initial_angular_velocity.z': 9.9},
+    {'initial_attitude.x': 0.707, 'initial_attitude.w': 0.707}])  # three digits, as people write
+def test_nothing_is_said_of_an_ordinary_scene(given):
+    assert Scene.from_values({**INERTIA, **given}).doubts == []
+
+
 def test_a_missing_moment_is_named_with_its_unit():
     with pytest.raises(InputError, match=r'inertia.izz: missing; expected a number \(kg m\^2\)'):
         Scene.from_values({'inertia.ixx': 1.0, 'inertia.iyy': 2.0})
@@ -119,7 +141,8 @@ def test_a_missing_moment_is_named_with_its_unit():
     ('', 'the file: expected keys and values'),
     ('- 1', 'the file: expected keys and values'),
     ('a: [', 'expected YAML'),
-    ('inertia: {ixx: 1.0}', 'inertia/ixx: expected keys and values'),
+    ('inertia: {ixx: 1.0}', r'inertia: expected /\*\*: and ros__parameters: above what is for a '
+     'node, found ixx: 1.0'),
     ('a:\n  ros__parameters: {}\nb:\n  ros__parameters: {}',
      r'expected parameters of /\*\* or of one attitude_node, found those of a, b'),
     ('/a/attitude_node:\n  ros__parameters: {}\n/b/attitude_node:\n  ros__parameters: {}',

@@ -97,10 +97,8 @@ class AttitudeNode(Node):
         body = self._scene.body
         self.get_logger().info(
             f'{body.symmetry}, principal moments {body.principal_moments.tolist()} kg m^2')
-        if body.triangle_excess:
-            self.get_logger().warning(
-                'inertia: the largest principal moment exceeds the sum of the others by '
-                f'{body.triangle_excess:.2g} of it, which no body has: rounded numbers?')
+        for doubt in self._scene.doubts:
+            self.get_logger().warning(doubt)
 
     def _subscribe(self) -> None:
         def subscription(kind: type, topic: str, callback: Callable[[bytes], None],

@@ -12,9 +12,8 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from rigid_body_ros import scene
 from rigid_body_ros.replay import bar, replay
-from rigid_body_ros.scene import InputError
+from rigid_body_ros.scene import InputError, Scene
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,7 @@ class Outcome:
     error: str = ''
 
 
-def replay_many(paths: Sequence[str], scene_path: str, folder: str | Path,
+def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
                 prepare: Callable[[], None], **options: Any) -> list[Outcome]:
     """
     Replay recordings into a folder, as files of their names.
@@ -35,7 +34,7 @@ def replay_many(paths: Sequence[str], scene_path: str, folder: str | Path,
     Parameters
     ----------
     paths : sequence of str
-    scene_path : str
+    scene : Scene
     folder : str or Path
         Made if it is not there.
     prepare : callable
@@ -51,10 +50,9 @@ def replay_many(paths: Sequence[str], scene_path: str, folder: str | Path,
     Raises
     ------
     InputError
-        The scene is wrong, the folder cannot be made, or two outputs would have one name.
+        The folder cannot be made, or two outputs would have one name.
 
     """
-    scene.load(scene_path)  # a mistake in it is one for all
     outputs = [str(Path(folder) / f'{Path(path).name.split(".")[0]}.mcap') for path in paths]
     twice = [name for name in outputs if outputs.count(name) > 1]
     if twice:
@@ -67,7 +65,7 @@ def replay_many(paths: Sequence[str], scene_path: str, folder: str | Path,
     # Spawned: a fork would take over half of what threads of this process are about.
     context = multiprocessing.get_context('spawn')
     with context.Pool(min(len(paths), os.cpu_count() or 1), _begin, (prepare,)) as pool:
-        work = partial(_outcome, scene_path, options)
+        work = partial(_outcome, scene, options)
         done = bar('recordings', ' files')(pool.imap(work, zip(paths, outputs)), len(paths))
         return list(done)
 
@@ -86,10 +84,10 @@ def _begin(prepare: Callable[[], None]) -> None:
     prepare()
 
 
-def _outcome(scene_path: str, options: dict[str, Any], names: tuple[str, str]) -> Outcome:
+def _outcome(scene: Scene, options: dict[str, Any], names: tuple[str, str]) -> Outcome:
     path, output = names
     try:
-        result = replay(path, scene.load(scene_path), output, **options)
+        result = replay(path, scene, output, **options)
     except InputError as error:
         return Outcome(path, output, error=str(error))
     lost = f'; lost: {result.damage}' if result.damage else ''

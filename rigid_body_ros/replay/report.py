@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from rigid_body_ros import euler
-from rigid_body_ros.body import RigidBody
 from rigid_body_ros.replay import Replay
 from rigid_body_ros.so3 import Floats
 
@@ -23,7 +22,7 @@ def summary(result: Replay) -> str:
         *([('order', f'{result.unordered} stamps no later than the one before: put in order; of '
                      'equal ones the last counts')] if result.unordered else []),
         ('between them', _reading(result)),
-        ('body', f'{result.scene.body.symmetry}{_excess(result.scene.body)}'),
+        ('body', result.scene.body.symmetry),
         *(('solver', text) for text in _solvers(result)),
         ('final state', f'{span:.9g} s after the start'),
         ('  attitude', f'{_numbers(last.attitude)}  (x y z w)'),
@@ -43,13 +42,6 @@ def _solvers(result: Replay) -> list[str]:
 
 def _numbers(values: Floats) -> str:
     return ' '.join(f'{value:.15g}' for value in values)
-
-
-def _excess(body: RigidBody) -> str:
-    if not body.triangle_excess:
-        return ''
-    return (f' (its largest moment exceeds the sum of the others by {body.triangle_excess:.2g} '
-            'of it, which no body has: rounded numbers?)')
 
 
 def _reading(result: Replay) -> str:
