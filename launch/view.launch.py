@@ -10,7 +10,7 @@ from launch_ros.substitutions import FindPackageShare
 
 SHARE = FindPackageShare('rigid_body_ros')
 ATTITUDE_NODE = PathJoinSubstitution([SHARE, 'launch', 'attitude_node.launch.py'])
-VIEW = PathJoinSubstitution([SHARE, 'config', 'view.rviz'])
+VIEW = PathJoinSubstitution([SHARE, 'config', 'rviz.rviz'])
 
 
 def generate_launch_description():

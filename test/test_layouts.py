@@ -1,0 +1,176 @@
+"""The layouts for Foxglove, rviz2 and PlotJuggler show what a replay writes, by its names."""
+
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+
+from conftest import CONFIG, RECORDINGS, ROOT
+from mcap.reader import make_reader
+import pytest
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import get_types_from_msg
+import yaml
+
+from rigid_body_ros import messages, scene
+from rigid_body_ros.replay import replay
+
+#: What is to be plotted: topic, vector in it, unit.
+PLOTS = [('/euler_angles', 'vector', 'rad'), ('/angular_velocity', 'vector', 'rad/s'),
+         ('/torque', 'wrench/torque', 'N m')]
+MARKER = 'visualization_msgs/msg/Marker'
+#: Topics of the node only: a replay writes no odometry. They are relative, because view.launch.py
+#: gives rviz2 the namespace of the node.
+LIVE = {'odometry': messages.ODOMETRY.name}
+#: What each display of rviz2 subscribes to.
+DISPLAYS = {'rviz_default_plugins/Marker': MARKER,
+            'rviz_default_plugins/Odometry': messages.ODOMETRY.name}
+
+
+class Written:
+    """What a file has: its topics by type, its doubles by path, the frames of its /tf."""
+
+    def __init__(self, path):
+        with open(path, 'rb') as stream:
+            reader = make_reader(stream)
+            summary = reader.get_summary()
+            _, _, message = next(reader.iter_messages(['/tf']))
+        schemas = {channel.topic: summary.schemas[channel.schema_id]
+                   for channel in summary.channels.values()}
+        self.types = {topic: schema.name for topic, schema in schemas.items()}
+        self.doubles = {(topic, *path) for topic, schema in schemas.items()
+                        for path in doubles(get_types_from_msg(schema.data.decode(), schema.name),
+                                            schema.name)}
+        transform = messages.TRANSFORM.decode(message.data)
+        self.space_frame, self.body_frame = transform.frame_id, transform.child_frame_id
+
+    def topics(self, kind):
+        return sorted(topic for topic, found in self.types.items() if found == kind)
+
+
+def doubles(types, name):
+    """Yield the path of fields to each double of a message type, outside of arrays."""
+    _, fields = types[name]
+    for field, (node, value) in fields:
+        if node == Nodetype.NAME:
+            yield from ((field, *path) for path in doubles(types, value))
+        elif (node, value) == (Nodetype.BASE, ('float64', 0)):
+            yield (field,)
+
+
+@pytest.fixture(scope='module')
+def written(tmp_path_factory):
+    path = tmp_path_factory.mktemp('layouts') / 'motion.mcap'
+    replay(RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml'), path,
+           also=('imu', 'tf', 'markers', 'input'))
+    return Written(path)
+
+
+def foxglove():
+    return json.loads((CONFIG / 'foxglove.json').read_bytes())
+
+
+def foxglove_panels(kind):
+    return [panel for name, panel in foxglove()['configById'].items()
+            if name.startswith(f'{kind}!')]
+
+
+def foxglove_plots():
+    return {panel['yAxisLabel']: [path['value'] for path in panel['paths'] if path['enabled']]
+            for panel in foxglove_panels('Plot')}
+
+
+def plotjuggler():
+    return ElementTree.parse(CONFIG / 'plotjuggler.xml').getroot()
+
+
+def plotjuggler_plots():
+    return {area.get('name'): [curve.get('name') for curve in area.iter('curve')]
+            for area in plotjuggler().iter('DockArea')}
+
+
+def rviz():
+    return yaml.safe_load((CONFIG / 'rviz.rviz').read_bytes())['Visualization Manager']
+
+
+def rviz_displays(kind):
+    return [display for display in rviz()['Displays']
+            if display['Class'] == f'rviz_default_plugins/{kind}' and display['Enabled']]
+
+
+each_plotter = pytest.mark.parametrize(('plots', 'separator'), [
+    (foxglove_plots, '.'), (plotjuggler_plots, '/')], ids=['foxglove', 'plotjuggler'])
+
+
+@each_plotter
+def test_every_curve_is_a_number_that_a_replay_writes(written, plots, separator):
+    numbers = {separator.join(path) for path in written.doubles}
+    curves = [curve for plot in plots().values() for curve in plot]
+    assert [curve for curve in curves if curve not in numbers] == []
+
+
+@each_plotter
+def test_angles_rates_and_torques_are_plotted_with_their_units(plots, separator):
+    found = plots()
+    assert list(found.values()) == [
+        [separator.join((topic, *vector.split('/'), axis)) for axis in 'xyz']
+        for topic, vector, _ in PLOTS]
+    assert [re.search(r'\((.*)\)$', label)[1] for label in found] == [unit for *_, unit in PLOTS]
+
+
+def test_foxglove_plots_over_the_stamps_and_tells_the_curves_apart():
+    for panel in foxglove_panels('Plot'):
+        assert {path['timestampMethod'] for path in panel['paths']} == {'headerStamp'}
+        assert panel['xAxisVal'] == 'timestamp'
+        assert panel['showLegend']
+        for key in ('label', 'color'):
+            assert len({path[key] for path in panel['paths']}) == 3
+
+
+def test_foxglove_shows_the_markers_and_the_frames(written):
+    panel, = foxglove_panels('3D')
+    shown = sorted(topic for topic, settings in panel['topics'].items() if settings['visible'])
+    assert shown == written.topics(MARKER) != []
+    frames = {f'frame:{frame}' for frame in (written.space_frame, written.body_frame)}
+    assert {name for name, settings in panel['transforms'].items()
+            if settings['visible']} == frames
+    assert panel['followTf'] == written.space_frame
+    assert [layer['layerId'] for layer in panel['layers'].values()] == ['foxglove.Grid']
+
+
+def test_foxglove_has_a_place_for_every_panel():
+    def placed(node):
+        return [node] if isinstance(node, str) else placed(node['first']) + placed(node['second'])
+    layout = foxglove()
+    assert sorted(placed(layout['layout'])) == sorted(layout['configById'])
+
+
+def test_plotjuggler_finds_as_many_plots_as_are_announced():
+    # Of fewer sizes than the count says it would read one behind the last.
+    for splitter in plotjuggler().iter('DockSplitter'):
+        assert int(splitter.get('count')) == len(splitter)
+        assert len(splitter.get('sizes').split(';')) == len(splitter)
+
+
+def test_rviz_subscribes_to_what_is_there_by_the_right_types(written):
+    types = {**written.types, **LIVE}
+    subscribed = [(display['Topic']['Value'], DISPLAYS[display['Class']])
+                  for display in rviz()['Displays'] if 'Topic' in display]
+    assert [pair for pair in subscribed if pair not in types.items()] == []
+
+
+def test_rviz_shows_the_markers_the_frames_and_the_attitude_of_the_node(written):
+    shown = sorted(display['Topic']['Value'] for display in rviz_displays('Marker'))
+    assert shown == written.topics(MARKER) != []
+    assert [display['Topic']['Value'] for display in rviz_displays('Odometry')] == [*LIVE]
+    assert len(rviz_displays('TF')) == len(rviz_displays('Grid')) == 1
+    assert rviz()['Global Options']['Fixed Frame'] == written.space_frame
+
+
+def test_the_mouse_turns_the_view_of_rviz():
+    # Tools that a file does not list, rviz2 removes.
+    assert {'Class': 'rviz_default_plugins/MoveCamera'} in rviz()['Tools']
+
+
+def test_the_launch_file_opens_the_layout_of_rviz():
+    text = (ROOT / 'launch' / 'view.launch.py').read_text()
+    assert re.findall(r"'config', '(.*)'", text) == ['rviz.rviz']
