@@ -1,0 +1,142 @@
+"""
+The Dzhanibekov effect: a wing nut that spins about its intermediate axis flips again and again.
+
+Draws the angular velocity, and the angle from the intermediate axis to the angular momentum, into
+intermediate_axis.png or a file of your choice. Prints the time between flips, from the motion and
+from the textbook (Landau and Lifshitz, Mechanics, section 37). Needs scipy for the latter.
+
+    python examples/intermediate_axis.py [PNG]
+
+The very first run takes some seconds more: it compiles the package's kernels.
+"""
+
+import argparse
+
+from matplotlib.figure import Figure
+import numpy as np
+from scipy.special import ellipkm1
+
+from rigid_body_ros import RigidBody, State, propagate
+
+#: rad/s, about the axes of the smallest, intermediate and largest moment.
+RATES = (0.0, 6.0, 0.05)
+TIMES_NS = np.arange(2001) * 10 ** 7
+
+
+def wing_nut():
+    """Return six masses in a ring, and two wings above it: it spins about its thread, z; kg, m."""
+    around = np.arange(6) * np.pi / 3.0
+    ring = 0.005 * np.stack([np.cos(around), np.sin(around), np.zeros(6)], axis=1)
+    wings = [(0.015, 0.0, 0.008), (-0.015, 0.0, 0.008)]
+    return RigidBody.from_point_masses(6 * [0.002] + 2 * [0.003], np.concatenate([ring, wings]))
+
+
+def flip_times(start, motion):
+    """
+    Return when the rate about the intermediate axis changes its sign, s, shape (n,).
+
+    Parameters
+    ----------
+    start : State
+    motion : Trajectory
+        From that start on, with samples close enough that none misses a flip.
+
+    """
+    body, middle = motion.body, motion.body.principal_axes[:, 1]
+    rate = motion.angular_velocity @ middle
+    times = motion.times_ns[:-1][rate[:-1] * rate[1:] < 0.0] * 1e-9
+    for _ in range(2):  # Newton's method
+        at = np.round(times * 1e9).astype(np.int64)
+        rates = propagate(body, start, at=at).angular_velocity
+        times = at * 1e-9 - rates @ middle / (body.angular_acceleration(rates) @ middle)
+    return times
+
+
+def textbook_time(moments, rates):
+    """
+    Return the time between flips, 2 K(k) / lambda, s.
+
+    Parameters
+    ----------
+    moments : array, shape (3,), kg m^2
+        Ascending.
+    rates : array, shape (3,), rad/s
+        About the axes of those moments.
+
+    """
+    def beyond(moment):  # L^2 - 2 E moment, in a form in which nothing cancels
+        return np.sum(moments * (moments - moment) * np.square(rates))
+
+    low, middle, high = moments
+    if beyond(middle) < 0.0:  # L goes round the axis of the smallest moment
+        low, high = high, low
+    speed = np.sqrt((high - middle) * beyond(low) / (low * middle * high))
+    complement = (high - low) * beyond(middle) / ((high - middle) * beyond(low))  # 1 - k^2
+    return 2.0 * ellipkm1(complement) / speed
+
+
+def draw(path, motion, flips):
+    """
+    Draw rates and angle over time into a PNG file.
+
+    Parameters
+    ----------
+    path : str
+    motion : Trajectory
+    flips : array, shape (n,), s
+
+    """
+    seconds = motion.times_ns * 1e-9
+    rates = motion.angular_velocity @ motion.body.principal_axes
+    momentum = rates * motion.body.principal_moments
+    angle = np.degrees(np.arccos(momentum[:, 1] / np.linalg.norm(momentum, axis=1)))
+
+    figure = Figure(figsize=(8.0, 5.5), layout='constrained')
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    flip, between = np.searchsorted(seconds, (flips[0], flips[:2].mean()))
+    for column, (name, style, colour, row, offset, side) in zip(rates.T, (
+            ('smallest', ':', '#B04A00', flip, (-9, -3), 'right'),
+            ('intermediate', '-', '#000000', between, (0, 6), 'center'),
+            ('largest', '--', '#0072B2', flip, (9, -3), 'left'))):
+        upper.plot(seconds, column, style, color=colour)
+        upper.annotate(name, (seconds[row], column[row]), offset, textcoords='offset points',
+                       color=colour, ha=side)
+    upper.set_title('Wing nut: angular velocity about the axes of smallest, intermediate and '
+                    'largest moment', loc='left', fontsize=9)
+    upper.set(ylabel='angular velocity (rad/s)')
+    lower.plot(seconds, angle, color='#000000')
+    lower.annotate('', (flips[0], 90.0), (flips[1], 90.0), arrowprops={'arrowstyle': '<->'})
+    lower.text(flips[:2].mean(), 94.0, f'{flips[1] - flips[0]:.2f} s', ha='center')
+    lower.set(xlabel='time (s)', xlim=seconds[[0, -1]], yticks=range(0, 181, 45),
+              ylabel='intermediate axis to\nangular momentum (deg)')
+    for panel in (upper, lower):
+        panel.grid(alpha=0.3)
+    figure.savefig(path, dpi=120, format='png')
+
+
+def main():
+    parser = argparse.ArgumentParser(description='Draw a wing nut that flips.')
+    parser.add_argument('picture', metavar='PNG', nargs='?', default='intermediate_axis.png',
+                        help='file to draw into (default: %(default)s)')
+    path = parser.parse_args().picture
+
+    nut = wing_nut()
+    start = State(angular_velocity=nut.principal_axes @ RATES)
+    motion = propagate(nut, start, at=TIMES_NS)
+    flips = flip_times(start, motion)
+    found, textbook = np.diff(flips).mean(), textbook_time(nut.principal_moments, RATES)
+
+    print('principal moments   ', *(f'{moment:.6g}' for moment in nut.principal_moments), 'kg m^2')
+    print('flips at            ', *(f'{flip:.3f}' for flip in flips), 's')
+    print('between them        ', f'{found:.15g} s')
+    print('textbook            ', f'{textbook:.15g} s')
+    print('they agree within   ', f'{abs(found / textbook - 1.0):.1g} of it')
+    try:
+        draw(path, motion, flips)
+    except OSError as error:
+        parser.error(f'{path}: cannot write: {error.strerror}')
+    print('drawn into          ', path)
+
+
+if __name__ == '__main__':
+    main()

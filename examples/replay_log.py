@@ -1,0 +1,47 @@
+"""
+A recording of torques replayed by the library: what `attitude_replay` does, in your own program.
+
+Reads a CubeSat's tumble that comes with the package, or a recording and a scene of yours (MCAP,
+rosbag2 or CSV; see docs/recordings.md).
+
+    python examples/replay_log.py [RECORDING] [--scene FILE]
+
+The very first run takes some seconds more: it compiles the package's kernels.
+"""
+
+import argparse
+from pathlib import Path
+
+from rigid_body_ros import replay, scene
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def main():
+    parser = argparse.ArgumentParser(description='Replay a recording of torques.')
+    parser.add_argument('recording', metavar='RECORDING', nargs='?',
+                        default=ROOT / 'test' / 'recordings' / 'tumbler.mcap',
+                        help='of torques (default: %(default)s)')
+    parser.add_argument('--scene', metavar='FILE', default=ROOT / 'config' / 'tumbler.yaml',
+                        help='inertia and start, a ROS 2 parameter file (default: %(default)s)')
+    options = parser.parse_args()
+    try:
+        result = replay.replay(options.recording, scene.load(options.scene))
+    except scene.InputError as error:
+        parser.error(str(error))
+
+    seconds = (result.last.time_ns - result.start.time_ns) * 1e-9
+    sequence = result.scene.values['euler_sequence']
+    angles = result.trajectory.euler_angles(sequence)[-1]
+    print('torques             ', result.messages, 'on', result.topic)
+    print('motion              ', f'{seconds:.9g} s')
+    print('final attitude      ', *result.last.attitude, '(x y z w)')
+    print('final angles        ', *angles, f'rad ({sequence})')
+    print('between samples     ', result.interpolation)
+    for reading, apart in result.readings.items():
+        print(f'  or {reading:15}', 'would spin up beyond all bounds' if apart is None
+              else f'would end {apart:.2g} rad away')
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,231 @@
+"""The examples, run as a user would, against formulas, the truth and the commands."""
+
+import re
+import subprocess
+import sys
+
+from conftest import CONFIG, RECORDINGS, ROOT, SECOND, chord
+import intermediate_axis
+import matplotlib.image
+import monte_carlo
+from mpmath import mp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+import spinning_top
+
+from rigid_body_ros import RigidBody, State, cli, messages, propagate, recording, scene
+from rigid_body_ros.replay import replay
+
+NUMBER = r'(?<!\w)[-+]?\d+\.?\d*(?:e[-+]?\d+)?'
+TUMBLER = (RECORDINGS / 'tumbler.mcap', CONFIG / 'tumbler.yaml')
+PULSES, COAST = (tuple(RECORDINGS / f'{name}.{ending}' for ending in ('mcap', 'yaml'))
+                 for name in ('thruster_pulses_irregular', 'torque_free_asymmetric'))
+
+
+def started(folder, name, *arguments):
+    return subprocess.run([sys.executable, '-W', 'error', ROOT / 'examples' / f'{name}.py',
+                           *arguments], cwd=folder, capture_output=True, text=True, check=False)
+
+
+def printed(folder, name, *arguments):
+    """Return the lines that an example prints, by what stands first in each."""
+    result = started(folder, name, *arguments)
+    assert (result.returncode, result.stderr) == (0, '')
+    return dict(re.split('  +', line.strip(), maxsplit=1) for line in result.stdout.splitlines())
+
+
+def numbers(text):
+    return [float(number) for number in re.findall(NUMBER, text)]
+
+
+def textbook(moments, rates):
+    """Return 2 K(k) / lambda, s, as Landau and Lifshitz have it (Mechanics, section 37)."""
+    with mp.workdps(40):
+        low, middle, high = (mp.mpf(moment) for moment in moments)
+        rates = [mp.mpf(rate) for rate in rates]
+        energy = low * rates[0] ** 2 + middle * rates[1] ** 2 + high * rates[2] ** 2
+        square = (low * rates[0]) ** 2 + (middle * rates[1]) ** 2 + (high * rates[2]) ** 2
+        if square < energy * middle:
+            low, high = high, low
+        one = (high - middle) * (square - energy * low)
+        modulus = (middle - low) * (energy * high - square) / one
+        return float(2 * mp.ellipk(modulus) * mp.sqrt(low * middle * high / one))
+
+
+@pytest.fixture(scope='module')
+def of_the_wing_nut(tmp_path_factory):
+    """Return what the example prints where it is given no path, and its folder."""
+    folder = tmp_path_factory.mktemp('wing_nut')
+    return printed(folder, 'intermediate_axis'), folder
+
+
+@pytest.fixture(scope='module')
+def of_two_monte_carlos(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('monte_carlo')
+    return printed(folder, 'monte_carlo'), printed(folder, 'monte_carlo')
+
+
+def test_the_top_precesses_at_the_rate_of_the_formula(tmp_path):
+    lines = printed(tmp_path, 'spinning_top')
+    assert lines['symmetry'] == 'symmetric top'
+    across, _, along = spinning_top.child_top().principal_moments
+    np.testing.assert_allclose(numbers(lines['principal moments'])[:3], (across, across, along),
+                               rtol=1e-5)
+    wobble, _, spin = spinning_top.RATES
+    momentum = np.hypot(across * wobble, along * spin)
+    assert numbers(lines['axis to momentum']) == pytest.approx(
+        [np.degrees(np.arctan2(across * wobble, along * spin))], abs=1e-3)
+    for found in ('precession, motion', 'precession, |L|/I_t'):
+        assert numbers(lines[found])[0] == pytest.approx(momentum / across, rel=1e-14, abs=0.0)
+    assert numbers(lines['they agree within'])[0] < 1e-14
+
+
+def test_the_wing_nut_flips_as_often_as_the_formula_says(of_the_wing_nut):
+    lines, _ = of_the_wing_nut
+    flips = numbers(lines['flips at'])
+    known = textbook(intermediate_axis.wing_nut().principal_moments, intermediate_axis.RATES)
+    assert len(flips) >= 4
+    np.testing.assert_allclose(np.diff(flips), known, atol=2e-3)
+    for found in ('between them', 'textbook'):
+        assert numbers(lines[found])[0] == pytest.approx(known, rel=1e-14, abs=0.0)
+    assert numbers(lines['they agree within'])[0] < 1e-14
+
+
+@pytest.mark.parametrize('rates', [(0.0, 6.0, 0.05), (0.05, 6.0, 0.0), (-0.3, -5.0, 0.7)])
+@pytest.mark.parametrize('moments', [(4.06e-7, 1.65e-6, 1.756e-6), (1e-6, 1.2e-6, 2.1e-6)])
+def test_flips_take_the_same_time_on_both_sides_of_the_separatrix(moments, rates):
+    begin = State(angular_velocity=rates)
+    motion = propagate(RigidBody.from_moments(*moments), begin, at=intermediate_axis.TIMES_NS)
+    flips = intermediate_axis.flip_times(begin, motion)
+    known = textbook(moments, rates)
+    np.testing.assert_allclose(np.diff(flips), known, rtol=1e-12)
+    formula = intermediate_axis.textbook_time(np.array(moments), rates)
+    assert formula == pytest.approx(known, rel=1e-14, abs=0.0)
+
+
+def test_the_picture_is_a_light_png_of_sensible_size(of_the_wing_nut):
+    lines, folder = of_the_wing_nut
+    path = folder / 'intermediate_axis.png'
+    assert lines['drawn into'] == path.name
+    assert [*folder.iterdir()] == [path]
+    assert path.read_bytes().startswith(b'\x89PNG')
+    picture = matplotlib.image.imread(path)
+    height, width = picture.shape[:2]
+    assert 500 < height < width < 2000
+    light = picture[..., :3].min(axis=2)
+    assert np.median(light) == light[0, 0] == 1.0
+    assert 0.01 < np.mean(light < 0.5) < 0.1
+
+
+def test_the_picture_goes_where_the_argument_says(tmp_path):
+    lines = printed(tmp_path, 'intermediate_axis', 'flips.picture')
+    assert lines['drawn into'] == 'flips.picture'
+    assert [path.name for path in tmp_path.iterdir()] == ['flips.picture']
+    assert (tmp_path / 'flips.picture').read_bytes().startswith(b'\x89PNG')
+
+
+def test_the_picture_shows_rates_and_angle_with_their_units(tmp_path, monkeypatch):
+    figures = []
+    monkeypatch.setattr(intermediate_axis.Figure, 'savefig',
+                        lambda figure, *_, **__: figures.append(figure))
+    monkeypatch.setattr(sys, 'argv', ['intermediate_axis.py'])
+    intermediate_axis.main()
+    upper, lower = figures[0].axes
+    assert lower.get_xlabel() == 'time (s)'
+    assert '(rad/s)' in upper.get_ylabel()
+    assert '(deg)' in lower.get_ylabel()
+    assert [text.get_text() for text in upper.texts] == ['smallest', 'intermediate', 'largest']
+    assert len({line.get_linestyle() for line in upper.lines}) == 3
+    nut = intermediate_axis.wing_nut()
+    motion = propagate(nut, State(angular_velocity=nut.principal_axes @ intermediate_axis.RATES),
+                       at=np.round(lower.lines[0].get_xdata() * SECOND).astype(np.int64))
+    for axis, line in zip(nut.principal_axes.T, upper.lines):
+        np.testing.assert_allclose(line.get_ydata(), motion.angular_velocity @ axis, atol=1e-14)
+    axes = Rotation.from_quat(motion.attitude).apply(nut.principal_axes[:, 1])
+    momentum = motion.angular_momentum_space[0]
+    cosine = np.cos(np.radians(lower.lines[0].get_ydata()))
+    np.testing.assert_allclose(cosine, axes @ momentum / np.linalg.norm(momentum), atol=1e-13)
+    assert cosine.max() > np.cos(np.radians(1.0))
+    assert cosine.min() < -np.cos(np.radians(1.0))
+
+
+@pytest.mark.parametrize(('arguments', 'recorded', 'config'), [
+    ((), *TUMBLER), ((PULSES[0], '--scene', PULSES[1]), *PULSES),
+    ((COAST[0], '--scene', COAST[1]), *COAST)])
+def test_the_replayed_log_ends_where_the_command_does(tmp_path, capsys, arguments, recorded,
+                                                      config):
+    lines = printed(tmp_path, 'replay_log', *arguments)
+    output = tmp_path / 'motion.mcap'
+    assert cli.attitude_replay([str(recorded), '--scene', str(config), '-o', str(output)]) == 0
+    attitude = recording.read(output, '/attitude', messages.QUATERNION).values[-1]
+    angles = recording.read(output, '/euler_angles', messages.VECTOR3).values[-1]
+    assert numbers(lines['final attitude']) == attitude.tolist()
+    assert numbers(lines['final angles']) == angles.tolist()
+    summary = ' '.join(capsys.readouterr().out.split())
+    assert f'torques {lines["torques"]}, over ' in summary
+    assert f'final state {lines["motion"]} after the start' in summary
+    assert (f'between them {lines["between samples"]} (linear {lines["or linear"]}, '
+            f'cubic {lines["or cubic"]})') in summary
+
+
+def test_another_reading_that_spins_beyond_bounds_is_told(tmp_path):
+    (tmp_path / 'last.csv').write_text('0, 1e-3, 0, 0\n1, 1e100, 0, 0\n')
+    lines = printed(tmp_path, 'replay_log', 'last.csv')
+    assert lines['or linear'] == 'would spin up beyond all bounds'
+
+
+@pytest.mark.parametrize(('name', 'arguments', 'message'), [
+    ('intermediate_axis', ('none/flips.png',), 'none/flips.png: cannot write: No such file'),
+    ('replay_log', ('none.mcap',), 'none.mcap: '),
+    ('replay_log', ('--scene', 'none.yaml'), 'none.yaml: cannot read the scene'),
+    ('replay_log', ('--speed', '2'), 'unrecognized arguments: --speed')])
+def test_a_wrong_argument_is_told_in_one_line(tmp_path, name, arguments, message):
+    result = started(tmp_path, name, *arguments)
+    assert result.returncode == 2
+    usage, line = result.stderr.splitlines()
+    assert usage.startswith(f'usage: {name}.py')
+    assert line.startswith(f'{name}.py: error: {message}')
+
+
+def test_monte_carlo_prints_the_same_numbers_twice(of_two_monte_carlos):
+    once, again = ({name: text for name, text in lines.items() if not name.startswith('time')}
+                   for lines in of_two_monte_carlos)
+    assert [*once] == ['torques', 'nominal end', 'median distance', '95th percentile']
+    assert once == again
+
+
+def test_monte_carlo_tells_what_a_body_and_a_run_take(of_two_monte_carlos):
+    for name in ('time per body drawn', 'time per run'):
+        assert 1e-3 < numbers(of_two_monte_carlos[0][name])[0] < 1e3
+
+
+def test_monte_carlo_tells_the_distances_from_the_right_motion(of_two_monte_carlos):
+    lines, _ = of_two_monte_carlos
+    nominal = numbers(lines['nominal end'])
+    tumbler = scene.load(TUMBLER[1])
+    result = replay(TUMBLER[0], tumbler)
+    assert nominal == result.last.attitude.tolist()
+    given = (result.start, result.log)
+    rk4 = propagate(tumbler.body, *given, at=[result.last_ns], solver='rk4', max_step=1e-3)
+    assert chord(rk4.attitude[0], nominal) < 1e-9
+    ends = [propagate(body, *given, at=[result.last_ns]).attitude[0]
+            for body in monte_carlo.draw(tumbler.body)]
+    apart = (Rotation.from_quat(nominal).inv() * Rotation.from_quat(ends)).magnitude()
+    for share, found in ((50, 'median distance'), (95, '95th percentile')):
+        assert numbers(lines[found])[0] == pytest.approx(np.percentile(apart, share), rel=1e-5)
+
+
+def test_monte_carlo_draws_a_thousand_real_bodies_over_all_of_five_percent():
+    nominal = scene.load(TUMBLER[1]).body
+    bodies = monte_carlo.draw(nominal)
+    moments = np.array([np.diag(nominal.principal_axes.T @ body.inertia @ nominal.principal_axes)
+                        for body in bodies])
+    assert moments.shape == (1000, 3)
+    assert all(body.triangle_excess == 0.0 for body in bodies)
+    change = moments / nominal.principal_moments - 1.0
+    np.testing.assert_allclose(change.min(axis=0), -0.05, atol=5e-4)
+    np.testing.assert_allclose(change.max(axis=0), 0.05, atol=5e-4)
+    assert np.abs(np.corrcoef(change.T) - np.eye(3)).max() < 0.1
+    smallest, middle, largest = nominal.principal_moments
+    assert 1.05 * largest < 0.95 * (smallest + middle)
