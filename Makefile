@@ -8,7 +8,7 @@ PARALLEL := --numprocesses 3
 # But this one needs the machine to itself.
 SOAK := test/test_soak.py
 
-.PHONY: demo test check clean
+.PHONY: demo test check docs clean
 
 demo: $(VENV)/done ## replay a recording, and run the node on one over DDS
 	$(BIN)/python examples/demo.py
@@ -30,7 +30,7 @@ lint: $(VENV)/done
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
-$(VENV)/done: ROS := ros
+$(VENV)/done: ROS := ros,docs
 $(JAZZY)/done: ROS := jazzy
 %/done: setup.py package.xml
 	@echo "Installing into $* (a minute or two, once)"
@@ -38,6 +38,11 @@ $(JAZZY)/done: ROS := jazzy
 	$*/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[$(ROS),test]'
 	@touch $@
 
+docs: $(VENV)/done ## the documentation as HTML
+	$(BIN)/python docs/nodes.py > docs/nodes.md
+	$(BIN)/python -m sphinx -W --keep-going -q docs docs/_build
+	@echo "Open docs/_build/index.html"
+
 clean: ## forget the environment, what was compiled and what the demo wrote
-	rm -rf $(VENV) $(JAZZY) demo build install log *.egg-info .*_cache .hypothesis
+	rm -rf $(VENV) $(JAZZY) demo docs/_build build install log *.egg-info .*_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +

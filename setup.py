@@ -47,6 +47,7 @@ setup(
                  'colcon-test-result', 'hypothesis', 'import-linter', 'mcap-ros2-support',
                  'mpmath', 'mypy', 'psutil', 'pytest', 'pytest-xdist', 'rosbags', 'ruff', 'scipy',
                  'setuptools>=70', 'types-PyYAML', 'types-tqdm'],
+        'docs': ['myst-parser', 'sphinx', 'sphinx-rtd-theme'],
         'bench': ['bsk', 'cyrk', 'drake', 'heyoka', 'mcap-ros2-support', 'mpmath', 'mujoco',
                   'psutil', 'scipy'],
     },

@@ -25,13 +25,13 @@ SIGNALLED = 128
 
 def attitude_replay(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_replay` and return its exit status."""
-    options = _replay_parser().parse_args(arguments)
+    options = replay_parser().parse_args(arguments)
     return _guarded('attitude_replay', lambda: _replay(options))
 
 
 def attitude_tradeoff(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_tradeoff` and return its exit status."""
-    options = _tradeoff_parser().parse_args(arguments)
+    options = tradeoff_parser().parse_args(arguments)
     return _guarded('attitude_tradeoff', lambda: _tradeoff(options))
 
 
@@ -206,7 +206,8 @@ def _check_apart(options: argparse.Namespace, *names: str) -> None:
                                  f'{other}')
 
 
-def _replay_parser() -> argparse.ArgumentParser:
+def replay_parser() -> argparse.ArgumentParser:
+    """Return what reads the arguments of `attitude_replay`."""
     parser = argparse.ArgumentParser(
         prog='attitude_replay', description='Turn recorded torques into recorded motion.')
     parser.add_argument('input', metavar='INPUT', nargs='+',
@@ -240,14 +241,15 @@ def _replay_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _tradeoff_parser() -> argparse.ArgumentParser:
+def tradeoff_parser() -> argparse.ArgumentParser:
+    """Return what reads the arguments of `attitude_tradeoff`."""
     parser = argparse.ArgumentParser(
         prog='attitude_tradeoff',
         description='Measure what every solver costs, and how far off it is, on your own motion.')
     parser.add_argument('--scene', required=True, metavar='FILE',
                         help='ROS 2 parameter file with inertia and start, as for attitude_node')
-    parser.add_argument('--recording', metavar='IN', help='MCAP file with WrenchStamped messages; '
-                        'otherwise 50 turns without torque')
+    parser.add_argument('--recording', metavar='IN', help='recording of torques, as for '
+                        'attitude_replay; otherwise 50 turns without torque')
     parser.add_argument('--target', type=_angle, default=1e-6, metavar='RAD',
                         help='attitude error that is allowed (default: 1e-6)')
     parser.add_argument('--json', metavar='OUT', help='write all figures, with their units')

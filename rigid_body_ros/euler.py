@@ -106,8 +106,8 @@ def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
     Half-sum and half-difference of the outer angles come from one arctangent each, without
     thresholds (Bernardes and Viollet, "Quaternion to Euler angles conversion", PLoS ONE 2022;
-    for 'ZXZ': theta = 2 atan2(|x, y|, |w, z|), (phi + psi) / 2 = atan2(z, w), (phi - psi) / 2 =
-    atan2(y, x)). Where only one of the two is determined, it is kept exact and split evenly.
+    for 'ZXZ': `theta = 2 atan2(|x, y|, |w, z|)`, (phi + psi) / 2 = atan2(z, w), (phi - psi) / 2
+    = atan2(y, x)). Where only one of the two is determined, it is kept exact and split evenly.
     The rounded first and third turn have nearly one axis near a pole, where their errors would
     add up: so the third takes back as much of the first one's as lies along its own axis.
 

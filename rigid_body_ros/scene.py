@@ -232,7 +232,7 @@ def checked(parameter: Parameter, given: Any) -> Any:
         raise InputError(f'{name}: expected one of {", ".join(parameter.choices)}, '
                          f'found {value!r}')
     if parameter.range and not parameter.range[0] <= value <= parameter.range[1]:
-        raise InputError(f'{name}: expected {_limits(*parameter.range)}{unit}, found {value}')
+        raise InputError(f'{name}: expected {limits(*parameter.range)}{unit}, found {value}')
     return value
 
 
@@ -258,7 +258,8 @@ def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
     return entries
 
 
-def _limits(low: float, high: float) -> str:
+def limits(low: float, high: float) -> str:
+    """Return the range of a parameter in words."""
     if high < _BIG:
         return f'{low:g} to {high:g}'
     return 'a finite number' + {-_BIG: '', 0.0: ' from 0 on', _TINY: ' greater than 0'}[low]

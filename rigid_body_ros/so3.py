@@ -43,7 +43,7 @@ def conjugate(q: ArrayLike) -> Floats:
 
 
 def normalize(q: ArrayLike) -> Floats:
-    """Return q / |q|, shape (..., 4); q must not be zero."""
+    """Return `q / |q|`, shape (..., 4); q must not be zero."""
     q = np.asarray(q, float)
     scaled = q / np.max(np.abs(q), axis=-1, keepdims=True)  # squares of 1e-200 would vanish
     return scaled / np.linalg.norm(scaled, axis=-1, keepdims=True)
@@ -140,7 +140,7 @@ def angle_between(p: ArrayLike, q: ArrayLike) -> Floats:
     """
     Return the angle, rad in [0, pi], of the rotation between two attitudes, shape (...).
 
-    Taken from the chord |p - q| where that is short: near zero a scalar product would resolve
+    Taken from the chord `|p - q|` where that is short: near zero a scalar product would resolve
     no angle below 3e-8 rad, and a quaternion product none below 1e-16.
     """
     p, q = np.asarray(p, float), np.asarray(q, float)

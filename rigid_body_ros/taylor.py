@@ -14,7 +14,7 @@ Time is counted in steps: u = w h is the angular velocity in radians a step. The
 series of the rotation since the beginning of the step, which starts at 1 whatever q is. Only
 increments are summed, and added to the state with the rounding error carried along.
 
-Where samples are close, a step needs few terms, and a loop costs more than they do: `_short`
+Where samples are close, a step needs few terms, and a loop costs more than they do: `short_step`
 has the terms written out.
 """
 

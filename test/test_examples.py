@@ -17,6 +17,7 @@ import spinning_top
 from rigid_body_ros import RigidBody, State, cli, messages, propagate, recording, scene
 from rigid_body_ros.replay import replay
 
+pytestmark = pytest.mark.slow
 NUMBER = r'(?<!\w)[-+]?\d+\.?\d*(?:e[-+]?\d+)?'
 TUMBLER = (RECORDINGS / 'tumbler.mcap', CONFIG / 'tumbler.yaml')
 PULSES, COAST = (tuple(RECORDINGS / f'{name}.{ending}' for ending in ('mcap', 'yaml'))

@@ -249,7 +249,7 @@ def _checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], boo
         if not start_ns <= time_ns < NEVER_NS:
             raise ValueError(f'at: expected times from the start, {start_ns} ns, on, '
                              f'found {time_ns} ns')
-    return times, ascends, last_ns
+    return times, ascends, int(last_ns)  # a numpy integer where numba is absent
 
 
 def _check_solver(options: Options, log: TorqueLog) -> None:

@@ -1,0 +1,208 @@
+"""
+Print docs/nodes.md: the node, its topics and parameters, and the options of the commands.
+
+    python docs/nodes.py > docs/nodes.md
+
+Parameters and options are those that the code declares; a test holds the topics against a node
+that runs.
+"""
+
+import argparse
+from typing import NamedTuple
+
+from rigid_body_ros import cli, scene
+
+WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
+VECTOR3 = 'geometry_msgs/msg/Vector3Stamped'
+STATE, LOG = 'reliable, keep last 10', 'reliable, transient local, keep last 10 000'
+
+
+class Topic(NamedTuple):
+    """A topic of the node, its quality of service, and what it says."""
+
+    name: str
+    type: str
+    qos: str
+    meaning: str
+
+
+SUBSCRIBED = [
+    Topic('torque', WRENCH, 'best effort, keep last 1000; in lockstep reliable',
+          'Torque about the centre of mass, N m, from its stamp on. `header.frame_id` empty or '
+          'the body frame: body axes; the space frame: space axes; any other is refused. Stamp 0: '
+          'on arrival. A force is ignored, and said once.'),
+    Topic('initial_state', ODOMETRY, STATE,
+          'Attitude and body rates that hold at its stamp: a new epoch. Position and velocity are '
+          'not looked at.'),
+]
+PUBLISHED = [
+    Topic('attitude', 'geometry_msgs/msg/QuaternionStamped', STATE,
+          'x y z w, body to space; in the space frame.'),
+    Topic('euler_angles', VECTOR3, STATE,
+          'rad; x, y, z are the three angles in the order of `euler_sequence`; in the space '
+          'frame.'),
+    Topic('angular_velocity', VECTOR3, STATE, 'rad/s, body axes; in the body frame.'),
+    Topic('imu/data', 'sensor_msgs/msg/Imu', STATE,
+          'Attitude and angular velocity with one stamp; no acceleration '
+          '(`linear_acceleration_covariance[0]` is -1); in the body frame.'),
+    Topic('odometry', ODOMETRY, STATE,
+          'The same at position zero, for rviz and controllers; space frame to body frame.'),
+    Topic('~/accepted_torque', WRENCH, LOG,
+          'Every torque taken, at the stamp it took effect: with the scene, the log of the run. '
+          'One of zero without stamp and frame says that a new epoch begins.'),
+    Topic('~/committed', ODOMETRY, LOG,
+          'The state at each of those stamps once it is older than `history`, all of them at the '
+          'end; the start of every epoch first.'),
+    Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', STATE,
+          'Once a second: every torque received, applied, waiting, or refused, by cause; who is '
+          'not connected, and why.'),
+]
+ON_REQUEST = [
+    Topic('/tf', 'tf2_msgs/msg/TFMessage', STATE,
+          'Space frame to body frame, where `publish_tf` is true (needs tf2_msgs).'),
+    Topic('/clock', 'rosgraph_msgs/msg/Clock', STATE,
+          'Where `publish_clock` is true, in lockstep: the time of each answer.'),
+]
+PAGE = """\
+<!-- printed by docs/nodes.py: change that -->
+# Node, commands, parameters
+
+## attitude_node
+
+```
+ros2 run rigid_body_ros attitude_node --ros-args --params-file SCENE
+```
+
+Names without a slash are relative: a namespace goes before them, and `-r torque:=/wrench` connects
+them to others. Quality of service can be overridden (`qos_overrides./torque.subscription.depth`).
+
+### Subscribes
+
+{subscribed}
+
+### Publishes
+
+{published}
+
+All outputs of one instant carry that instant as their stamp. Nothing that is not finite is ever
+published.
+
+### On request
+
+{on_request}
+
+### Service
+
+`~/reset` (std_srvs/srv/Trigger): back to the start of the scene, a new epoch.
+
+### What becomes of a torque
+
+A torque fixes the state at its stamp, under the torque before it. What is published between stamps
+is a prediction that nothing later is built on. So a torque may be late, by less than `history`,
+and they may come in any order: the committed states are the same bits, and a replay of
+`~/accepted_torque` gives them again. Of equal stamps the one that arrives later counts. A message
+that is not finite, in an unknown frame, too old, or stamped impossibly is refused whole, counted,
+and reported at most every 5 s.
+
+In `realtime` the clock asks for the motion at `publish_rate`. In `lockstep` each torque stamped t
+is answered at once with the state at t + `step`; the start state is offered at 10 Hz until the
+first torque comes, and a repeated stamp gets its answer again.
+
+## Parameters
+
+One file serves the node, `attitude_replay` and `attitude_tradeoff` (`--scene`). An integer is
+taken where a number is meant; a key that is not known is refused. In a running node all are
+read-only but `publish_rate`. `ros2 param describe` says the same as this table, and
+`ros2 param dump` writes a file that is a scene.
+
+{parameters}
+
+The moments have to be given, or a `robot_description`. The inertia is checked as one tensor:
+positive definite, no principal moment greater than the sum of the other two.
+
+## attitude_replay
+
+```
+attitude_replay INPUT [INPUT ...] --scene FILE (-o OUTPUT | --verify MOTION)
+```
+
+{replay}
+
+[Recordings](recordings.md) has more of what goes in and comes out.
+
+## attitude_tradeoff
+
+```
+attitude_tradeoff --scene FILE
+```
+
+{tradeoff}
+
+[What does an error cost?](tradeoff.md) tells what it finds, and how.
+
+## Exit status
+
+0; 2 after a mistake in what was given, with one line that names it; 128 + n where signal n ended
+a command.
+"""
+
+
+def main():
+    """Print the page."""
+    print(PAGE.format(
+        subscribed=topics(SUBSCRIBED), published=topics(PUBLISHED), on_request=topics(ON_REQUEST),
+        parameters=table(('parameter', 'unit', 'default', 'values', 'meaning'), [
+            (f'`{parameter.name}`', parameter.unit, default(parameter), values(parameter),
+             parameter.description) for parameter in scene.PARAMETERS.values()]),
+        replay=options(cli.replay_parser()), tradeoff=options(cli.tradeoff_parser())), end='')
+
+
+def topics(listed):
+    """Return topics as a table."""
+    return table(('topic', 'type', 'quality of service', 'meaning'), [
+        (f'`{topic.name}`', topic.type.replace('/msg/', '/'), topic.qos, topic.meaning)
+        for topic in listed])
+
+
+def options(parser):
+    """Return the arguments of a command as a table."""
+    return table(('argument', 'meaning'), [
+        (argument(action), action.help) for action in parser._actions if action.dest != 'help'])
+
+
+def argument(action):
+    """Return the names of an argument, and what it takes."""
+    names = ', '.join(f'`{name}`' for name in action.option_strings)
+    takes = action.metavar or '|'.join(action.choices or ()) or action.dest.upper()
+    more = ' ...' if action.nargs == argparse.ONE_OR_MORE else ''
+    return f'{names} `{takes}`{more}'.strip()
+
+
+def default(parameter):
+    """Return the default of a parameter as YAML has it."""
+    if parameter.default is None:
+        return 'none'
+    if isinstance(parameter.default, bool):
+        return str(parameter.default).lower()
+    return f'{parameter.default:g}' if isinstance(parameter.default, float) \
+        else str(parameter.default) or 'empty'
+
+
+def values(parameter):
+    """Return what values a parameter takes."""
+    if parameter.choices:
+        return ', '.join(parameter.choices)
+    if not parameter.range:
+        return {bool: 'true, false', str: 'text'}[parameter.type]
+    return scene.limits(*parameter.range)
+
+
+def table(head, rows):
+    """Return a table in Markdown."""
+    lines = [head, ['---'] * len(head), *rows]
+    return '\n'.join('| ' + ' | '.join(cell.replace('|', '\\|') for cell in line) + ' |'
+                     for line in lines)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,68 @@
+"""The topics that docs/nodes.md lists are those of a node that runs."""
+
+import time
+
+import pytest
+
+pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
+
+from live import TUMBLER
+from live_session import LiveSession
+import nodes
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
+pytestmark = pytest.mark.ros
+NODE = 'attitude_node'
+#: ROS's own topics of a node.
+ROS = {'/parameter_events', '/rosout', '/clock'}
+#: s; a graph is discovered piece by piece.
+PATIENCE = 30
+
+
+def by_full_name(topics):
+    return {f'/{topic.name}'.replace('/~', f'/{NODE}').replace('//', '/'): topic
+            for topic in topics}
+
+
+def found(live, count, names_and_types, infos):
+    """Return types and profile of the node's topics, once there are so many."""
+    until = time.monotonic() + PATIENCE
+    while True:
+        live.spin(0.1)
+        topics = {}
+        if (NODE, '/') in live.node.get_node_names_and_namespaces():
+            for name, types in names_and_types(NODE, '/'):
+                profiles = [info.qos_profile for info in infos(name) if info.node_name == NODE]
+                if name not in ROS and profiles:
+                    topics[name] = types, profiles[0]
+        if len(topics) >= count or time.monotonic() > until:
+            return topics
+
+
+def promises(topic, profile):
+    """Tell whether a page's words are those of a profile; DDS does not tell the history."""
+    words = topic.qos.partition(', keep')[0]
+    reliable = profile.reliability == ReliabilityPolicy.RELIABLE
+    kept = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    return ('reliable' in words, 'transient local' in words) == (reliable, kept)
+
+
+@pytest.mark.parametrize('mode', ['realtime', 'lockstep'])
+def test_every_topic_of_the_page_is_there_and_no_other(domain, mode):
+    published, subscribed = by_full_name(nodes.PUBLISHED), by_full_name(nodes.SUBSCRIBED)
+    with LiveSession(TUMBLER, domain, '-p', f'mode:={mode}') as live:
+        node = live.node
+        writers = found(live, len(published), node.get_publisher_names_and_types_by_node,
+                        node.get_publishers_info_by_topic)
+        readers = found(live, len(subscribed), node.get_subscriber_names_and_types_by_node,
+                        node.get_subscriptions_info_by_topic)
+        services = dict(node.get_service_names_and_types_by_node(NODE, '/'))
+    for page, topics in ((published, writers), (subscribed, readers)):
+        assert {name: types for name, (types, _) in topics.items()} \
+            == {name: [topic.type] for name, topic in page.items()}
+    _, torque = readers.pop('/torque')  # the one that depends on the mode
+    assert (torque.reliability == ReliabilityPolicy.RELIABLE) == (mode == 'lockstep')
+    for page, topics in ((published, writers), (subscribed, readers)):
+        assert [name for name, (_, profile) in topics.items()
+                if not promises(page[name], profile)] == []
+    assert services[f'/{NODE}/reset'] == ['std_srvs/srv/Trigger']
