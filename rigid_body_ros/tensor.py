@@ -8,7 +8,6 @@ of its moments: (J w) x w of a rod is a difference of terms a million times its 
 from __future__ import annotations
 
 from decimal import Decimal, localcontext
-from fractions import Fraction
 
 import numpy as np
 
@@ -17,6 +16,8 @@ from rigid_body_ros.so3 import Floats
 #: Digits of the principal axes: twice those of a double, and as many again for cancellation.
 _DIGITS = 64
 _SWEEPS = 20
+#: Of the smaller moment: a rotation that takes out less changes no digit that counts.
+_NEGLIGIBLE = Decimal(10).scaleb(9 - _DIGITS)
 
 
 def euler_coefficients(tensor: Floats) -> Floats:
@@ -43,8 +44,12 @@ def euler_coefficients(tensor: Floats) -> Floats:
         An entry is too large for a double.
 
     """
-    j = [[Fraction(float(entry)) for entry in row] for row in tensor]
-    gyroscopic: list[list[Fraction | int]] = [
+    # Doubles are integers over a power of two. Integers need no fractions to be brought to lowest
+    # terms, which takes ten times as long, and Python rounds their quotients correctly.
+    ratios = [[float(entry).as_integer_ratio() for entry in row] for row in tensor]
+    scale = max(below for row in ratios for _, below in row)
+    j = [[above * (scale // below) for above, below in row] for row in ratios]
+    gyroscopic = [
         [j[1][1] - j[2][2], j[0][1], -j[0][2], 0, -j[1][2], j[1][2]],
         [-j[0][1], j[2][2] - j[0][0], j[1][2], j[0][2], 0, -j[0][2]],
         [j[0][2], -j[1][2], j[0][0] - j[1][1], -j[0][1], j[0][1], 0],
@@ -52,14 +57,19 @@ def euler_coefficients(tensor: Floats) -> Floats:
     cofactors = [[j[(a + 1) % 3][(b + 1) % 3] * j[(a + 2) % 3][(b + 2) % 3]
                   - j[(a + 1) % 3][(b + 2) % 3] * j[(a + 2) % 3][(b + 1) % 3]
                   for b in range(3)] for a in range(3)]
-    determinant = sum((j[0][b] * cofactors[0][b] for b in range(3)), Fraction(0))
-    solved = [[sum((row[k] * gyroscopic[k][column] for k in range(3)), Fraction(0))
-               for column in range(6)] + row
+    determinant = sum(j[0][b] * cofactors[0][b] for b in range(3))
+    solved = [[sum(row[k] * gyroscopic[k][column] for k in range(3)) for column in range(6)]
+              + [entry * scale for entry in row]
               for row in cofactors]  # the tensor is symmetric, and so are its cofactors
-    exact = [[entry / determinant for entry in row] for row in solved]
-    high = [[float(entry) for entry in row] for row in exact]
-    return np.array([high, [[float(entry - Fraction(value)) for entry, value in zip(*rows)]
-                            for rows in zip(exact, high)]])
+    high = [[entry / determinant for entry in row] for row in solved]
+    return np.array([high, [[_rest(entry, determinant, value) for entry, value in zip(*rows)]
+                            for rows in zip(solved, high)]])
+
+
+def _rest(dividend: int, divisor: int, quotient: float) -> float:
+    # What rounding took from a quotient.
+    above, below = quotient.as_integer_ratio()
+    return (dividend * below - above * divisor) / (divisor * below)
 
 
 def principal(tensor: Floats) -> tuple[Floats, Floats]:
@@ -119,7 +129,7 @@ def packed(coefficients: Floats, moments: Floats, axes: Floats) -> Floats:
 def _rotate(matrix: list[list[Decimal]], axes: list[list[Decimal]], p: int, q: int) -> None:
     # Golub and Van Loan, Matrix Computations, section 8.5.2.
     least = min(abs(matrix[p][p]), abs(matrix[q][q]))
-    if abs(matrix[p][q]) <= Decimal(10) ** (10 - _DIGITS) * least:
+    if abs(matrix[p][q]) <= _NEGLIGIBLE * least:
         return
     half = (matrix[q][q] - matrix[p][p]) / (2 * matrix[p][q])
     tangent = (1 if half >= 0 else -1) / (abs(half) + (half * half + 1).sqrt())
