@@ -25,8 +25,7 @@ import time
 
 import numpy as np
 from pairs import compare, quick
-from problems import PROBLEMS, error
-
+from problems import error, PROBLEMS
 from rigid_body_ros import propagate
 
 HERE = Path(__file__).resolve().parent

@@ -11,13 +11,12 @@ from pathlib import Path
 import sys
 
 import numpy as np
-
-from rigid_body_ros import RigidBody, State, TorqueLog, propagate
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.propagate import SOLVERS
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / 'test'))
-from known import KNOWN, ODE_LOSSES, lost_momentum
-from scenes import FIXED_STEP, SCENES
+from known import KNOWN, lost_momentum, ODE_LOSSES  # noqa: E402, I100
+from scenes import FIXED_STEP, SCENES  # noqa: E402
 
 MARK = '<!-- what follows is printed by benchmarks/extremes.py -->'
 #: Of a solver of fixed step; more take too long for a table.

@@ -15,8 +15,7 @@ import sys
 import time
 
 import numpy as np
-
-from rigid_body_ros import RigidBody, State, TorqueLog, propagate
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 
 BODY = RigidBody.from_moments(1.0, 2.0, 3.0)
 START = State(0, angular_velocity=(0.3, -0.2, 0.5))

@@ -23,7 +23,6 @@ import numpy as np
 import psutil
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-
 from rigid_body_ros import messages
 
 HERE = Path(__file__).resolve().parent

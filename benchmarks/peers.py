@@ -17,12 +17,12 @@ from pathlib import Path
 import time
 from typing import Any, NamedTuple
 
-from engine import Ours, first_run, machine
+from engine import first_run, machine, Ours
 from extremes import header, row
 from matplotlib.figure import Figure
 import numpy as np
 from pairs import compare, quick
-from problems import PROBLEMS, error
+from problems import error, PROBLEMS
 from tqdm import tqdm
 
 MARK = '<!-- what follows is printed by benchmarks/peers.py -->'

@@ -9,7 +9,6 @@ import sys
 
 from mpmath import mp
 import numpy as np
-
 from rigid_body_ros import RigidBody, State, TorqueLog
 
 HERE = Path(__file__).resolve().parent

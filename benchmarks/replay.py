@@ -21,7 +21,6 @@ from tempfile import TemporaryDirectory
 import time
 
 import numpy as np
-
 from rigid_body_ros import messages, recording, scene
 from rigid_body_ros.replay import replay
 

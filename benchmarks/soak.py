@@ -21,7 +21,6 @@ from typing import NamedTuple
 
 import numpy as np
 import psutil
-
 from rigid_body_ros import messages
 from rigid_body_ros.node.health import APPLIED, FORCE, LOST, RECEIVED, REPLACED
 from rigid_body_ros.node.inputs import (
@@ -37,8 +36,8 @@ from rigid_body_ros.scene import InputError
 
 sys.path.extend(str(Path(__file__).resolve().parent.parent / name)
                 for name in ('examples', 'test'))
-from live import TUMBLER, decoded, replayed
-from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE, LiveSession
+from live import decoded, replayed, TUMBLER  # noqa: E402, I100
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE  # noqa: E402
 
 RATE, STEP_NS, SEED = 1000, 10 ** 6, 17
 #: Nothing is lost while the machine does something else for a minute.

@@ -11,7 +11,7 @@ import time
 
 began = time.perf_counter()
 
-from rigid_body_ros import RigidBody, State, TorqueLog, propagate  # noqa: E402
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog  # noqa: E402
 
 body = RigidBody.from_moments(1.0, 2.0, 3.0)
 start = State(0, angular_velocity=(0.3, -0.2, 0.5))

@@ -15,7 +15,7 @@ import sys
 from extremes import header, number, row
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / 'test'))
-from published import ROWS, DataNotHereError
+from published import DataNotHereError, ROWS  # noqa: E402
 
 MARK = '<!-- what follows is printed by benchmarks/validation.py -->'
 END = '<!-- end of what is printed by benchmarks/validation.py -->'

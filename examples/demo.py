@@ -7,11 +7,10 @@ from pathlib import Path
 import sys
 import time
 
-from live_session import ACCEPTED, COMMITTED, RELIABLE, LiveSession
+from live_session import ACCEPTED, COMMITTED, LiveSession, RELIABLE
 import numpy as np
-from tqdm import tqdm
-
 from rigid_body_ros import cli, messages, recording, so3
+from tqdm import tqdm
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG, RECORDINGS, OUTPUT = ROOT / 'config', ROOT / 'test' / 'recordings', ROOT / 'demo'

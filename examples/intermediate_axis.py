@@ -14,9 +14,8 @@ import argparse
 
 from matplotlib.figure import Figure
 import numpy as np
+from rigid_body_ros import propagate, RigidBody, State
 from scipy.special import ellipkm1
-
-from rigid_body_ros import RigidBody, State, propagate
 
 #: rad/s, about the axes of the smallest, intermediate and largest moment.
 RATES = (0.0, 6.0, 0.05)

@@ -22,11 +22,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rigid_body_ros import messages, recording
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 import yaml
-
-from rigid_body_ros import messages, recording
 
 NODE = 'attitude_node'
 ACCEPTED, COMMITTED, ATTITUDE = f'/{NODE}/accepted_torque', f'/{NODE}/committed', '/attitude'

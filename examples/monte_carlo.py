@@ -14,8 +14,7 @@ from pathlib import Path
 import time
 
 import numpy as np
-
-from rigid_body_ros import RigidBody, propagate, replay, scene, so3
+from rigid_body_ros import propagate, replay, RigidBody, scene, so3
 
 ROOT = Path(__file__).resolve().parent.parent
 BODIES, SPREAD = 1000, 0.05

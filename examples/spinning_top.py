@@ -12,8 +12,7 @@ The very first run takes some seconds more: it compiles the package's kernels.
 """
 
 import numpy as np
-
-from rigid_body_ros import RigidBody, State, propagate, so3
+from rigid_body_ros import propagate, RigidBody, so3, State
 
 #: Body axes.
 AXIS, ACROSS = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)

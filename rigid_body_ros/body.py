@@ -14,7 +14,6 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-
 from rigid_body_ros import so3, urdf
 from rigid_body_ros import tensor as constants
 from rigid_body_ros.so3 import Floats

@@ -11,9 +11,9 @@ import signal
 import sys
 import threading
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import Any, TYPE_CHECKING
 
-from rigid_body_ros.scene import InputError, Scene, load
+from rigid_body_ros.scene import InputError, load, Scene
 
 if TYPE_CHECKING:
     from rigid_body_ros.tradeoff import Tradeoff

@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
 from rigid_body_ros._jit import njit
 from rigid_body_ros.so3 import Floats
 

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
 from rigid_body_ros import _jit
 
 if _jit.COMPILES:

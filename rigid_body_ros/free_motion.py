@@ -37,17 +37,17 @@ from rigid_body_ros import elliptic, four
 from rigid_body_ros._jit import part
 from rigid_body_ros.double_double import Double
 from rigid_body_ros.vector import (
-    Frame,
-    Quaternion,
-    State,
-    Vector,
     add,
     add_scaled,
     combine,
     dot,
+    Frame,
     multiply,
     of,
+    Quaternion,
     scale,
+    State,
+    Vector,
 )
 
 #: What rounding does to numbers of 32 digits, and how much of m_c, which near the separatrix is a

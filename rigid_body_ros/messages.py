@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
 from rigid_body_ros.body import State
 from rigid_body_ros.so3 import Floats
 

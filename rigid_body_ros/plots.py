@@ -10,7 +10,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 import numpy as np
-
 from rigid_body_ros.propagate import Trajectory
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import TorqueLog

@@ -15,12 +15,11 @@ from pathlib import Path
 import re
 from typing import Any, NamedTuple
 
-import yaml
-
 from rigid_body_ros import euler
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.propagate import LONGEST, SOLVERS, TOLERANCES, Options
+from rigid_body_ros.propagate import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.torque import INTERPOLATIONS
+import yaml
 
 NODE = 'attitude_node'
 

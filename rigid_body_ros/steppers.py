@@ -12,20 +12,20 @@ import math
 from rigid_body_ros import four
 from rigid_body_ros._jit import part
 from rigid_body_ros.vector import (
-    Coefficients,
-    Frame,
-    Polynomial,
-    Quaternion,
-    State,
-    Vector,
     add,
     add_scaled,
+    Coefficients,
     combine,
     dot,
+    Frame,
     multiply,
     of,
+    Polynomial,
+    Quaternion,
     scale,
+    State,
     to_body,
+    Vector,
 )
 
 

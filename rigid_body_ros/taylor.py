@@ -26,21 +26,21 @@ from rigid_body_ros import four
 from rigid_body_ros._jit import fma, inlined, part
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.vector import (
-    Coefficients,
-    Polynomial,
-    Quaternion,
-    State,
-    Vector,
     accumulate,
     add,
     add_scaled,
+    Coefficients,
     combine,
     cross,
     dot,
     multiply,
+    Polynomial,
+    Quaternion,
     scale,
+    State,
     to_body,
     total,
+    Vector,
 )
 
 #: Products y z, z x, x y and x x, y y, z z of a vector, or their Cauchy sums.

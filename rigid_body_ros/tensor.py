@@ -10,7 +10,6 @@ from __future__ import annotations
 from decimal import Decimal, localcontext
 
 import numpy as np
-
 from rigid_body_ros.so3 import Floats
 
 #: Digits of the principal axes: twice those of a double, and as many again for cancellation.

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
 from rigid_body_ros._jit import njit
 from rigid_body_ros.so3 import Floats
 

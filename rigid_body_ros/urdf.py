@@ -13,7 +13,6 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
-
 from rigid_body_ros import euler, so3
 from rigid_body_ros.so3 import Floats
 

@@ -15,15 +15,14 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from mcap_ros2.writer import Writer as Ros2Writer
 import numpy as np
+from rigid_body_ros import messages, recording
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability
 from rosbags.interfaces import QosTime as Time
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Rosbag2Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import get_typestore, Stores
 import yaml
-
-from rigid_body_ros import messages, recording
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 WRENCH, BARE = 'geometry_msgs/msg/WrenchStamped', 'geometry_msgs/msg/Wrench'

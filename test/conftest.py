@@ -10,9 +10,8 @@ import tempfile
 from hypothesis import settings
 import numpy as np
 import pytest
-
 import rigid_body_ros
-from rigid_body_ros import State, messages, propagate, recording, scene, so3
+from rigid_body_ros import messages, propagate, recording, scene, so3, State
 
 settings.register_profile('reproducible', derandomize=True, deadline=None, print_blob=True)
 settings.load_profile('reproducible')

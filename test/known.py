@@ -7,9 +7,8 @@ Each function returns the right value and the one found, for `test_extremes.py` 
 
 from mpmath import mp
 import numpy as np
+from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
 from scenes import FIXED_STEP, SECOND
-
-from rigid_body_ros import RigidBody, State, TorqueLog, propagate, so3
 
 PERIODS = 1_000_000
 #: 4 K / lambda, s, to 18 digits: van Zon and Schofield's program, and this project's 34 digits.

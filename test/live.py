@@ -6,7 +6,6 @@ from conftest import CONFIG, SECOND
 from live_session import ACCEPTED, COMMITTED
 import numpy as np
 from rclpy.parameter_client import AsyncParameterClient
-
 from rigid_body_ros import messages, propagate, recording, scene
 
 TUMBLER = CONFIG / 'tumbler.yaml'

@@ -11,20 +11,19 @@ import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from conftest import EPOCH_NS, SECOND, Reference, chord
-from known import TOPS, landau_zener, period
+from conftest import chord, EPOCH_NS, Reference, SECOND
+from known import landau_zener, period, TOPS
 import numpy as np
-
 from rigid_body_ros import (
-    RigidBody,
-    State,
-    TorqueLog,
     euler,
     messages,
     propagate,
     recording,
+    RigidBody,
     scene,
     so3,
+    State,
+    TorqueLog,
 )
 from rigid_body_ros.replay import replay
 

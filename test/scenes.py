@@ -9,10 +9,9 @@ from functools import cached_property
 
 from mpmath import mp
 import numpy as np
-import truth
-
-from rigid_body_ros import RigidBody, State, TorqueLog, propagate, so3
+from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
 from rigid_body_ros.propagate import SOLVERS
+import truth
 
 SECOND = 10 ** 9
 FIXED_STEP = ('rk4', 'strang', 'explicit_euler')

@@ -9,7 +9,7 @@ import signal
 import tracemalloc
 
 import bags
-from bags import FORMS, LOGGED, PUBLISHED, UNINDEXED, Torques, mcap, records, traffic
+from bags import FORMS, LOGGED, mcap, PUBLISHED, records, Torques, traffic, UNINDEXED
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import lz4.frame
@@ -20,10 +20,9 @@ from mcap.records import Chunk
 from mcap.writer import CompressionType
 import numpy as np
 import pytest
-import zstandard
-
 from rigid_body_ros import recording
 from rigid_body_ros.scene import InputError
+import zstandard
 
 ALONE = bags.torques()
 MIXED = bags.torques(frames=['base_link', 'world'], seed=2)

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-
-from rigid_body_ros import RigidBody, State, so3
+from rigid_body_ros import RigidBody, so3, State
 from rigid_body_ros.body import rate_in_space
 
 RANDOM = np.random.default_rng(11)

@@ -3,13 +3,12 @@
 from conftest import SECOND
 import numpy as np
 import pytest
-
-from rigid_body_ros import State, messages, propagate, scene
+from rigid_body_ros import messages, propagate, scene, State
 
 pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
 
-from live import TUMBLER, decoded, replayed
-from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE, LiveSession
+from live import decoded, replayed, TUMBLER
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 
 pytestmark = pytest.mark.ros
 # So often that every tick of the clock is one of the timer.

@@ -5,10 +5,9 @@ from mpmath import mp, mpf
 import numba
 import numpy as np
 import pytest
-from scipy import special
-
 from rigid_body_ros import double_double as dd
 from rigid_body_ros import elliptic
+from scipy import special
 
 RANDOM = np.random.default_rng(17)
 #: Complementary parameters from far away from the separatrix to where `free_motion` gives up.

@@ -6,9 +6,8 @@ from itertools import product
 from conftest import chord
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-
 from rigid_body_ros import euler, so3
+from scipy.spatial.transform import Rotation
 
 EPS = np.finfo(float).eps
 PROPER = ('XYX', 'XZX', 'YXY', 'YZY', 'ZXZ', 'ZYZ')

@@ -4,18 +4,17 @@ import re
 import subprocess
 import sys
 
-from conftest import CONFIG, RECORDINGS, ROOT, SECOND, chord
+from conftest import chord, CONFIG, RECORDINGS, ROOT, SECOND
 import intermediate_axis
 import matplotlib.image
 import monte_carlo
 from mpmath import mp
 import numpy as np
 import pytest
+from rigid_body_ros import cli, messages, propagate, recording, RigidBody, scene, State
+from rigid_body_ros.replay import replay
 from scipy.spatial.transform import Rotation
 import spinning_top
-
-from rigid_body_ros import RigidBody, State, cli, messages, propagate, recording, scene
-from rigid_body_ros.replay import replay
 
 pytestmark = pytest.mark.slow
 NUMBER = r'(?<!\w)[-+]?\d+\.?\d*(?:e[-+]?\d+)?'

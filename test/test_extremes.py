@@ -2,14 +2,13 @@
 
 import itertools
 
-from conftest import ROOT, SECOND, chord
-from known import KNOWN, escape
+from conftest import chord, ROOT, SECOND
+from known import escape, KNOWN
 import numpy as np
 import pytest
-from scenes import FIXED_STEP, FULL, FULL_RATES, SCENES
-
-from rigid_body_ros import RigidBody, State, TorqueLog, euler, propagate, so3
+from rigid_body_ros import euler, propagate, RigidBody, so3, State, TorqueLog
 from rigid_body_ros.propagate import SOLVERS
+from scenes import FIXED_STEP, FULL, FULL_RATES, SCENES
 
 pytestmark = pytest.mark.slow
 

@@ -6,14 +6,13 @@ import time
 from conftest import SECOND
 import numpy as np
 import pytest
-
-from rigid_body_ros import State, messages
+from rigid_body_ros import messages, State
 
 pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
 
 from geometry_msgs.msg import QuaternionStamped, WrenchStamped
-from live import TUMBLER, call, decoded, replayed
-from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE, LiveSession
+from live import call, decoded, replayed, TUMBLER
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.time import Time

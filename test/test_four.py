@@ -5,7 +5,6 @@ from fractions import Fraction
 import numba
 import numpy as np
 import pytest
-
 from rigid_body_ros import four, so3, vector
 
 A, B, C = np.random.default_rng(4).normal(size=(3, 4))

@@ -5,7 +5,6 @@ import subprocess
 
 from conftest import CONFIG, RECORDINGS
 import pytest
-
 from rigid_body_ros import messages, scene
 from rigid_body_ros.replay import replay
 

@@ -1,12 +1,11 @@
 """Exact torque-free motion against 50 digits, at any time."""
 
-from conftest import EPOCH_NS, SECOND, chord
+from conftest import chord, EPOCH_NS, SECOND
 from mpmath import mp
 import numpy as np
 import pytest
+from rigid_body_ros import propagate, Propagator, RigidBody, so3, State, TorqueLog
 import truth
-
-from rigid_body_ros import Propagator, RigidBody, State, TorqueLog, propagate, so3
 
 ASYMMETRIC = np.diag([1.0, 2.0, 3.0])
 DAY = 86400 * SECOND

@@ -8,8 +8,7 @@ import sys
 from conftest import PACKAGE
 import numpy as np
 import pytest
-
-from rigid_body_ros import RigidBody, State, TorqueLog, propagate, vector
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog, vector
 
 SCRIPT = '''
 import sys

@@ -7,12 +7,11 @@ import xml.etree.ElementTree as ElementTree
 from conftest import CONFIG, RECORDINGS, ROOT
 from mcap.reader import make_reader
 import pytest
+from rigid_body_ros import messages, scene
+from rigid_body_ros.replay import replay
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import get_types_from_msg
 import yaml
-
-from rigid_body_ros import messages, scene
-from rigid_body_ros.replay import replay
 
 #: What is to be plotted: topic, vector in it, unit.
 PLOTS = [('/euler_angles', 'vector', 'rad'), ('/angular_velocity', 'vector', 'rad/s'),

@@ -6,12 +6,11 @@ import sys
 from conftest import ROOT, SECOND
 import numpy as np
 import pytest
-
-from rigid_body_ros import State, TorqueLog, messages, propagate, scene, so3
+from rigid_body_ros import messages, propagate, scene, so3, State, TorqueLog
 
 pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
 
-from live import TUMBLER, decoded, replayed
+from live import decoded, replayed, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock

@@ -10,7 +10,6 @@ import time
 from conftest import CONFIG, EPOCH_NS, RECORDINGS, SECOND
 import numpy as np
 import pytest
-
 from rigid_body_ros import cli, messages, recording
 from rigid_body_ros.scene import InputError
 

@@ -3,10 +3,9 @@
 from conftest import CONFIG, RECORDINGS
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
-
-from rigid_body_ros import RigidBody, State, messages, propagate, recording, scene, so3
+from rigid_body_ros import messages, propagate, recording, RigidBody, scene, so3, State
 from rigid_body_ros.replay import markers, replay
+from rosbags.highlevel import AnyReader
 
 SIDES = np.array([0.2, 0.5, 0.9])
 

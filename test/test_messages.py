@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-from rigid_body_ros import State, messages
+from rigid_body_ros import messages, State
 from rigid_body_ros.messages import TYPES
+from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STAMP_NS = 1_767_225_600_123_456_789

@@ -8,23 +8,22 @@ import sys
 from conftest import RECORDINGS, ROOT, SECOND
 import numpy as np
 import pytest
-
 from rigid_body_ros import (
-    RigidBody,
-    State,
-    TorqueLog,
     euler,
     messages,
     propagate,
     recording,
+    RigidBody,
     scene,
+    State,
+    TorqueLog,
 )
 
 pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
 
 from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
-from live import TUMBLER, call, decoded, replayed, run_clock
-from live_session import ACCEPTED, ATTITUDE, COMMITTED, RELIABLE, LiveSession
+from live import call, decoded, replayed, run_clock, TUMBLER
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter

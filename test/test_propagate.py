@@ -2,15 +2,14 @@
 
 import sys
 
-from conftest import EPOCH_NS, SECOND, Reference, chord
+from conftest import chord, EPOCH_NS, Reference, SECOND
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
-import truth
-
-from rigid_body_ros import Propagator, RigidBody, State, TorqueLog, propagate, so3
+from rigid_body_ros import propagate, Propagator, RigidBody, so3, State, TorqueLog
 from rigid_body_ros.propagate import loop, warm_up
 import rigid_body_ros.torque as torque_module
+import truth
 
 #: As an attribute of the package the name is that of the function.
 MODULE = sys.modules['rigid_body_ros.propagate']

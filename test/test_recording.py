@@ -13,11 +13,10 @@ from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as Ros2Writer
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
-import yaml
-
 from rigid_body_ros import messages, recording
 from rigid_body_ros.scene import InputError
+from rosbags.highlevel import AnyReader
+import yaml
 
 TORQUES = np.random.default_rng(3).normal(size=(50, 3))
 STAMPS = EPOCH_NS + np.arange(50) * SECOND // 100

@@ -1,11 +1,10 @@
 """The engine against motions in 50 digits, and against closed forms."""
 
-from conftest import RECORDINGS, SECOND, Reference, chord
+from conftest import chord, RECORDINGS, Reference, SECOND
 from mpmath import mp
 import numpy as np
 import pytest
-
-from rigid_body_ros import RigidBody, State, TorqueLog, propagate, so3
+from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
 
 NAMES = sorted(path.stem for path in RECORDINGS.glob('*.yaml'))
 #: Scenes that amplify rounding: rad.

@@ -7,15 +7,14 @@ import sys
 import time
 
 import bags
-from conftest import CONFIG, EPOCH_NS, RECORDINGS, SECOND, Reference
+from conftest import CONFIG, EPOCH_NS, RECORDINGS, Reference, SECOND
 import matplotlib.image
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
-
 from rigid_body_ros import cli, messages, propagate, recording, scene
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.check import energy_balance
+from rosbags.highlevel import AnyReader
 
 ISS = (str(RECORDINGS / 'iss.mcap'), '--scene', str(CONFIG / 'iss.yaml'))
 COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.cli import attitude_replay; '

@@ -2,7 +2,6 @@
 
 from conftest import CONFIG
 import pytest
-
 from rigid_body_ros import scene
 from rigid_body_ros.scene import InputError, Scene
 

@@ -3,9 +3,8 @@
 from conftest import EPOCH_NS
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-
 from rigid_body_ros import so3
+from scipy.spatial.transform import Rotation
 
 EPS = np.finfo(float).eps
 RANDOM = np.random.default_rng(7)

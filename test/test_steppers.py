@@ -1,11 +1,10 @@
 """The classical solvers of fixed step: their orders, what they conserve, and steps too long."""
 
-from conftest import SECOND, chord
-from known import ODE_LOSSES, lost_momentum
+from conftest import chord, SECOND
+from known import lost_momentum, ODE_LOSSES
 import numpy as np
 import pytest
-
-from rigid_body_ros import RigidBody, State, TorqueLog, propagate
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
 START = State(0, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9))

@@ -1,10 +1,9 @@
 """The series: as accurate as asked, in one step and over a thousand turns."""
 
-from conftest import SECOND, chord
+from conftest import chord, SECOND
 import numpy as np
 import pytest
-
-from rigid_body_ros import RigidBody, State, TorqueLog, propagate, so3
+from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
 
 RANDOM = np.random.default_rng(31)
 

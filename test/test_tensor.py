@@ -4,7 +4,6 @@ import mpmath
 from mpmath import mp, mpf
 import numpy as np
 import pytest
-
 from rigid_body_ros import so3, tensor
 
 RANDOM = np.random.default_rng(23)

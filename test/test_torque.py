@@ -3,7 +3,6 @@
 from conftest import EPOCH_NS, SECOND
 import numpy as np
 import pytest
-
 from rigid_body_ros import TorqueLog
 from rigid_body_ros.torque import INTERPOLATIONS
 

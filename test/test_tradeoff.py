@@ -10,10 +10,9 @@ from conftest import CONFIG, RECORDINGS, SECOND
 import matplotlib.image
 import numpy as np
 import pytest
+from rigid_body_ros import cli, propagate, RigidBody, so3, State, TorqueLog
+from rigid_body_ros.tradeoff import Error, measure, recommend, report, Run, Setting
 from test_replay import bad_input
-
-from rigid_body_ros import RigidBody, State, TorqueLog, cli, propagate, so3
-from rigid_body_ros.tradeoff import Error, Run, Setting, measure, recommend, report
 
 TUMBLER = ('--scene', str(CONFIG / 'tumbler.yaml'))
 TORQUES = ('--recording', str(RECORDINGS / 'tumbler.mcap'))

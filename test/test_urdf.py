@@ -4,7 +4,6 @@ import re
 
 import numpy as np
 import pytest
-
 from rigid_body_ros import RigidBody
 
 RANDOM = np.random.default_rng(31)

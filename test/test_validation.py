@@ -1,7 +1,7 @@
 """What others computed or observed is found, and the page has what the command prints."""
 
 from conftest import ROOT
-from published import ROWS, DataNotHereError
+from published import DataNotHereError, ROWS
 import pytest
 import validation
 

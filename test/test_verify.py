@@ -5,13 +5,12 @@ import json
 from conftest import CONFIG, RECORDINGS
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
-import yaml
-
 from rigid_body_ros import cli, messages, recording, scene
 from rigid_body_ros.fingerprint import fingerprint
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.verify import verify
+from rosbags.highlevel import AnyReader
+import yaml
 
 TUMBLER, SCENE = RECORDINGS / 'tumbler.mcap', CONFIG / 'tumbler.yaml'
 
@@ -116,6 +115,6 @@ def test_a_recording_says_how_it_was_made(tmp_path):
 
 @pytest.mark.parametrize('kind', messages.TYPES.values(), ids=lambda kind: kind.name)
 def test_types_are_told_apart_as_ros_does(kind):
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import get_typestore, Stores
     store = get_typestore(Stores.ROS2_JAZZY)
     assert kind.hash == store.hash_rihs01(kind.name)

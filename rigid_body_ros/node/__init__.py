@@ -30,17 +30,16 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
-from std_srvs.srv import Trigger
-
 from rigid_body_ros import scene
-from rigid_body_ros.node.health import FORCE, LOST, RECEIVED, Health
+from rigid_body_ros.node.health import FORCE, Health, LOST, RECEIVED
 from rigid_body_ros.node.inputs import Inputs, RefusedError
 from rigid_body_ros.node.lockstep import Lockstep
 from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import Parameters
 from rigid_body_ros.node.realtime import Realtime
 from rigid_body_ros.propagate import warm_up
-from rigid_body_ros.scene import LOCKSTEP, InputError
+from rigid_body_ros.scene import InputError, LOCKSTEP
+from std_srvs.srv import Trigger
 
 #: Best effort hears any publisher; in lockstep a torque that is lost stops everybody.
 _TORQUE_QOS = {scene.REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),

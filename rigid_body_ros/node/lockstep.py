@@ -10,8 +10,6 @@ from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rosgraph_msgs.msg import Clock
-
 from rigid_body_ros import messages
 from rigid_body_ros.body import State
 from rigid_body_ros.node.epoch import Torque
@@ -21,6 +19,7 @@ from rigid_body_ros.node.motion import Motion
 from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import Parameters
 from rigid_body_ros.scene import InputError
+from rosgraph_msgs.msg import Clock
 
 #: s; between offers of the start state, until the first torque.
 _OFFER_EVERY = 0.1

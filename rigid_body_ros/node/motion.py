@@ -9,7 +9,7 @@ import time
 
 from rigid_body_ros.body import State
 from rigid_body_ros.node.epoch import Epoch, Torque
-from rigid_body_ros.node.health import APPLIED, REPLACED, SLOW, UNKNOWN, Health
+from rigid_body_ros.node.health import APPLIED, Health, REPLACED, SLOW, UNKNOWN
 from rigid_body_ros.node.inputs import LATE, NO_STATE, OVERLOAD, RefusedError
 from rigid_body_ros.node.outputs import LOG_DEPTH, Outputs
 from rigid_body_ros.scene import Scene

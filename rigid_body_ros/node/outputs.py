@@ -15,13 +15,12 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from sensor_msgs.msg import Imu
-
 from rigid_body_ros import euler, messages
 from rigid_body_ros.body import State
 from rigid_body_ros.node.epoch import Torque
-from rigid_body_ros.node.health import UNSENT, Health
+from rigid_body_ros.node.health import Health, UNSENT
 from rigid_body_ros.scene import InputError, Scene
+from sensor_msgs.msg import Imu
 
 _STATE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 # The log of a run: all of it counts, for a recorder that comes a moment later too, and the

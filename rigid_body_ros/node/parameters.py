@@ -12,7 +12,6 @@ from rcl_interfaces.msg import (
 )
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-
 from rigid_body_ros import scene
 from rigid_body_ros.body import State
 from rigid_body_ros.scene import InputError, Scene

@@ -7,10 +7,9 @@ from dataclasses import replace
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-
 from rigid_body_ros.body import State
 from rigid_body_ros.node.epoch import Torque
-from rigid_body_ros.node.health import TIME_JUMP, UNKNOWN, Health
+from rigid_body_ros.node.health import Health, TIME_JUMP, UNKNOWN
 from rigid_body_ros.node.inputs import FUTURE, LATE, NO_CLOCK, RefusedError
 from rigid_body_ros.node.motion import Motion
 from rigid_body_ros.node.outputs import Outputs

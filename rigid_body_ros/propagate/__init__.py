@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
 from rigid_body_ros import euler, so3
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.propagate.loop import (
@@ -30,7 +29,7 @@ from rigid_body_ros.propagate.loop import (
     working_states,
 )
 from rigid_body_ros.propagate.models import Answers, Model
-from rigid_body_ros.propagate.options import LONGEST, SOLVERS, TOLERANCES, Options
+from rigid_body_ros.propagate.options import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.propagate.propagator import Propagator
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import TorqueLog

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
 from rigid_body_ros import body as bodies
 from rigid_body_ros import four, free_motion, steppers, taylor, vector
 from rigid_body_ros._jit import inlined, njit, part

@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.propagate import loop
 from rigid_body_ros.propagate.loop import Origin
-from rigid_body_ros.propagate.options import Options, duration_ns
+from rigid_body_ros.propagate.options import duration_ns, Options
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import FRAMES
 

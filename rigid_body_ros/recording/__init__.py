@@ -15,11 +15,11 @@ from typing import Any
 from rigid_body_ros import messages
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.folder import FolderWriter
-from rigid_body_ros.recording.source import TIME_SOURCES, Messages, Source, joined
+from rigid_body_ros.recording.source import joined, Messages, Source, TIME_SOURCES
 from rigid_body_ros.recording.torques import (
+    new_logs,
     NotInOrderError,
     Piece,
-    new_logs,
     torque_log,
     torque_pieces,
 )

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
 from rigid_body_ros._jit import inlined, njit
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.so3 import Floats

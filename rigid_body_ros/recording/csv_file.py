@@ -9,7 +9,6 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-
 from rigid_body_ros import messages
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Raw

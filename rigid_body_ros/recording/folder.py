@@ -9,10 +9,9 @@ from types import TracebackType
 from typing import Any
 import weakref
 
-import yaml
-
 from rigid_body_ros.recording.writer import Writer
 from rigid_body_ros.scene import InputError
+import yaml
 
 #: Of metadata.yaml: the newest that Humble reads.
 _VERSION = 5

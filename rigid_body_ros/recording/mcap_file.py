@@ -15,16 +15,15 @@ import lz4.frame
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema, Statistics
-from mcap.stream_reader import MAGIC_SIZE, StreamReader, read_magic
+from mcap.stream_reader import MAGIC_SIZE, read_magic, StreamReader
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 import numpy as np
-import zstandard
-
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Ints, Raw
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.scene import InputError
+import zstandard
 
 #: Bytes of messages outside of chunks that make a block.
 _BLOCK = 2 ** 20

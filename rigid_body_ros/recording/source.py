@@ -11,9 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-import yaml
-import zstandard
-
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Raw
@@ -24,6 +21,8 @@ from rigid_body_ros.recording.sqlite_file import SqliteFile
 from rigid_body_ros.recording.writer import Writer
 from rigid_body_ros.scene import InputError
 from rigid_body_ros.so3 import Floats
+import yaml
+import zstandard
 
 #: Where the time of a message is taken from.
 TIME_SOURCES = ('header', 'log', 'publish')

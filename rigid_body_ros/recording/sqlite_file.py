@@ -8,7 +8,6 @@ from pathlib import Path
 import sqlite3
 
 import numpy as np
-
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.file import File

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
 from rigid_body_ros import messages
 from rigid_body_ros.recording.source import Messages
 from rigid_body_ros.scene import InputError

@@ -15,7 +15,6 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 import numpy as np
 from numpy.typing import NDArray
-
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.container import Container, Indexed

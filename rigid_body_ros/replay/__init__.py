@@ -16,19 +16,18 @@ import time
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
-
 from rigid_body_ros import messages, recording
 from rigid_body_ros.body import State
-from rigid_body_ros.fingerprint import NAME, fingerprint
+from rigid_body_ros.fingerprint import fingerprint, NAME
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.propagate import Trajectory, warm_up
 from rigid_body_ros.recording import Column, Messages, NotInOrderError, Piece, Source
 from rigid_body_ros.replay import markers
 from rigid_body_ros.replay.check import drift
-from rigid_body_ros.replay.stretches import Asked, Stretch, Stretches, end_of
+from rigid_body_ros.replay.stretches import Asked, end_of, Stretch, Stretches
 from rigid_body_ros.scene import InputError, Scene
 from rigid_body_ros.torque import TorqueLog
+from tqdm import tqdm
 
 __all__ = ['ALSO', 'ANGULAR_VELOCITY', 'ATTITUDE', 'EULER_ANGLES', 'Replay', 'bar', 'end_of',
            'plot', 'read', 'replay']

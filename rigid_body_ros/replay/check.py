@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-
 from rigid_body_ros import so3
 from rigid_body_ros.body import State
-from rigid_body_ros.propagate import Trajectory, propagate
+from rigid_body_ros.propagate import propagate, Trajectory
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.torque import TorqueLog
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-
 from rigid_body_ros import messages, so3
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.propagate import Trajectory

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
 from rigid_body_ros import messages, so3
 from rigid_body_ros.propagate import Run, Trajectory
 from rigid_body_ros.recording import NotInOrderError, Piece

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-
 from rigid_body_ros import messages, recording, so3
-from rigid_body_ros.fingerprint import NAME, fingerprint
+from rigid_body_ros.fingerprint import fingerprint, NAME
 from rigid_body_ros.propagate import propagate
 from rigid_body_ros.recording import Source
 from rigid_body_ros.replay import read

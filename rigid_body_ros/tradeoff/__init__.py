@@ -17,13 +17,12 @@ import time
 from typing import Any, NamedTuple
 
 import numpy as np
-
 from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.propagate import Trajectory, warm_up
 from rigid_body_ros.torque import TorqueLog
-from rigid_body_ros.tradeoff.problem import TIGHTEST, Problem, Reference, turned_angle, whole
-from rigid_body_ros.tradeoff.readings import Reading, compare_readings
+from rigid_body_ros.tradeoff.problem import Problem, Reference, TIGHTEST, turned_angle, whole
+from rigid_body_ros.tradeoff.readings import compare_readings, Reading
 
 #: Wraps an iterable of so many items, to show progress.
 Track = Callable[[Iterable[Any], int], Iterable[Any]]

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
 from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.propagate import LONGEST, Trajectory, propagate
+from rigid_body_ros.propagate import LONGEST, propagate, Trajectory
 from rigid_body_ros.torque import TorqueLog
 
 TIGHTEST = 1e-15

@@ -7,7 +7,7 @@ import platform
 from typing import Any
 
 from rigid_body_ros.tradeoff import Run, Tradeoff
-from rigid_body_ros.tradeoff.readings import READING_ORDERS, Reading
+from rigid_body_ros.tradeoff.readings import Reading, READING_ORDERS
 
 _WIDTH = 18
 _HEADER = ('', 'solver', 'setting', 'final rad', 'largest rad', 'rad/s', 'momentum', 'energy',

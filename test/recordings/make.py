@@ -15,7 +15,6 @@ from pathlib import Path
 import sys
 
 import numpy as np
-
 from rigid_body_ros import messages
 from rigid_body_ros.recording import Writer
 
