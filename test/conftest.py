@@ -1,6 +1,7 @@
 """What every test shares."""
 
 import fcntl
+from importlib.util import find_spec
 from pathlib import Path
 import shutil
 import subprocess
@@ -24,6 +25,21 @@ CONFIG = ROOT / 'config'
 #: The stamps of the recordings: seconds as a float are 238 ns apart here.
 EPOCH_NS = 1_767_225_600_123_456_789
 SECOND = 10 ** 9
+#: Test files that as a whole need a module which an installation may be without.
+NEEDS = {
+    'rclpy': ['clocks', 'faults', 'launch', 'lockstep', 'node', 'soak', 'topics', 'workspace'],
+    'launch_ros': ['launch'],  # PyPI does not have it
+    'colcon_ros': ['workspace'],
+}
+ABSENT = {module: [f'test_{name}.py' for name in names] for module, names in NEEDS.items()
+          if find_spec(module) is None}
+collect_ignore = [name for names in ABSENT.values() for name in names]
+
+
+def pytest_report_header():
+    """Say what is left out, and why."""
+    return [f'{module} is not installed, so these are left out: {", ".join(names)}'
+            for module, names in ABSENT.items()]
 
 
 @pytest.fixture(autouse=True)

@@ -1,14 +1,11 @@
 """What a clock may do: be silent, stand, leap, run back; and stamps of other clocks."""
 
 from conftest import SECOND
+from live import decoded, replayed, TUMBLER
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
 from rigid_body_ros import messages, propagate, scene, State
-
-pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
-
-from live import decoded, replayed, TUMBLER
-from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 
 pytestmark = pytest.mark.ros
 # So often that every tick of the clock is one of the timer.

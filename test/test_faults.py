@@ -4,18 +4,15 @@ import signal
 import time
 
 from conftest import SECOND
-import numpy as np
-import pytest
-from rigid_body_ros import messages, State
-
-pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
-
 from geometry_msgs.msg import QuaternionStamped, WrenchStamped
 from live import call, decoded, replayed, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
+import numpy as np
+import pytest
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
+from rigid_body_ros import messages, State
 
 pytestmark = pytest.mark.ros
 OK, WARN, ERROR = range(3)

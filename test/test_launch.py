@@ -8,14 +8,10 @@ import subprocess
 import sys
 import time
 
-from conftest import CONFIG, NAME, RECORDINGS
-import pytest
-
-pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
-pytest.importorskip('launch_ros', reason='launch_ros is not installed, and PyPI does not have it')
-
 from ament_index_python.packages import get_packages_with_prefixes
+from conftest import CONFIG, NAME, RECORDINGS
 from geometry_msgs.msg import QuaternionStamped
+import pytest
 import rclpy
 from rclpy.wait_for_message import wait_for_message
 

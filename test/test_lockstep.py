@@ -4,15 +4,12 @@ import subprocess
 import sys
 
 from conftest import ROOT, SECOND
-import numpy as np
-import pytest
-from rigid_body_ros import messages, propagate, scene, so3, State, TorqueLog
-
-pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
-
 from live import decoded, replayed, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession
 from nav_msgs.msg import Odometry
+import numpy as np
+import pytest
+from rigid_body_ros import messages, propagate, scene, so3, State, TorqueLog
 from rosgraph_msgs.msg import Clock
 
 pytestmark = pytest.mark.ros

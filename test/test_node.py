@@ -6,8 +6,14 @@ import subprocess
 import sys
 
 from conftest import RECORDINGS, ROOT, SECOND
+from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
+from live import call, decoded, replayed, run_clock, TUMBLER
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
+from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
+from rcl_interfaces.msg import ParameterType
+from rclpy.parameter import Parameter
 from rigid_body_ros import (
     euler,
     messages,
@@ -18,15 +24,6 @@ from rigid_body_ros import (
     State,
     TorqueLog,
 )
-
-pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
-
-from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
-from live import call, decoded, replayed, run_clock, TUMBLER
-from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
-from nav_msgs.msg import Odometry
-from rcl_interfaces.msg import ParameterType
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu
 import yaml
 

@@ -2,6 +2,7 @@
 
 from importlib import metadata
 import os
+import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -68,3 +69,13 @@ def test_the_library_and_the_offline_commands_need_no_ros(module):
     result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
                             check=True)
     assert result.stdout.strip() == '[]'
+
+
+def test_without_ros_the_tests_of_the_node_are_left_out_and_the_report_says_so():
+    script = "import sys; sys.modules['rclpy'] = None; import pytest; sys.exit(pytest.main())"
+    result = subprocess.run([sys.executable, '-c', script], cwd=ROOT, capture_output=True,
+                            text=True, check=False, env={
+                                **os.environ, 'PYTEST_ADDOPTS': '--ignore-glob=*/test_[!n]*.py'})
+    assert result.returncode == pytest.ExitCode.NO_TESTS_COLLECTED, result.stdout
+    line, = re.findall('^rclpy is not installed.*', result.stdout, re.MULTILINE)
+    assert 'test_node.py' in line

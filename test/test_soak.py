@@ -1,9 +1,6 @@
 """A long run at 1 kHz, cut short and at half the rate: benchmarks/soak.py."""
 
 import pytest
-
-pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
-
 import soak
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]

@@ -2,13 +2,10 @@
 
 import time
 
-import pytest
-
-pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
-
 from live import TUMBLER
 from live_session import LiveSession
 import nodes
+import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 pytestmark = pytest.mark.ros

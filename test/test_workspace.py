@@ -8,9 +8,6 @@ import sys
 from conftest import CONFIG, NAME, RECORDINGS, ROOT
 import pytest
 
-pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
-pytest.importorskip('colcon_ros', reason='colcon (with colcon-ros) is not installed')
-
 pytestmark = pytest.mark.slow
 #: What `ros2 run PACKAGE EXECUTABLE` does: the package's prefix in the ament index, and there an
 #: executable file in lib/PACKAGE.
