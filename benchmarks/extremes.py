@@ -23,7 +23,7 @@ MARK = '<!-- what follows is printed by benchmarks/extremes.py -->'
 MOST_STEPS = 3e6
 REMARKS = {
     'Rods, plates, near-spheres':
-        'No ratio of moments makes Euler\'s equations stiff, but `(J w) x w` of a rod is the '
+        "No ratio of moments makes Euler's equations stiff, but `(J w) x w` of a rod is the "
         'difference of terms a million times its size. It is formed from differences of moments, '
         'which are worked out beyond double precision, and they may be as small as they like.',
     'Large and small numbers':
@@ -41,9 +41,9 @@ REMARKS = {
         'moments: no solver that steps in doubles can promise less. The closed form does not '
         'step, and is right beyond that, as near to the separatrix as doubles come.',
     'Where others broke':
-        'With MuJoCo\'s stick `implicitfast` gave up at step 4294 of 1 ms (the rates here are '
-        'ours). Avian\'s clamp of the momentum led every body to turn about its intermediate '
-        'axis in the end. SciPy\'s `ellipj` is off by 2 for modulus near 1.',
+        "With MuJoCo's stick `implicitfast` gave up at step 4294 of 1 ms (the rates here are "
+        "ours). Avian's clamp of the momentum led every body to turn about its intermediate "
+        "axis in the end. SciPy's `ellipj` is off by 2 for modulus near 1.",
 }
 
 
@@ -118,8 +118,8 @@ def known_lines():
     lines = ['## Known in closed form, or published', '',
              'Computed by `auto`. Periods are 4 K / lambda, measured over a million of them; '
              'escapes K / lambda, so that they grow as the logarithm of the offset; '
-             'Landau and Zener\'s sweep of a sphere under constant torque has parabolic cylinder '
-             'functions; Boedewadt\'s symmetric body under a torque in body axes an integral.',
+             "Landau and Zener's sweep of a sphere under constant torque has parabolic cylinder "
+             "functions; Boedewadt's symmetric body under a torque in body axes an integral.",
              '', *header('what', 'right', 'found', 'off by')]
     for name, (quantity, _) in KNOWN.items():
         right, found = quantity()

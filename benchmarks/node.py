@@ -59,7 +59,7 @@ class Client:
         return self._torque.get_subscription_count() and \
             self._node.count_publishers(f'{self._node.get_namespace()}/attitude')
 
-    def round(self):
+    def time_round(self):
         """Return median and 99th percentile of the latency and processor time a torque, s."""
         self._sent.clear()
         self.latencies.clear()
@@ -110,13 +110,13 @@ def measure():
             executor.spin_once(timeout_sec=0.1)
         early = {}
         for name, client in clients.items():  # a round to warm up
-            client.round()
+            client.time_round()
             client.unheard = 0
             early[name] = client.latencies[0], client.latencies[999]
         rounds = {name: [] for name in clients}
         for _ in range(ROUNDS):
             for name, client in clients.items():
-                rounds[name].append(client.round())
+                rounds[name].append(client.time_round())
     finally:
         for client in clients.values():
             client.stop()

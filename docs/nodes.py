@@ -21,7 +21,7 @@ class Topic(NamedTuple):
     """A topic of the node, its quality of service, and what it says."""
 
     name: str
-    type: str
+    kind: str
     qos: str
     meaning: str
 
@@ -160,7 +160,7 @@ def main():
 def topics(listed):
     """Return topics as a table."""
     return table(('topic', 'type', 'quality of service', 'meaning'), [
-        (f'`{topic.name}`', topic.type.replace('/msg/', '/'), topic.qos, topic.meaning)
+        (f'`{topic.name}`', topic.kind.replace('/msg/', '/'), topic.qos, topic.meaning)
         for topic in listed])
 
 
@@ -192,9 +192,9 @@ def values(parameter):
     """Return what values a parameter takes."""
     if parameter.choices:
         return ', '.join(parameter.choices)
-    if not parameter.range:
-        return {bool: 'true, false', str: 'text'}[parameter.type]
-    return scene.limits(*parameter.range)
+    if not parameter.interval:
+        return {bool: 'true, false', str: 'text'}[parameter.value_type]
+    return scene.limits(*parameter.interval)
 
 
 def table(head, rows):

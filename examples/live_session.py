@@ -70,9 +70,9 @@ class LiveSession:
         self.environment = os.environ | {
             'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': str(domain)}
         self.command = [sys.executable, '-c',
-                         'import sys; from rigid_body_ros.cli import attitude_node; '
-                         'sys.exit(attitude_node())',
-                         '--ros-args', '--params-file', str(scene), *arguments]
+                        'import sys; from rigid_body_ros.cli import attitude_node; '
+                        'sys.exit(attitude_node())',
+                        '--ros-args', '--params-file', str(scene), *arguments]
         # Then nothing comes before the first message of /clock, or the first torque.
         self._waits = {'use_sim_time:=true', 'mode:=lockstep'} & {*arguments}
         self.received = {topic: [] for topic in _KINDS}

@@ -24,6 +24,7 @@ if _jit.COMPILES:
     from numba.extending import intrinsic, lower_builtin, models, register_model
 
     class _Type(types.Type):
+
         def __init__(self) -> None:
             super().__init__('Four')
 
@@ -33,11 +34,13 @@ if _jit.COMPILES:
 
     @register_model(_Type)
     class _Model(models.PrimitiveModel):
+
         def __init__(self, manager: Any, kind: Any) -> None:
             super().__init__(manager, kind, _REGISTER)
 
     @infer_global(operator.getitem)
     class _Element(AbstractTemplate):
+
         def generic(self, arguments: Any, _: Any) -> Any:
             if isinstance(arguments[0], _Type):
                 return signature(types.float64, *arguments)
@@ -113,14 +116,12 @@ times_i, times_j, times_k = (_permuted('wzyx', '++--'), _permuted('zwxy', '-++-'
                              _permuted('yxwz', '+-+-'))
 
 
-def load(values: NDArray[np.float64], start: int) -> Four:
-    """Return four successive elements of a contiguous array, shape (n,)."""
+def _plain_load(values: NDArray[np.float64], start: int) -> Four:
     a, b, c, d = values[start:start + 4].tolist()
     return a, b, c, d
 
 
-def store(values: NDArray[np.float64], start: int, four: Four) -> None:
-    """Set four successive elements of a contiguous array, shape (n,)."""
+def _plain_store(values: NDArray[np.float64], start: int, four: Four) -> None:
     values[start:start + 4] = four
 
 
@@ -143,4 +144,7 @@ if _jit.COMPILES:
             return context.get_dummy_value()
         return types.void(values, types.intp, four), generate
 
-    load, store = _load, _store
+#: Four successive elements of a contiguous array, shape (n,): read, and set, from a place on.
+load: Callable[[NDArray[np.float64], int], Four] = _load if _jit.COMPILES else _plain_load
+store: Callable[[NDArray[np.float64], int, Four], None] = \
+    _store if _jit.COMPILES else _plain_store

@@ -112,7 +112,7 @@ class MessageType:
     behind: bytes = b''
 
     @property
-    def hash(self) -> str:
+    def type_hash(self) -> str:
         """What ROS 2 tells types apart by, from Iron on (REP-2011)."""
         return _HASHES[self.name]
 

@@ -36,11 +36,11 @@ class Parameter(NamedTuple):
     unit: str
     description: str
     #: Closed interval; (lowest, highest) of a number.
-    range: tuple[float, float] | None = None
+    interval: tuple[float, float] | None = None
     choices: tuple[str, ...] = ()
 
     @property
-    def type(self) -> type:
+    def value_type(self) -> type:
         """The Python type of the value."""
         return float if self.default is None else type(self.default)
 
@@ -217,21 +217,21 @@ def checked(parameter: Parameter, given: Any) -> Any:
     name, unit = parameter.name, f' ({parameter.unit})' if parameter.unit else ''
     if given is None:
         raise InputError(f'{name}: missing; expected a number{unit}: {parameter.description}')
-    value = float(given) if parameter.type is float and type(given) is int else given
+    value = float(given) if parameter.value_type is float and type(given) is int else given
     # A bool is an int to Python.
-    wrong = (isinstance(value, bool) is not (parameter.type is bool)
-             or not isinstance(value, parameter.type))
+    wrong = (isinstance(value, bool) is not (parameter.value_type is bool)
+             or not isinstance(value, parameter.value_type))
     if wrong:
         kind = {float: 'a number', int: 'an integer', str: 'a text',
-                bool: 'true or false'}[parameter.type]
+                bool: 'true or false'}[parameter.value_type]
         quoted = isinstance(value, str) and _FLOAT.fullmatch(value)
         raise InputError(f'{name}: expected {kind}{unit}, found {value!r}'
                          + ('; leave out the quotes' if quoted else f': {parameter.description}'))
     if parameter.choices and value not in parameter.choices:
         raise InputError(f'{name}: expected one of {", ".join(parameter.choices)}, '
                          f'found {value!r}')
-    if parameter.range and not parameter.range[0] <= value <= parameter.range[1]:
-        raise InputError(f'{name}: expected {limits(*parameter.range)}{unit}, found {value}')
+    if parameter.interval and not parameter.interval[0] <= value <= parameter.interval[1]:
+        raise InputError(f'{name}: expected {limits(*parameter.interval)}{unit}, found {value}')
     return value
 
 

@@ -51,6 +51,7 @@ def test_nothing_is_published_before_the_clock_is_valid(domain):
         assert first.stamp_ns == 7 * SECOND
         assert not live.received[ACCEPTED]
 
+
 @pytest.mark.parametrize('zero', [False, True])
 def test_time_zero_is_no_time(domain, zero):
     with LiveSession(TUMBLER, domain, *SIMULATED) as live:

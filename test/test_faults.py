@@ -45,6 +45,7 @@ def test_bad_torques_are_refused_counted_and_change_nothing(tmp_path, domain):
                  'the force of a WrenchStamped is ignored'):
         assert part in words, words
 
+
 def finished(tmp_path, live):
     """End a session; everything that was accepted, replayed, gives what was committed."""
     live.dump_parameters(tmp_path / 'live.yaml')

@@ -8,7 +8,7 @@ import pytest
 from rigid_body_ros import messages, scene
 from rigid_body_ros.replay import replay
 
-SCRIPT = r'''
+SCRIPT = r"""
 const fs = require('fs/promises');
 const {McapIndexedReader} = require('@mcap/core');
 const {decompress} = require('fzstd');
@@ -30,7 +30,7 @@ async function main() {
   }
 }
 main();
-'''
+"""
 
 
 @pytest.mark.slow

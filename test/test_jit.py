@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, State, TorqueLog, vector
 
-SCRIPT = '''
+SCRIPT = """
 import sys
 {before}
 import numpy as np
@@ -19,7 +19,7 @@ log = TorqueLog([0, 10 ** 9], [[0.1, 0.2, -0.1], [0.0, 0.3, 0.0]], ['body', 'spa
 body = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
 motion = propagate(body, State(0, angular_velocity=(0.5, -0.7, 0.9)), log, at=[3 * 10 ** 9])
 print(*(x.hex() for x in motion.attitude[0].tolist()))
-'''
+"""
 
 
 def run(before='', **environment):

@@ -90,7 +90,7 @@ def test_parameters_tell_what_they_are_and_keep_the_scene(domain):
             parameter = scene.PARAMETERS[descriptor.name]
             assert descriptor.description.startswith(parameter.description)
             limits = descriptor.floating_point_range or descriptor.integer_range
-            assert bool(limits) == bool(parameter.range)
+            assert bool(limits) == bool(parameter.interval)
         changes = {'inertia.ixx': 0.05, 'solver': 'taylor', 'start_time': 5, 'publish_rate': 1e9,
                    'use_sim_time': True, 'qos_overrides./torque.subscription.depth': 5}
         for name, value in changes.items():

@@ -339,6 +339,7 @@ def test_a_smaller_step_changes_rounding_only():
 
 
 class TestPropagator:
+
     def test_a_late_torque_is_put_in_its_place_and_one_too_late_is_dropped(self):
         propagator = Propagator(BODY, START, history=1.0)
         assert propagator.apply(EPOCH_NS + 5 * SECOND, [1, 0, 0])

@@ -217,8 +217,7 @@ def test_a_mistake_is_answered_by_one_line(name, message, tmp_path, output, caps
     (('-o', f'{ISS[0]}/x.mcap'), 'cannot write: Not a directory'),
     (('-o', 'x' * 300), 'cannot write: File name too long'),
     (('-o', 'motion.mcap', '--plot', 'none/p.png'), 'none/p.png: cannot write: No such file')])
-def test_what_cannot_be_written_is_named(arguments, message, tmp_path, monkeypatch,
-                                                 capsys):
+def test_what_cannot_be_written_is_named(arguments, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.attitude_replay([*ISS, *arguments]) == 2
     line, = capsys.readouterr().err.splitlines()

@@ -56,7 +56,7 @@ def test_every_topic_of_the_page_is_there_and_no_other(domain, mode):
         services = dict(node.get_service_names_and_types_by_node(NODE, '/'))
     for page, topics in ((published, writers), (subscribed, readers)):
         assert {name: types for name, (types, _) in topics.items()} \
-            == {name: [topic.type] for name, topic in page.items()}
+            == {name: [topic.kind] for name, topic in page.items()}
     _, torque = readers.pop('/torque')  # the one that depends on the mode
     assert (torque.reliability == ReliabilityPolicy.RELIABLE) == (mode == 'lockstep')
     for page, topics in ((published, writers), (subscribed, readers)):

@@ -117,4 +117,4 @@ def test_a_recording_says_how_it_was_made(tmp_path):
 def test_types_are_told_apart_as_ros_does(kind):
     from rosbags.typesys import get_typestore, Stores
     store = get_typestore(Stores.ROS2_JAZZY)
-    assert kind.hash == store.hash_rihs01(kind.name)
+    assert kind.type_hash == store.hash_rihs01(kind.name)

@@ -78,14 +78,14 @@ class Lockstep:
         if state.time_ns:
             self._open(state, self.motion.in_force(state.time_ns))
         else:
-            self.motion.close()
+            self.motion.end()
             self._start = state
         self._timer.reset()
         self._offer()
 
     def reset(self) -> str:
         """Go back to before the first torque, and say so."""
-        self.motion.close()
+        self.motion.end()
         self._start = self.motion.initial(self._given_start_ns)
         self._begin()
         self._timer.reset()
@@ -106,7 +106,7 @@ class Lockstep:
 
     def _open(self, start: State, torques: Sequence[Torque] = ()) -> None:
         self._start = start
-        self.motion.open(start, torques)
+        self.motion.begin(start, torques)
         self._parameters.report(start)
 
     def _offer(self) -> None:

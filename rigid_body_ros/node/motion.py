@@ -78,9 +78,9 @@ class Motion:
                                f'({self.epoch.history_ns * 1e-9:g} s) or more')
         return self.epoch.since(time_ns)
 
-    def open(self, start: State, torques: Sequence[Torque] = ()) -> None:
+    def begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
         """Begin an epoch, and its log, with torques that are in force still."""
-        self.close()
+        self.end()
         if self._is_logged:
             self._outputs.begin_log()
         self._is_logged = bool(torques)
@@ -89,7 +89,7 @@ class Motion:
             self._outputs.accept(torque)
         self._outputs.commit(start)
 
-    def close(self) -> None:
+    def end(self) -> None:
         """End the epoch, if there is one."""
         if self._final is not None:  # applied, but the answer takes too long
             self._log(self._inbox.popleft())
@@ -224,5 +224,3 @@ class Motion:
     def _too_slow(self, error: TimeoutError) -> None:
         self._health.event(SLOW, f'no longer in real time: {error}; the body turns too fast to be '
                            'worked out, or late torques take too much back')
-
-

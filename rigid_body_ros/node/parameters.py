@@ -96,9 +96,9 @@ def _descriptor(parameter: scene.Parameter) -> ParameterDescriptor:
         additional_constraints='; '.join(filter(None, [
             limits and f'one of {limits}',
             'read-only while running: it defines the trajectory' if fixed else ''])))
-    if parameter.range:
-        low, high = parameter.range
-        if parameter.type is int:
+    if parameter.interval:
+        low, high = parameter.interval
+        if parameter.value_type is int:
             descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
         else:
             descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]

@@ -158,7 +158,7 @@ class Realtime:
         return True
 
     def _open(self, start: State, torques: Sequence[Torque], why: str) -> str:
-        self.motion.open(start, torques)
+        self.motion.begin(start, torques)
         self._parameters.report(start)
         text = f'{why}: a new epoch begins at {start.time_ns} ns'
         self._node.get_logger().info(text)

@@ -90,7 +90,7 @@ class Container:
         self._write(_record(channel))
         return channel.id
 
-    def type(self, channel: Channel) -> str:
+    def type_of(self, channel: Channel) -> str:
         """Return the type of a channel's messages, '' if it is not told."""
         return self._schemas[channel.schema_id - 1].name if channel.schema_id else ''
 

@@ -71,7 +71,8 @@ class FolderWriter(Writer):
         return {
             'version': _VERSION, 'storage_identifier': 'mcap', **span,
             'topics_with_message_count': [
-                {'topic_metadata': {'name': channel.topic, 'type': self._container.type(channel),
+                {'topic_metadata': {'name': channel.topic,
+                                    'type': self._container.type_of(channel),
                                     'serialization_format': channel.message_encoding,
                                     'offered_qos_profiles':
                                         channel.metadata.get('offered_qos_profiles', '')},

@@ -103,7 +103,7 @@ class Writer:
         """Announce a topic; to be done once, before its messages."""
         schema = Schema(id=0, name=kind.name, encoding='ros2msg', data=kind.definition.encode())
         self._channels[topic] = self._container.add_channel(
-            topic, schema, {'offered_qos_profiles': _QOS, 'topic_type_hash': kind.hash})
+            topic, schema, {'offered_qos_profiles': _QOS, 'topic_type_hash': kind.type_hash})
         self._kinds[topic] = kind
         self._sequence[topic] = 0
 

@@ -92,8 +92,8 @@ class Replay:
     solvers: dict[str, int] = field(default_factory=dict)
     readings: dict[str, float | None] = field(default_factory=dict)
     check: str = ''
-    seconds: dict[str, float] = field(default_factory=lambda: {'read': 0.0, 'propagate': 0.0,
-                                                              'write': 0.0})
+    seconds: dict[str, float] = field(
+        default_factory=lambda: {'read': 0.0, 'propagate': 0.0, 'write': 0.0})
     log: TorqueLog | None = None
     trajectory: Trajectory | None = None
 
