@@ -46,7 +46,7 @@ class Problem:
 
     @property
     def end_ns(self):
-        """The time of the last state asked for."""
+        """Return the time of the last state asked for."""
         return self.seconds * SECOND
 
     @property
@@ -56,28 +56,28 @@ class Problem:
 
     @property
     def at(self):
-        """The times to answer for: the end of each torque, or of the motion; int64 (m,), ns."""
+        """Return the times to answer for, ns, (m,): the end of each torque, or of the motion."""
         return np.arange(1, max(1, len(self.torques)) + 1) * self.hold_ns
 
     @property
     def coupling(self):
-        """The factors of w2 w3, w3 w1 and w1 w2 in Euler's equations."""
+        """Return the factors of w2 w3, w3 w1 and w1 w2 in Euler's equations."""
         i1, i2, i3 = self.moments
         return (i2 - i3) / i1, (i3 - i1) / i2, (i1 - i2) / i3
 
     @property
     def accelerations(self):
-        """The torques over the moments, rad/s^2, shape (n, 3)."""
+        """Return the torques over the moments, rad/s^2, shape (n, 3)."""
         return self.torques / self.moments
 
     @property
     def start_vector(self):
-        """The rates and the attitude at the start, as a solver of equations wants them."""
+        """Return the rates and the attitude at the start, as a solver of equations wants them."""
         return np.array(self.rates + IDENTITY)
 
     @cached_property
     def scene(self):
-        """The same for this package: body, start and log."""
+        """Return the same for this package: body, start and log."""
         times_ns = np.arange(len(self.torques)) * self.hold_ns
         log = TorqueLog(times_ns, self.torques) if len(self.torques) else None
         return (RigidBody.from_moments(*self.moments),
@@ -85,7 +85,7 @@ class Problem:
 
     @property
     def fingerprint(self):
-        """What the true answer was computed from, the doubles of the torques included."""
+        """Return a digest of all that the true answer depends on, each double of the torques."""
         doubles = np.concatenate([self.moments, self.start_vector, self.torques.ravel()])
         digest = hashlib.sha256(doubles.astype('<f8').tobytes())
         digest.update(str(self.end_ns).encode())

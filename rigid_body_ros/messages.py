@@ -113,12 +113,12 @@ class MessageType:
 
     @property
     def type_hash(self) -> str:
-        """What ROS 2 tells types apart by, from Iron on (REP-2011)."""
+        """Return what ROS 2 tells types apart by, from Iron on (REP-2011)."""
         return _HASHES[self.name]
 
     @property
     def definition(self) -> str:
-        """The complete definition in the form of MCAP's schema encoding 'ros2msg'."""
+        """Return the complete definition in the form of MCAP's schema encoding 'ros2msg'."""
         name = self.name.replace('/msg/', '/')
         nested = [f'{"=" * 80}\nMSG: {part}\n{_FIELDS[part]}' for part in _parts(name)]
         return ''.join([_FIELDS[name], *nested])

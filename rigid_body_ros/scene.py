@@ -41,7 +41,7 @@ class Parameter(NamedTuple):
 
     @property
     def value_type(self) -> type:
-        """The Python type of the value."""
+        """Return the Python type of the value."""
         return float if self.default is None else type(self.default)
 
 
@@ -131,17 +131,17 @@ class Scene:
 
     @property
     def options(self) -> dict[str, Any]:
-        """The keyword arguments of `propagate`."""
+        """Return the keyword arguments of `propagate`."""
         return _options(self.values)
 
     @property
     def timeout_ns(self) -> int:
-        """The torque timeout."""
+        """Return the torque timeout, ns; 0 where a torque is held for ever."""
         return round(self.values['torque_timeout'] * 1e9)
 
     @property
     def doubts(self) -> list[str]:
-        """What is allowed, but rarely meant: lines for the user."""
+        """Return lines for the user about what is allowed, but rarely meant."""
         return [*_doubts(self.values, self.body)]
 
     @classmethod

@@ -87,7 +87,7 @@ class Scene:
 
     @cached_property
     def truth(self):
-        """The attitudes and the rates at its times."""
+        """Return the attitudes and the rates at its times."""
         tensor, attitude = self.body.inertia, self.start.attitude
         if self.torques:
             return list(zip(*truth.series(tensor, attitude, self.rates, self.torques)))
@@ -108,17 +108,17 @@ class Scene:
 
     @cached_property
     def phase(self):
-        """The integral of |w| dt, rad; of a long motion from a sample of it."""
+        """Return the integral of |w| dt, rad; of a long motion from a sample of it."""
         return self._speeds.mean() * int(self.times_ns[-1]) * 1e-9
 
     @cached_property
     def fastest(self):
-        """The largest |w|, rad/s."""
+        """Return the largest |w|, rad/s."""
         return self._speeds.max()
 
     @cached_property
     def step(self):
-        """The step, s, of solvers that need one: a power of ten, in which it turns < 0.1 rad."""
+        """Return the step, s, of solvers that need one: a power of ten, less than 0.1 rad long."""
         return 10.0 ** np.clip(np.floor(np.log10(0.1 / max(self.fastest, 1e-99))), -9, 6)
 
     @property
@@ -128,7 +128,7 @@ class Scene:
 
     @cached_property
     def bar(self):
-        """The error, rad, of a solver that is exact to rounding."""
+        """Return the error, rad, of a solver that is exact to rounding."""
         return 1e-15 * (10.0 + self.phase)
 
     def bound(self, solver):
@@ -139,7 +139,7 @@ class Scene:
 
     @cached_property
     def growth(self):
-        """What becomes, rad, of a last digit of the rates at the worst of five moments."""
+        """Return what becomes, rad, of a last digit of the rates at the worst of five moments."""
         end = int(self.times_ns[-1])
         tensor, last = self.body.inertia, self.truth[0][-1]
         moved = []

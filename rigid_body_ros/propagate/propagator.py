@@ -66,7 +66,7 @@ class Propagator:
 
     @property
     def earliest_ns(self) -> int:
-        """The earliest time that `at` still answers for."""
+        """Return the earliest time that `at` still answers for."""
         return self._changes[0].time_ns
 
     def apply(self, time_ns: int, torque: ArrayLike, frame: str = 'body') -> bool:

@@ -161,7 +161,7 @@ class Container:
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """The times of the first and the last message."""
+        """Return the times of the first and the last message."""
         return (self._first_ns, self._last_ns) if self._chunks else (0, 0)
 
     @property

@@ -66,7 +66,7 @@ class Messages:
 
     @property
     def frame_ids(self) -> list[str]:
-        """The frame_id of each message."""
+        """Return the frame_id of each message."""
         return [self.names[code] for code in self.frames.tolist()]
 
 
@@ -128,7 +128,7 @@ class Source:
 
     @property
     def damage(self) -> str:
-        """What was lost and where."""
+        """Return what was lost, and where; '' if nothing was."""
         found = [f'{file.path}: {file.damage}' for file in self._files if file.damage]
         return '; '.join([*found, *filter(None, [self._lost])])
 

@@ -43,12 +43,12 @@ class Setting(NamedTuple):
 
     @property
     def options(self) -> dict[str, Any]:
-        """The keyword arguments of `propagate`."""
+        """Return the keyword arguments of `propagate`."""
         return {name: value for name, value in self._asdict().items() if value is not None}
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """The lines of a scene that ask for this, whatever else the scene says."""
+        """Return the lines of a scene that ask for this, whatever else the scene says."""
         if self.max_step is not None:
             return f'solver: {self.solver}', f'max_step: {self.max_step!r}'
         return (f'solver: {self.solver}', f'tolerance: {self.tolerance or TIGHTEST!r}',
@@ -143,13 +143,13 @@ class Tradeoff:
 
     @property
     def reading(self) -> Reading | None:
-        """The reading that the scene asks for, if it leaves anything open."""
+        """Return the reading that the scene asks for, if it leaves anything open."""
         return next((reading for reading in self.readings
                      if reading.interpolation == self.stretch.log.interpolation), None)
 
     @property
     def dominant(self) -> str:
-        """What the error of the recommended setting, or of the best one, is owed to most."""
+        """Return what the error of the recommended setting, or of the best, is owed to most."""
         errors = [run.error.attitude for run in self.runs if not run.failure]
         solver = self.choice.run.error.attitude if self.choice else min(errors, default=math.inf)
         shares = {'rounding': self.floor, 'solver': solver,

@@ -55,7 +55,7 @@ class Problem:
 
     @property
     def seconds(self) -> float:
-        """Simulated time."""
+        """Return the simulated time, s."""
         return (int(self.times_ns[-1]) - self.start.time_ns) * 1e-9
 
     @property
