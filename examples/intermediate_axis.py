@@ -37,6 +37,7 @@ def flip_times(start, motion):
     Parameters
     ----------
     start : State
+        Of the motion, at time 0: near each flip it is worked out again.
     motion : Trajectory
         From that start on, with samples close enough that none misses a flip.
 
@@ -81,8 +82,11 @@ def draw(path, motion, flips):
     Parameters
     ----------
     path : str
+        Written over if it is there.
     motion : Trajectory
+        From time 0 on.
     flips : array, shape (n,), s
+        Two or more: the time between the first two is marked.
 
     """
     seconds = motion.times_ns * 1e-9

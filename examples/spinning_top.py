@@ -36,7 +36,9 @@ def azimuth(axis, momentum):
     Parameters
     ----------
     axis : array, shape (m, 3), space axes
+        Going on by less than half a turn at a time; at first not along the momentum.
     momentum : array, shape (3,), space axes
+        Of any length but zero: only its direction counts.
 
     """
     along = momentum / np.linalg.norm(momentum)

@@ -84,6 +84,7 @@ class RigidBody:
         Parameters
         ----------
         masses : array, shape (n,), kg
+            Each greater than zero.
         positions : array, shape (n, 3), m
             In body axes; any origin: the tensor is taken about the common centre of mass.
 
@@ -149,7 +150,9 @@ class RigidBody:
         Parameters
         ----------
         angular_velocity : array, shape (..., 3), rad/s, body axes
+            One for every torque, or one of each for all of the other.
         torque : array, shape (..., 3), N m, body axes
+            About the centre of mass.
 
         Returns
         -------
@@ -176,6 +179,7 @@ def rate_in_space(rate_in_body: ArrayLike, angular_velocity: ArrayLike,
     rate_in_body : array, shape (..., 3)
         Time derivative of the body components of A.
     angular_velocity : array, shape (..., 3), rad/s, body axes
+        Of the body, w: that of its axes against those of space.
     vector : array, shape (..., 3)
         A, body axes.
 

@@ -70,7 +70,9 @@ def to_quaternion(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     Parameters
     ----------
     angles : array, shape (..., 3), rad
+        In the order of the sequence, of any size: one turn more of one of them gives -q.
     sequence : str
+        Three axes, no two neighbours alike: upper case intrinsic, lower case extrinsic.
 
     Returns
     -------
@@ -115,6 +117,7 @@ def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     attitude : array, shape (..., 4)
         x y z w, body to space; unit norm is not needed.
     sequence : str
+        As for `to_quaternion`.
 
     Returns
     -------
@@ -156,7 +159,9 @@ def degenerate(angles: ArrayLike, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
     Parameters
     ----------
     angles : array, shape (..., 3), rad
+        In the order of the sequence. Only the middle one tells.
     sequence : str
+        As for `to_quaternion`. Where all axes differ the poles are at +-pi/2, else at 0 and pi.
 
     Returns
     -------
@@ -179,7 +184,9 @@ def rotation_axes(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     Parameters
     ----------
     angles : array, shape (..., 3), rad
+        In the order of the sequence, of any size.
     sequence : str
+        As for `to_quaternion`.
 
     Returns
     -------
@@ -205,9 +212,11 @@ def angular_velocity(angles: ArrayLike, rates: ArrayLike, sequence: str = 'ZXZ')
     Parameters
     ----------
     angles : array, shape (..., 3), rad
+        In the order of the sequence, of any size.
     rates : array, shape (..., 3), rad/s
         In the order of the sequence.
     sequence : str
+        As for `to_quaternion`.
 
     Returns
     -------
@@ -231,8 +240,11 @@ def rates(angles: ArrayLike, angular_velocity: ArrayLike, sequence: str = 'ZXZ')
     Parameters
     ----------
     angles : array, shape (..., 3), rad
+        In the order of the sequence, of any size.
     angular_velocity : array, shape (..., 3), rad/s, body axes
+        One for each triple of angles, or one of either for all of the other.
     sequence : str
+        As for `to_quaternion`.
 
     Returns
     -------
@@ -267,6 +279,7 @@ def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     angles : array, shape (m, 3), rad
         Close enough in time for the nearest triple to be the right one.
     sequence : str
+        Of these angles: it tells which triples name the same attitude.
 
     Returns
     -------

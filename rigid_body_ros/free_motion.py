@@ -97,7 +97,9 @@ def prepare(state: State, frame: Frame) -> Motion:
     Parameters
     ----------
     state : State
+        From which `at` counts the time.
     frame : Frame
+        Principal moments and axes of the body.
 
     Returns
     -------

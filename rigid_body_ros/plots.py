@@ -30,12 +30,15 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog, sequence: s
     Parameters
     ----------
     path : str or Path
+        A PNG file whatever its name, written over if it is there.
     trajectory : Trajectory
         In ascending order of time.
     log : TorqueLog
+        Drawn in the axes that its samples are given in.
     sequence : str
         Of the Euler angles.
     title : str
+        Drawn as it stands: a $ in it begins no formula.
     timeout_ns : int
         As for `TorqueLog.segments`.
 
@@ -75,9 +78,11 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
     Parameters
     ----------
     path : str or Path
+        A PNG file whatever its name, written over if it is there.
     curves : dict
         By solver, attitude errors, rad, and costs, wall seconds per simulated second.
     title : str
+        Drawn as it stands: a $ in it begins no formula.
     lines : dict
         By name, attitude errors, rad, to compare with.
 

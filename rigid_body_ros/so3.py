@@ -21,6 +21,7 @@ def multiply(p: ArrayLike, q: ArrayLike) -> Floats:
     Parameters
     ----------
     p, q : array, shape (..., 4)
+        x y z w, of any norm: that of the product is theirs multiplied.
 
     Returns
     -------
@@ -56,6 +57,7 @@ def rotate(q: ArrayLike, vector: ArrayLike) -> Floats:
     Parameters
     ----------
     q : array, shape (..., 4)
+        x y z w, body to space, unit norm.
     vector : array, shape (..., 3)
         In body axes.
 
@@ -121,6 +123,7 @@ def log(q: ArrayLike) -> Floats:
     Parameters
     ----------
     q : array, shape (..., 4)
+        x y z w, unit norm. q and -q give the same, but opposite directions for half turns.
 
     Returns
     -------

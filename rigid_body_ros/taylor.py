@@ -113,6 +113,7 @@ def is_short(state: State, seconds: float, push: Vector, tolerance: float) -> bo
     Parameters
     ----------
     state : State
+        Where the step begins. Only its rates count.
     seconds : float
         Length of the step.
     push : Vector
@@ -197,9 +198,11 @@ def step(state: State, seconds: float, coefficients: Coefficients, diagonal: boo
     Parameters
     ----------
     state : State
+        Where the step begins.
     seconds : float
         Length of the step; no more than about `step_seconds`.
     coefficients : Coefficients
+        Of Euler's equations, as `tensor.euler_coefficients` has them.
     diagonal : bool
         Whether they are those of principal axes.
     torque : Polynomial

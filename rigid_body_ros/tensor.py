@@ -30,6 +30,7 @@ def euler_coefficients(tensor: Floats) -> Floats:
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
+        About the centre of mass, body axes; symmetric.
 
     Returns
     -------
@@ -78,6 +79,7 @@ def principal(tensor: Floats) -> tuple[Floats, Floats]:
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
+        About the centre of mass, body axes; symmetric.
 
     Returns
     -------

@@ -127,6 +127,7 @@ class TorqueLog:
         Parameters
         ----------
         times_ns : array of int, shape (m,)
+            In any order. Before the first sample the torque is zero.
         timeout_ns : int
             As for `segments`.
 

@@ -28,11 +28,15 @@ def series(tensor, attitude, rates, torques, digits=50):
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
+        About the centre of mass, body axes.
     attitude : array, shape (4,), any norm
+        At the start; x y z w, body to space.
     rates : array, shape (3,), rad/s, body axes
+        At the start.
     torques : [(duration_ns, torque, in_space)]
         Held one after the other; N m, body axes or space axes.
     digits : int
+        Of the result; `GUARD` more are carried.
 
     """
     with mp.workdps(digits + GUARD):

@@ -95,7 +95,10 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
     Parameters
     ----------
     body : RigidBody
+        Turns about its centre of mass, which may move as it likes.
     start : State
+        Its time is the earliest that can be asked for. One that `Propagator.at` returned goes on
+        with the same bits.
     log : TorqueLog, optional
         None means torque-free. Before its first sample the torque is zero.
     at : array of int, shape (m,), ns
@@ -133,9 +136,7 @@ class Run:
 
     Parameters
     ----------
-    body : RigidBody
-    start : State
-    solver, tolerance, max_step, torque_timeout
+    body, start, solver, tolerance, max_step, torque_timeout
         As for `propagate`.
 
     Raises

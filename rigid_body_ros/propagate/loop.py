@@ -91,6 +91,7 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
     grid_ns, begin_ns, sample, silent, done : int, int, int, bool, int
         Their times, the sample in force and whether it timed out, and how many times are filled.
     at_ns : int64 (m,)
+        Times to answer for, none before the grid's.
     rows : int (m,) or (0,)
         Where each time's motion goes; empty if in their order.
     motion : float64 (7 m,)
@@ -98,10 +99,23 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
     closed : bool (n + 1,)
         Set where a coast was answered in closed form, by sample + 1.
     stamps_ns, in_space : int64 (n,), bool (n,)
+        From when on each sample rules, and whether its torque is given in space axes.
     torques : float64 (k, degree + 1, 3)
         Polynomials in the fraction of their time, for samples from `first` on.
-    stop : int
-        The sample not to begin with.
+    first, stop : int
+        The sample that `torques` begins with, and the one not to begin with.
+    timeout_ns : int
+        How long after a sample the torque becomes zero; 0: never.
+    constants : float64 (92,)
+        The body, as of `tensor.packed`.
+    solver : int
+        Its place in `SOLVERS`.
+    tolerance : float
+        Attitude error per radian turned.
+    max_step_ns : int
+        Upper limit of a step, or the step of a solver of fixed step.
+    budget : int
+        Steps to take at most, before signals are heard.
 
     Returns
     -------

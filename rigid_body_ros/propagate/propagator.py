@@ -35,9 +35,7 @@ class Propagator:
 
     Parameters
     ----------
-    body : RigidBody
-    start : State
-    solver, tolerance, max_step, torque_timeout
+    body, start, solver, tolerance, max_step, torque_timeout
         As for `propagate`.
     history : float, s
         How much older than the newest stamp a torque may be. States further back are forgotten.
@@ -76,7 +74,9 @@ class Propagator:
         Parameters
         ----------
         time_ns : int
+            In any order. A torque from before the start holds there, too, up to the next stamp.
         torque : array, shape (3,), N m
+            About the centre of mass; zeros end the torque.
         frame : str
             'body' or 'space'.
 
@@ -124,6 +124,7 @@ class Propagator:
         Parameters
         ----------
         time_ns : int
+            From `earliest_ns` on; past the newest stamp its torque holds, up to the timeout.
         within : float, s
             How long to work for it.
 

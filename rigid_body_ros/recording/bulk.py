@@ -183,6 +183,7 @@ def scan(data: Bytes, position: int, count: int, channels: Ints, log_ns: Ints, p
     Parameters
     ----------
     data : uint8 (size,)
+        Records one after the other: a chunk, unpacked.
     position, count : int
         Where to begin, and how many were found before.
     channels, log_ns, publish_ns, starts, sizes : int64

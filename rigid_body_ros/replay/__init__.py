@@ -110,6 +110,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     path : str or Path
         A recording, see `recording.Source`.
     scene : Scene
+        Where its start_time is 0, the motion starts at the stamp of the first torque.
     output : str or Path, optional
         MCAP file, or without that ending folder of rosbag2, to write attitude, Euler angles and
         angular velocity to.

@@ -34,7 +34,9 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
     Parameters
     ----------
     paths : sequence of str
+        Each goes to a file NAME.mcap, where NAME is its own up to the first dot.
     scene : Scene
+        One for all of them.
     folder : str or Path
         Made if it is not there.
     prepare : callable

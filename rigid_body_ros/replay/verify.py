@@ -54,6 +54,7 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *, topic: st
     path : str or Path
         The recording of the torques, such as a node's accepted_torque.
     scene : Scene
+        That of the recorded motion: its start and its options count for every bit.
     motion_path : str or Path
         The recording of the motion: a node's committed, or the attitude of a replay.
     topic, motion_topic : str, optional

@@ -168,13 +168,14 @@ def measure(body: RigidBody, start: State, log: TorqueLog | None = None, *,
 
     Parameters
     ----------
-    body : RigidBody
-    start : State
+    body, start : RigidBody, State
+        As for `propagate`.
     log : TorqueLog, optional
         None: no torques.
     end_ns : int, optional
         Where the whole ends: the last stamp, or after 50 turns where there is no log.
     torque_timeout : float, s
+        As for `propagate`.
     target : float, rad
         Attitude error that is allowed, anywhere in the whole log.
     seconds : float
