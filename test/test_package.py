@@ -1,3 +1,17 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The package: what is installed where, and one version."""
 
 from importlib import metadata
@@ -5,6 +19,7 @@ import os
 import re
 import subprocess
 import sys
+import textwrap
 import xml.etree.ElementTree as ElementTree
 
 from conftest import NAME, ROOT
@@ -47,6 +62,20 @@ def test_the_version_is_that_of_package_xml(installed):
     found, = metadata.distributions(name=NAME, path=[str(packages)])
     assert found.version == version
     assert f'\n{version} (' in (ROOT / 'CHANGELOG.rst').read_text()
+
+
+def test_every_source_file_begins_with_the_license():
+    if not (ROOT / '.git').exists():
+        pytest.skip('not a clone: only git tells which files are ours')
+    _, notice = (ROOT / 'LICENSE').read_text().split('[name of copyright owner]\n')
+    lines = ['Copyright 2026 The rigid_body_ros developers', *textwrap.dedent(notice).splitlines()]
+    header = ''.join(f'# {line}'.rstrip() + '\n' for line in lines) + '\n'
+    listed = subprocess.run(['git', 'ls-files', '*.py', 'scripts/*'], cwd=ROOT, check=True,
+                            capture_output=True, text=True).stdout.splitlines()
+    assert len(listed) > 100
+    for name in listed:
+        text = re.sub(r'\A#!.*\n', '', (ROOT / name).read_text())
+        assert text.startswith(header), name
 
 
 def test_the_node_says_what_it_needs_where_ros_is_not():
