@@ -1,0 +1,37 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The linters of ROS, with the settings of ROS."""
+
+import shutil
+
+from conftest import ROOT
+import pytest
+
+PYTHON = ['benchmarks', 'docs', 'examples', 'launch', 'rigid_body_ros', 'setup.py', 'test']
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings('ignore')  # those about the linters themselves
+@pytest.mark.parametrize(('linter', 'paths'), [
+    ('ament_copyright', [*PYTHON, 'CONTRIBUTING.md', 'LICENSE']),
+    ('ament_flake8', PYTHON),
+    ('ament_pep257', PYTHON),
+    ('ament_xmllint', ['package.xml'])])
+def test_the_linters_of_ros_find_no_problem(linter, paths, monkeypatch):
+    module = pytest.importorskip(f'{linter}.main', reason=f'{linter} is not installed as a whole')
+    if linter == 'ament_xmllint' and not shutil.which('xmllint'):
+        pytest.skip('xmllint is not installed')
+    monkeypatch.chdir(ROOT)
+    assert module.main(argv=paths) == 0
