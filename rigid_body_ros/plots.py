@@ -24,6 +24,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.propagate import Trajectory
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import TorqueLog
@@ -162,7 +163,8 @@ def _angle_ticks(panel: Axes, angles: Floats) -> None:
                      [names[number] for number in range(low, high + 1)])
 
 
-def _torque_times(log: TorqueLog, start_ns: int, end_ns: int, timeout_ns: int) -> np.ndarray:
+def _torque_times(log: TorqueLog, start_ns: int, end_ns: int,
+                  timeout_ns: int) -> NDArray[np.int64]:
     # Both sides of every change, so that a step is drawn as one; a grid where there are too many.
     changes, _ = log.segments(timeout_ns)
     grid = np.linspace(start_ns, end_ns, _POINTS // 4).astype(np.int64)

@@ -161,7 +161,7 @@ class TorqueLog:
         if not given.any():
             return torques, in_space
         samples, times = samples[given], times[given]
-        first, stop = samples.min(), samples.max() + 1
+        first, stop = int(samples.min()), int(samples.max()) + 1
         stamps = self.times_ns[first:stop + 1]
         spans = np.append(np.diff(stamps), 10 ** 9)[samples - first]
         fraction = ((times - self.times_ns[samples]) / spans)[:, None]

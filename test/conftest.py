@@ -28,12 +28,15 @@ import pytest
 import rigid_body_ros
 from rigid_body_ros import messages, propagate, recording, scene, so3, State
 
+ROOT = Path(__file__).resolve().parent.parent
+# What the setting `pythonpath` of pytest does, which pytest 6 of Ubuntu 22.04 does not have.
+sys.path[:0] = [str(ROOT / name) for name in ('benchmarks', 'docs', 'examples')]
+
 settings.register_profile('reproducible', derandomize=True, deadline=None, print_blob=True)
 settings.load_profile('reproducible')
 
 PACKAGE = Path(rigid_body_ros.__file__).parent
 NAME = 'rigid_body_ros'
-ROOT = Path(__file__).resolve().parent.parent
 RECORDINGS = ROOT / 'test' / 'recordings'
 CONFIG = ROOT / 'config'
 #: The stamps of the recordings: seconds as a float are 238 ns apart here.

@@ -74,8 +74,8 @@ def outcome(path):
     """Return a line on what is wrong, or '', and the rows that are read; within 10 s."""
     def too_long(number, frame):
         pytest.fail('reads for more than 10 s')
-    before = signal.signal(signal.SIGALRM, too_long)
-    signal.setitimer(signal.ITIMER_REAL, 10)
+    before = signal.signal(signal.SIGPROF, too_long)
+    signal.setitimer(signal.ITIMER_PROF, 10)
     try:
         found, damage = read(path)
     except InputError as error:
@@ -83,8 +83,8 @@ def outcome(path):
         assert '\n' not in str(error)
         return str(error), []
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
     return damage, found.rows()
 
 

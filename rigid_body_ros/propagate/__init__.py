@@ -204,8 +204,8 @@ class Run:
         block = np.empty(7 * times.size)
         closed = self._fill(log, times, rows, block, dropped, len(log) if stop is None else stop)
         self._reached_ns = end_ns
-        attitude = block[:4 * times.size].reshape(-1, 4)
-        rates = block[4 * times.size:].reshape(-1, 3)
+        attitude: Floats = block[:4 * times.size].reshape(-1, 4)
+        rates: Floats = block[4 * times.size:].reshape(-1, 3)
         if times.size > count:  # the end of the piece was not asked for
             times, attitude, rates = times[:count], attitude[:count], rates[:count]
         return Trajectory(self._body, times, attitude, rates, Answers(
