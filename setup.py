@@ -60,7 +60,12 @@ setup(
         'test': ['colcon-bash', 'colcon-core', 'colcon-recursive-crawl', 'colcon-ros',
                  'colcon-test-result', 'hypothesis', 'import-linter', 'mcap-ros2-support',
                  'mpmath', 'mypy', 'psutil', 'pytest', 'pytest-xdist', 'rosbags', 'ruff', 'scipy',
-                 'setuptools>=70', 'types-PyYAML', 'types-tqdm'],
+                 'setuptools>=70', 'types-PyYAML', 'types-tqdm',
+                 # The linters of ROS that PyPI has, and what they run.
+                 'ros-ament-flake8', 'ros-ament-pep257', 'flake8', 'flake8-blind-except',
+                 'flake8-builtins', 'flake8-class-newline', 'flake8-comprehensions',
+                 'flake8-deprecated', 'flake8-docstrings', 'flake8-import-order', 'flake8-quotes',
+                 'pydocstyle'],
         'docs': ['myst-parser', 'sphinx', 'sphinx-rtd-theme'],
         'bench': ['bsk', 'cyrk', 'drake', 'heyoka', 'mcap-ros2-support', 'mpmath', 'mujoco',
                   'psutil', 'scipy'],

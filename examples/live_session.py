@@ -31,10 +31,10 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import QuaternionStamped, WrenchStamped
 from nav_msgs.msg import Odometry
+from rcl_interfaces.srv import GetParameters, ListParameters
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import parameter_value_to_python
-from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import messages, recording
 from rosgraph_msgs.msg import Clock
@@ -47,6 +47,9 @@ _KINDS = {ACCEPTED: messages.WRENCH, COMMITTED: messages.ODOMETRY, ATTITUDE: mes
 DIAGNOSTICS = '/diagnostics'
 #: Lose no torque on a busy machine; the node's default is to hear any publisher, best effort.
 RELIABLE = ('-p', 'qos_overrides./torque.subscription.reliability:=reliable')
+#: What keeps packets on the machine, as Humble calls it and as later ones do.
+_LOCAL = {'ROS_LOCALHOST_ONLY': '1'} if os.environ.get('ROS_DISTRO') == 'humble' else \
+    {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 #: The first start on a machine compiles the kernels.
 _PATIENCE_S = 120.0
 
@@ -81,8 +84,7 @@ class LiveSession:
 
     def __init__(self, scene, domain, *arguments):
         self._domain = domain
-        self.environment = os.environ | {
-            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': str(domain)}
+        self.environment = os.environ | _LOCAL | {'ROS_DOMAIN_ID': str(domain)}
         self.command = [sys.executable, '-c',
                         'import sys; from rigid_body_ros.cli import attitude_node; '
                         'sys.exit(attitude_node())',
@@ -104,7 +106,7 @@ class LiveSession:
         return self
 
     def _connect(self):
-        os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+        os.environ.update(_LOCAL)
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=self._domain)
         self.node = rclpy.create_node('live_session', context=self._context)
@@ -193,11 +195,19 @@ class LiveSession:
                                    f'{self.words()}')
             self.spin(0.05)
 
+    def call(self, kind, name, **fields):
+        """Call a service of the node's own and return its response."""
+        client = self.node.create_client(kind, f'/{NODE}/{name}')
+        try:
+            client.wait_for_service(_PATIENCE_S)
+            return self._result(client.call_async(kind.Request(**fields)))
+        finally:
+            self.node.destroy_client(client)
+
     def dump_parameters(self, path):
         """Write the node's parameters as `ros2 param dump` does."""
-        client = AsyncParameterClient(self.node, NODE)
-        names = self._result(client.list_parameters()).result.names
-        values = self._result(client.get_parameters(names)).values
+        names = self.call(ListParameters, 'list_parameters').result.names
+        values = self.call(GetParameters, 'get_parameters', names=names).values
         tree = {}
         for name, value in zip(names, values):
             *groups, leaf = name.split('.')

@@ -19,7 +19,8 @@ from typing import NamedTuple
 from conftest import CONFIG, SECOND
 from live_session import ACCEPTED, COMMITTED
 import numpy as np
-from rclpy.parameter_client import AsyncParameterClient
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.parameter import Parameter
 from rigid_body_ros import messages, propagate, recording, scene
 
 TUMBLER = CONFIG / 'tumbler.yaml'
@@ -69,7 +70,12 @@ def run_clock(live, start_ns, until=lambda: False, seconds=100):
             return
 
 
-def call(live, request):
-    """Return the answer to a request about the node's parameters."""
-    client = AsyncParameterClient(live.node, 'attitude_node')
-    return live._result(request(client))
+def get_parameters(live, *names):
+    return live.call(GetParameters, 'get_parameters', names=names).values
+
+
+def set_parameter(live, name, value):
+    """Return what the node says of it."""
+    message = Parameter(name, value=value).to_parameter_msg()
+    result, = live.call(SetParameters, 'set_parameters', parameters=[message]).results
+    return result

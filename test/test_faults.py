@@ -19,7 +19,7 @@ import time
 
 from conftest import SECOND
 from geometry_msgs.msg import QuaternionStamped, WrenchStamped
-from live import call, decoded, replayed, TUMBLER
+from live import decoded, get_parameters, replayed, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
@@ -287,7 +287,7 @@ def test_a_motion_that_is_too_fast_keeps_nobody_waiting(domain):
         live.spin(3.0)
         values, level, text = live.diagnosis('motion')
         # Parameters, the service and torques are answered all the same.
-        assert call(live, lambda client: client.get_parameters(['solver'])).values
+        assert get_parameters(live, 'solver')
         assert live.reset().success
         live.publish(live.now_ns(), '', [0.0, 0.0, 0.0])
         count = len(live.received[ATTITUDE])

@@ -21,13 +21,13 @@ import sys
 
 from conftest import RECORDINGS, ROOT, SECOND
 from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
-from live import call, decoded, replayed, run_clock, TUMBLER
+from live import decoded, get_parameters, replayed, run_clock, set_parameter, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
 from rcl_interfaces.msg import ParameterType
-from rclpy.parameter import Parameter
+from rcl_interfaces.srv import DescribeParameters
 from rigid_body_ros import (
     euler,
     messages,
@@ -99,7 +99,8 @@ def test_what_is_published_between_stamps_is_the_motion_at_those_times(domain):
 def test_parameters_tell_what_they_are_and_keep_the_scene(domain):
     with LiveSession(TUMBLER, domain) as live:
         names = list(scene.PARAMETERS)
-        descriptors = call(live, lambda client: client.describe_parameters(names)).descriptors
+        descriptors = live.call(DescribeParameters, 'describe_parameters',
+                                names=names).descriptors
         for descriptor in descriptors:
             parameter = scene.PARAMETERS[descriptor.name]
             assert descriptor.description.startswith(parameter.description)
@@ -108,14 +109,12 @@ def test_parameters_tell_what_they_are_and_keep_the_scene(domain):
         changes = {'inertia.ixx': 0.05, 'solver': 'taylor', 'start_time': 5, 'publish_rate': 1e9,
                    'use_sim_time': True, 'qos_overrides./torque.subscription.depth': 5}
         for name, value in changes.items():
-            result, = call(live, lambda client, name=name, value=value: client.set_parameters(
-                [Parameter(name, value=value)])).results
+            result = set_parameter(live, name, value)
             assert not result.successful
             assert name in result.reason
-        result, = call(live, lambda client: client.set_parameters(
-            [Parameter('publish_rate', value=20)])).results
+        result = set_parameter(live, 'publish_rate', 20)
         assert result.successful, result.reason
-        rate, = call(live, lambda client: client.get_parameters(['publish_rate'])).values
+        rate, = get_parameters(live, 'publish_rate')
         assert rate.type == ParameterType.PARAMETER_INTEGER
 
 
@@ -123,7 +122,7 @@ def test_the_rate_may_change_while_running(domain):
     start_ns = 100 * SECOND
     with LiveSession(TUMBLER, domain, '-p', 'use_sim_time:=true') as live:
         run_clock(live, start_ns, seconds=2)
-        call(live, lambda client: client.set_parameters([Parameter('publish_rate', value=10)]))
+        assert set_parameter(live, 'publish_rate', 10).successful
         changed = len(live.received[ATTITUDE])
         run_clock(live, start_ns + 2 * SECOND, seconds=5)
         assert live.stop() == 0
@@ -154,7 +153,7 @@ def test_an_override_of_one_topic_leaves_the_others_alone(domain):
                      '-p', 'qos_overrides./attitude.publisher.depth:=3') as live:
         names = [f'qos_overrides./{topic}.publisher.depth'
                  for topic in ('attitude', 'euler_angles', 'angular_velocity')]
-        values = call(live, lambda client: client.get_parameters(names)).values
+        values = get_parameters(live, *names)
         assert [value.integer_value for value in values] == [3, 10, 10]
 
 
@@ -198,7 +197,7 @@ def test_the_inertia_comes_from_the_robot(tmp_path, domain):
         'initial_angular_velocity': {'y': 0.6}}}}))
     tensor = RigidBody.from_urdf(robot).inertia
     with LiveSession(parameters, domain, *RELIABLE) as live:
-        value, = call(live, lambda client: client.get_parameters(['inertia.ixy'])).values
+        value, = get_parameters(live, 'inertia.ixy')
         assert value.double_value == tensor[0, 1]
         for number in range(5):
             live.publish(live.now_ns(), '', [0.01, 0.0, 1e-3 * number])

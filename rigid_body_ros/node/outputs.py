@@ -24,7 +24,6 @@ import time
 from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -35,6 +34,11 @@ from rigid_body_ros.node.epoch import Torque
 from rigid_body_ros.node.health import Health, UNSENT
 from rigid_body_ros.scene import InputError, Scene
 from sensor_msgs.msg import Imu
+
+try:
+    from rclpy.event_handler import PublisherEventCallbacks
+except ModuleNotFoundError:  # Humble
+    from rclpy.qos_event import PublisherEventCallbacks
 
 _STATE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 # The log of a run: all of it counts, for a recorder that comes a moment later too, and the
