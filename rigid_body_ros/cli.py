@@ -166,7 +166,7 @@ def _tradeoff(options: argparse.Namespace) -> None:
     loaded = _scene(options)
     log, start, end_ns, where = None, loaded.start, None, options.scene
     if options.recording:
-        recorded, log, start = replay.read(options.recording, loaded)
+        recorded, log, start = replay.read(options.recording, loaded, options.topic)
         end_ns = replay.end_of(options.recording, int(log.times_ns[-1]), start.time_ns)
         where = f'{options.recording}: {recorded.topic}'
     try:
@@ -264,6 +264,7 @@ def tradeoff_parser() -> argparse.ArgumentParser:
                         help='ROS 2 parameter file with inertia and start, as for attitude_node')
     parser.add_argument('--recording', metavar='IN', help='recording of torques, as for '
                         'attitude_replay; otherwise 50 turns without torque')
+    parser.add_argument('--topic', help='of the torques; needed where there are several')
     parser.add_argument('--target', type=_angle, default=1e-6, metavar='RAD',
                         help='attitude error that is allowed (default: 1e-6)')
     parser.add_argument('--json', metavar='OUT', help='write all figures, with their units')

@@ -24,7 +24,16 @@ from conftest import CONFIG, RECORDINGS, SECOND
 import matplotlib.image
 import numpy as np
 import pytest
-from rigid_body_ros import cli, propagate, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import (
+    cli,
+    messages,
+    propagate,
+    recording,
+    RigidBody,
+    so3,
+    State,
+    TorqueLog,
+)
 from rigid_body_ros.tradeoff import Error, measure, recommend, report, Run, Setting
 from test_replay import bad_input
 
@@ -180,3 +189,17 @@ def test_a_body_at_rest_has_nothing_to_measure(tmp_path, capsys):
     rest.write_text('/**: {ros__parameters: {inertia: {ixx: 1.0, iyy: 1.0, izz: 1.0}}}\n')
     assert cli.attitude_tradeoff(['--scene', str(rest)]) == 2
     assert 'rest.yaml: initial_angular_velocity: expected' in capsys.readouterr().err
+
+
+def test_of_several_topics_one_is_named(tmp_path, capsys):
+    path, figures = tmp_path / 'two.mcap', tmp_path / 'figures.json'
+    with recording.Writer(path) as writer:
+        for topic, seconds in (('/one', 3), ('/other', 5)):
+            writer.add_topic(topic, messages.WRENCH)
+            for stamp_ns in (SECOND, (1 + seconds) * SECOND):
+                writer.write(topic, stamp_ns, messages.wrench(stamp_ns, '', (0.01, 0.0, 0.0)))
+    arguments = [*TUMBLER, '--recording', str(path), '--json', str(figures)]
+    assert cli.attitude_tradeoff(arguments) == 2
+    assert 'the name of one with --topic; found /one, /other' in capsys.readouterr().err
+    assert cli.attitude_tradeoff([*arguments, '--topic', '/other']) == 0
+    assert json.loads(figures.read_text())['whole_s'] == 5.0
