@@ -61,6 +61,13 @@ def _guarded(name: str, command: Callable[[], None]) -> int:
     except InputError as error:
         print(f'{name}: error: {error}', file=sys.stderr)
         return USER_ERROR
+    except ModuleNotFoundError as error:
+        package = str(error.name).split('.')[0]
+        if package == __package__:
+            raise
+        print(f'{name}: error: there is no Python module {package!r}, which this needs: '
+              f'python3 -m pip install {package}', file=sys.stderr)
+        return USER_ERROR
     except KeyboardInterrupt as interrupt:
         number, *kept = interrupt.args
         print(f'{name}: interrupted; nothing incomplete has its final name{"".join(kept)}',

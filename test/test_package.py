@@ -22,7 +22,7 @@ import sys
 import textwrap
 import xml.etree.ElementTree as ElementTree
 
-from conftest import NAME, ROOT
+from conftest import CONFIG, NAME, RECORDINGS, ROOT
 import pytest
 
 COMMANDS = ('attitude_node', 'attitude_replay', 'attitude_tradeoff')
@@ -87,6 +87,20 @@ def test_the_node_says_what_it_needs_where_ros_is_not():
     line, = result.stderr.splitlines()
     assert line.startswith('attitude_node: error: attitude_node needs ROS 2')
     assert 'pip install "rigid_body_ros[ros]"' in line
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('module', ['mcap', 'zstandard', 'lz4', 'matplotlib', 'tqdm'])
+def test_a_module_that_is_missing_is_named_with_how_to_get_it(module, tmp_path):
+    script = (f"import sys; sys.modules['{module}'] = None; "
+              'from rigid_body_ros.cli import attitude_replay; sys.exit(attitude_replay())')
+    result = subprocess.run(
+        [sys.executable, '-c', script, RECORDINGS / 'tumbler.mcap', '--scene',
+         CONFIG / 'tumbler.yaml', '-o', tmp_path / 'o.mcap', '--plot', tmp_path / 'o.png'],
+        capture_output=True, text=True, check=False)
+    assert result.returncode == 2
+    assert result.stderr == (f"attitude_replay: error: there is no Python module '{module}', "
+                             f'which this needs: python3 -m pip install {module}\n')
 
 
 @pytest.mark.parametrize('module', ['rigid_body_ros', 'rigid_body_ros.replay',
