@@ -396,6 +396,7 @@ def harmed(data, harm):
     return bytes(flipped)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('form', FUZZED)
 def test_harmed_files_give_genuine_messages_or_a_line(tmp_path, form):
     path = FORMS[form](tmp_path, SENT['others'])

@@ -28,6 +28,7 @@ import pytest
 COMMANDS = ('attitude_node', 'attitude_replay', 'attitude_tradeoff')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('command', COMMANDS)
 def test_ros2_run_finds_the_commands_of_a_pip_install(installed, command):
     # What `ros2 run` does: the package's prefix from the ament index, then an executable file
@@ -46,6 +47,7 @@ def test_ros2_run_finds_the_commands_of_a_pip_install(installed, command):
     assert f'usage: {command}' in result.stdout
 
 
+@pytest.mark.slow
 def test_what_else_is_installed(installed):
     packages, = installed.glob('lib/python*/site-packages')
     assert (packages / NAME / 'py.typed').exists()
@@ -56,6 +58,7 @@ def test_what_else_is_installed(installed):
     assert os.access(installed / 'lib' / NAME / 'attitude_controller.py', os.X_OK)
 
 
+@pytest.mark.slow
 def test_the_version_is_that_of_package_xml(installed):
     version = ElementTree.parse(ROOT / 'package.xml').getroot().findtext('version')
     packages, = installed.glob('lib/python*/site-packages')
@@ -114,6 +117,7 @@ def test_the_library_and_the_offline_commands_need_no_ros(module):
     assert result.stdout.strip() == '[]'
 
 
+@pytest.mark.slow
 def test_without_ros_the_tests_of_the_node_are_left_out_and_the_report_says_so():
     script = "import sys; sys.modules['rclpy'] = None; import pytest; sys.exit(pytest.main())"
     result = subprocess.run([sys.executable, '-c', script], cwd=ROOT, capture_output=True,

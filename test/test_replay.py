@@ -262,6 +262,7 @@ def test_wrong_arguments_are_answered_by_the_usage(arguments, output, capsys):
     assert 'usage: attitude_replay' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_is_heard_while_the_motion_is_worked_out(tmp_path, output, number):
     spin = RECORDINGS / 'fast_spin'  # a day at 6000 rad/s is an hour of work for the series
@@ -280,6 +281,7 @@ def test_a_signal_is_heard_while_the_motion_is_worked_out(tmp_path, output, numb
     assert last == 'attitude_replay: interrupted; nothing incomplete has its final name'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_replay_leaves_nothing_under_the_final_name(tmp_path, output, number):
     rows = [(EPOCH_NS + k * SECOND // 1000, '', [1e-3, 0.0, 0.0]) for k in range(60_000)]

@@ -100,6 +100,7 @@ def shuffled(path, order, frames=('',)):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('distance', [3, 30_000])
 def test_stamps_out_of_order_are_put_in_order_and_told(tmp_path, monkeypatch, distance):
     monkeypatch.setattr(torques, '_SAMPLES', 100)
