@@ -28,6 +28,7 @@ import pytest
 from rigid_body_ros import cli, messages, propagate, recording, scene
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.check import energy_balance
+from rigid_body_ros.scene import InputError
 from rosbags.highlevel import AnyReader
 
 ISS = (str(RECORDINGS / 'iss.mcap'), '--scene', str(CONFIG / 'iss.yaml'))
@@ -325,6 +326,12 @@ def test_imu_and_tf_are_written_on_request(tmp_path, output):
         _, _, data = next(reader.messages([connection]))
         first, = reader.deserialize(data, connection.msgtype).transforms
     assert (first.header.frame_id, first.child_frame_id) == ('world', 'base_link')
+
+
+def test_what_cannot_be_written_besides_is_refused(output):
+    with pytest.raises(InputError, match="also: expected some of imu, tf, .*found 'x'"):
+        replay(RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml'), output,
+               also=('imu', 'x'))
 
 
 @pytest.mark.parametrize('keep', [False, True])

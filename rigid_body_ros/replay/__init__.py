@@ -43,7 +43,7 @@ from rigid_body_ros.scene import InputError, Scene
 from rigid_body_ros.torque import TorqueLog
 from tqdm import tqdm
 
-__all__ = ['ALSO', 'ANGULAR_VELOCITY', 'ATTITUDE', 'EULER_ANGLES', 'Replay', 'bar', 'end_of',
+__all__ = ['ANGULAR_VELOCITY', 'ATTITUDE', 'EULER_ANGLES', 'Replay', 'bar', 'end_of',
            'plot', 'read', 'replay']
 
 ATTITUDE, EULER_ANGLES, ANGULAR_VELOCITY = '/attitude', '/euler_angles', '/angular_velocity'
@@ -53,7 +53,6 @@ _TOPICS = {ATTITUDE: messages.QUATERNION, EULER_ANGLES: messages.VECTOR3,
 IMU, TF, MARKERS, INPUT = 'imu', 'tf', 'markers', 'input'
 _IMU_DATA, _TF = '/imu/data', '/tf'
 _ALSO = {IMU: {_IMU_DATA: messages.IMU}, TF: {_TF: messages.TRANSFORM}, MARKERS: markers.TOPICS}
-ALSO = (*_ALSO, INPUT)
 
 
 @dataclass(eq=False)
@@ -153,6 +152,10 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         The recording cannot be read or does not fit the scene, or the output cannot be written.
 
     """
+    for name in also:
+        if name not in (*_ALSO, INPUT):
+            raise InputError(f'also: expected some of {", ".join((*_ALSO, INPUT))}, '
+                             f'found {name!r}')
     keep = output is None if keep is None else keep
     for prepare in bar('kernels, compiled on first use')([warm_up], 1):
         prepare()
@@ -303,7 +306,7 @@ def _writer(output: str | Path) -> recording.Writer:
 def _topics(also: Collection[str]) -> dict[str, MessageType]:
     topics = dict(_TOPICS)
     for name in also:
-        topics.update(_ALSO.get(name, {}))
+        topics.update(_ALSO.get(name, {}))  # the input brings its own
     return topics
 
 
