@@ -79,14 +79,27 @@ def _guarded(name: str, command: Callable[[], None]) -> int:
 def _listen() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
+    sys.unraisablehook = _not_raised
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     if _is_in_compiler(frame):
-        threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
+        _send_again(number)
         return
     # As an exception, so that files are closed and half-written ones removed.
     raise KeyboardInterrupt(number)
+
+
+def _not_raised(lost: sys.UnraisableHookArgs) -> None:
+    # Where an object ends, and in callbacks of weak references, Python drops exceptions.
+    if isinstance(lost.exc_value, KeyboardInterrupt) and lost.exc_value.args:
+        _send_again(lost.exc_value.args[0])
+    else:
+        sys.__unraisablehook__(lost)
+
+
+def _send_again(number: int) -> None:
+    threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
 
 
 def _is_in_compiler(frame: FrameType | None) -> bool:

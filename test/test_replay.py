@@ -303,6 +303,29 @@ def test_an_interrupted_replay_leaves_nothing_under_the_final_name(tmp_path, out
     assert {path.name for path in tmp_path.iterdir()} <= {'long.mcap', 'motion.partial.mcap'}
 
 
+@pytest.mark.parametrize('where', ['weakref.finalize(thing, work)', 'Thing.__del__ = work'])
+def test_a_signal_is_heard_where_python_drops_exceptions(where):
+    script = f"""
+import os, signal, sys, time, weakref
+from rigid_body_ros import cli
+class Thing:
+    pass
+def work(*_):
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(0.1)
+def command():
+    thing = Thing()
+    {where}
+    del thing
+    time.sleep(60.0)
+sys.exit(cli._guarded('command', command))
+"""
+    result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                            timeout=50, check=False)
+    assert result.returncode == 128 + signal.SIGTERM
+    assert result.stderr == 'command: interrupted; nothing incomplete has its final name\n'
+
+
 def test_no_progress_bar_where_nobody_watches(output):
     result = subprocess.run([*COMMAND, *ISS, '-o', str(output)], capture_output=True, text=True,
                             check=True)
