@@ -122,6 +122,9 @@ In `realtime` the clock asks for the motion at `publish_rate`. In `lockstep` eac
 is answered at once with the state at t + `step`; the start state is offered at 10 Hz until the
 first torque comes, and a repeated stamp gets its answer again.
 
+With `use_sim_time` the node waits for `/clock`, and `on_time_jump` says what a clock that runs
+back does. For a bag that is played without `--clock` there is `time_source:=arrival`.
+
 ## Parameters
 
 One file serves the node, `attitude_replay` and `attitude_tradeoff` (`--scene`). An integer is

@@ -164,7 +164,7 @@ class RigidBody:
         Parameters
         ----------
         angular_velocity : array, shape (..., 3), rad/s, body axes
-            One for every torque, or one of each for all of the other.
+            Broadcast against `torque`.
         torque : array, shape (..., 3), N m, body axes
             About the centre of mass.
 

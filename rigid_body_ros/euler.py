@@ -256,7 +256,7 @@ def rates(angles: ArrayLike, angular_velocity: ArrayLike, sequence: str = 'ZXZ')
     angles : array, shape (..., 3), rad
         In the order of the sequence, of any size.
     angular_velocity : array, shape (..., 3), rad/s, body axes
-        One for each triple of angles, or one of either for all of the other.
+        Broadcast against `angles`.
     sequence : str
         As for `to_quaternion`.
 

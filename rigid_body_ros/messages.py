@@ -220,7 +220,7 @@ VECTOR3 = MessageType('geometry_msgs/msg/Vector3Stamped', 3)
 IMU = MessageType('sensor_msgs/msg/Imu', 37)
 ODOMETRY = MessageType('nav_msgs/msg/Odometry', 85, has_child_frame=True)
 TRANSFORM = MessageType('tf2_msgs/msg/TFMessage', 7, has_child_frame=True, is_list=True)
-#: The three colours can be told apart in grey, and by the colour-blind.
+#: The arrows differ in lightness, for those who do not see the colours.
 BOX = _marker(1, 0.70, 0.75, 0.80, 0.8)
 ORANGE_ARROW, BLUE_ARROW = _marker(0, 0.90, 0.62, 0.0, 1.0), _marker(0, 0.0, 0.27, 0.70, 1.0)
 TYPES = {kind.name: kind for kind in (WRENCH, QUATERNION, VECTOR3, IMU, ODOMETRY, TRANSFORM, BOX)}

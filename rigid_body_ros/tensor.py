@@ -30,7 +30,7 @@ from rigid_body_ros.so3 import Floats
 _DIGITS = 64
 _SWEEPS = 20
 #: Of the smaller moment: a rotation that takes out less changes no digit that counts.
-_NEGLIGIBLE = Decimal(10).scaleb(9 - _DIGITS)
+_NEGLIGIBLE = Decimal(1).scaleb(10 - _DIGITS)
 
 
 def euler_coefficients(tensor: Floats) -> Floats:
@@ -59,7 +59,7 @@ def euler_coefficients(tensor: Floats) -> Floats:
 
     """
     # Doubles are integers over a power of two. Integers need no fractions to be brought to lowest
-    # terms, which takes ten times as long, and Python rounds their quotients correctly.
+    # terms, which takes several times as long, and Python rounds their quotients correctly.
     ratios = [[float(entry).as_integer_ratio() for entry in row] for row in tensor]
     scale = max(below for row in ratios for _, below in row)
     j = [[above * (scale // below) for above, below in row] for row in ratios]
