@@ -158,12 +158,12 @@ class Writer:
             part = slice(first, first + step)
             times = times_ns[part]
             rows = np.empty(len(times), layout)
-            indexed = []
-            for (name, _), column in zip(fields, columns):
+            indexed, place = [], 0
+            for (name, field), column in zip(fields, columns):
                 self._fill(rows[name], times, column, column.values[part])
-                offsets = rows[name].__array_interface__['data'][0] - rows.ctypes.data \
-                    + np.arange(len(times)) * layout.itemsize
+                offsets = place + np.arange(len(times)) * layout.itemsize
                 indexed.append(Indexed(self._channels[column.topic], times, offsets))
+                place += field.itemsize
             self._container.add_chunk(rows.tobytes(), indexed)
 
     def _fields(self, column: Column) -> np.dtype[np.void]:
