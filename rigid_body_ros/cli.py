@@ -21,12 +21,10 @@ from collections.abc import Callable, Sequence
 import json
 import os
 from pathlib import Path
-import signal
 import sys
-import threading
-from types import FrameType
 from typing import Any, TYPE_CHECKING
 
+from rigid_body_ros import interrupts
 from rigid_body_ros.scene import InputError, load, Scene
 
 if TYPE_CHECKING:
@@ -55,9 +53,9 @@ def attitude_node(arguments: Sequence[str] | None = None) -> int:
 
 
 def _guarded(name: str, command: Callable[[], None]) -> int:
-    _listen()
     try:
-        command()
+        with interrupts.listening():
+            command()
     except InputError as error:
         print(f'{name}: error: {error}', file=sys.stderr)
         return USER_ERROR
@@ -74,41 +72,6 @@ def _guarded(name: str, command: Callable[[], None]) -> int:
               file=sys.stderr)
         return SIGNALLED + int(number)
     return OK
-
-
-def _listen() -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
-    sys.unraisablehook = _not_raised
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    if _is_in_compiler(frame):
-        _send_again(number)
-        return
-    # As an exception, so that files are closed and half-written ones removed.
-    raise KeyboardInterrupt(number)
-
-
-def _not_raised(lost: sys.UnraisableHookArgs) -> None:
-    # Where an object ends, and in callbacks of weak references, Python drops exceptions.
-    if isinstance(lost.exc_value, KeyboardInterrupt) and lost.exc_value.args:
-        _send_again(lost.exc_value.args[0])
-    else:
-        sys.__unraisablehook__(lost)
-
-
-def _send_again(number: int) -> None:
-    threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
-
-
-def _is_in_compiler(frame: FrameType | None) -> bool:
-    # Its C code calls back, and loses an exception that is raised there.
-    while frame:
-        if str(frame.f_globals.get('__name__', '')).startswith('llvmlite.'):
-            return True
-        frame = frame.f_back
-    return False
 
 
 def _node(arguments: Sequence[str] | None) -> None:
@@ -157,7 +120,7 @@ def _replay_many(options: argparse.Namespace) -> None:
     from rigid_body_ros.replay.many import replay_many, table
     if options.plot:
         raise InputError(f'--plot: expected one recording, found {len(options.input)}')
-    outcomes = replay_many(options.input, _scene(options), options.output, _listen,
+    outcomes = replay_many(options.input, _scene(options), options.output,
                            **_replay_options(options))
     _print(table(outcomes))
     failed = [outcome.path for outcome in outcomes if outcome.error]

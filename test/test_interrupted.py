@@ -187,6 +187,20 @@ def test_an_interrupted_replay_says_so(whole, output, number, stage, moment):
     assert ('what was written so far is in ' in line) == bool(list(output.parent.iterdir()))
 
 
+def test_signals_in_a_row_do_not_disturb_the_cleaning_up(whole, output):
+    process = start([*whole.arguments, output])
+    wait_for('writing', process, output.parent)
+    for _ in range(50):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.001)
+    _, words = process.communicate(timeout=60)
+    assert process.returncode == 128 + signal.SIGINT
+    assert words.startswith('attitude_replay: interrupted')
+    assert len(words.splitlines()) == 1
+    check(whole, output)
+    assert not parts(output.parent)
+
+
 @pytest.mark.parametrize('share', [0.0, 0.6, 1.0])
 def test_a_full_disk_is_told_in_one_line(whole, output, share):
     limit = max(0, round(share * whole.size) - 1)

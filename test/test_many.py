@@ -54,27 +54,56 @@ def test_a_bad_recording_does_not_keep_others_from_their_motion(tmp_path, capfd)
     np.testing.assert_array_equal(found, expected)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_all_of_them(tmp_path, number):
+@pytest.fixture
+def two_long_ones(tmp_path):
+    """Start to replay two recordings, which takes long; return the process once both are at it."""
     names = []
     for name in 'ab':
         names.append(str(tmp_path / f'{name}.mcap'))
         shutil.copy(RECORDINGS / 'tumbler.mcap', names[-1])
     process = subprocess.Popen([*COMMAND, *names, *SCENE, '-o', str(tmp_path / 'out'),
                                 '--rate', '1000', '--until', '86400'], stderr=subprocess.PIPE,
-                               stdout=subprocess.DEVNULL, text=True, start_new_session=True)
+                               stdout=subprocess.PIPE, text=True, start_new_session=True)
     for _ in range(600):
         if len(list((tmp_path / 'out').glob('.*.part'))) == 2:
             break
         time.sleep(0.1)
-    os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
-    _, words = process.communicate(timeout=30)
-    assert process.returncode == 128 + number
+    return process
+
+
+# Ctrl-C goes to all processes of a terminal; `timeout` sends to its child and to all as well.
+@pytest.mark.slow
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('send', [[os.kill], [os.killpg], [os.kill, os.killpg, os.kill]],
+                         ids=['one', 'all', 'repeated'])
+def test_a_signal_ends_all_of_them(tmp_path, two_long_ones, number, send):
+    for to in send:
+        to(two_long_ones.pid, number)
+        time.sleep(0.03)
+    _, words = two_long_ones.communicate(timeout=30)
+    assert two_long_ones.returncode == 128 + number
     assert words.splitlines() == [
         'attitude_replay: interrupted; nothing incomplete has its final name']
     assert not list((tmp_path / 'out').glob('[ab].mcap'))
     assert not list((tmp_path / 'out').glob('.*.part'))
+
+
+@pytest.mark.slow
+def test_a_process_that_is_killed_is_told(tmp_path, two_long_ones):
+    part, other = sorted((tmp_path / 'out').glob('.*.part'))
+    os.kill(int(part.suffixes[-2][1:]), signal.SIGKILL)
+    time.sleep(1.0)
+    os.kill(int(other.suffixes[-2][1:]), signal.SIGKILL)
+    out, words = two_long_ones.communicate(timeout=30)
+    assert two_long_ones.returncode == 2
+    first, second, last = out.splitlines()
+    for line, name in ((first, 'a'), (second, 'b')):
+        name = tmp_path / f'{name}.mcap'
+        assert line == (f'{name}  failed: {name}: the process at work on it was ended from '
+                        'outside, with status -9')
+    assert last == '0 of 2 written'
+    assert words == ('attitude_replay: error: 2 of 2 recordings failed: '
+                     f'{tmp_path / "a.mcap"}, {tmp_path / "b.mcap"}\n')
 
 
 def test_two_recordings_of_one_name_are_refused(tmp_path, capsys):

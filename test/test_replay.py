@@ -326,6 +326,12 @@ sys.exit(cli._guarded('command', command))
     assert result.stderr == 'command: interrupted; nothing incomplete has its final name\n'
 
 
+def test_a_command_that_is_called_leaves_signals_to_its_caller(output):
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    assert cli.attitude_replay([*ISS, '-o', str(output)]) == 0
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+
+
 def test_no_progress_bar_where_nobody_watches(output):
     result = subprocess.run([*COMMAND, *ISS, '-o', str(output)], capture_output=True, text=True,
                             check=True)

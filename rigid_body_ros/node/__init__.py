@@ -43,7 +43,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
-from rigid_body_ros import scene
+from rigid_body_ros import interrupts, scene
 from rigid_body_ros.node.health import FORCE, Health, LOST, RECEIVED
 from rigid_body_ros.node.inputs import Inputs, RefusedError
 from rigid_body_ros.node.lockstep import Lockstep
@@ -190,6 +190,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # From here on a signal does not cut a callback short.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda number, frame: stop.append(number))
+        interrupts.heed()
         while not stop:
             # With a timeout, to hear signals; without one the executor of events may hang.
             executor.spin_once(timeout_sec=_HEED_EVERY if node.work() else 0.0)

@@ -30,7 +30,7 @@ import time
 from typing import Any
 
 import numpy as np
-from rigid_body_ros import messages, recording
+from rigid_body_ros import interrupts, messages, recording
 from rigid_body_ros.body import State
 from rigid_body_ros.fingerprint import fingerprint, NAME
 from rigid_body_ros.messages import MessageType
@@ -200,6 +200,7 @@ def bar(label: str, unit: str = ' stamps',
             for item in items:
                 yield item
                 shown.update(size(item))
+                interrupts.heed()
     return track
 
 
@@ -262,6 +263,7 @@ def _replayed(asked: Asked, source: Source,
         if writer:
             _announce(writer, asked)
         for stretch in stretches:
+            interrupts.heed()
             _take(result, stretch)
             if writer:
                 writing = time.perf_counter()

@@ -16,18 +16,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Generator, Sequence
+from contextlib import closing, redirect_stderr, suppress
 from dataclasses import dataclass
-from functools import partial
 import io
 import multiprocessing
+from multiprocessing.connection import Connection, wait
 import os
 from pathlib import Path
-import sys
+import threading
 from typing import Any
 
+from rigid_body_ros import interrupts
 from rigid_body_ros.replay import bar, replay
 from rigid_body_ros.scene import InputError, Scene
+from tqdm import tqdm
+
+#: s; how often to look for signals.
+_HEED_EVERY = 0.1
+
+#: A recording, and where its motion goes.
+Task = tuple[str, str]
 
 
 @dataclass(frozen=True)
@@ -41,7 +50,7 @@ class Outcome:
 
 
 def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
-                prepare: Callable[[], None], **options: Any) -> list[Outcome]:
+                **options: Any) -> list[Outcome]:
     """
     Replay recordings into a folder, as files of their names.
 
@@ -53,8 +62,6 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
         One for all of them.
     folder : str or Path
         Made if it is not there.
-    prepare : callable
-        What each process does first.
     options
         As of `replay`.
 
@@ -78,12 +85,9 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
         Path(folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f'{folder}: cannot write: {error.strerror}') from error
-    # Spawned: a fork would take over half of what threads of this process are about.
-    context = multiprocessing.get_context('spawn')
-    with context.Pool(min(len(paths), os.cpu_count() or 1), _begin, (prepare,)) as pool:
-        work = partial(_outcome, scene, options)
-        done = bar('recordings', ' files')(pool.imap(work, zip(paths, outputs)), len(paths))
-        return list(done)
+    with closing(_side_by_side([*zip(paths, outputs)], scene, options)) as outcomes:
+        done = list(bar('recordings', ' files')(outcomes, len(paths)))
+    return sorted(done, key=lambda outcome: outputs.index(outcome.output))
 
 
 def table(outcomes: Sequence[Outcome]) -> str:
@@ -95,13 +99,81 @@ def table(outcomes: Sequence[Outcome]) -> str:
     return '\n'.join([*lines, f'{len(outcomes) - failed} of {len(outcomes)} written'])
 
 
-def _begin(prepare: Callable[[], None]) -> None:
-    sys.stderr = io.StringIO()  # one progress bar is enough
-    prepare()
+def _side_by_side(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
+                  ) -> Generator[Outcome]:
+    """Generate what becomes of each, in the order in which processes get through."""
+    waiting = [*reversed(tasks)]
+    idle: list[_Worker] = []
+    busy: list[_Worker] = []
+    try:
+        while waiting or busy:
+            while waiting and len(busy) < (os.cpu_count() or 1):
+                busy.append(idle.pop() if idle else _Worker(scene, options))
+                busy[-1].begin(waiting.pop())
+            ready = wait([worker.connection for worker in busy], _HEED_EVERY)
+            for worker in [worker for worker in busy if worker.connection in ready]:
+                busy.remove(worker)
+                outcome = worker.result()
+                if worker.is_there:
+                    idle.append(worker)
+                yield outcome
+            interrupts.heed()
+    finally:
+        for worker in busy:
+            worker.interrupt()
+        for worker in [*idle, *busy]:
+            worker.end()
 
 
-def _outcome(scene: Scene, options: dict[str, Any], names: tuple[str, str]) -> Outcome:
-    path, output = names
+class _Worker:
+    """A process that replays recordings, one at a time."""
+
+    def __init__(self, scene: Scene, options: dict[str, Any]) -> None:
+        # Spawned: a fork would take over half of what threads of this process are about.
+        context = multiprocessing.get_context('spawn')
+        self.connection, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs, scene, options), daemon=True)
+        with interrupts.kept_from_children():
+            self._process.start()
+        theirs.close()  # or the end of the process would not be seen
+        self.is_there = True
+
+    def begin(self, task: Task) -> None:
+        self._task = task
+        with suppress(OSError):  # it has ended, which the result will tell
+            self.connection.send(task)
+
+    def result(self) -> Outcome:
+        try:
+            outcome: Outcome = self.connection.recv()
+        except (EOFError, OSError):
+            self._process.join()
+            self.is_there = False
+            return Outcome(*self._task, error=f'{self._task[0]}: the process at work on it was '
+                           f'ended from outside, with status {self._process.exitcode}')
+        return outcome
+
+    def interrupt(self) -> None:
+        self._process.terminate()
+
+    def end(self) -> None:
+        self.connection.close()
+        self._process.join()
+
+
+def _serve(connection: Connection, scene: Scene, options: dict[str, Any]) -> None:
+    # What it would take otherwise is left over where a process is killed.
+    tqdm.set_lock(threading.RLock())
+    with suppress(EOFError, OSError, KeyboardInterrupt), interrupts.listening():
+        while True:
+            task = connection.recv()
+            with redirect_stderr(io.StringIO()):  # one progress bar is enough
+                outcome = _outcome(scene, options, task)
+            connection.send(outcome)
+
+
+def _outcome(scene: Scene, options: dict[str, Any], task: Task) -> Outcome:
+    path, output = task
     try:
         result = replay(path, scene, output, **options)
     except InputError as error:
