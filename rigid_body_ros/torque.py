@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -112,12 +112,12 @@ class TorqueLog:
         sample = bisect.bisect_right(self.times_ns, time_ns) - 1
         return sample, sample >= 0 and 0 < timeout_ns <= time_ns - int(self.times_ns[sample])
 
-    def polynomials(self, first: int) -> Iterator[tuple[int, int, Floats]]:
+    def polynomials(self, first: int) -> Iterable[tuple[int, int, Floats]]:
         """
-        Generate what lies between the samples, from a sample on, a chunk at a time.
+        Return what lies between the samples, from a sample on, a chunk at a time.
 
-        Yields
-        ------
+        Returns
+        -------
         start, stop : int
             The samples of the chunk.
         coefficients : array, shape (stop - start + 1, degree + 1, 3), N m
@@ -125,9 +125,12 @@ class TorqueLog:
             has, unless it is the last.
 
         """
-        if self.interpolation == 'hold' or not len(self):
-            yield 0, len(self), self.torques[:, None, :]
-            return
+        count = len(self)
+        if self.interpolation == 'hold' or not count:
+            return ((0, count, self.torques[:, None, :]),)
+        return self._chunks(first)
+
+    def _chunks(self, first: int) -> Iterator[tuple[int, int, Floats]]:
         for start in range(max(first, 0), len(self), _CHUNK):
             stop = min(start + _CHUNK, len(self))
             coefficients = self._polynomials(start, min(stop + 1, len(self)))

@@ -35,6 +35,7 @@ from rigid_body_ros import euler, so3
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.propagate.loop import (
     BUDGET,
+    IN_FORCE,
     IN_ORDER,
     NEVER_NS,
     order,
@@ -215,26 +216,35 @@ class Run:
               motion: Floats, dropped: int, stop: int) -> NDArray[np.bool_]:
         """Fill the motion, and tell in which samples a coast was answered in closed form."""
         closed = np.zeros(len(log) + 1, np.bool_)
-        if not self._place:
-            if stop < len(log) and log.times_ns[stop] <= self._start.time_ns:
-                return closed  # all of it before the start
-            self._place, dropped = self._begun(log), 0
-        states, grid_ns, begin_ns, sample, silent = self._place
-        # In a coast that goes on, an earlier sample may be in force, which says no more than that.
-        at = (grid_ns, begin_ns, max(sample - dropped, -1), silent, 0)
-        for first, end, torques in log.polynomials(at[2]):
-            while at[2] < min(end, stop) and at[4] < times.size:
-                at = run(*(states, *at, times, rows, motion, closed, log.times_ns, torques,
-                           log.in_space, first, min(end, stop), self._options.timeout_ns,
-                           *self._arguments, BUDGET))
-                self._options.check_speed(states[2], at[0])
-        self._place = (states, *at[:4])
+        if self._place:
+            states, grid_ns, begin_ns, sample, silent = self._place
+            # In a coast that goes on, an earlier sample may be in force: it says no more than -1.
+            sample = max(sample - dropped, -1)
+        else:
+            states, grid_ns, begin_ns, sample, silent = self._begun(log)
+        begins_later = stop < len(log) and log.times_ns[stop] <= self._start.time_ns
+        if begins_later:  # nothing but the start itself can be asked for
+            stop = len(log)
+        done, timeout_ns = 0, self._options.timeout_ns
+        for first, end, torques in log.polynomials(sample):
+            while sample < min(end, stop) and done < times.size:
+                grid_ns, begin_ns, sample, silent, done, fast = run(
+                    states, grid_ns, begin_ns, sample, silent, done, times, rows, motion, closed,
+                    log.times_ns, torques, log.in_space, first, min(end, stop), timeout_ns,
+                    *self._arguments, BUDGET)
+                if fast:
+                    raise self._options.too_fast(times[-1] if done == times.size else grid_ns)
+        if not begins_later:
+            self._place = states, grid_ns, begin_ns, sample, silent
         return closed
 
     def _begun(self, log: TorqueLog) -> tuple[Floats, int, int, int, bool]:
-        sample, silent = log.in_force(self._start.time_ns, self._options.timeout_ns)
-        rule = _rule_at_start(self._body, self._start, log, self._options, sample, silent)
-        begun = origin(self._start, rule)
+        start = self._start
+        if start._origin is None:
+            return working_states(start._packed), start.time_ns, start.time_ns, IN_FORCE, False
+        sample, silent = log.in_force(start.time_ns, self._options.timeout_ns)
+        rule = _rule_at_start(self._body, start, log, self._options, sample, silent)
+        begun = origin(start, rule)
         states = working_states(begun.grid, begun.begin)
         return states, begun.grid_ns, begun.begin_ns, sample, silent
 
@@ -258,7 +268,10 @@ def _checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], boo
         raise ValueError('at: expected integer nanoseconds of shape (m,), '
                          f'found {times.dtype} of shape {times.shape}')
     times = times.astype(np.int64, copy=False)
-    ascends, first_ns, last_ns = order(times) if times.size else (True, start_ns, start_ns)
+    if times.size > 1:
+        ascends, first_ns, last_ns = order(times)
+    else:  # to call a kernel takes as long as the rest here
+        ascends, (first_ns, last_ns) = True, 2 * (times.tolist() or [start_ns])
     for time_ns in (first_ns, last_ns):
         if not start_ns <= time_ns < NEVER_NS:
             raise ValueError(f'at: expected times from the start, {start_ns} ns, on, '
@@ -275,8 +288,6 @@ def _check_solver(options: Options, log: TorqueLog) -> None:
 
 def _rule_at_start(body: RigidBody, start: State, log: TorqueLog, options: Options, sample: int,
                    silent: bool) -> Hashable:
-    if start._origin is None:
-        return None
     if sample < 0 or silent:
         return options.rule(body, np.zeros(3), False)
     torque = log.torques[sample]

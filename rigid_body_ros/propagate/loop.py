@@ -44,6 +44,8 @@ from rigid_body_ros.so3 import Floats
 NEVER_NS = 2 ** 63 - 1
 #: For `rows` of `run`: the times ascend.
 IN_ORDER = np.empty(0, np.intp)
+#: For `sample` of `run`: the one in force at the beginning, which is to be found.
+IN_FORCE = -2
 #: Steps, some 50 ms of work, after which a kernel returns, so that signals are heard.
 BUDGET = 20_000
 #: rad; `auto` answers a coast in closed form where it turns by more. Up to here the series is as
@@ -70,10 +72,12 @@ def origin(start: bodies.State, rule: Hashable) -> Origin:
     return Origin(rule, start.time_ns, start._packed, start.time_ns, start._packed)
 
 
-def working_states(grid: Floats, begin: Floats) -> Floats:
+def working_states(grid: Floats, begin: Floats | None = None) -> Floats:
     """Return what `run` works on, from the state on the grid and at the segment's beginning."""
-    states = np.empty((3, bodies.SIZE))
-    states[0], states[1] = grid, begin
+    states = np.empty(3 * bodies.SIZE)
+    states[:bodies.SIZE] = grid
+    if begin is not None:
+        states[bodies.SIZE:2 * bodies.SIZE] = begin
     return states
 
 
@@ -93,17 +97,18 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
         closed: NDArray[np.bool_], stamps_ns: NDArray[np.int64], torques: Floats,
         in_space: NDArray[np.bool_], first: int, stop: int, timeout_ns: int, constants: Floats,
         solver: int, tolerance: float, max_step_ns: int,
-        budget: int) -> tuple[int, int, int, bool, int]:
+        budget: int) -> tuple[int, int, int, bool, int, bool]:
     """
     Go from torque to torque, and fill attitude and rates at sorted times.
 
     Parameters
     ----------
-    states : float64 (3, bodies.SIZE)
+    states : float64 (3 bodies.SIZE,)
         The state on the grid of steps, and the one that the segment began with; changed. Last,
         filled, the state that was worked out last.
     grid_ns, begin_ns, sample, silent, done : int, int, int, bool, int
         Their times, the sample in force and whether it timed out, and how many times are filled.
+        Or a sample of IN_FORCE: then only the first state and its time count.
     at_ns : int64 (m,)
         Times to answer for, none before the grid's.
     rows : int (m,) or (0,)
@@ -135,9 +140,15 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
     -------
     grid_ns, begin_ns, sample, silent, done
         Where it got until all was done, the budget of steps used up, or the body too fast.
+    fast : bool
+        Whether it is: beyond FASTEST.
 
     """
-    state, begin = _load(states[0]), _load(states[1])
+    state, begin = _load(states, 0), _load(states, bodies.SIZE)
+    if sample == IN_FORCE:
+        sample = int(np.searchsorted(stamps_ns, grid_ns, 'right')) - 1
+        silent = sample >= 0 and 0 < timeout_ns <= grid_ns - stamps_ns[sample]
+        begin, begin_ns = state, grid_ns
     equations, frame = _equations(constants), _frame(constants)
     diagonal, angle = _is_diagonal(equations), taylor.step_angle(tolerance)
     table = np.empty(taylor.WORKSPACE)
@@ -194,10 +205,10 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
                 state, grid_ns, begin, begin_ns, prepared = out, end_ns, out, end_ns, False
         if not asked or begin_ns == end_ns:
             sample, silent = (sample, True) if falls_silent else (sample + 1, False)
-    _store(state, states[0])
-    _store(begin, states[1])
-    _store(out, states[2])
-    return grid_ns, begin_ns, sample, silent, done
+    _store(state, states, 0)
+    _store(begin, states, bodies.SIZE)
+    _store(out, states, 2 * bodies.SIZE)
+    return grid_ns, begin_ns, sample, silent, done, _is_too_fast(out)
 
 
 @part
@@ -315,7 +326,7 @@ def _move(state: vector.State, grid_ns: int, time_ns: int, torque: vector.Polyno
             break
         state = out
         grid_ns += step_ns
-        if not vector.dot(out[0], out[0]) <= FASTEST * FASTEST:  # nor NaN
+        if _is_too_fast(out):
             return state, grid_ns, out, False, budget
     return state, grid_ns, out, True, budget
 
@@ -381,15 +392,20 @@ def _is_diagonal(equations: vector.Coefficients) -> bool:
             and _is_nothing(d) and _is_nothing(e) and _is_nothing(f))
 
 
-@part
-def _load(packed: Floats) -> vector.State:
-    return (four.load(packed, 0), four.load(packed, 4), four.load(packed, 8),
-            four.load(packed, 12))
+@inlined
+def _is_too_fast(state: vector.State) -> bool:
+    return not vector.dot(state[0], state[0]) <= FASTEST * FASTEST  # nor NaN
 
 
 @part
-def _store(state: vector.State, packed: Floats) -> None:
-    four.store(packed, 0, state[0])
-    four.store(packed, 4, state[1])
-    four.store(packed, 8, state[2])
-    four.store(packed, 12, state[3])
+def _load(packed: Floats, at: int) -> vector.State:
+    return (four.load(packed, at), four.load(packed, at + 4), four.load(packed, at + 8),
+            four.load(packed, at + 12))
+
+
+@part
+def _store(state: vector.State, packed: Floats, at: int) -> None:
+    four.store(packed, at, state[0])
+    four.store(packed, at + 4, state[1])
+    four.store(packed, at + 8, state[2])
+    four.store(packed, at + 12, state[3])

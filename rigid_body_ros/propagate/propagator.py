@@ -271,23 +271,26 @@ class _Segment:
                 self._rule, time_ns, self._states[0], time_ns, self._states[0]))
         nearest = bisect.bisect_right(self._grid_ns, time_ns) - 1
         states = loop.working_states(self._states[nearest], self._states[0])
-        grid, _, out = states
-        at = (self._grid_ns[nearest], self._grid_ns[0], 0, False, 0)
-        while not at[-1]:
-            at = loop.run(*(states, *at, np.array([time_ns]), loop.IN_ORDER, *_UNUSED,
-                            *self._log, *self._arguments, loop.BUDGET))
-            self._options.check_speed(grid, at[0])
+        grid, _, out = states.reshape(3, -1)
+        place: Any = self._grid_ns[nearest], self._grid_ns[0], 0, False
+        done = 0
+        while not done:
+            *place, done, fast = loop.run(*(
+                states, *place, done, np.array([time_ns]), loop.IN_ORDER, *_UNUSED, *self._log,
+                *self._arguments, loop.BUDGET))
+            if fast:
+                raise self._options.too_fast(time_ns if done else place[0])
             if time.monotonic() > until:
                 break
-        if at[0] > self._grid_ns[-1]:
-            self._grid_ns.append(at[0])
+        grid_ns = place[0]
+        if grid_ns > self._grid_ns[-1]:
+            self._grid_ns.append(grid_ns)
             self._states.append(grid)
-            self._thin(at[0] - self._history_ns)
-        if not at[-1]:
-            raise TimeoutError(f'the motion is known up to {at[0]} ns, not yet to {time_ns} ns')
-        self._options.check_speed(out, time_ns)
+            self._thin(grid_ns - self._history_ns)
+        if not done:
+            raise TimeoutError(f'the motion is known up to {grid_ns} ns, not yet to {time_ns} ns')
         return State._as_computed(time_ns, out, Origin(
-            self._rule, self._grid_ns[0], self._states[0], at[0], grid))
+            self._rule, self._grid_ns[0], self._states[0], grid_ns, grid))
 
     def end_at(self, time_ns: int, until: float) -> State:
         """Return a state that the next segment begins with, even if the torque stays the same."""
