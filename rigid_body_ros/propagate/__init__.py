@@ -233,7 +233,7 @@ class Run:
                     log.times_ns, torques, log.in_space, first, min(end, stop), timeout_ns,
                     *self._arguments, BUDGET)
                 if fast:
-                    raise self._options.too_fast(times[-1] if done == times.size else grid_ns)
+                    raise self._options.too_fast(grid_ns)
         if not begins_later:
             self._place = states, grid_ns, begin_ns, sample, silent
         return closed
