@@ -22,7 +22,7 @@ test: $(VENV)/done $(JAZZY)/done ## every check and every test; those of the nod
 
 check: $(VENV)/done ## the fast ones, without ROS
 	$(MAKE) --no-print-directory lint
-	$(BIN)/python -m pytest -m "not ros and not slow"
+	$(BIN)/python -m pytest $(PARALLEL) -m "not ros and not slow"
 
 .PHONY: lint
 lint: $(VENV)/done

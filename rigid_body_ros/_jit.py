@@ -30,8 +30,8 @@ try:
 except ImportError:
     numba = None
 
-#: Whether kernels are compiled.
-COMPILES = numba is not None
+#: Whether kernels are compiled; NUMBA_DISABLE_JIT keeps numba from it.
+COMPILES = numba is not None and not numba.config.DISABLE_JIT
 
 Kernel = TypeVar('Kernel', bound=Callable[..., Any])
 

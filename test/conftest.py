@@ -16,6 +16,7 @@
 
 import fcntl
 from importlib.util import find_spec
+import os
 from pathlib import Path
 import shutil
 import subprocess
@@ -96,19 +97,26 @@ def read_only_package(tmp_path):
 
 @pytest.fixture(scope='session')
 def installed(tmp_path_factory):
-    """Install the package as `pip install .` does, into a prefix of its own."""
-    folder = tmp_path_factory.mktemp('install')
-    pip = [sys.executable, '-m', 'pip', '--disable-pip-version-check', '--quiet']
-    # Tests may run in parallel, and a build is made in the checkout.
+    """Install the package as `pip install .` does, into a prefix that all tests share."""
+    folder = tmp_path_factory.getbasetemp()
+    if 'PYTEST_XDIST_WORKER' in os.environ:
+        folder = folder.parent  # of all that run in parallel
+    # Also because a build is made in the checkout.
     with open(Path(tempfile.gettempdir()) / f'{NAME}.build.lock', 'w') as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        subprocess.run([*pip, 'wheel', '--no-deps', '--no-build-isolation', '-w', folder, ROOT],
-                       check=True)
+        if not (folder / 'prefix').exists():
+            _install(folder)
+    return folder / 'prefix'
+
+
+def _install(folder):
+    pip = [sys.executable, '-m', 'pip', '--disable-pip-version-check', '--quiet']
+    subprocess.run([*pip, 'wheel', '--no-deps', '--no-build-isolation', '-w', folder, ROOT],
+                   check=True)
     wheel, = folder.glob('*.whl')
     # Without --ignore-installed pip would remove the package from the environment of the tests.
     subprocess.run([*pip, 'install', '--no-deps', '--ignore-installed', '--prefix',
                     folder / 'prefix', wheel], check=True)
-    return folder / 'prefix'
 
 
 class Reference:

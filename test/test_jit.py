@@ -56,32 +56,53 @@ def test_another_process_gives_the_same_bits():
     assert words == ''
 
 
-def test_without_numba_the_same_motion_comes_out():
-    attitude, _ = run("sys.modules['numba'] = None")
+@pytest.mark.parametrize(('before', 'environment'), [
+    ("sys.modules['numba'] = None", {}), ('', {'NUMBA_DISABLE_JIT': '1'})],
+    ids=['absent', 'disabled'])
+def test_without_numba_the_same_motion_comes_out(before, environment):
+    attitude, _ = run(before, **environment)
     np.testing.assert_allclose(attitude, here(), rtol=0, atol=1e-15)
 
 
-@pytest.mark.slow
-def test_a_read_only_install_without_a_home_works_and_warns_once(read_only_package):
-    nowhere = str(read_only_package / 'rigid_body_ros' / '__pycache__' / 'nowhere')
-    attitude, words = run(PYTHONPATH=str(read_only_package), HOME=nowhere,
-                          XDG_CACHE_HOME=nowhere, PYTHONDONTWRITEBYTECODE='1')
-    np.testing.assert_array_equal(attitude, here())
+@pytest.fixture
+def few_kernels(tmp_path):
+    """Return a package whose kernels, compiled as ours are, take less time than ours."""
+    package = tmp_path / 'few'
+    package.mkdir()
+    shutil.copy(PACKAGE / '_jit.py', package)
+    (package / 'inner.py').write_text(
+        'from few._jit import part\n@part\ndef twice(x):\n    return 2.0 * x\n')
+    (package / 'outer.py').write_text(
+        'from few._jit import njit\nfrom few.inner import twice\n'
+        '@njit\ndef four_times(x):\n    return twice(twice(x))\n')
+    return package
+
+
+def four_times_three(package, **environment):
+    result = subprocess.run(
+        [sys.executable, '-c', 'from few.outer import four_times; print(four_times(3.0))'],
+        env={**os.environ, 'PYTHONPATH': str(package.parent), **environment}, check=True,
+        capture_output=True, text=True)
+    return float(result.stdout), result.stderr
+
+
+def test_a_read_only_install_without_a_home_works_and_warns_once(few_kernels):
+    (few_kernels / '__pycache__').touch()  # a file where the folder should be: even root stops
+    nowhere = str(few_kernels / '__pycache__' / 'nowhere')
+    value, words = four_times_three(few_kernels, HOME=nowhere, XDG_CACHE_HOME=nowhere,
+                                    PYTHONDONTWRITEBYTECODE='1')
+    assert value == 12.0
     assert words.count('no folder for compiled kernels can be written') == 1
 
 
-@pytest.mark.slow
-def test_a_change_in_one_module_reaches_the_kernels_of_all(tmp_path):
-    # The step is inlined into kernels of other files, whose cached code would go on.
-    site = tmp_path / 'site'
-    shutil.copytree(PACKAGE, site / 'rigid_body_ros', ignore=shutil.ignore_patterns('__pycache__'))
-    environment = {'PYTHONPATH': str(site), 'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
-    np.testing.assert_array_equal(run(**environment)[0], here())
-    source = site / 'rigid_body_ros' / 'taylor.py'
-    text = source.read_text()
-    assert 'factor = 0.5 / (k + 1)' in text
-    source.write_text(text.replace('factor = 0.5 / (k + 1)', 'factor = 1.0 / (k + 1)'))
-    assert not np.allclose(run(**environment)[0], here())
+def test_a_change_in_one_module_reaches_the_kernels_of_all(few_kernels):
+    # A part is compiled into kernels of other files, whose cached code would go on.
+    assert four_times_three(few_kernels) == (12.0, '')
+    kept = [*(few_kernels / '__pycache__').glob('outer.four_times-*.nbi')]
+    assert len(kept) == 1
+    source = few_kernels / 'inner.py'
+    source.write_text(source.read_text().replace('2.0', '5.0'))
+    assert four_times_three(few_kernels) == (75.0, '')
 
 
 def test_a_part_of_kernels_cannot_be_called_and_crash_the_interpreter():

@@ -146,7 +146,9 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
     """
     state, begin = _load(states, 0), _load(states, bodies.SIZE)
     if sample == IN_FORCE:
-        sample = int(np.searchsorted(stamps_ns, grid_ns, 'right')) - 1
+        sample = -1
+        while sample + 1 < len(stamps_ns) and stamps_ns[sample + 1] <= grid_ns:
+            sample += 1
         silent = sample >= 0 and 0 < timeout_ns <= grid_ns - stamps_ns[sample]
         begin, begin_ns = state, grid_ns
     equations, frame = _equations(constants), _frame(constants)
