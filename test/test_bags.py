@@ -109,6 +109,7 @@ def test_every_form_is_read_to_the_last_bit(tmp_path, form, sent):
     assert {file: file.read_bytes() for file in before} == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('form', [form for form in FORMS if form not in bags.UNREAD])
 def test_rosbags_reads_the_same(tmp_path, form):
     found, log_ns = bags.read_by_rosbags(FORMS[form](tmp_path, SENT['others']))
@@ -121,6 +122,7 @@ def test_mcap_reads_the_same(tmp_path, form):
     assert bags.read_by_mcap(FORMS[form](tmp_path, SENT['others'])).rows() == MIXED.rows()
 
 
+@pytest.mark.slow
 @every_form
 def test_times_are_those_of_the_log_where_wanted(tmp_path, form):
     path = FORMS[form](tmp_path, SENT['others'])
@@ -185,6 +187,7 @@ def test_other_topics_alone_are_no_torques(tmp_path, form):
         recording.read(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('options', [{}, UNINDEXED], ids=['indexed', 'unindexed'])
 @pytest.mark.parametrize('cut', range(20))
 @every_traffic
@@ -215,6 +218,7 @@ def test_a_file_may_be_cut_at_the_end_of_a_record(tmp_path, chunked, opcode, bey
     check_truncated(path, data, ends[len(ends) * 2 // 3] + beyond, MIXED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('form', ['mcap-zstd', 'mcap-lz4', 'mcap-none', 'mcap-none-unchunked'])
 @pytest.mark.parametrize('share', [0.2, 0.5, 0.99])
 def test_zeros_that_a_crash_left_at_the_end_are_damage(tmp_path, form, share):
@@ -275,6 +279,7 @@ def test_of_a_damaged_chunk_nothing_is_used_but_all_before_it(tmp_path, compress
     assert found.rows() in (ALONE.rows()[:before], ALONE.rows()[:before] + ALONE.rows()[within:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('storage', ['MCAP', 'SQLITE3'])
 @pytest.mark.parametrize('compression', ['NONE', 'MESSAGE', 'FILE'])
 @pytest.mark.parametrize('harm', ['cut', 'emptied', 'removed'])
