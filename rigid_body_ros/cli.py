@@ -24,7 +24,7 @@ from pathlib import Path
 import sys
 from typing import Any, TYPE_CHECKING
 
-from rigid_body_ros import interrupts
+from rigid_body_ros import files, interrupts
 from rigid_body_ros.scene import InputError, load, Scene
 
 if TYPE_CHECKING:
@@ -38,13 +38,13 @@ SIGNALLED = 128
 def attitude_replay(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_replay` and return its exit status."""
     options = replay_parser().parse_args(arguments)
-    return _guarded('attitude_replay', lambda: _replay(options))
+    return _guarded(options.command, lambda: _replay(options))
 
 
 def attitude_tradeoff(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_tradeoff` and return its exit status."""
     options = tradeoff_parser().parse_args(arguments)
-    return _guarded('attitude_tradeoff', lambda: _tradeoff(options))
+    return _guarded(options.command, lambda: _tradeoff(options))
 
 
 def attitude_node(arguments: Sequence[str] | None = None) -> int:
@@ -106,7 +106,7 @@ def _replay(options: argparse.Namespace) -> None:
 def _scene(options: argparse.Namespace) -> Scene:
     scene = load(options.scene)
     for doubt in scene.doubts:
-        print(f'warning: {options.scene}: {doubt}', file=sys.stderr)
+        print(f'{options.command}: warning: {options.scene}: {doubt}', file=sys.stderr)
     return scene
 
 
@@ -159,17 +159,11 @@ def _tradeoff(options: argparse.Namespace) -> None:
     except ValueError as error:
         raise InputError(f'{where}: {error}') from error
     if options.json:
-        _write_json(options.json, report.figures(result))
+        with files.whole(options.json) as part:
+            part.write_text(json.dumps(report.figures(result), indent=1) + '\n', encoding='utf-8')
     if options.plot:
         _plot_tradeoff(options.plot, result, Path(options.recording or options.scene).name)
     _print(report.summary(result))
-
-
-def _write_json(path: str, figures: dict[str, Any]) -> None:
-    try:
-        Path(path).write_text(json.dumps(figures, indent=1) + '\n', encoding='utf-8')
-    except OSError as error:
-        raise InputError(f'{path}: cannot write: {error.strerror}') from error
 
 
 def _plot_tradeoff(path: str, result: Tradeoff, title: str) -> None:
@@ -178,10 +172,8 @@ def _plot_tradeoff(path: str, result: Tradeoff, title: str) -> None:
     lines = {'rounding floor': result.floor, 'target': result.target}
     if result.reading:
         lines[f'{result.reading.interpolation} between samples'] = result.reading.estimate
-    try:
-        plots.work_precision(path, report.curves(result), title, lines)
-    except OSError as error:
-        raise InputError(f'{path}: cannot write: {error.strerror}') from error
+    with files.whole(path) as part:
+        plots.work_precision(part, report.curves(result), title, lines)
 
 
 def _print(text: str) -> None:
@@ -207,6 +199,7 @@ def replay_parser() -> argparse.ArgumentParser:
     """Return what reads the arguments of `attitude_replay`."""
     parser = argparse.ArgumentParser(
         prog='attitude_replay', description='Turn recorded torques into recorded motion.')
+    parser.set_defaults(command=parser.prog)
     parser.add_argument('input', metavar='INPUT', nargs='+',
                         help='recording of torques: an MCAP file, a bag of rosbag2, or a CSV file '
                         'of time (s), tx, ty, tz (N m)')
@@ -243,6 +236,7 @@ def tradeoff_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='attitude_tradeoff',
         description='Measure what every solver costs, and how far off it is, on your own motion.')
+    parser.set_defaults(command=parser.prog)
     parser.add_argument('--scene', required=True, metavar='FILE',
                         help='ROS 2 parameter file with inertia and start, as for attitude_node')
     parser.add_argument('--recording', metavar='IN', help='recording of torques, as for '

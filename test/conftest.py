@@ -14,10 +14,12 @@
 
 """What every test shares."""
 
+from contextlib import contextmanager
 import fcntl
 from importlib.util import find_spec
 import os
 from pathlib import Path
+import resource
 import shutil
 import subprocess
 import sys
@@ -117,6 +119,17 @@ def _install(folder):
     # Without --ignore-installed pip would remove the package from the environment of the tests.
     subprocess.run([*pip, 'install', '--no-deps', '--ignore-installed', '--prefix',
                     folder / 'prefix', wheel], check=True)
+
+
+@contextmanager
+def files_up_to(size):
+    """Let no file of this process grow beyond a size, B: a write fails, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield  # Python ignores the signal that comes with it
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 class Reference:

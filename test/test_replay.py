@@ -278,7 +278,8 @@ def test_a_signal_is_heard_while_the_motion_is_worked_out(tmp_path, output, numb
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + number
     doubt, last = words.splitlines()
-    assert doubt.startswith(f'warning: {config}: initial_angular_velocity: 6000 rad/s are 955')
+    assert doubt.startswith(
+        f'attitude_replay: warning: {config}: initial_angular_velocity: 6000 rad/s are 955')
     assert last == 'attitude_replay: interrupted; nothing incomplete has its final name'
 
 

@@ -30,7 +30,7 @@ import time
 from typing import Any
 
 import numpy as np
-from rigid_body_ros import interrupts, messages, recording
+from rigid_body_ros import files, interrupts, messages, recording
 from rigid_body_ros.body import State
 from rigid_body_ros.fingerprint import fingerprint, NAME
 from rigid_body_ros.messages import MessageType
@@ -218,11 +218,9 @@ def plot(path: str | Path, result: Replay, title: str) -> None:
     assert result.trajectory is not None
     assert result.log is not None
     sequence = result.scene.values['euler_sequence']
-    try:
-        plots.motion(path, result.trajectory, result.log, sequence, title,
+    with files.whole(path) as part:
+        plots.motion(part, result.trajectory, result.log, sequence, title,
                      result.scene.timeout_ns)
-    except OSError as error:
-        raise InputError(f'{path}: cannot write: {error.strerror}') from error
 
 
 def _pieces(asked: Asked, source: Source, result: Replay) -> Iterator[Piece]:
