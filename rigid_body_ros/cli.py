@@ -21,6 +21,7 @@ from collections.abc import Callable, Sequence
 import json
 import os
 from pathlib import Path
+import signal
 import sys
 from typing import Any, TYPE_CHECKING
 
@@ -38,23 +39,24 @@ SIGNALLED = 128
 def attitude_replay(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_replay` and return its exit status."""
     options = replay_parser().parse_args(arguments)
-    return _guarded(options.command, lambda: _replay(options))
+    return _guarded(options.command, lambda: _replay(options), arguments)
 
 
 def attitude_tradeoff(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_tradeoff` and return its exit status."""
     options = tradeoff_parser().parse_args(arguments)
-    return _guarded(options.command, lambda: _tradeoff(options))
+    return _guarded(options.command, lambda: _tradeoff(options), arguments)
 
 
 def attitude_node(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_node` and return its exit status."""
-    return _guarded('attitude_node', lambda: _node(arguments))
+    return _guarded('attitude_node', lambda: _node(arguments), arguments)
 
 
-def _guarded(name: str, command: Callable[[], None]) -> int:
+def _guarded(name: str, command: Callable[[], None], arguments: Sequence[str] | None) -> int:
     try:
-        with interrupts.listening():
+        # Without arguments from elsewhere they are those of the process, which ends with this.
+        with interrupts.listening(to_the_end=arguments is None):
             command()
     except InputError as error:
         print(f'{name}: error: {error}', file=sys.stderr)
@@ -67,7 +69,8 @@ def _guarded(name: str, command: Callable[[], None]) -> int:
               f'python3 -m pip install {package}', file=sys.stderr)
         return USER_ERROR
     except KeyboardInterrupt as interrupt:
-        number, *kept = interrupt.args
+        told: list[Any] = [*interrupt.args] or [signal.SIGINT]  # without: Python's own handler
+        number, *kept = told
         print(f'{name}: interrupted; nothing incomplete has its final name{"".join(kept)}',
               file=sys.stderr)
         return SIGNALLED + int(number)
@@ -185,11 +188,11 @@ def _print(text: str) -> None:
 
 
 def _check_apart(options: argparse.Namespace, *names: str) -> None:
-    files: dict[Path, str] = {}
+    known: dict[Path, str] = {}
     for what in names:
         name = getattr(options, what)
         if name is not None:
-            other = files.setdefault(Path(os.path.realpath(name)), what)
+            other = known.setdefault(Path(os.path.realpath(name)), what)
             if other != what:
                 raise InputError(f'{name}: expected another file for the {what} than for the '
                                  f'{other}')

@@ -24,6 +24,12 @@ from pathlib import Path
 from rigid_body_ros.scene import InputError
 
 
+def part_of(target: Path) -> Path:
+    """Return where something is written until it is whole."""
+    name = os.fsdecode(os.fsencode(target.name)[:100])  # names of 255 bytes are the longest
+    return target.with_name(f'.{name}.{os.getpid()}.part')
+
+
 @contextmanager
 def whole(path: str | Path) -> Iterator[Path]:
     """
@@ -35,18 +41,18 @@ def whole(path: str | Path) -> Iterator[Path]:
         The file cannot be written; one of that name stays as it was.
 
     """
+    # A device or a pipe takes what is written to it, and a folder refuses.
+    is_file = os.path.isfile(path) or not os.path.exists(path)
     # Where a link leads to, so that the link stays one.
-    target = Path(os.path.realpath(path))
-    part = target.with_name(f'.{target.name[:100]}.{os.getpid()}.part')
-    if target.exists() and not target.is_file():
-        part = target  # a device or a pipe is what it is, and a folder refuses
+    target = Path(os.path.realpath(path) if is_file else path)
+    part = part_of(target) if is_file else target
     try:
         yield part
-        if part != target:
+        if is_file:
             os.replace(part, target)
     except OSError as error:
         raise InputError(f'{path}: cannot write: {error.strerror}') from error
     finally:
-        if part != target:
+        if is_file:
             with suppress(OSError):
                 part.unlink()

@@ -27,28 +27,42 @@ from contextlib import contextmanager
 import signal
 import sys
 from types import FrameType
+from typing import Any
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-#: s. Where nobody looks for so long, the exception comes wherever the program is; again and
-#: again, because there it can be lost.
+#: s. Where nobody looks for so long, the exception comes wherever the program is ...
 _PATIENCE = 1.0
+#: ... and again after this long, if it was lost there; cleaning up takes less.
+_AGAIN = 5.0
 
 #: The number of the signal that came first.
 _heard: list[int] = []
 
 
 @contextmanager
-def listening() -> Iterator[None]:
-    """Take note of SIGINT and SIGTERM; after one, ignore others for good: the command ends."""
+def listening(to_the_end: bool) -> Iterator[None]:
+    """
+    Take note of SIGINT and SIGTERM; at the latest at the end raise KeyboardInterrupt, see `heed`.
+
+    Parameters
+    ----------
+    to_the_end : bool
+        Of the process: after one signal, others are ignored from here on, too.
+
+    """
     before = {number: signal.signal(number, _note) for number in _SIGNALS}
+    if sys.platform != 'win32':
+        before[signal.SIGALRM] = signal.getsignal(signal.SIGALRM)
     hook, sys.unraisablehook = sys.unraisablehook, _not_raised
     try:
         yield
+        heed()
     finally:
-        _remind(0.0)
-        sys.unraisablehook = hook
         for number, handler in before.items():
-            signal.signal(number, signal.SIG_IGN if _heard else handler)
+            signal.signal(number, signal.SIG_IGN if _heard and to_the_end else handler)
+        if _heard:
+            _remind(0.0)
+        sys.unraisablehook = hook
         _heard.clear()
 
 
@@ -85,19 +99,22 @@ def kept_from_children() -> Iterator[None]:
 def _note(number: int, frame: FrameType | None) -> None:
     if not _heard:
         _heard.append(number)
+        if sys.platform != 'win32':
+            signal.signal(signal.SIGALRM, _insist)
         _remind(_PATIENCE)
 
 
 def _insist(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt(_heard[0])
+    raise KeyboardInterrupt(*_heard)
 
 
 def _remind(seconds: float) -> None:
     if sys.platform != 'win32':
-        signal.signal(signal.SIGALRM, _insist)
-        signal.setitimer(signal.ITIMER_REAL, seconds, seconds)
+        signal.setitimer(signal.ITIMER_REAL, seconds, _AGAIN if seconds else 0.0)
 
 
-def _not_raised(lost: sys.UnraisableHookArgs) -> None:
-    if not isinstance(lost.exc_value, KeyboardInterrupt):
+def _not_raised(lost: Any) -> None:
+    if isinstance(lost.exc_value, KeyboardInterrupt):
+        _remind(_PATIENCE)
+    else:
         sys.__unraisablehook__(lost)

@@ -106,7 +106,7 @@ def installed(tmp_path_factory):
     # Also because a build is made in the checkout.
     with open(Path(tempfile.gettempdir()) / f'{NAME}.build.lock', 'w') as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / 'prefix').exists():
+        if not (folder / 'installed').exists():
             _install(folder)
     return folder / 'prefix'
 
@@ -119,6 +119,7 @@ def _install(folder):
     # Without --ignore-installed pip would remove the package from the environment of the tests.
     subprocess.run([*pip, 'install', '--no-deps', '--ignore-installed', '--prefix',
                     folder / 'prefix', wheel], check=True)
+    (folder / 'installed').touch()
 
 
 @contextmanager

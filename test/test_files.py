@@ -14,6 +14,9 @@
 
 """Files are whole, or what they were."""
 
+import subprocess
+import sys
+
 from conftest import files_up_to
 import pytest
 from rigid_body_ros import files
@@ -56,6 +59,23 @@ def test_what_goes_wrong_while_writing_leaves_nothing(tmp_path):
 def test_a_device_stays_one(tmp_path):
     with pytest.raises(InputError, match='/dev/full: cannot write: No space left on device'):
         write('/dev/full')
-    with pytest.raises(InputError, match='cannot write: Is a directory'):
-        write(tmp_path)
     write('/dev/null')
+
+
+@pytest.mark.parametrize('folder', ['', '/'])
+def test_a_folder_refuses(tmp_path, folder):
+    with pytest.raises(InputError, match='cannot write: Is a directory'):
+        write(folder or tmp_path)
+
+
+def test_a_pipe_takes_what_is_written():
+    script = ("from rigid_body_ros import files\n"
+              "with files.whole('/dev/stdout') as part:\n    part.write_text('new')")
+    result = subprocess.run([sys.executable, '-c', script], check=True, capture_output=True,
+                            text=True)
+    assert result.stdout == 'new'
+
+
+def test_a_name_may_be_as_long_as_names_can_be(tmp_path):
+    write(tmp_path / (85 * '\u4e2d'))
+    assert [path.read_text() for path in tmp_path.iterdir()] == ['new']

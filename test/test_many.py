@@ -14,6 +14,7 @@
 
 """Many recordings in one call, and torques as text."""
 
+from contextlib import suppress
 import os
 import shutil
 import signal
@@ -56,7 +57,7 @@ def test_a_bad_recording_does_not_keep_others_from_their_motion(tmp_path, capfd)
 
 @pytest.fixture
 def two_long_ones(tmp_path):
-    """Start to replay two recordings, which takes long; return the process once both are at it."""
+    """Start to replay two recordings, which takes long; yield the process once both are at it."""
     names = []
     for name in 'ab':
         names.append(str(tmp_path / f'{name}.mcap'))
@@ -64,11 +65,16 @@ def two_long_ones(tmp_path):
     process = subprocess.Popen([*COMMAND, *names, *SCENE, '-o', str(tmp_path / 'out'),
                                 '--rate', '1000', '--until', '86400'], stderr=subprocess.PIPE,
                                stdout=subprocess.PIPE, text=True, start_new_session=True)
-    for _ in range(600):
-        if len(list((tmp_path / 'out').glob('.*.part'))) == 2:
-            break
-        time.sleep(0.1)
-    return process
+    try:
+        for _ in range(600):
+            if len(list((tmp_path / 'out').glob('.*.part'))) == min(2, os.cpu_count()):
+                break
+            time.sleep(0.1)
+        yield process
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
 
 
 # Ctrl-C goes to all processes of a terminal; `timeout` sends to its child and to all as well.
@@ -90,20 +96,30 @@ def test_a_signal_ends_all_of_them(tmp_path, two_long_ones, number, send):
 
 @pytest.mark.slow
 def test_a_process_that_is_killed_is_told(tmp_path, two_long_ones):
-    part, other = sorted((tmp_path / 'out').glob('.*.part'))
-    os.kill(int(part.suffixes[-2][1:]), signal.SIGKILL)
-    time.sleep(1.0)
-    os.kill(int(other.suffixes[-2][1:]), signal.SIGKILL)
+    for name in 'ab':
+        part, *_ = [*(tmp_path / 'out').glob(f'.{name}.*.part')]
+        os.kill(int(part.suffixes[-2][1:]), signal.SIGKILL)
+        time.sleep(3.0)  # with one processor the other begins now
     out, words = two_long_ones.communicate(timeout=30)
     assert two_long_ones.returncode == 2
     first, second, last = out.splitlines()
     for line, name in ((first, 'a'), (second, 'b')):
         name = tmp_path / f'{name}.mcap'
-        assert line == (f'{name}  failed: {name}: the process at work on it was ended from '
-                        'outside, with status -9')
+        assert line == (f'{name}  failed: {name}: the process at work on it ended with status -9')
     assert last == '0 of 2 written'
     assert words == ('attitude_replay: error: 2 of 2 recordings failed: '
                      f'{tmp_path / "a.mcap"}, {tmp_path / "b.mcap"}\n')
+
+
+@pytest.mark.slow
+def test_a_recording_that_fails_in_an_unforeseen_way_stops_no_other(tmp_path, capfd):
+    names = [tmp_path / ('x' * 300 + '.mcap'), tmp_path / 'b.csv']
+    names[1].write_text('time,tx,ty,tz\n1.5,0,0,0\n2.5,0.1,0,0\n')
+    assert cli.attitude_replay([*map(str, names), *SCENE, '-o', str(tmp_path / 'out')]) == 2
+    first, second, last = capfd.readouterr().out.splitlines()
+    assert 'File name too long' in first
+    assert '2 torques, 1 s -> ' in second
+    assert last == '1 of 2 written'
 
 
 def test_two_recordings_of_one_name_are_refused(tmp_path, capsys):

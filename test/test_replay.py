@@ -289,8 +289,8 @@ def test_an_interrupted_replay_leaves_nothing_under_the_final_name(tmp_path, out
     rows = [(EPOCH_NS + k * SECOND // 1000, '', [1e-3, 0.0, 0.0]) for k in range(60_000)]
     torques = write_torques(tmp_path / 'long.mcap', rows)
     process = subprocess.Popen([*COMMAND, torques, '--scene', str(CONFIG / 'tumbler.yaml'),
-                                '-o', str(output)], stderr=subprocess.PIPE, text=True,
-                               start_new_session=True)
+                                '-o', str(output), '--rate', '1000', '--until', '86400'],
+                               stderr=subprocess.PIPE, text=True, start_new_session=True)
     while not list(tmp_path.glob('.motion.mcap.*')) and process.poll() is None:
         time.sleep(0.001)
     os.kill(process.pid, number)
@@ -319,7 +319,7 @@ def command():
     {where}
     del thing
     time.sleep(60.0)
-sys.exit(cli._guarded('command', command))
+sys.exit(cli._guarded('command', command, None))
 """
     result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
                             timeout=50, check=False)
@@ -328,9 +328,21 @@ sys.exit(cli._guarded('command', command))
 
 
 def test_a_command_that_is_called_leaves_signals_to_its_caller(output):
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-    assert cli.attitude_replay([*ISS, '-o', str(output)]) == 0
-    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+    def state():
+        numbers = signal.SIGINT, signal.SIGTERM, signal.SIGALRM
+        return [signal.getsignal(number) for number in numbers], sys.unraisablehook
+
+    before = state()
+    signal.setitimer(signal.ITIMER_REAL, 1000.0)
+    try:
+        assert cli.attitude_replay([*ISS, '-o', str(output)]) == 0
+        assert signal.getitimer(signal.ITIMER_REAL)[0] > 900.0
+        assert state() == before
+        status = cli._guarded('command', lambda: os.kill(os.getpid(), signal.SIGTERM), [])
+        assert status == 128 + signal.SIGTERM
+        assert state() == before
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def test_no_progress_bar_where_nobody_watches(output):

@@ -54,6 +54,7 @@ def test_a_run_in_pieces_has_the_bits_of_the_whole(interpolation, options):
         whole = propagate(BODY, start, TorqueLog(stamps, values, frames, interpolation),
                           at=times, **options)
         run, attitudes, front = Run(BODY, start, **options), [], 0
+        run.advance(TorqueLog(stamps, values, frames, interpolation), [])  # changes nothing
         reached, dropped = start.time_ns - 1, 0
         for cut in cuts:
             back = None if cut is None else cut + 3

@@ -234,16 +234,17 @@ class Run:
                     *self._arguments, BUDGET)
                 if fast:
                     raise self._options.too_fast(grid_ns)
-        if not begins_later:
+        if self._place or (times.size and not begins_later):
             self._place = states, grid_ns, begin_ns, sample, silent
         return closed
 
     def _begun(self, log: TorqueLog) -> tuple[Floats, int, int, int, bool]:
         start = self._start
-        if start._origin is None:
+        if start._origin is None and log.interpolation == 'hold':
             return working_states(start._packed), start.time_ns, start.time_ns, IN_FORCE, False
         sample, silent = log.in_force(start.time_ns, self._options.timeout_ns)
-        rule = _rule_at_start(self._body, start, log, self._options, sample, silent)
+        rule = None if start._origin is None else _rule_at_start(
+            self._body, start, log, self._options, sample, silent)
         begun = origin(start, rule)
         states = working_states(begun.grid, begun.begin)
         return states, begun.grid_ns, begun.begin_ns, sample, silent

@@ -46,7 +46,7 @@ NEVER_NS = 2 ** 63 - 1
 IN_ORDER = np.empty(0, np.intp)
 #: For `sample` of `run`: the one in force at the beginning, which is to be found.
 IN_FORCE = -2
-#: Steps, some 50 ms of work, after which a kernel returns, so that signals are heard.
+#: Steps, some 50 ms of work, after which a kernel returns, so that Python sees signals.
 BUDGET = 20_000
 #: rad; `auto` answers a coast in closed form where it turns by more. Up to here the series is as
 #: exact, and cheaper.
@@ -134,7 +134,7 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
     max_step_ns : int
         Upper limit of a step, or the step of a solver of fixed step.
     budget : int
-        Steps to take at most, before signals are heard.
+        Steps to take at most, before Python sees signals.
 
     Returns
     -------

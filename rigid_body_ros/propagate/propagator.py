@@ -272,17 +272,16 @@ class _Segment:
         nearest = bisect.bisect_right(self._grid_ns, time_ns) - 1
         states = loop.working_states(self._states[nearest], self._states[0])
         grid, _, out = states.reshape(3, -1)
-        place: Any = self._grid_ns[nearest], self._grid_ns[0], 0, False
-        done = 0
+        grid_ns, begin_ns = self._grid_ns[nearest], self._grid_ns[0]
+        sample, silent, done = 0, False, 0
         while not done:
-            *place, done, fast = loop.run(*(
-                states, *place, done, np.array([time_ns]), loop.IN_ORDER, *_UNUSED, *self._log,
-                *self._arguments, loop.BUDGET))
+            grid_ns, begin_ns, sample, silent, done, fast = loop.run(*(
+                states, grid_ns, begin_ns, sample, silent, done, np.array([time_ns]),
+                loop.IN_ORDER, *_UNUSED, *self._log, *self._arguments, loop.BUDGET))
             if fast:
-                raise self._options.too_fast(time_ns if done else place[0])
+                raise self._options.too_fast(time_ns if done else grid_ns)
             if time.monotonic() > until:
                 break
-        grid_ns = place[0]
         if grid_ns > self._grid_ns[-1]:
             self._grid_ns.append(grid_ns)
             self._states.append(grid)

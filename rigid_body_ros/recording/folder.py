@@ -23,6 +23,7 @@ from types import TracebackType
 from typing import Any
 import weakref
 
+from rigid_body_ros.files import part_of
 from rigid_body_ros.recording.writer import Writer
 from rigid_body_ros.scene import InputError
 import yaml
@@ -44,7 +45,7 @@ class FolderWriter(Writer):
 
     def __init__(self, path: str | Path, keep_partial: bool = False) -> None:
         self._folder = Path(os.path.realpath(path))
-        self._hidden = self._folder.with_name(f'.{self._folder.name[:100]}.{os.getpid()}.part')
+        self._hidden = part_of(self._folder)
         super().__init__(self._hidden / f'{self._folder.name}_0.mcap', keep_partial)
         self._partial = self._folder.with_name(f'{self._folder.name}.partial.mcap')
         self._path = Path(path)  # what errors name

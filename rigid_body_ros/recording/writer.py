@@ -29,6 +29,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 import numpy as np
 from numpy.typing import NDArray
+from rigid_body_ros.files import part_of
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.container import Container, Indexed
@@ -89,7 +90,7 @@ class Writer:
         self._keep_partial = keep_partial
         # Where a link leads to, so that the link stays one.
         self._target = Path(os.path.realpath(path))
-        self._part = self._target.with_name(f'.{self._target.name[:100]}.{os.getpid()}.part')
+        self._part = part_of(self._target)
         self._partial = self._target.with_suffix('.partial.mcap')
         self._channels: dict[str, int] = {}
         self._kinds: dict[str, MessageType] = {}

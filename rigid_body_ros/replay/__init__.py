@@ -263,6 +263,7 @@ def _replayed(asked: Asked, source: Source,
         for stretch in stretches:
             interrupts.heed()
             _take(result, stretch)
+            interrupts.heed()
             if writer:
                 writing = time.perf_counter()
                 _write(writer, asked, stretch.trajectory)
@@ -271,6 +272,7 @@ def _replayed(asked: Asked, source: Source,
                 kept.append(stretch)
         if writer and INPUT in asked.also:
             source.copy_to(writer)
+        interrupts.heed()  # for the last time before the output gets its name
     result.seconds['read'] = time.perf_counter() - began - result.seconds['propagate'] \
         - result.seconds['write']
     result.damage = source.damage

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Generator, Sequence
 from contextlib import closing, redirect_stderr, suppress
 from dataclasses import dataclass
+from functools import partial
 import io
 import multiprocessing
 from multiprocessing.connection import Connection, wait
@@ -34,6 +35,8 @@ from tqdm import tqdm
 
 #: s; how often to look for signals.
 _HEED_EVERY = 0.1
+#: s; how long a process may clean up.
+_PATIENCE = 10.0
 
 #: A recording, and where its motion goes.
 Task = tuple[str, str]
@@ -108,8 +111,8 @@ def _side_by_side(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
     try:
         while waiting or busy:
             while waiting and len(busy) < (os.cpu_count() or 1):
-                busy.append(idle.pop() if idle else _Worker(scene, options))
-                busy[-1].begin(waiting.pop())
+                busy.append(idle.pop() if idle else _Worker())
+                busy[-1].begin(waiting.pop(), scene, options)
             ready = wait([worker.connection for worker in busy], _HEED_EVERY)
             for worker in [worker for worker in busy if worker.connection in ready]:
                 busy.remove(worker)
@@ -128,20 +131,20 @@ def _side_by_side(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
 class _Worker:
     """A process that replays recordings, one at a time."""
 
-    def __init__(self, scene: Scene, options: dict[str, Any]) -> None:
+    def __init__(self) -> None:
         # Spawned: a fork would take over half of what threads of this process are about.
         context = multiprocessing.get_context('spawn')
         self.connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, scene, options), daemon=True)
+        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
         with interrupts.kept_from_children():
             self._process.start()
         theirs.close()  # or the end of the process would not be seen
         self.is_there = True
 
-    def begin(self, task: Task) -> None:
+    def begin(self, task: Task, scene: Scene, options: dict[str, Any]) -> None:
         self._task = task
         with suppress(OSError):  # it has ended, which the result will tell
-            self.connection.send(task)
+            self.connection.send((task, scene, options))
 
     def result(self) -> Outcome:
         try:
@@ -149,8 +152,8 @@ class _Worker:
         except (EOFError, OSError):
             self._process.join()
             self.is_there = False
-            return Outcome(*self._task, error=f'{self._task[0]}: the process at work on it was '
-                           f'ended from outside, with status {self._process.exitcode}')
+            return Outcome(*self._task, error=f'{self._task[0]}: the process at work on it ended '
+                           f'with status {self._process.exitcode}')
         return outcome
 
     def interrupt(self) -> None:
@@ -158,25 +161,34 @@ class _Worker:
 
     def end(self) -> None:
         self.connection.close()
+        self._process.join(_PATIENCE)
+        self._process.kill()  # if it is stopped, say
         self._process.join()
 
 
-def _serve(connection: Connection, scene: Scene, options: dict[str, Any]) -> None:
+def _serve(connection: Connection) -> None:
     # What it would take otherwise is left over where a process is killed.
     tqdm.set_lock(threading.RLock())
-    with suppress(EOFError, OSError, KeyboardInterrupt), interrupts.listening():
-        while True:
-            task = connection.recv()
+    with suppress(KeyboardInterrupt), interrupts.listening(to_the_end=True):
+        for work in iter(partial(_received, connection), None):
             with redirect_stderr(io.StringIO()):  # one progress bar is enough
-                outcome = _outcome(scene, options, task)
-            connection.send(outcome)
+                outcome = _outcome(*work)
+            with suppress(OSError):  # nobody is there any more
+                connection.send(outcome)
 
 
-def _outcome(scene: Scene, options: dict[str, Any], task: Task) -> Outcome:
+def _received(connection: Connection) -> Any:
+    try:
+        return connection.recv()
+    except (EOFError, OSError):
+        return None
+
+
+def _outcome(task: Task, scene: Scene, options: dict[str, Any]) -> Outcome:
     path, output = task
     try:
         result = replay(path, scene, output, **options)
-    except InputError as error:
+    except (InputError, OSError) as error:
         return Outcome(path, output, error=str(error))
     lost = f'; lost: {result.damage}' if result.damage else ''
     return Outcome(path, output, f'{result.messages} torques, '
