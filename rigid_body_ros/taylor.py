@@ -61,9 +61,9 @@ from rigid_body_ros.vector import (
 Products = tuple[Vector, Vector]
 
 MAX_ORDER = 40
-#: What the table holds of each term: u, itself and turned round; the rotation since the beginning,
-#: itself and times i, j and k; up to four torques, themselves and turned round.
-_U, _U_YZX, _U_ZXY, _R, _R_I, _R_J, _R_K, _TORQUES = range(0, 32, 4)
+#: What the table holds of each term: u, itself and turned round; the rotation since the beginning;
+#: up to four torques, themselves and turned round.
+_U, _U_YZX, _U_ZXY, _R, _TORQUES = range(0, 20, 4)
 _TERM = _TORQUES + 4 * 3 * 4
 #: Size of the table.
 WORKSPACE = _TERM * (MAX_ORDER + 1)
@@ -283,9 +283,6 @@ def _keep(table: Floats, k: int, u: Vector, turn: Quaternion) -> None:
     row = _TERM * k
     _keep_turned(table, row + _U, u)
     four.store(table, row + _R, turn)
-    four.store(table, row + _R_I, four.times_i(turn))
-    four.store(table, row + _R_J, four.times_j(turn))
-    four.store(table, row + _R_K, four.times_k(turn))
 
 
 @inlined
@@ -306,7 +303,7 @@ def _cauchy(table: Floats, k: int, diagonal: bool) -> tuple[Products, Quaternion
     if k > 0:
         sums = _add_term(sums, table, 0, row, diagonal)
     products, squares, x, y, z = _add_term(sums, table, row, 0, diagonal)
-    return (products, squares), add(add(x, y), z)
+    return (products, squares), add(add(four.times_i(x), four.times_j(y)), four.times_k(z))
 
 
 @inlined
@@ -317,10 +314,9 @@ def _add_term(sums: tuple[Vector, Vector, Quaternion, Quaternion, Quaternion], t
     products = four.fma(four.load(table, i + _U_YZX), four.load(table, j + _U_ZXY), products)
     if not diagonal:
         squares = four.fma(four.load(table, i + _U), four.load(table, j + _U), squares)
-    u = four.load(table, i + _U)
-    return (products, squares, add_scaled(x, u[0], four.load(table, j + _R_I)),
-            add_scaled(y, u[1], four.load(table, j + _R_J)),
-            add_scaled(z, u[2], four.load(table, j + _R_K)))
+    u, turn = four.load(table, i + _U), four.load(table, j + _R)
+    return (products, squares, add_scaled(x, u[0], turn), add_scaled(y, u[1], turn),
+            add_scaled(z, u[2], turn))
 
 
 @inlined
