@@ -57,6 +57,8 @@ from rigid_body_ros.vector import (
     Vector,
 )
 
+#: The terms of an order: u, itself and turned round, and the rotation.
+Term = tuple[Vector, Vector, Vector, Quaternion]
 #: Products y z, z x, x y and x x, y y, z z of a vector, or their Cauchy sums.
 Products = tuple[Vector, Vector]
 
@@ -251,7 +253,7 @@ def step(state: State, seconds: float, coefficients: Coefficients, diagonal: boo
 def _expand(state: State, seconds: float, coefficients: Coefficients, diagonal: bool,
             torque: Polynomial, degree: int, in_space: bool, enough: float, table: Floats) -> int:
     # Fill the table with the terms of u and of the rotation, and return the order needed.
-    _keep(table, 0, scale(seconds, state[0]), four.of(0.0, 0.0, 0.0, 1.0))
+    first = latest = _keep(table, 0, scale(seconds, state[0]), four.of(0.0, 0.0, 0.0, 1.0))
     if in_space:
         for i in range(degree + 1):
             _keep_turned(table, _TORQUES + 12 * i, to_body(state[1], torque[i]))
@@ -259,7 +261,7 @@ def _expand(state: State, seconds: float, coefficients: Coefficients, diagonal: 
     # order, so that fewer small terms in succession prove nothing.
     small = 0
     for k in range(MAX_ORDER):
-        products, rotation = _cauchy(table, k, diagonal)
+        products, rotation = _cauchy(table, k, first, latest, diagonal)
         u = _rate(coefficients, diagonal, products)
         if in_space or k <= degree:
             push = response(coefficients, _torque_term(table, k, torque, degree, in_space))
@@ -267,7 +269,7 @@ def _expand(state: State, seconds: float, coefficients: Coefficients, diagonal: 
         u = scale(1.0 / (k + 1), u)
         factor = 0.5 / (k + 1)
         turn = scale(factor, rotation)
-        _keep(table, k + 1, u, turn)
+        latest = _keep(table, k + 1, u, turn)
         # Errors of w are held lower: those of attitude that they lead to add up.
         if total(add_scaled(four.absolute(turn), 4.0, four.absolute(u))) > enough:
             small = 0
@@ -279,10 +281,11 @@ def _expand(state: State, seconds: float, coefficients: Coefficients, diagonal: 
 
 
 @inlined
-def _keep(table: Floats, k: int, u: Vector, turn: Quaternion) -> None:
+def _keep(table: Floats, k: int, u: Vector, turn: Quaternion) -> Term:
     row = _TERM * k
     _keep_turned(table, row + _U, u)
     four.store(table, row + _R, turn)
+    return u, four.yzx(u), four.zxy(u), turn
 
 
 @inlined
@@ -293,28 +296,36 @@ def _keep_turned(table: Floats, row: int, vector: Vector) -> None:
 
 
 @inlined
-def _cauchy(table: Floats, k: int, diagonal: bool) -> tuple[Products, Quaternion]:
+def _kept(table: Floats, row: int) -> Term:
+    return (four.load(table, row + _U), four.load(table, row + _U_YZX),
+            four.load(table, row + _U_ZXY), four.load(table, row + _R))
+
+
+@inlined
+def _cauchy(table: Floats, k: int, first: Term, latest: Term,
+            diagonal: bool) -> tuple[Products, Quaternion]:
     # The terms of order k of the products of u, and of the rotation times (u, 0). What has the
-    # latest term comes last, so that the rest need not wait for it.
+    # latest term comes last, and not from memory, so that the rest need not wait for it.
     sums = (four.every(0.0), four.every(0.0), four.every(0.0), four.every(0.0), four.every(0.0))
     row = _TERM * k
     for j in range(_TERM, row, _TERM):
-        sums = _add_term(sums, table, row - j, j, diagonal)
+        sums = _add_term(sums, _kept(table, row - j), _kept(table, j), diagonal)
     if k > 0:
-        sums = _add_term(sums, table, 0, row, diagonal)
-    products, squares, x, y, z = _add_term(sums, table, row, 0, diagonal)
+        sums = _add_term(sums, first, latest, diagonal)
+    products, squares, x, y, z = _add_term(sums, latest, first, diagonal)
     return (products, squares), add(add(four.times_i(x), four.times_j(y)), four.times_k(z))
 
 
 @inlined
-def _add_term(sums: tuple[Vector, Vector, Quaternion, Quaternion, Quaternion], table: Floats,
-              i: int, j: int,
+def _add_term(sums: tuple[Vector, Vector, Quaternion, Quaternion, Quaternion], one: Term,
+              other: Term,
               diagonal: bool) -> tuple[Vector, Vector, Quaternion, Quaternion, Quaternion]:
     products, squares, x, y, z = sums
-    products = four.fma(four.load(table, i + _U_YZX), four.load(table, j + _U_ZXY), products)
+    u, yzx, _, _ = one
+    v, _, zxy, turn = other
+    products = four.fma(yzx, zxy, products)
     if not diagonal:
-        squares = four.fma(four.load(table, i + _U), four.load(table, j + _U), squares)
-    u, turn = four.load(table, i + _U), four.load(table, j + _R)
+        squares = four.fma(u, v, squares)
     return (products, squares, add_scaled(x, u[0], turn), add_scaled(y, u[1], turn),
             add_scaled(z, u[2], turn))
 
