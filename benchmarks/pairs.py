@@ -24,7 +24,7 @@ import time
 import numpy as np
 from scipy.stats import binom
 
-PAIRS = 51
+PAIRS = 301
 #: A sample repeats a run until it has taken so long, s: the clock's own cost is a microsecond.
 LEAST = 1e-3
 
