@@ -69,8 +69,8 @@ def test_a_folder_refuses(tmp_path, folder):
 
 
 def test_a_pipe_takes_what_is_written():
-    script = ("from rigid_body_ros import files\n"
-              "with files.whole('/dev/stdout') as part:\n    part.write_text('new')")
+    script = ('from rigid_body_ros import files\n'
+              'with files.whole("/dev/stdout") as part:\n    part.write_text("new")')
     result = subprocess.run([sys.executable, '-c', script], check=True, capture_output=True,
                             text=True)
     assert result.stdout == 'new'
