@@ -47,7 +47,7 @@ def listening(to_the_end: bool) -> Iterator[None]:
     Parameters
     ----------
     to_the_end : bool
-        Of the process: after one signal, others are ignored from here on, too.
+        Of the process: from then on signals are ignored.
 
     """
     before = {number: signal.signal(number, _note) for number in _SIGNALS}
@@ -59,7 +59,7 @@ def listening(to_the_end: bool) -> Iterator[None]:
         heed()
     finally:
         for number, handler in before.items():
-            signal.signal(number, signal.SIG_IGN if _heard and to_the_end else handler)
+            signal.signal(number, signal.SIG_IGN if to_the_end else handler)
         if _heard:
             _remind(0.0)
         sys.unraisablehook = hook

@@ -18,6 +18,7 @@ import importlib.util
 import signal
 import subprocess
 import sys
+import time
 
 from conftest import RECORDINGS, ROOT, SECOND
 from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
@@ -223,10 +224,15 @@ def test_a_read_only_install_without_a_home_works(domain, read_only_package, mon
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_signals_end_it_cleanly(domain, number):
+@pytest.mark.parametrize('count', [1, 1000])  # `ros2 launch` sends it, and the terminal does, too
+def test_signals_end_it_cleanly(domain, number, count):
     with LiveSession(TUMBLER, domain) as live:
         live.spin(0.3)
-        live.process.send_signal(number)
+        for _ in range(count):
+            live.process.send_signal(number)
+            time.sleep(0.01)
+            if live.process.poll() is not None:
+                break
         assert live.process.wait(timeout=10) == 0
         words = live.words()
         assert 'Traceback' not in words
