@@ -118,11 +118,10 @@ class TorqueLog:
 
         Returns
         -------
-        start, stop : int
-            The samples of the chunk.
-        coefficients : array, shape (stop - start + 1, degree + 1, 3), N m
-            In the fraction of the time from a sample to the next; one row more than the chunk
-            has, unless it is the last.
+        iterable of (start, stop, coefficients)
+            The samples of the chunk, and the polynomials in the fraction of the time from a sample
+            to the next: array, shape (stop - start + 1, degree + 1, 3), N m; one row more than the
+            chunk has, unless it is the last.
 
         """
         count = len(self)

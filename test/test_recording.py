@@ -290,7 +290,9 @@ def test_damaged_bytes_give_the_right_result_or_one_line(tmp_path, recorded):
             assert '\n' not in str(error)
 
 
-@pytest.mark.parametrize('path', ['none.mcap', 'none.db3'])
+@pytest.mark.parametrize('path', ['none.mcap', 'none.db3', 'none.mcap.zstd', 300 * 'x' + '.mcap',
+                                  300 * 'x' + '.db3', 'x' * 300 + '.csv'],
+                         ids=lambda path: path[-9:])
 def test_a_file_that_cannot_be_opened_is_named(tmp_path, path):
     with pytest.raises(InputError, match='cannot read the recording: '):
         recording.read(tmp_path / path)

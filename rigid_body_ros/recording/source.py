@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+import os
 from pathlib import Path, PurePath
 import tempfile
 from typing import Any
@@ -229,7 +230,7 @@ def _chosen(path: str | Path, types: dict[str, str], topic: str | None,
 
 def _files(path: Path, stack: ExitStack) -> tuple[list[File], bool, str]:
     # The files, whether each message is compressed by itself, and why the last ones are missing.
-    if not path.is_dir():
+    if not os.path.isdir(path):  # of a Path the question fails where the name is too long
         return [_file(path, stack)], False, ''
     about = _metadata(path / 'metadata.yaml')
     names = about.get('relative_file_paths')
@@ -268,16 +269,16 @@ def _file(path: Path, stack: ExitStack) -> File:
         return CsvFile(path)
     unpacked = _unpacked(path, stack) if path.suffix in ('.zstd', '.zst') else path
     if unpacked.suffix == '.db3':
-        if not unpacked.is_file():
+        if not os.path.isfile(unpacked):
             raise InputError(f'{path}: cannot read the recording: No such file or directory')
         return SqliteFile(path, unpacked)
     return McapFile(path, unpacked)
 
 
 def _unpacked(path: Path, stack: ExitStack) -> Path:
-    folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='rigid_body_ros.'))
-    target = Path(folder) / path.stem
     try:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='rigid_body_ros.'))
+        target = Path(folder) / path.stem
         with open(path, 'rb') as packed, open(target, 'wb') as unpacked:
             zstandard.ZstdDecompressor().copy_stream(packed, unpacked)
     except OSError as error:

@@ -188,7 +188,7 @@ def _outcome(task: Task, scene: Scene, options: dict[str, Any]) -> Outcome:
     path, output = task
     try:
         result = replay(path, scene, output, **options)
-    except (InputError, OSError) as error:
+    except InputError as error:
         return Outcome(path, output, error=str(error))
     lost = f'; lost: {result.damage}' if result.damage else ''
     return Outcome(path, output, f'{result.messages} torques, '
