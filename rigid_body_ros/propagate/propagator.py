@@ -179,7 +179,7 @@ class Propagator:
         index = bisect.bisect_left(self._changes, change.time_ns, key=_time_ns)
         found = index < len(self._changes) and self._changes[index].time_ns == change.time_ns
         self._changes[index:index + found] = [change]
-        self._forget_from(index)
+        self._forget_from(index + 1)
 
     def _forget_before(self, horizon_ns: int) -> None:
         """Keep what a late torque may change; ValueError, and nothing is forgotten, as of `at`."""
@@ -189,8 +189,10 @@ class Propagator:
             del self._changes[:oldest]
 
     def _forget_from(self, index: int) -> None:
-        for change in self._changes[index:]:
-            change.segment = change.silence = None
+        # Segments are resolved from the front: where one is missing, the later ones are, too.
+        while index < len(self._changes) and self._changes[index].segment is not None:
+            self._changes[index].segment = self._changes[index].silence = None
+            index += 1
 
     def _resolve(self, index: int, until: float = math.inf) -> None:
         """Give every change up to this one its segment, or raise TimeoutError."""
