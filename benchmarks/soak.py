@@ -36,7 +36,14 @@ from typing import NamedTuple
 import numpy as np
 import psutil
 from rigid_body_ros import messages
-from rigid_body_ros.node.health import APPLIED, FORCE, LOST, RECEIVED, REPLACED
+from rigid_body_ros.node.health import (
+    APPLIED,
+    FORCE,
+    LOST,
+    OVERFLOW,
+    RECEIVED,
+    REPLACED,
+)
 from rigid_body_ros.node.inputs import (
     CAUSES,
     FRAME,
@@ -249,7 +256,7 @@ def counted(live, plan):
             Line(APPLIED, counts[APPLIED], taken.size),
             Line(REPLACED, counts[REPLACED], taken.size - np.unique(taken).size),
             Line(FORCE, counts[FORCE], plan.causes.count(FORCED)),
-            Line(LOST, counts[LOST], 0),
+            *(Line(name, counts[name], 0) for name in (LOST, OVERFLOW)),
             Line('messages accepted', len(live.received[ACCEPTED]), counts[APPLIED])]
 
 
@@ -276,22 +283,28 @@ def published(live, plan, folder):
             Line('states with the bits of the replay', int(same.sum()), same.size)]
 
 
+def printed(lines):
+    """Print a table, and which lines are missed; return the exit status."""
+    print(f'{"":36}{"found":>12}{"expected":>12}')
+    for line in lines:
+        print(f'{line.name:36}{line.found:12.8g}{"<=" if line.at_most else "":>4}'
+              f'{line.bar:8.8g}{"" if line.holds else "  MISS"}')
+    return 0 if all(line.holds for line in lines) else 1
+
+
 def main():
-    """Print the table, and which lines are missed."""
+    """Run the node, and print what was found."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('--seconds', type=float, default=600.0)
     parser.add_argument('--json', type=Path, help='write the figures, and memory by the second')
     arguments = parser.parse_args()
     domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
     lines, memory = soak(arguments.seconds, domain)
-    print(f'{"":36}{"found":>12}{"expected":>12}')
-    for line in lines:
-        print(f'{line.name:36}{line.found:12.8g}{"<=" if line.at_most else "":>4}'
-              f'{line.bar:8.8g}{"" if line.holds else "  MISS"}')
+    status = printed(lines)
     if arguments.json:
         arguments.json.write_text(json.dumps(
             {'lines': [line._asdict() for line in lines], 'memory': memory}, indent=1))
-    return 0 if all(line.holds for line in lines) else 1
+    return status
 
 
 if __name__ == '__main__':

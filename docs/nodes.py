@@ -43,8 +43,8 @@ class Topic(NamedTuple):
 SUBSCRIBED = [
     Topic('torque', WRENCH, 'best effort, keep last 1000; in lockstep reliable',
           'Torque about the centre of mass, N m, from its stamp on. `header.frame_id` empty or '
-          'the body frame: body axes; the space frame: space axes; any other is refused. Stamp 0: '
-          'on arrival. A force is ignored, and said once.'),
+          'the body frame: body axes; the space frame: space axes; any other is rejected. Stamp '
+          '0: on arrival. A force is ignored, counted, and logged once.'),
     Topic('initial_state', ODOMETRY, STATE,
           'Attitude and body rates that hold at its stamp: a new epoch. Position and velocity are '
           'not looked at.'),
@@ -68,8 +68,8 @@ PUBLISHED = [
           'The state at each of those stamps once it is older than `history`, all of them at the '
           'end; the start of every epoch first.'),
     Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', STATE,
-          'Once a second: every torque received, applied, waiting, or refused, by cause; who is '
-          'not connected, and why.'),
+          'Once a second: every torque received, applied, waiting, lost or rejected, by cause; '
+          'who is not connected, and why.'),
 ]
 ON_REQUEST = [
     Topic('/tf', 'tf2_msgs/msg/TFMessage', STATE,
@@ -118,12 +118,36 @@ and they may come in any order: the committed states are the same bits, and a re
 that is not finite, in an unknown frame, too old, or stamped impossibly is refused whole, counted,
 and reported at most every 5 s.
 
-In `realtime` the clock asks for the motion at `publish_rate`. In `lockstep` each torque stamped t
-is answered at once with the state at t + `step`; the start state is offered at 10 Hz until the
-first torque comes, and a repeated stamp gets its answer again.
+Every torque sent is counted once: applied, waiting, rejected by cause, lost on the way, or lost in
+the queue of the subscription, because it came faster than the machine can take it. While torques
+wait for longer than 2 s in `realtime`, new ones are rejected (`overload`): the motion is soon back
+in real time.
+
+Without a stamp, or with `time_source:=arrival`, a torque takes effect when it arrives. Each has a
+stamp of its own; between two ticks of simulated time, time goes on as fast as before.
 
 With `use_sim_time` the node waits for `/clock`, and `on_time_jump` says what a clock that runs
 back does. For a bag that is played without `--clock` there is `time_source:=arrival`.
+
+### Lockstep
+
+In `realtime` the clock asks for the motion at `publish_rate`. In `lockstep` each torque stamped t
+is answered at once with the state at t + `step`. A controller that answers each state with a
+torque at the state's stamp closes a loop, and the loop is one chain: one torque for each state.
+
+- The latest state is published again at 10 Hz while no node publishes torques. A controller that
+  starts, or is restarted, receives it once, half a second after it is connected.
+- A controller may take its time. Only after 2 s of silence is the state published again, then
+  after 4 s, and so on: a controller that works for longer receives it twice, and the torque it
+  sends for the second copy has no effect.
+- A torque that the same controller repeats later than 0.1 s after its answer is answered again,
+  because the answer may have been lost. So is another torque at the same stamp: it replaces the
+  first.
+- Torques of a second controller are rejected (`answered already`), and diagnostics name both.
+- `~/reset` begins again with the initial state. The torque that answers the state before the reset
+  is rejected (`before the reset`), so that time goes back.
+
+Silence, and an answer that takes long, are warnings in diagnostics.
 
 ## Parameters
 

@@ -251,6 +251,44 @@ def test_torques_may_be_timed_by_their_arrival(tmp_path, domain):
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
+@pytest.mark.parametrize('source', ['header', 'arrival'])
+def test_torques_between_two_ticks_of_the_clock_all_have_effect(tmp_path, domain, source):
+    tick_ns, count = SECOND // 10, 40
+    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', f'time_source:={source}') as live:
+        for tick in range(10):
+            live.set_clock(5 * SECOND + tick * tick_ns)
+            for number in range(count):
+                live.spin(0.1 / count)
+                stamp_ns = 5 * SECOND if source == 'arrival' else 0
+                live.publish(stamp_ns, '', [1e-3, 1e-4 * tick, 1e-5 * number])
+        settle(live, 7 * SECOND)
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    np.testing.assert_array_equal(run.committed, run.replay)
+    held_ns = np.diff(run.accepted.stamps_ns)
+    # Before the first tick there is no time, and only two tell how long a tick takes.
+    assert len(held_ns) >= 9 * count - 1
+    assert np.all(held_ns > 0)
+    assert np.mean(held_ns[3 * count:] > tick_ns / count / 10) > 0.5
+
+
+def test_a_clock_that_stops_is_a_warning(domain):
+    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+        run_clock(live, 5 * SECOND, 6 * SECOND, wobble)
+        live.wait_until(lambda: '/clock has stood still at 6000000000 ns for' in live.diagnosis(
+            'torques')[2], 'a warning')
+        assert live.diagnosis('torques')[1] == 1
+        count = len(live.diagnostics)
+        for tick in range(500):
+            live.set_clock(6 * SECOND + tick * TICK_NS)
+            live.spin(0.01)
+            if len(live.diagnostics) > count + 2:
+                break
+        assert 'stood still' not in live.diagnosis('torques')[2]
+        assert live.stop() == 0
+
+
 def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *SIMULATED) as live:
         run_clock(live, 5 * SECOND, 6 * SECOND, wobble)

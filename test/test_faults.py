@@ -67,6 +67,8 @@ def finished(tmp_path, live):
     assert live.process.returncode == 0
     run = replayed(tmp_path, live)
     np.testing.assert_array_equal(run.committed, run.replay)
+    assert not [status for array in live.diagnostics for status in array.status
+                if status.message == 'OK' and int.from_bytes(status.level, 'little') != OK]
     assert all(np.isfinite(message.values).all() for topic, kind in (
         (ATTITUDE, messages.QUATERNION), (COMMITTED, messages.ODOMETRY))
         for message in decoded(live, topic, kind))
@@ -131,8 +133,10 @@ def test_duplicates_and_bursts_are_taken(tmp_path, domain):
         live.publish(live.now_ns(), '', [0.0, 0.0, 0.0])  # makes the others final
         live.wait_until(lambda: len(live.received[COMMITTED]) == 901, 'all states')
         values, _, _ = torques_of(live)
+        said = ' '.join(status.message for array in live.diagnostics for status in array.status)
         run, _ = finished(tmp_path, live)
     assert values['of a stamp that came before'] == 9
+    assert 'of a stamp that came before' in said
     assert values['applied'] == 910
     assert len(run.stamps_ns) == 902
 
@@ -269,6 +273,7 @@ def test_a_body_beyond_all_bounds_ends_nothing(domain):
             live.publish(live.now_ns(), '', [0.0, 1e-3, 0.0])
         live.spin(0.5)
         values, _, _ = torques_of(live)
+        states, _, _ = live.diagnosis('motion')
         assert live.reset().success
         live.publish(live.now_ns(), '', [0.0, 1e-3, 0.0])
         count = len(live.received[ATTITUDE])
@@ -277,6 +282,9 @@ def test_a_body_beyond_all_bounds_ends_nothing(domain):
     assert live.process.returncode == 0
     assert 'initial_state: refused (too large): expected at most 1e+09 rad/s' in words
     assert values['refused: no state'] > 0
+    assert states['initial states refused'] == 1
+    assert any('initial states refused' in status.message and status.level == bytes([ERROR])
+               for array in live.diagnostics for status in array.status)
     assert values['received'] == values['applied'] + sum(
         number for name, number in values.items() if name.startswith('refused'))
 

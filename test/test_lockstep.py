@@ -209,6 +209,10 @@ def test_the_clock_is_that_of_the_answers(domain):
             ask(live, SECOND + k * STEP_NS, [0.0, 0.0, 1e-3])
         live.wait_until(lambda: times[-1] == SECOND + 3 * STEP_NS, 'the last time')
         assert [time for time in times if time] == [SECOND + (k + 1) * STEP_NS for k in range(3)]
+        count = len(live.diagnostics)
+        live.wait_until(lambda: len(live.diagnostics) > count + 1, 'a diagnosis at that time')
+        stamp = live.diagnostics[-1].header.stamp
+        assert stamp.sec * SECOND + stamp.nanosec == SECOND + 3 * STEP_NS
 
 
 def test_a_second_clock_is_refused(domain):

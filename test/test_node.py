@@ -115,6 +115,11 @@ def test_parameters_tell_what_they_are_and_keep_the_scene(domain):
             assert name in result.reason
         result = set_parameter(live, 'publish_rate', 20)
         assert result.successful, result.reason
+        # From a long period to a short one at once, not when the long one is over.
+        for value in (0.001, 20):
+            assert set_parameter(live, 'publish_rate', value).successful
+        count = len(live.received[ATTITUDE])
+        live.wait_until(lambda: len(live.received[ATTITUDE]) > count + 10, 'the new rate')
         rate, = get_parameters(live, 'publish_rate')
         assert rate.type == ParameterType.PARAMETER_INTEGER
 
@@ -258,6 +263,9 @@ def run_node(domain, *arguments):
      "solver: expected one that takes torques, found 'exact'"),
     (('--params-file', str(TUMBLER), '-p', 'interpolation:=cubic'),
      "interpolation: expected hold, as the next torque is not known yet, found 'cubic'"),
+    (('--params-file', str(TUMBLER), '-p', 'qos_overrides./torqe.subscription.depth:=5'),
+     'qos_overrides./torqe.subscription.depth: no topic, endpoint or policy of this node; '
+     'did you mean qos_overrides./torque.subscription.depth?'),
     (('--params-file', str(TUMBLER), '-p', 'qos_overrides./torque.subscription.history:=all'),
      'history'),
     (('--params-file', str(TUMBLER), '-p', 'mode:=lockstep', '-p', 'time_source:=arrival'),

@@ -44,11 +44,12 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 from rigid_body_ros import interrupts, scene
-from rigid_body_ros.node.health import FORCE, Health, LOST, RECEIVED
+from rigid_body_ros.node.arrivals import Arrivals, Sender
+from rigid_body_ros.node.health import Health, RECEIVED, STATES
 from rigid_body_ros.node.inputs import Inputs, RefusedError
 from rigid_body_ros.node.lockstep import Lockstep
 from rigid_body_ros.node.outputs import Outputs
-from rigid_body_ros.node.parameters import Parameters
+from rigid_body_ros.node.parameters import check_qos_overrides, Parameters
 from rigid_body_ros.node.realtime import Realtime
 from rigid_body_ros.propagate import warm_up
 from rigid_body_ros.scene import InputError, LOCKSTEP
@@ -86,28 +87,31 @@ class AttitudeNode(Node):
         warm_up()
         self._announce()
         try:
-            self._inputs, self._health = Inputs(self._scene), Health(self)
+            self._health = Health(self)
+            self._inputs = Inputs(self._scene, self._health.force)
             self._outputs = Outputs(self, self._scene, self._health)
             mode = Lockstep if self._scene.values['mode'] == LOCKSTEP else Realtime
-            self._mode = mode(self, parameters, self._outputs, self._health)
+            self._mode = mode(self, parameters, self._inputs, self._outputs, self._health)
             self._subscribe()
+            check_qos_overrides(self, (self._torques, self._states), self._outputs.publishers)
         except (RuntimeError, AssertionError) as error:  # such as a QoS override that is none
             raise InputError(' '.join(str(error).split())) from error
         self.create_service(Trigger, '~/reset', self._on_reset)
         parameters.guard()
-        self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    def work(self) -> bool:
-        """Go on with what waits, for a while; return whether all is done."""
-        return self._mode.motion.work()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self._diagnose, clock=steady)
+        #: Runs while torques wait: a slice of work in each turn of the executor.
+        self._worker = self.create_timer(0.0, self._work, clock=steady)
+        self._worker.cancel()
 
     def finish(self, until: float) -> None:
-        """Publish the states that were held back for late torques, and see them delivered."""
+        """Publish what is pending by a time of the monotonic clock, and the last diagnosis."""
         motion = self._mode.motion
-        while not motion.work() and time.monotonic() < until:
+        half_time = 0.5 * (time.monotonic() + until)  # the rest is for the states held back
+        while not motion.work() and time.monotonic() < half_time:
             pass
-        if motion.epoch is not None:
-            motion.finish(until)
+        motion.end(until)
+        self._report([])
         self._outputs.deliver(until)
 
     def _announce(self) -> None:
@@ -118,37 +122,43 @@ class AttitudeNode(Node):
             self.get_logger().warning(doubt)
 
     def _subscribe(self) -> None:
-        def subscription(kind: type, topic: str, callback: Callable[[bytes], None],
+        def subscription(kind: type, topic: str, callback: Callable[..., None],
                          qos: QoSProfile, events: SubscriptionEventCallbacks) -> Subscription:
             return self.create_subscription(
                 kind, topic, callback, copy(qos), raw=True, event_callbacks=events,
                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
-        self._torques = subscription(
-            WrenchStamped, 'torque', self._on_torque, _TORQUE_QOS[self._scene.values['mode']],
+        arrivals = Arrivals(self._on_torque, self._begin_work, self._health.missing)
+        self._torques = arrivals.subscription = subscription(
+            WrenchStamped, 'torque', arrivals, _TORQUE_QOS[self._scene.values['mode']],
             SubscriptionEventCallbacks(message_lost=self._on_lost, use_default_callbacks=False))
         self._states = subscription(
             Odometry, 'initial_state', self._on_state,
             QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE),
             SubscriptionEventCallbacks(use_default_callbacks=False))
 
-    def _on_torque(self, data: bytes) -> None:
+    def _on_torque(self, data: bytes, sender: Sender) -> None:
         self._health.count(RECEIVED)
         try:
-            torque, has_force = self._inputs.torque(data)
-            self._mode.take(torque)
+            self._mode.take(data, sender)
         except RefusedError as refused:
             self._health.refuse(refused)
-            return
-        if has_force:
-            self._health.event(FORCE, 'the force of a WrenchStamped is ignored: torques are '
-                               'about the centre of mass')
+
+    def _begin_work(self) -> None:
+        if self._worker.is_canceled():  # or it goes on in its turn
+            self._work()
+
+    def _work(self) -> None:
+        if self._mode.motion.work():
+            self._worker.cancel()
+        else:
+            self._worker.reset()
 
     def _on_state(self, data: bytes) -> None:
         try:
             self._mode.set_state(self._inputs.state(data))
+            self._health.count(STATES)
         except RefusedError as refused:
-            self._health.event('state refused', f'initial_state: refused ({refused.cause}): '
-                               f'{refused}')
+            self._health.refuse_state(refused)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
@@ -159,16 +169,19 @@ class AttitudeNode(Node):
         return response
 
     def _on_lost(self, event: Any) -> None:
-        self._health.event(LOST, f'{event.total_count} torques were lost on the way so far',
-                           event.total_count_change)
+        self._health.lost(event.total_count_change)
 
     def _diagnose(self) -> None:
         problems = self._mode.check() + self._health.inspect(
-            self._torques, (self._torques, self._states), self._outputs.publishers)
+            self._torques, (self._torques, self._states), self._outputs.publishers,
+            self._mode.several_publishers)
+        self._report(problems)
+
+    def _report(self, problems: list[str]) -> None:
         motion = self._mode.motion
         epoch = 'waiting for the start' if motion.epoch is None else \
             f'epoch from {motion.epoch.start.time_ns} ns'
-        self._health.publish(problems, motion.waiting, epoch)
+        self._health.publish(problems, motion.waiting, epoch, self._mode.stamp())
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -193,7 +206,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         interrupts.heed()
         while not stop:
             # With a timeout, to hear signals; without one the executor of events may hang.
-            executor.spin_once(timeout_sec=_HEED_EVERY if node.work() else 0.0)
+            executor.spin_once(timeout_sec=_HEED_EVERY)
         node.finish(time.monotonic() + _PATIENCE)
         node.destroy_node()
     finally:

@@ -21,6 +21,7 @@ from collections.abc import Iterable, Mapping
 import time
 from typing import TYPE_CHECKING
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -32,12 +33,18 @@ if TYPE_CHECKING:  # Lyrical has it in rclpy.endpoint_info
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 RECEIVED, APPLIED = 'received', 'applied'
-#: What is counted besides messages refused.
-REPLACED, FORCE, LOST = 'of a stamp that came before', 'with a force', 'lost on the way'
+#: What is counted in addition to rejected torques.
+REPLACED, FORCE = 'of a stamp that came before', 'with a force'
+LOST, OVERFLOW = 'lost on the way', 'lost in the queue'
 SLOW, UNKNOWN, UNSENT = 'slow', 'states unknown', 'messages not sent'
 TIME_JUMP = 'clock jumps'
+STATES, STATES_REFUSED = 'initial states', 'initial states refused'
 PUBLISHERS, QOS = 'several publishers', 'incompatible QoS'
-_OF_TORQUES, _OF_MOTION = (REPLACED, FORCE, LOST), (SLOW, UNKNOWN, UNSENT, TIME_JUMP)
+_OF_TORQUES = (REPLACED, FORCE, LOST, OVERFLOW)
+_OF_MOTION = (SLOW, UNKNOWN, UNSENT, TIME_JUMP, STATES, STATES_REFUSED)
+#: Counts that make a status an error, or a warning, in the second in which they grow.
+_ERRORS, _WARNINGS = (SLOW, UNKNOWN, UNSENT, STATES_REFUSED), (TIME_JUMP,)
+_TORQUE_WARNINGS = (REPLACED, LOST, OVERFLOW)
 _REPORT_EVERY_S = 5.0
 
 
@@ -45,8 +52,8 @@ class Health:
     """
     Counts what happens to torques and motion.
 
-    Every message received is applied, refused for a cause, or waiting for the motion to get
-    there.
+    Every torque sent is lost on the way or in the queue, or it is received. Every torque received
+    is applied, rejected for a cause, or waiting for the motion to get there.
     """
 
     def __init__(self, node: Node) -> None:
@@ -55,6 +62,7 @@ class Health:
         self._counts: Counter[str] = Counter()
         self._told: Counter[str] = Counter()
         self._reported: dict[str, float] = {}
+        self._missing = 0
 
     def count(self, name: str) -> None:
         """Count something that needs no word in the log."""
@@ -71,17 +79,59 @@ class Health:
         self._counts[name] += number
         self._say(name, text)
 
+    def force(self) -> None:
+        """Count a force that is ignored; it is no fault, so the log has it only once."""
+        self._counts[FORCE] += 1
+        if self._counts[FORCE] == 1:
+            self._node.get_logger().warning('the force of a WrenchStamped is ignored: torques are '
+                                            'about the centre of mass')
+
+    def refuse_state(self, refused: RefusedError) -> None:
+        """Count an initial state that is not taken, and say why."""
+        self.event(STATES_REFUSED, f'initial_state: refused ({refused.cause}): {refused}')
+
+    def lost(self, number: int) -> None:
+        """Count torques that the middleware lost on the way."""
+        self.event(LOST, f'{self._counts[LOST] + number} torques were lost on the way so far',
+                   number)
+        self.missing(0)
+
+    def missing(self, number: int) -> None:
+        """
+        Count torques that are missing between two of one publisher.
+
+        Those that the middleware does not report as lost on the way were lost in the full queue.
+        """
+        self._missing += number
+        self._counts[OVERFLOW] = max(0, self._missing - self._counts[LOST])
+        if number and self._counts[OVERFLOW]:
+            self._say(OVERFLOW, f'{self._counts[OVERFLOW]} torques were lost in the full queue so '
+                      'far: they come faster than this machine can take them')
+
     def inspect(self, torques: Subscription, inputs: Iterable[Subscription],
-                outputs: Iterable[Publisher]) -> list[str]:
-        """Return what is wrong with who is connected; inputs are all, torques too."""
+                outputs: Iterable[Publisher], several: str) -> list[str]:
+        """
+        Return what is wrong with who is connected.
+
+        Parameters
+        ----------
+        torques : Subscription
+            That of the torques.
+        inputs : iterable of Subscription
+            All of them.
+        outputs : iterable of Publisher
+            All of them.
+        several : str
+            What becomes of the torques of several publishers.
+
+        """
         problems = []
         found = self._node.get_publishers_info_by_topic(torques.topic_name)
         if not found:
             problems.append(f'{torques.topic_name}: no publisher')
         if len(found) > 1:
             names = ', '.join(sorted(_full_name(info) for info in found))
-            problems.append(f'{torques.topic_name}: {len(found)} publishers: {names}; the last '
-                            'torque of a stamp counts')
+            problems.append(f'{torques.topic_name}: {len(found)} publishers: {names}; {several}')
             self._say(PUBLISHERS, problems[-1])
         for reader in inputs:
             speakers = self._node.get_publishers_info_by_topic(reader.topic_name)
@@ -105,27 +155,28 @@ class Health:
             if compatible == QoSCompatibility.ERROR:
                 problems.append(f'{topic}: {_full_name(info)} is not connected: '
                                 f'{reason.removeprefix("ERROR: ").rstrip("; ")}')
-                self._say(f'{QOS} {topic} {_full_name(info)}', problems[-1])
+        if problems:
+            self._say(f'{QOS} {topic}', '; '.join(problems))
         return problems
 
-    def publish(self, problems: list[str], waiting: int, epoch: str) -> None:
-        """Publish what was counted; a message refused in the last second is an error."""
-        new = self._counts - self._told
-        self._told = self._counts.copy()
-        counts = self._counts
+    def publish(self, problems: list[str], waiting: int, epoch: str, stamp: Time) -> None:
+        """Publish what was counted; what went wrong in the last second is an error or warning."""
+        counts, new = self._counts, self._counts - self._told
+        self._told = counts.copy()
         refused = [f'refused: {cause}' for cause in CAUSES if new[cause]]
+        warnings = problems + [f'{new[name]} {name}' for name in _TORQUE_WARNINGS if new[name]]
         torques = self._status(
-            'torques', bool(refused), bool(problems) or any(new[name] for name in _OF_TORQUES),
-            '; '.join(refused + problems) or 'OK',
+            'torques', bool(refused), bool(warnings), '; '.join(refused + warnings) or 'OK',
             {RECEIVED: counts[RECEIVED], APPLIED: counts[APPLIED],
              **{f'refused: {cause}': counts[cause] for cause in CAUSES}, 'waiting': waiting,
              **{name: counts[name] for name in _OF_TORQUES}})
-        behind = [name for name in (SLOW, UNKNOWN, UNSENT) if new[name]]
-        motion = self._status('motion', bool(behind), bool(new[TIME_JUMP]),
-                              '; '.join(behind) or epoch,
-                              {name: counts[name] for name in _OF_MOTION})
+        errors = [name for name in _ERRORS if new[name]]
+        warnings = [name for name in _WARNINGS if new[name]]
+        motion = self._status(
+            'motion', bool(errors), bool(warnings), '; '.join(errors + warnings) or epoch,
+            {name: counts[name] for name in _OF_MOTION})
         array = DiagnosticArray(status=[torques, motion])
-        array.header.stamp = self._node.get_clock().now().to_msg()
+        array.header.stamp = stamp
         self._publisher.publish(array)
 
     def _status(self, part: str, error: bool, warning: bool, message: str,

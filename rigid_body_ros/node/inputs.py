@@ -16,10 +16,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import math
+from typing import NamedTuple
 
 from rigid_body_ros import messages
 from rigid_body_ros.body import State
+from rigid_body_ros.node.arrivals import Sender
 from rigid_body_ros.node.epoch import Torque
 from rigid_body_ros.propagate.options import FASTEST
 from rigid_body_ros.scene import Scene
@@ -29,8 +32,18 @@ _LARGEST_ACCELERATION = 1e9
 #: What messages are refused for.
 MALFORMED, FRAME, NOT_FINITE, TOO_LARGE = 'malformed', 'unknown frame', 'not finite', 'too large'
 NO_CLOCK, FUTURE, LATE, OVERLOAD = 'no clock', 'future', 'late', 'overload'
-NO_STATE = 'no state'
-CAUSES = (MALFORMED, FRAME, NOT_FINITE, TOO_LARGE, NO_CLOCK, FUTURE, LATE, OVERLOAD, NO_STATE)
+NO_STATE, ANSWERED, STALE = 'no state', 'answered already', 'before the reset'
+CAUSES = (MALFORMED, FRAME, NOT_FINITE, TOO_LARGE, NO_CLOCK, FUTURE, LATE, OVERLOAD, NO_STATE,
+          ANSWERED, STALE)
+
+
+class Arrival(NamedTuple):
+    """A message that arrived: its bytes, its sender, the time, ns, and the monotonic time, s."""
+
+    data: bytes
+    sender: Sender
+    time_ns: int
+    since: float
 
 
 class RefusedError(ValueError):
@@ -44,13 +57,14 @@ class RefusedError(ValueError):
 class Inputs:
     """Reads messages as a scene means them."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, on_force: Callable[[], None]) -> None:
+        self._on_force = on_force
         self._frames = scene.values['body_frame'], scene.values['space_frame']
         self._largest = _LARGEST_ACCELERATION * scene.body.principal_moments[0]
 
-    def torque(self, data: bytes) -> tuple[Torque, bool]:
+    def torque(self, data: bytes) -> Torque:
         """
-        Return the torque of a WrenchStamped in CDR, and whether it came with a force.
+        Return the torque of a WrenchStamped in CDR; report a force, which is ignored.
 
         Raises
         ------
@@ -70,7 +84,9 @@ class Inputs:
         if math.hypot(x, y, z) > self._largest:
             raise RefusedError(TOO_LARGE, f'expected a torque of at most {self._largest:.3g} N m '
                                f'for this inertia, found {[x, y, z]}')
-        return Torque(wrench.stamp_ns, torque, frame), bool(wrench.values[:3].any())
+        if wrench.values[:3].any():
+            self._on_force()
+        return Torque(wrench.stamp_ns, torque, frame)
 
     def state(self, data: bytes) -> State:
         """

@@ -20,23 +20,29 @@ from collections.abc import Sequence
 from dataclasses import replace
 import time
 
+from builtin_interfaces.msg import Time
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rigid_body_ros import messages
 from rigid_body_ros.body import State
+from rigid_body_ros.node.arrivals import Sender
+from rigid_body_ros.node.chain import Answers, Offers
+from rigid_body_ros.node.clocks import ClockWatch
 from rigid_body_ros.node.epoch import Torque
-from rigid_body_ros.node.health import Health
-from rigid_body_ros.node.inputs import FUTURE, RefusedError
+from rigid_body_ros.node.health import APPLIED, Health, REPLACED
+from rigid_body_ros.node.inputs import ANSWERED, Arrival, FUTURE, Inputs, RefusedError, STALE
 from rigid_body_ros.node.motion import Motion
 from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import Parameters
 from rigid_body_ros.scene import InputError
 from rosgraph_msgs.msg import Clock
 
-#: s; between offers of the start state, until the first torque.
-_OFFER_EVERY = 0.1
+#: s; between two looks at whether the state is to be published again.
+_LOOK_EVERY = 0.1
+#: s; silence, or work on one torque, that is worth a warning.
+_LONG = 1.0
 #: s; how long to look for another publisher of /clock, and until its name is known.
 _DISCOVERY, _INTRODUCTION = 3.0, 0.5
 _CLOCK = '/clock'
@@ -45,39 +51,44 @@ _CLOCK = '/clock'
 class Lockstep:
     """Publishes the state `step` after every torque, as soon as the torque comes."""
 
-    def __init__(self, node: Node, parameters: Parameters, outputs: Outputs,
+    several_publishers = 'a loop takes one torque for each state, the first to arrive'
+
+    def __init__(self, node: Node, parameters: Parameters, inputs: Inputs, outputs: Outputs,
                  health: Health) -> None:
-        self._node, self._parameters, self._outputs = node, parameters, outputs
+        self._node, self._parameters = node, parameters
+        self._inputs, self._outputs, self._health = inputs, outputs, health
         values = parameters.scene.values
         self._given_start_ns = parameters.scene.start.time_ns
         self._clock = self._clock_publisher() if values['publish_clock'] else None
+        self._watch = ClockWatch(node)
         self._step_ns = max(1, round(values['step'] * 1e9))
-        self.motion = Motion(parameters.scene, outputs, health, self._tell, self._step_ns)
-        self._start = self.motion.initial(self._given_start_ns)
-        self._timer = node.create_timer(_OFFER_EVERY, self._offer,
+        self.motion = Motion(parameters.scene, outputs, health, self._read, self._answer,
+                             self._step_ns)
+        self._answers = Answers(round(values['history'] * 1e9))
+        self._offers = Offers(node, node.resolve_topic_name('torque'), outputs.state_topics)
+        #: The state that waits for a torque, and since when, s.
+        self._latest = self._start = self.motion.initial(self._given_start_ns)
+        self._since = time.monotonic()
+        #: The stamp of the state that waited when the motion was reset.
+        self._stale_ns: int | None = None
+        self._timer = node.create_timer(_LOOK_EVERY, self._look,
                                         clock=RosClock(clock_type=ClockType.STEADY_TIME))
         self._begin()
 
     def set_rate(self, rate: float) -> None:
         """Nothing: torques set the pace."""
 
-    def take(self, torque: Torque) -> None:
+    def take(self, data: bytes, sender: Sender) -> None:
         """
-        Take a torque by its stamp, and answer it.
+        Take a torque by its stamp, to be answered.
 
         Raises
         ------
         RefusedError
-            Too many wait, or the answer's time is later than a message can say.
+            Too many wait.
 
         """
-        if torque.stamp_ns + self._step_ns > messages.LAST_NS:
-            raise RefusedError(FUTURE, f'stamped {torque.stamp_ns} ns, expected a time that, with '
-                               f'a step, is {messages.LAST_NS} ns at most')
-        self._timer.cancel()
-        if self.motion.epoch is None:
-            self._open(replace(self._start, time_ns=torque.stamp_ns))
-        self.motion.take(torque)
+        self.motion.take(data, sender, 0)
 
     def set_state(self, state: State) -> None:
         """
@@ -94,15 +105,18 @@ class Lockstep:
         else:
             self.motion.end()
             self._start = state
-        self._timer.reset()
-        self._offer()
+        self._answers.clear()
+        self._publish(self._start, self._start)
 
     def reset(self) -> str:
         """Go back to before the first torque, and say so."""
         self.motion.end()
         self._start = self.motion.initial(self._given_start_ns)
         self._begin()
-        self._timer.reset()
+        self._answers.clear()
+        # The torque that answers this state may be on its way.
+        self._stale_ns = self._latest.time_ns
+        self._publish(self._start, self._start)
         return 'back at the initial state, waiting for the first torque'
 
     def check(self) -> list[str]:
@@ -112,7 +126,21 @@ class Lockstep:
             self._clock = None
             self._node.get_logger().error(f'{_CLOCK}: another node publishes it, too: this one '
                                           'does not any more')
-        return []
+        problems = self._watch.check()
+        silence = time.monotonic() - self._since
+        if self.motion.waiting_time > _LONG:
+            problems.append(f'the answer to a torque has taken {self.motion.waiting_time:.0f} s '
+                            'so far')
+        elif not self.motion.waiting and silence > _LONG:
+            problems.append(f'no torque for {silence:.0f} s: the state at {self._latest.time_ns} '
+                            'ns waits for one')
+        return problems
+
+    def stamp(self) -> Time:
+        """Return the time of now: that of the clock published here, if there is one."""
+        if self._clock is None:
+            return self._node.get_clock().now().to_msg()
+        return _time(self._latest.time_ns)
 
     def _begin(self) -> None:
         if self._given_start_ns:
@@ -123,15 +151,57 @@ class Lockstep:
         self.motion.begin(start, torques)
         self._parameters.report(start)
 
-    def _offer(self) -> None:
-        self._tell(self._start)
+    def _read(self, arrival: Arrival) -> Torque | None:
+        torque, sender = self._inputs.torque(arrival.data), arrival.sender
+        self._check_stamp(torque.stamp_ns)
+        if self._answers.repeated(torque, sender):
+            self._leave(torque)
+            return None
+        if self.motion.epoch is None:
+            self._open(replace(self._start, time_ns=torque.stamp_ns))
+        self._answers.expect(torque, sender)
+        return torque
 
-    def _tell(self, state: State) -> None:
+    def _check_stamp(self, stamp_ns: int) -> None:
+        if stamp_ns + self._step_ns > messages.LAST_NS:
+            raise RefusedError(FUTURE, f'stamped {stamp_ns} ns, expected a time that, with a '
+                               f'step, is {messages.LAST_NS} ns at most')
+        if stamp_ns == self._stale_ns:
+            raise RefusedError(STALE, f'the torque at {stamp_ns} ns answers a state from before '
+                               'the reset')
+
+    def _leave(self, torque: Torque) -> None:
+        """Count a torque whose stamp has its answer, or raise RefusedError if it is another."""
+        if not self._answers.is_same(torque):
+            raise RefusedError(ANSWERED, f'another torque at {torque.stamp_ns} ns came before: a '
+                               'loop takes one torque for each state')
+        self._health.count(APPLIED)
+        self._health.count(REPLACED)
+
+    def _answer(self, torque: Torque, state: State | None) -> None:
+        if state is None:
+            self._answers.forget(torque)
+            return
+        self._publish(state, max(state, self._latest, key=lambda state: state.time_ns))
+        self._answers.give(torque)
+
+    def _publish(self, state: State, latest: State) -> None:
+        self._latest, self._since = latest, time.monotonic()
+        if state.time_ns == self._stale_ns:  # the motion has come this far again
+            self._stale_ns = None
+        self._send(state, is_repeated=False)
+
+    def _look(self) -> None:
+        if self._offers.is_due() and not self.motion.waiting:
+            self._send(self._latest, is_repeated=True)
+
+    def _send(self, state: State, is_repeated: bool) -> None:
         if self._clock is not None:
-            clock = Clock()
-            clock.clock.sec, clock.clock.nanosec = divmod(state.time_ns, 10 ** 9)
-            self._clock.publish(clock)
+            self._clock.publish(Clock(clock=_time(state.time_ns)))
         self._outputs.publish(state)
+        self._offers.published(is_repeated)
+        if self._offers.has_controller:
+            self._answers.published(state.time_ns)
 
     def _clock_publisher(self) -> Publisher:
         if self._node.get_parameter('use_sim_time').value:
@@ -146,3 +216,8 @@ class Lockstep:
                                  f'found {info.node_name}')
             time.sleep(0.05)
         return self._node.create_publisher(Clock, _CLOCK, 10)
+
+
+def _time(time_ns: int) -> Time:
+    seconds, nanoseconds = divmod(time_ns, 10 ** 9)
+    return Time(sec=seconds, nanosec=nanoseconds)

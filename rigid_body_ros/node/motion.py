@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The motion as the node works it out: never longer at a time than others can wait."""
+"""The motion as the node computes it: never for longer at a time than others can wait."""
 
 from __future__ import annotations
 
@@ -22,53 +22,70 @@ from dataclasses import replace
 import time
 
 from rigid_body_ros.body import State
+from rigid_body_ros.node.arrivals import Sender
 from rigid_body_ros.node.epoch import Epoch, Torque
 from rigid_body_ros.node.health import APPLIED, Health, REPLACED, SLOW, UNKNOWN
-from rigid_body_ros.node.inputs import LATE, NO_STATE, OVERLOAD, RefusedError
+from rigid_body_ros.node.inputs import Arrival, LATE, NO_STATE, OVERLOAD, RefusedError
 from rigid_body_ros.node.outputs import LOG_DEPTH, Outputs
 from rigid_body_ros.scene import Scene
 
-#: s; how long callbacks work before others get their turn.
+#: s; a slice of work, after which every other callback gets its turn.
 _BUDGET = 0.02
 #: s; how long the states of an epoch that ends may take.
 _LAST_WORDS = 0.2
 #: Torques that may wait for the motion to get there.
 _MOST_WAITING = 100_000
+#: In real time more than a few may wait for this long only, s: the motion has to catch up.
+_FEW, _LONGEST_WAIT = 1000, 2.0
 
 
 class Motion:
     """
     Takes torques, logs them, and answers for the state.
 
-    What does not fit into a callback's time waits, and `work` goes on with it; the order of
-    things, and so every number, stays the same.
+    `take` only puts a message in line. `work` reads and applies those that wait, for one slice of
+    time; call it again until it returns True. The order of things, and so every number, stays the
+    same.
 
     Parameters
     ----------
     scene : Scene
     outputs : Outputs
     health : Health
+    read : callable
+        Returns the torque of an Arrival, None if it is one that has no effect, or raises
+        RefusedError.
     answer : callable, optional
-        Told the state `step` after each torque, as soon as the torque is taken.
+        Lockstep: receives each torque and the state `step` after it, as soon as the torque is
+        applied; None if it is not applied, or there is no state.
     step_ns : int
 
     """
 
     def __init__(self, scene: Scene, outputs: Outputs, health: Health,
-                 answer: Callable[[State], None] | None = None, step_ns: int = 0) -> None:
+                 read: Callable[[Arrival], Torque | None],
+                 answer: Callable[[Torque, State | None], None] | None = None,
+                 step_ns: int = 0) -> None:
         self._scene, self._outputs, self._health = scene, outputs, health
-        self._answer, self._step_ns = answer, step_ns
+        self._read, self._answer, self._step_ns = read, answer, step_ns
         self.epoch: Epoch | None = None
         #: Whether the log has torques of an epoch before.
         self._is_logged = False
-        #: Torques that wait; of the first, once it is applied, the states that it made final.
-        self._inbox: deque[Torque] = deque()
+        self._inbox: deque[Arrival] = deque()
+        #: The torque of the first of them, once it is read, and the states that it made final,
+        #: once it is applied.
+        self._torque: Torque | None = None
         self._final: list[State] | None = None
 
     @property
     def waiting(self) -> int:
         """How many torques wait."""
         return len(self._inbox)
+
+    @property
+    def waiting_time(self) -> float:
+        """How long, s, the first of them has waited."""
+        return time.monotonic() - self._inbox[0].since if self._inbox else 0.0
 
     def initial(self, time_ns: int) -> State:
         """Return the initial state, at a time."""
@@ -94,7 +111,8 @@ class Motion:
 
     def begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
         """Begin an epoch, and its log, with torques that are in force still."""
-        self.end()
+        if self.epoch is not None:  # or those that wait are for this one
+            self.end()
         if self._is_logged:
             self._outputs.begin_log()
         self._is_logged = bool(torques)
@@ -103,48 +121,59 @@ class Motion:
             self._outputs.accept(torque)
         self._outputs.commit(start)
 
-    def end(self) -> None:
-        """End the epoch, if there is one."""
+    def end(self, until: float | None = None) -> None:
+        """
+        End the epoch, if there is one; torques that still wait are rejected.
+
+        Its states are committed by `until`, a time of the monotonic clock, or soon.
+        """
         if self._final is not None:  # applied, but the answer takes too long
-            self._log(self._inbox.popleft())
+            self._log(self._torque)
+            self._inbox.popleft()
         for _ in self._inbox:
             self._health.refuse(RefusedError(
                 OVERLOAD, 'the epoch ended before the motion got to a torque'))
+        self._torque = None
         self._inbox.clear()
         if self.epoch is not None:
-            self.finish(time.monotonic() + _LAST_WORDS)
+            self._finish(time.monotonic() + _LAST_WORDS if until is None else until)
         self.epoch = None
 
-    def take(self, torque: Torque) -> None:
+    def take(self, data: bytes, sender: Sender, time_ns: int) -> None:
         """
-        Take a torque, now or when its turn comes.
+        Put a message in line that arrives at a time.
 
         Raises
         ------
         RefusedError
-            Too many wait already.
+            Too many wait already, or in real time for too long.
 
         """
-        if len(self._inbox) >= _MOST_WAITING:
-            raise RefusedError(OVERLOAD, f'{_MOST_WAITING} torques wait for the motion, which is '
-                               'too fast to be worked out in time')
-        self._inbox.append(torque)
-        if len(self._inbox) == 1:  # or there is other work, which has had its time
-            self.work()
+        now, inbox = time.monotonic(), self._inbox
+        waited = now - inbox[0].since if inbox else 0.0
+        is_late = waited > _LONGEST_WAIT and len(inbox) > _FEW and self._answer is None
+        if is_late or len(inbox) >= _MOST_WAITING:
+            raise RefusedError(OVERLOAD, f'{len(inbox)} torques wait for the motion, the first '
+                               f'for {waited:.3g} s')
+        inbox.append(Arrival(data, sender, time_ns, now))
 
     def work(self) -> bool:
-        """Go on with what waits, for a while; return whether all is done."""
+        """Take torques that wait, for a slice of time; return whether none is left."""
         until = time.monotonic() + _BUDGET
         try:
-            while self._inbox:
-                self._proceed(self._inbox[0], until)
+            while self._inbox and time.monotonic() < until:
+                if self._torque is None:
+                    self._torque = self._readable(self._inbox[0])
+                if self._torque is not None:
+                    self._proceed(self._torque, until)
+                self._torque = None
                 self._inbox.popleft()
         except TimeoutError as error:
             self._too_slow(error)
         return not self._inbox
 
     def publish(self, time_ns: int) -> None:
-        """Publish the state at a time, if it can be known in time."""
+        """Publish the state at a time, if a slice of work is enough to compute it."""
         try:
             state = self.state(time_ns, time.monotonic() + _BUDGET)
         except TimeoutError as error:
@@ -177,31 +206,24 @@ class Motion:
             self._too_slow(error)
             return None
 
-    def finish(self, until: float) -> bool:
-        """Commit what was held back for late torques; return whether there was time for it."""
+    def _readable(self, arrival: Arrival) -> Torque | None:
         try:
-            while due := self.epoch.due(2 ** 63):
-                for stamp_ns in due[:LOG_DEPTH]:  # no more at once than the queue holds
-                    for state in self._final_states(stamp_ns, until):
-                        self._outputs.commit(state)
-                self._outputs.deliver(until)
-        except TimeoutError as error:
-            self._health.event(SLOW, f'{len(due)} states could not be worked out before the end '
-                               f'of their epoch: {error}')
-            return False
-        return True
+            return self._read(arrival)
+        except RefusedError as refused:
+            self._health.refuse(refused)
+            return None
 
     def _proceed(self, torque: Torque, until: float) -> None:
         # Apply, answer, log: whoever waits for the answer comes first.
         if self._final is None:
             final = self._final_states(torque.stamp_ns - self.epoch.history_ns, until)
             if not self._apply(torque):
+                if self._answer is not None:
+                    self._answer(torque, None)
                 return
             self._final = final
         if self._answer is not None:
-            state = self.state(torque.stamp_ns + self._step_ns, until)
-            if state is not None:
-                self._answer(state)
+            self._answer(torque, self.state(torque.stamp_ns + self._step_ns, until))
         self._log(torque)
 
     def _log(self, torque: Torque) -> None:
@@ -210,6 +232,18 @@ class Motion:
         for state in self._final:
             self._outputs.commit(state)
         self._final = None
+
+    def _finish(self, until: float) -> None:
+        """Commit the states that were held back for late torques."""
+        try:
+            while due := self.epoch.due(2 ** 63):
+                for stamp_ns in due[:LOG_DEPTH]:  # no more at once than the queue holds
+                    for state in self._final_states(stamp_ns, until):
+                        self._outputs.commit(state)
+                self._outputs.deliver(until)
+        except TimeoutError as error:
+            self._health.event(SLOW, f'{len(due)} states could not be computed before the end of '
+                               f'their epoch: {error}')
 
     def _apply(self, torque: Torque) -> bool:
         repeated = self.epoch.holds(torque.stamp_ns)
@@ -236,5 +270,6 @@ class Motion:
         return [state for state in states if state is not None]
 
     def _too_slow(self, error: TimeoutError) -> None:
-        self._health.event(SLOW, f'no longer in real time: {error}; the body turns too fast to be '
-                           'worked out, or late torques take too much back')
+        if self._answer is None:  # in lockstep the others wait
+            self._health.event(SLOW, f'no longer in real time: {error}; the body spins too fast, '
+                               'or late torques force too much recomputation')

@@ -85,6 +85,11 @@ class Outputs:
         """All of them."""
         return [*(publisher for publisher, _ in self._states), self._accepted, self._committed]
 
+    @property
+    def state_topics(self) -> list[str]:
+        """The topics of the states, as resolved."""
+        return [publisher.topic_name for publisher, _ in self._states]
+
     def publish(self, state: State) -> None:
         """Tell a state to whoever listens."""
         for publisher, encode in self._states:

@@ -16,7 +16,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+import difflib
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -26,11 +27,17 @@ from rcl_interfaces.msg import (
 )
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
 from rigid_body_ros import scene
 from rigid_body_ros.body import State
 from rigid_body_ros.scene import InputError, Scene
 
 _RATE = 'publish_rate'
+_QOS = 'qos_overrides.'
+#: Topics that rclpy itself connects to.
+_OF_RCLPY = ('/clock.', '/parameter_events.', '/rosout.')
 #: What the node sets itself where an epoch begins, so that a dump is the scene of the epoch.
 _EPOCH = ('start_time', *(f'initial_attitude.{name}' for name in 'xyzw'),
           *(f'initial_angular_velocity.{name}' for name in 'xyz'))
@@ -60,8 +67,10 @@ class Parameters:
         """Show the start of an epoch."""
         values = [start.time_ns, *start.attitude.tolist(), *start.angular_velocity.tolist()]
         self._epoch = dict(zip(_EPOCH, values))
-        self._node.set_parameters([Parameter(name, value=value)
-                                   for name, value in self._epoch.items()])
+        result = self._node.set_parameters_atomically(
+            [Parameter(name, value=value) for name, value in self._epoch.items()])
+        if not result.successful:
+            raise RuntimeError(f'the parameters cannot show the start: {result.reason}')
 
     def _declare(self) -> Scene:
         # What the user gave is declared already, as the types that were given. Check it as one
@@ -87,7 +96,7 @@ class Parameters:
             if value != self._epoch.get(name, value):
                 return SetParametersResult(successful=False, reason=f'{name}: read-only in a '
                                            'running node: it defines the trajectory')
-            if name == 'use_sim_time' or name.startswith('qos_overrides.'):
+            if name == 'use_sim_time' or name.startswith(_QOS):
                 return SetParametersResult(successful=False, reason=f'{name}: read-only in a '
                                            'running node: it was used at the start')
         if _RATE in values:
@@ -96,6 +105,28 @@ class Parameters:
             except InputError as error:
                 return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+
+def check_qos_overrides(node: Node, subscriptions: Iterable[Subscription],
+                        publishers: Iterable[Publisher]) -> None:
+    """
+    Check that every QoS override that was given is that of an endpoint of the node.
+
+    Raises
+    ------
+    InputError
+        One is not: its topic, endpoint or policy is misspelt, and it would have no effect.
+
+    """
+    known = [f'{_QOS}{endpoint.topic_name}.{kind}.{policy.name.lower()}'
+             for kind, endpoints in (('subscription', subscriptions), ('publisher', publishers))
+             for endpoint in endpoints
+             for policy in QoSOverridingOptions.with_default_policies().policy_kinds]
+    for name in node.get_parameters_by_prefix(_QOS.rstrip('.')):
+        if _QOS + name not in known and not name.startswith(_OF_RCLPY):
+            close = difflib.get_close_matches(_QOS + name, known, 1)
+            raise InputError(f'{_QOS}{name}: no topic, endpoint or policy of this node'
+                             + (f'; did you mean {close[0]}?' if close else ''))
 
 
 def _descriptor(parameter: scene.Parameter) -> ParameterDescriptor:

@@ -19,12 +19,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from builtin_interfaces.msg import Time
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rigid_body_ros.body import State
+from rigid_body_ros.node.arrivals import Sender
+from rigid_body_ros.node.clocks import ArrivalStamps, ClockWatch
 from rigid_body_ros.node.epoch import Torque
 from rigid_body_ros.node.health import Health, TIME_JUMP, UNKNOWN
-from rigid_body_ros.node.inputs import FUTURE, LATE, NO_CLOCK, RefusedError
+from rigid_body_ros.node.inputs import Arrival, FUTURE, Inputs, LATE, NO_CLOCK, RefusedError
 from rigid_body_ros.node.motion import Motion
 from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import Parameters
@@ -41,14 +44,18 @@ _LEAP_NS = 10 ** 9
 class Realtime:
     """Publishes the state at the present time, at a rate."""
 
-    def __init__(self, node: Node, parameters: Parameters, outputs: Outputs,
+    several_publishers = 'they do not add up: each torque holds only until the next one'
+
+    def __init__(self, node: Node, parameters: Parameters, inputs: Inputs, outputs: Outputs,
                  health: Health) -> None:
-        self._node, self._parameters, self._health = node, parameters, health
+        self._node, self._parameters = node, parameters
+        self._inputs, self._health = inputs, health
         self._values = parameters.scene.values
         self._given_start_ns = parameters.scene.start.time_ns
         self._max_future_ns = round(self._values['max_future'] * 1e9)
-        self.motion = Motion(parameters.scene, outputs, health)
+        self.motion = Motion(parameters.scene, outputs, health, self._read)
         self._latest_ns = 0
+        self._arrivals, self._watch = ArrivalStamps(), ClockWatch(node)
         self._simulated = node.get_parameter('use_sim_time').value
         # A wall clock may be set back, which would stop a timer that follows it.
         pace = node.get_clock() if self._simulated else Clock(clock_type=ClockType.STEADY_TIME)
@@ -59,23 +66,20 @@ class Realtime:
     def set_rate(self, rate: float) -> None:
         """Publish at another rate, Hz."""
         self._timer.timer_period_ns = round(1e9 / rate)
+        self._timer.reset()  # or the next call keeps the time it was due
 
-    def take(self, torque: Torque) -> None:
+    def take(self, data: bytes, sender: Sender) -> None:
         """
-        Take a torque as it arrives.
+        Take a torque as it arrives, from any sender.
 
         Raises
         ------
         RefusedError
-            There is no time yet, or that of the torque is impossible.
+            There is no time yet, or too many wait.
 
         """
-        now_ns = self._valid_now_ns()
-        stamp_ns = torque.stamp_ns
-        if not stamp_ns or self._values['time_source'] == ARRIVAL:
-            stamp_ns = now_ns
-        self._check_stamp(stamp_ns, now_ns)
-        self.motion.take(torque._replace(stamp_ns=stamp_ns))
+        self._valid_now_ns()
+        self.motion.take(data, sender, self._arrivals.stamp())
 
     def set_state(self, state: State) -> None:
         """
@@ -111,18 +115,30 @@ class Realtime:
 
     def check(self) -> list[str]:
         """Return what is wrong at present."""
+        problems = self._watch.check()
         if not self._now_ns():
-            return ['no time yet: use_sim_time is set, and /clock is silent']
+            return problems
         newest_ns = self.motion.epoch.newest_ns
         silent_s = 0.0 if newest_ns is None else (self._latest_ns - newest_ns) * 1e-9
         if silent_s > self._values['torque_timeout'] > 0.0:
-            return [f'silent for {silent_s:.3g} s: the torque timed out']
-        return []
+            problems.append(f'silent for {silent_s:.3g} s: the torque timed out')
+        return problems
+
+    def stamp(self) -> Time:
+        """Return the time of now."""
+        return self._node.get_clock().now().to_msg()
+
+    def _read(self, arrival: Arrival) -> Torque:
+        torque = self._inputs.torque(arrival.data)
+        if not torque.stamp_ns or self._values['time_source'] == ARRIVAL:
+            torque = torque._replace(stamp_ns=arrival.time_ns)
+        self._check_stamp(torque.stamp_ns, arrival.time_ns)
+        return torque
 
     def _publish(self) -> None:
         now_ns = self._now_ns()
         # Where torques wait, what is known is not yet the state.
-        if now_ns and self.motion.work() and now_ns >= self.motion.epoch.start.time_ns:
+        if now_ns and not self.motion.waiting and now_ns >= self.motion.epoch.start.time_ns:
             self.motion.publish(now_ns)
 
     def _valid_now_ns(self) -> int:
@@ -137,6 +153,7 @@ class Realtime:
         if not now_ns:  # simulated time before the first message of /clock
             return 0
         latest_ns, self._latest_ns = self._latest_ns, now_ns
+        self._arrivals.tick(now_ns)
         # A wall clock is set back by a little now and then; late torques may be, too.
         slack_ns = 0 if self._simulated or not self.motion.epoch else self.motion.epoch.history_ns
         if self.motion.epoch is None:

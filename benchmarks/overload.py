@@ -1,0 +1,208 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Send more torques than the node can take, and account for every one of them.
+
+    python benchmarks/overload.py [--seconds 30] [--rate 5000]
+
+A process of its own sends torques, late and shuffled, with bad ones among them. Two more keep the
+processors busy. Meanwhile the node has to answer its services and diagnose itself; after it, it
+has to be back in real time. A second load ends with SIGINT, and what was committed has to be what
+the log of the run gives again.
+"""
+
+import argparse
+from contextlib import contextmanager
+import math
+import os
+from pathlib import Path
+import select
+import subprocess
+import sys
+from tempfile import TemporaryDirectory
+import time
+
+import numpy as np
+from rcl_interfaces.srv import GetParameters
+from rclpy.time import Time
+from rigid_body_ros import messages
+from rigid_body_ros.node.health import APPLIED, LOST, OVERFLOW, RECEIVED
+from rigid_body_ros.node.inputs import CAUSES, FRAME, MALFORMED, NOT_FINITE
+
+sys.path.extend(str(Path(__file__).resolve().parent.parent / name)
+                for name in ('examples', 'test'))
+from live import replayed, TUMBLER  # noqa: E402, I100
+from live_session import ATTITUDE, LiveSession  # noqa: E402
+from soak import Line, printed  # noqa: E402
+
+SEED = 23
+#: s: how late torques come, up to, and for how long the load before SIGINT lasts.
+LATEST, LAST = 0.4, 3.0
+#: s: to answer a service, between two diagnoses, until real time again.
+SERVICE, DIAGNOSIS, RECOVERY = 1.0, 2.0, 5.0
+#: s; what an attitude may be behind the clock in real time.
+BEHIND = 0.1
+#: What a share of the torques is rejected for.
+BAD = {MALFORMED: 0.01, FRAME: 0.01, NOT_FINITE: 0.01}
+
+
+def send(rate, seconds):
+    """Send torques for so long, and print how many."""
+    from geometry_msgs.msg import WrenchStamped
+    import rclpy
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    rclpy.init(args=[])
+    node = rclpy.create_node('overload')
+    publisher = node.create_publisher(WrenchStamped, 'torque', QoSProfile(
+        depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT))
+    while not publisher.get_subscription_count():
+        time.sleep(0.01)
+    time.sleep(0.5)  # the node has to find this publisher, too
+    random, count = np.random.default_rng(SEED), round(rate * seconds)
+    causes = random.choice(['', *BAD], count, p=[1.0 - sum(BAD.values()), *BAD.values()])
+    delays = (random.random(count) * LATEST * 1e9 * (random.random(count) < 0.5)).astype(int)
+    torques = random.normal(0.0, 0.01, (count, 3)).tolist()
+    began = time.monotonic()
+    for row in range(count):
+        wait = began + row / rate - time.monotonic()
+        if wait > 0.0:
+            time.sleep(wait)
+        stamp_ns = node.get_clock().now().nanoseconds - int(delays[row])
+        publisher.publish(_message(causes[row], stamp_ns, torques[row]))
+    # The last one shows what is missing before it.
+    time.sleep(1.0)
+    publisher.publish(messages.wrench(node.get_clock().now().nanoseconds, '', torques[0]))
+    print(count + 1, flush=True)
+    time.sleep(1.0)
+
+
+def _message(cause, stamp_ns, torque):
+    if cause == NOT_FINITE:
+        torque = [math.nan, 0.0, 0.0]
+    data = messages.wrench(stamp_ns, 'map' if cause == FRAME else '', torque)
+    return data[:-8] if cause == MALFORMED else data
+
+
+@contextmanager
+def started(*command, **options):
+    """Run a process, and end it."""
+    process = subprocess.Popen([sys.executable, *map(str, command)], **options)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+@contextmanager
+def busy():
+    """Keep both processors busy."""
+    spin = ('-c', 'while True: pass')
+    with started(*spin), started(*spin):
+        yield
+
+
+@contextmanager
+def load(live, rate, seconds):
+    """Send torques to the node of a session."""
+    with started(__file__, '--send', '--rate', rate, '--seconds', seconds, env=live.environment,
+                 stdout=subprocess.PIPE, text=True) as sender:
+        yield sender
+
+
+def overload(rate, seconds, domain):
+    """
+    Overload the node for so long, in a ROS domain.
+
+    Returns
+    -------
+    list of Line
+
+    """
+    with TemporaryDirectory() as folder, LiveSession(TUMBLER, domain) as live:
+        live.disconnect()
+        with busy(), load(live, rate, seconds) as sender:
+            latency = _longest_service(live, sender)
+            sent = int(sender.stdout.readline())
+        recovery = _recovery(live)
+        counts, _, _ = live.diagnosis('torques')
+        with busy(), load(live, rate, 10 * LAST):
+            live.spin(LAST)
+            began = time.monotonic()
+            live.dump_parameters(Path(folder, 'live.yaml'))
+            status = live.stop()
+            ending = time.monotonic() - began
+        run = replayed(Path(folder), live)
+    stamps = [Time.from_msg(array.header.stamp).nanoseconds * 1e-9 for array in live.diagnostics]
+    rejected = sum(counts[f'refused: {cause}'] for cause in CAUSES)
+    same = np.all(run.committed.view(np.int64) == run.replay.view(np.int64), axis=1)
+    print(f'sent {sent}: applied {counts[APPLIED]}, rejected {rejected}, lost on the way '
+          f'{counts[LOST]}, lost in the queue {counts[OVERFLOW]}; ended in {ending:.2g} s')
+    return [Line('sent, received or lost', counts[RECEIVED] + counts[LOST] + counts[OVERFLOW],
+                 sent),
+            Line('received, applied or rejected', counts[APPLIED] + rejected, counts[RECEIVED]),
+            Line('waiting', counts['waiting'], 0),
+            Line('longest service call, s', latency, SERVICE, True),
+            Line('longest time between diagnoses, s', max(np.diff(stamps)), DIAGNOSIS, True),
+            Line('until real time again, s', recovery, RECOVERY, True),
+            Line('exit status', status, 0),
+            Line('states with the bits of the replay', int(same.sum()), same.size)]
+
+
+def _longest_service(live, sender):
+    longest, request = 0.0, {'names': ['solver']}
+    while not _has_printed(sender):
+        began = time.monotonic()
+        live.call(GetParameters, 'get_parameters', **request)
+        longest = max(longest, time.monotonic() - began)
+        live.spin(0.5)
+    return longest
+
+
+def _has_printed(process):
+    return bool(select.select([process.stdout], [], [], 0.0)[0])
+
+
+def _recovery(live):
+    began = time.monotonic()
+
+    def in_real_time():
+        live.received[ATTITUDE].clear()
+        live.spin(0.2)
+        live.wait_until(lambda: live.received[ATTITUDE], 'an attitude')
+        stamp_ns = messages.QUATERNION.decode(live.received[ATTITUDE][-1]).stamp_ns
+        return live.now_ns() - stamp_ns < BEHIND * 1e9
+    live.wait_until(in_real_time, 'real time')
+    recovery, count = time.monotonic() - began, len(live.diagnostics)
+    live.wait_until(lambda: len(live.diagnostics) > count + 1, 'a later diagnosis')
+    return recovery
+
+
+def main():
+    """Print the table, and which lines are missed."""
+    parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
+    parser.add_argument('--rate', type=float, default=5000.0, help='Hz')
+    parser.add_argument('--seconds', type=float, default=30.0)
+    parser.add_argument('--send', action='store_true', help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.send:
+        send(arguments.rate, arguments.seconds)
+        return 0
+    domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
+    return printed(overload(arguments.rate, arguments.seconds, domain))
+
+
+if __name__ == '__main__':
+    sys.exit(main())

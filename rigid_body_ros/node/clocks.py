@@ -1,0 +1,81 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The clock of a node: stamps for messages that have none, and whether the clock runs."""
+
+from __future__ import annotations
+
+import time
+
+from rclpy.node import Node
+
+#: s; a clock that stands still for longer is worth a warning.
+_LONG = 1.0
+
+
+class ArrivalStamps:
+    """
+    Stamps messages with the time of their arrival, each later than the one before.
+
+    Simulated time advances in ticks. Between two ticks, time goes on as fast as from the tick
+    before to the last one, but by no more than one tick; a leap is none.
+    """
+
+    def __init__(self) -> None:
+        self._now_ns = self._tick_ns = self._newest_tick_ns = 0
+        self._wall_tick_ns = 1
+        self._wall_ns = time.monotonic_ns()
+        self._last_ns = 0
+
+    def tick(self, now_ns: int) -> None:
+        """Note the time of the clock; to be called as often as it may change."""
+        if now_ns == self._now_ns:
+            return
+        if now_ns < self._now_ns:  # set back: stamps follow
+            self._last_ns = 0
+        wall_ns = time.monotonic_ns()
+        tick_ns = max(0, now_ns - self._now_ns) if self._now_ns else 0
+        self._tick_ns, self._newest_tick_ns = min(tick_ns, self._newest_tick_ns), tick_ns
+        self._wall_tick_ns = max(1, wall_ns - self._wall_ns)
+        self._now_ns, self._wall_ns = now_ns, wall_ns
+
+    def stamp(self) -> int:
+        """Return the stamp, ns, of a message that arrives now."""
+        passed = (time.monotonic_ns() - self._wall_ns) / self._wall_tick_ns
+        stamp_ns = self._now_ns + round(min(passed, 1.0) * self._tick_ns)
+        self._last_ns = max(self._last_ns + 1, stamp_ns)
+        return self._last_ns
+
+
+class ClockWatch:
+    """Watches whether simulated time goes on; wall time always does."""
+
+    def __init__(self, node: Node) -> None:
+        self._clock = node.get_clock()
+        self._is_simulated = node.get_parameter('use_sim_time').value
+        self._now_ns, self._since = 0, time.monotonic()
+
+    def check(self) -> list[str]:
+        """Return what is wrong with the clock; to be called about once a second."""
+        if not self._is_simulated:
+            return []
+        now_ns = self._clock.now().nanoseconds
+        if now_ns != self._now_ns:
+            self._now_ns, self._since = now_ns, time.monotonic()
+        stopped = time.monotonic() - self._since
+        if not now_ns:
+            return ['no time yet: use_sim_time is set, and /clock is silent']
+        if stopped > _LONG:
+            return [f'/clock has stood still at {now_ns} ns for {stopped:.0f} s']
+        return []

@@ -1,0 +1,240 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""A closed loop in lockstep is one chain, and gives the same bits however it is started."""
+
+from contextlib import contextmanager
+import json
+import signal
+import subprocess
+import sys
+import time
+
+from conftest import ROOT, SECOND
+from geometry_msgs.msg import WrenchStamped
+from live import decoded, replayed, TUMBLER
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession
+from nav_msgs.msg import Odometry
+import numpy as np
+from pid_controller import Pid, STEP
+import pytest
+from rigid_body_ros import messages, Propagator, scene, State
+from rigid_body_ros.node.chain import Answers
+from rigid_body_ros.node.epoch import Torque
+
+pytestmark = pytest.mark.ros
+STEP_NS, END_NS = round(STEP * 1e9), 4 * SECOND
+LOCKSTEP = ('-p', 'mode:=lockstep', '-p', f'step:={STEP}')
+#: Does not end by itself.
+FOREVER = 10 ** 18
+
+
+@contextmanager
+def controller(tmp_path, domain, *arguments, until=END_NS):
+    """Run the controller as a process of its own."""
+    environment = LiveSession(TUMBLER, domain).environment
+    process = subprocess.Popen([sys.executable, ROOT / 'test' / 'pid_controller.py',
+                                tmp_path / 'memory.json', '--until', str(until), *arguments],
+                               env=environment)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def session(domain, *arguments):
+    """Return a session that only listens: a second publisher of torques is a second controller."""
+    return LiveSession(TUMBLER, domain, *LOCKSTEP, *arguments)
+
+
+def expected(end_ns=END_NS):
+    """Return the stamps and states, attitude and rates, of the loop closed without ROS."""
+    run = scene.load(TUMBLER)
+    propagator, law, states = Propagator(run.body, run.start, **run.options), Pid(), []
+    for stamp_ns in range(0, end_ns, STEP_NS):
+        state = propagator.at(stamp_ns)
+        states.append([*state.attitude, *state.angular_velocity])
+        propagator.apply(stamp_ns, law.torque(state.attitude[:3].tolist(),
+                                              state.angular_velocity.tolist()))
+    return list(range(0, end_ns, STEP_NS)), states
+
+
+def ended(tmp_path, live, process):
+    """Wait for the end of the controller; hold the run against the loop without ROS."""
+    live.wait_until(lambda: process.poll() is not None, 'the controller to end')
+    assert process.returncode == 0
+    live.dump_parameters(tmp_path / 'live.yaml')
+    assert live.stop() == 0
+    run = replayed(tmp_path, live)
+    stamps, states = expected()
+    assert run.accepted.stamps_ns.tolist() == stamps  # one torque for each stamp, in order
+    assert json.loads((tmp_path / 'memory.json').read_text())[1] == stamps
+    np.testing.assert_array_equal(run.committed, states)
+    np.testing.assert_array_equal(run.replay, states)
+
+
+@pytest.mark.parametrize('first_step', ['0', '0.6'])
+@pytest.mark.parametrize('attempt', [1, 2])
+def test_the_node_may_start_first(tmp_path, domain, first_step, attempt):
+    with session(domain) as live:
+        live.disconnect()
+        live.spin(0.3 * attempt)
+        with controller(tmp_path, domain, '--first-step', first_step) as process:
+            ended(tmp_path, live, process)
+
+
+@pytest.mark.parametrize('first_step', ['0', '0.6'])
+@pytest.mark.parametrize('attempt', [1, 2])
+def test_the_controller_may_start_first(tmp_path, domain, first_step, attempt):
+    with controller(tmp_path, domain, '--first-step', first_step) as process:
+        time.sleep(0.5 * attempt)
+        with session(domain) as live:
+            live.disconnect()
+            ended(tmp_path, live, process)
+
+
+def test_a_controller_that_is_killed_may_be_restarted(tmp_path, domain):
+    with session(domain) as live:
+        live.disconnect()
+        with controller(tmp_path, domain, '--hang-at', str(2 * SECOND)) as process:
+            live.wait_until(lambda: any(message.stamp_ns == 2 * SECOND for message in decoded(
+                live, ATTITUDE, messages.QUATERNION)), 'the state that gets no torque')
+            live.wait_until(lambda: 'no torque for' in live.diagnosis('torques')[2], 'a warning')
+            assert live.diagnosis('torques')[1] == 1
+            process.kill()  # it stays matched for a while
+        with controller(tmp_path, domain) as process:
+            ended(tmp_path, live, process)
+
+
+def test_the_node_may_be_restarted(tmp_path, domain):
+    with controller(tmp_path, domain, until=FOREVER) as process:
+        stamps = []
+        for _ in range(2):
+            with session(domain) as live:
+                live.disconnect()
+                live.wait_until(lambda live=live: len(live.received[ACCEPTED]) > 200, 'a loop')
+                live.process.send_signal(signal.SIGKILL)
+                live.process.wait()
+                live.spin(0.3)
+                stamps.append([message.stamp_ns for message in decoded(
+                    live, ACCEPTED, messages.WRENCH)])
+        assert process.poll() is None
+    for run in stamps:
+        assert run == [*range(0, len(run) * STEP_NS, STEP_NS)]
+
+
+@pytest.mark.parametrize('start_ns', [0, SECOND])
+def test_a_reset_of_a_running_loop_takes_time_back(tmp_path, domain, start_ns):
+    with session(domain, '-p', f'start_time:={start_ns}') as live:
+        live.disconnect()
+        with controller(tmp_path, domain, until=FOREVER):
+            for number in range(3):
+                count = len(live.received[ACCEPTED])
+                live.wait_until(lambda count=count: len(live.received[ACCEPTED]) > count + 100,
+                                'the loop to go on')
+                assert live.reset().success, number
+            live.wait_until(lambda: len(live.received[COMMITTED]) > 100, 'committed states')
+            live.spin(1.0)
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    np.testing.assert_array_equal(run.committed, run.replay)
+    stamps = run.accepted.stamps_ns[run.accepted.stamps_ns > 0] if start_ns else \
+        run.accepted.stamps_ns
+    begins = np.flatnonzero(np.diff(stamps, prepend=2 ** 62) <= 0)
+    runs = [part.tolist() for part in np.split(stamps, begins[1:])]
+    runs = [part for part in runs if len(part) > 1]
+    assert len(runs) == 4
+    for part in runs:
+        assert part == [*range(start_ns, start_ns + len(part) * STEP_NS, STEP_NS)]
+
+
+def test_a_second_controller_is_named_and_multiplies_nothing(tmp_path, domain):
+    with session(domain) as live:
+        live.disconnect()
+        second = live.node.create_publisher(WrenchStamped, 'torque', 10)
+        law = Pid()
+
+        def on_state(state):
+            values = messages.ODOMETRY.decode(state).values
+            stamp_ns = messages.ODOMETRY.decode(state).stamp_ns
+            second.publish(messages.wrench(stamp_ns, '', law.torque(
+                (values[messages.ORIENTATION][:3] + 0.1).tolist(),
+                values[messages.ANGULAR_VELOCITY].tolist())))
+        live.node.create_subscription(Odometry, 'odometry', on_state, 10, raw=True)
+        with controller(tmp_path, domain, until=FOREVER):
+            live.wait_until(lambda: len(live.received[ACCEPTED]) > 1000, 'the loop')
+            live.wait_until(lambda: '2 publishers: /live_session, /pid_controller; a loop takes '
+                            'one torque for each state' in live.diagnosis('torques')[2],
+                            'a warning')
+        live.spin(1.5)
+        counts, _, _ = live.diagnosis('torques')
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    assert np.all(np.diff(run.accepted.stamps_ns) == STEP_NS)
+    assert counts['refused: answered already'] > 100
+    np.testing.assert_array_equal(run.committed, run.replay)
+
+
+def test_there_is_no_real_time_that_an_answer_can_miss(domain):
+    with session(domain) as live:
+        live.set_state(State(0, (0, 0, 0, 1), (1e5, 2e5, 3e5)))
+        live.wait_until(lambda: live.received[ATTITUDE], 'the state')
+        live.publish(SECOND, '', [0.0, 0.0, 1e-3])
+        live.publish(200 * SECOND, '', [0.0, 0.0, 1e-3])  # a long way to there
+        live.wait_until(lambda: 'the answer to a torque has taken' in live.diagnosis('torques')[2],
+                        'a long answer')
+        assert live.diagnosis('motion')[0]['slow'] == 0
+        assert 'real time' not in live.end()
+
+
+def test_a_controller_slower_than_every_patience_gets_one_answer_for_each_state():
+    answers, controller, taken = Answers(history_ns=10 ** 18), [0, 0], []
+    answers.published(0)
+    answers.published(0)  # again, while it worked on the first
+    for number in range(50):
+        stamp_ns = controller.pop(0)
+        torque = Torque(stamp_ns, np.array([1.0, 0.0, 1e-3 * number]), 'body')
+        if answers.repeated(torque, b'controller'):
+            continue
+        taken.append(stamp_ns)
+        answers.expect(torque, b'controller')
+        answers.give(torque)
+        for _ in range(1 + number % 3):  # the next state, and repetitions of it
+            answers.published(stamp_ns + 1)
+            controller.append(stamp_ns + 1)
+    assert taken == [*range(len(taken))]
+    assert len(taken) > 20
+
+
+def test_a_lost_answer_is_asked_for_again(domain):
+    with session(domain) as live:
+        live.wait_until(lambda: answers(live), 'the start state')
+        live.publish(SECOND, '', [1e-3, 0.0, 0.0])
+        live.publish(SECOND, '', [1e-3, 0.0, 0.0])  # at once: the chain of a second state
+        live.wait_until(lambda: answers(live)[-1] == SECOND + STEP_NS, 'an answer')
+        live.spin(0.5)
+        assert answers(live).count(SECOND + STEP_NS) == 1
+        live.publish(SECOND, '', [1e-3, 0.0, 0.0])  # later: the answer was lost
+        live.wait_until(lambda: answers(live).count(SECOND + STEP_NS) == 2, 'the answer again')
+        assert live.stop() == 0
+    assert len(live.received[ACCEPTED]) == 2
+
+
+def answers(live):
+    """Return the stamps of the states published."""
+    return [message.stamp_ns for message in decoded(live, ATTITUDE, messages.QUATERNION)]
