@@ -1,0 +1,229 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Print a hash of what the engine computes, to show that a change leaves every bit as it was.
+
+    python benchmarks/bits.py [--count N]
+
+Random motions with a fixed seed go through every solver, the Euler angles, the Propagator and
+Run. Each group has a SHA-256 of its own, so that a difference can be located; the last line is
+the hash of them all. Compare runs on one machine with the same versions of Python's packages.
+"""
+
+import argparse
+import hashlib
+from typing import NamedTuple
+
+import numpy as np
+from rigid_body_ros import propagate, Propagator, RigidBody, so3, State, TorqueLog
+from rigid_body_ros.propagate import Run
+
+SEED, COUNT = 20260101, 200
+SECOND = 10 ** 9
+EPOCH_NS = 1_767_225_600_123_456_789
+INTERPOLATIONS = ('hold', 'linear', 'cubic')
+#: Solvers that accept torques.
+SOLVERS = ('auto', 'taylor', 'rk4', 'strang', 'explicit_euler')
+SEQUENCES = ('ZXZ', 'XYX', 'YZY', 'ZYZ', 'XZX', 'YXY', 'XYZ', 'YZX', 'ZXY', 'XZY', 'ZYX', 'YXZ')
+#: Samples on each side that the slopes of the cubic need.
+_BESIDE = 2
+
+
+class Motion(NamedTuple):
+    """A random motion: a body, its start, its torques, times (ns) and options of `propagate`."""
+
+    body: RigidBody
+    start: State
+    log: TorqueLog
+    at: np.ndarray
+    options: dict
+    #: s, for the solvers that need it.
+    max_step: float
+
+    def solver_options(self, solver):
+        """Return the options for a solver."""
+        fixed = solver in ('rk4', 'strang', 'explicit_euler')
+        return {**self.options, 'solver': solver, 'max_step': self.max_step if fixed else None}
+
+
+def random_body(random):
+    """Return a full tensor, a rod, a plate, a symmetric top or a sphere, along its axes or not."""
+    a, b, c = 10.0 ** random.uniform(-1.5, 1.5, 3)
+    second_moments = np.array([(a, b, c), (1.0, 1e-3 * a, 1e-3 * b), (a, b, 0.0), (a, a, b),
+                               (a, a, a)][random.integers(5)])
+    moments = 10.0 ** random.uniform(-3.0, 3.0) * (second_moments.sum() - second_moments)
+    turn = so3.matrix(so3.normalize(random.normal(size=4)))
+    return RigidBody(np.diag(moments) if random.random() < 0.4 else turn * moments @ turn.T)
+
+
+def random_start(random, body):
+    """Return a start with any rates, with rates along a principal axis, or at rest."""
+    direction = random.normal(size=3)
+    if random.random() < 0.15:
+        direction = body.principal_axes[:, random.integers(3)]
+    size = 0.0 if random.random() < 0.05 else 10.0 ** random.uniform(-2.0, 1.0)
+    attitude = (0, 0, 0, 1) if random.random() < 0.2 else random.normal(size=4)
+    return State([0, EPOCH_NS, -SECOND][random.integers(3)], attitude, size * direction)
+
+
+def random_log(random, body, start):
+    """Return torques with coasts, irregular and repeated stamps, in body, space or both axes."""
+    interpolation = INTERPOLATIONS[random.integers(3)]
+    stream = random.random() < 0.4
+    # A cubic through samples of very different spacing overshoots.
+    shortest = -3.0 if interpolation == 'hold' else -1.0
+    spans = np.full(300, 1e-3) if stream else 10.0 ** random.uniform(shortest, 0.5, 40)
+    rates = random.normal(size=(len(spans), 3)) * (0.1 + np.linalg.norm(start.angular_velocity))
+    rates[np.repeat(random.random(len(spans) // 10) < 0.4, 10)] = 0.0
+    torques = 0.2 * body.angular_momentum(rates) / spans.max()
+    if interpolation == 'hold':  # otherwise a torque would grow all through the gap
+        spans[(rates == 0.0).all(axis=1) & (random.random(len(spans)) < 0.05)] *= 1e3
+    stamps = start.time_ns - SECOND // 50 + np.cumsum(np.round(spans * 1e9).astype(np.int64))
+    stamps[7::9] = stamps[6::9][:len(stamps[7::9])]
+    order = random.permutation(len(stamps)) if random.random() < 0.3 else np.arange(len(stamps))
+    frames = ['body', 'space', random.choice(['body', 'space'], len(stamps)).tolist()]
+    frame = frames[random.integers(3 if interpolation == 'hold' else 2)]
+    return TorqueLog(stamps[order], torques[order], frame, interpolation)
+
+
+def random_motion(number):
+    """Return the motion with a number, the same one in every run."""
+    random = np.random.default_rng((SEED, number))
+    body = random_body(random)
+    start = random_start(random, body)
+    log = random_log(random, body, start)
+    end_ns = max(int(log.times_ns[-1]), start.time_ns + 1)
+    at = np.concatenate([random.integers(start.time_ns, end_ns + SECOND // 100, 60),
+                         random.choice(log.times_ns[log.times_ns > start.time_ns], 20),
+                         [start.time_ns]])
+    speed = max(0.1, np.linalg.norm(start.angular_velocity))
+    return Motion(body, start, log, np.sort(at) if random.random() < 0.7 else at, {
+        'tolerance': 10.0 ** -random.uniform(3.0, 15.0) if random.random() < 0.6 else 1e-15,
+        'torque_timeout': 10.0 ** random.uniform(-3.0, 1.0) if random.random() < 0.4 else 0.0},
+        random.uniform(0.02, 0.2) / speed)
+
+
+def solved(motion, solver):
+    """Yield attitude and rates by a solver."""
+    trajectory = propagate(motion.body, motion.start, motion.log, at=motion.at,
+                           **motion.solver_options(solver))
+    yield trajectory.attitude
+    yield trajectory.angular_velocity
+
+
+def coasted(motion, solver):
+    """Yield attitude and rates without torques, for an hour, or a day in closed form."""
+    span_ns = (86400 if solver == 'exact' else 3600) * SECOND
+    at = motion.start.time_ns + np.geomspace(1, span_ns, 40).astype(np.int64)
+    free = propagate(motion.body, motion.start, at=at, **motion.solver_options(solver))
+    yield free.attitude
+    yield free.angular_velocity
+
+
+def euler_angles(motion):
+    """Yield the Euler angles of all sequences, wrapped and continuous."""
+    trajectory = propagate(motion.body, motion.start, motion.log, at=np.sort(motion.at),
+                           **motion.options)
+    for sequence in SEQUENCES:
+        for continuous in (False, True):
+            yield trajectory.euler_angles(sequence, continuous)
+        yield trajectory.degenerate(sequence)
+
+
+def asked_in_any_order(motion, solver, number):
+    """Yield states of a Propagator at times in any order, under torques that arrive late."""
+    random = np.random.default_rng((SEED, number, 1))
+    options = motion.solver_options(solver)
+    stamps = motion.log.times_ns
+    propagator = Propagator(motion.body, motion.start, history=1e5, **options)
+    arrival = np.argsort(stamps + random.integers(0, SECOND // 10, len(stamps)), kind='stable')
+    for row in arrival.tolist():
+        propagator.apply(int(stamps[row]), motion.log.torques[row],
+                         'space' if motion.log.in_space[row] else 'body')
+        if random.random() < 0.2:
+            yield from states(propagator, random.permutation(motion.at)[:3])
+    yield from states(propagator, random.permutation(motion.at))
+
+
+def states(propagator, times_ns):
+    """Yield attitude and rates at times."""
+    for time_ns in times_ns.tolist():
+        state = propagator.at(time_ns)
+        yield state.attitude
+        yield state.angular_velocity
+
+
+def streamed(motion, solver, number):
+    """Yield attitude and rates of a Run that takes its log in pieces."""
+    random = np.random.default_rng((SEED, number, 2))
+    log, at = motion.log, np.unique(motion.at)
+    run = Run(motion.body, motion.start, **motion.solver_options(solver))
+    cuts = np.unique(random.integers(2 * _BESIDE, len(log) - 2 * _BESIDE, 4)).tolist()
+    reached, dropped, front = motion.start.time_ns - 1, 0, 0
+    for cut in [*cuts, None]:
+        rows = slice(front, None if cut is None else cut + 1 + _BESIDE)
+        frames = np.where(log.in_space[rows], 'space', 'body').tolist()
+        piece = TorqueLog(log.times_ns[rows], log.torques[rows], frames, log.interpolation)
+        end = int(at[-1] if cut is None else log.times_ns[cut])
+        asked = at[(at > reached) & (at <= end)]
+        trajectory = run.advance(piece, asked, dropped=dropped,
+                                 stop=None if cut is None else cut - front)
+        yield trajectory.attitude
+        yield trajectory.angular_velocity
+        reached = max(end, reached)
+        if cut is not None:
+            dropped, front = cut - _BESIDE - front, cut - _BESIDE
+
+
+def groups(motion, number):
+    """Yield the name of each group and an iterator over its results for a motion."""
+    for solver in SOLVERS:
+        yield solver, solved(motion, solver)
+    for solver in ('exact', 'auto', 'taylor'):
+        yield f'coast {solver}', coasted(motion, solver)
+    yield 'euler', euler_angles(motion)
+    solver = SOLVERS[number % len(SOLVERS)]
+    yield 'propagator', asked_in_any_order(motion, solver, number)
+    yield 'streaming', streamed(motion, solver, number)
+
+
+def add(digest, arrays):
+    """Add arrays, or a mark if the motion is refused, to a hash; return whether it is refused."""
+    try:
+        for array in arrays:
+            digest.update(np.ascontiguousarray(array).tobytes())
+    except ValueError:
+        digest.update(b'refused')
+        return True
+    return False
+
+
+def main():
+    """Print the hash of every group and of all."""
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument('--count', type=int, default=COUNT, help=f'motions; {COUNT} by default')
+    digests, refused = {}, {}
+    for number in range(parser.parse_args().count):
+        for name, arrays in groups(random_motion(number), number):
+            digest = digests.setdefault(name, hashlib.sha256())
+            refused[name] = refused.get(name, 0) + add(digest, arrays)
+    for name, digest in digests.items():
+        print(f'{name:16} {digest.hexdigest()}  ({refused[name]} refused)')
+    print(f'{"all":16} '
+          f'{hashlib.sha256(b"".join(d.digest() for d in digests.values())).hexdigest()}')
+
+
+if __name__ == '__main__':
+    main()
