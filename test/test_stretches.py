@@ -72,6 +72,21 @@ def test_a_run_in_pieces_has_the_bits_of_the_whole(interpolation, options):
         np.testing.assert_array_equal(np.concatenate(attitudes), whole.attitude)
 
 
+@pytest.mark.parametrize('zero', [False, True], ids=['torque', 'coast'])
+def test_the_end_of_a_piece_may_be_asked_for_more_than_once(zero):
+    stamps = EPOCH_NS + np.arange(6) * SECOND
+    log = TorqueLog(stamps, np.random.default_rng(9).normal(size=(6, 3)) * (not zero))
+    start = State(EPOCH_NS, angular_velocity=(2.0, -0.1, 1.0))
+    expected = propagate(BODY, start, log, at=[stamps[3]])
+    run = Run(BODY, start)
+    for asked in ([stamps[3], stamps[1], stamps[3], stamps[3]], [stamps[3]]):
+        motion = run.advance(log, asked, stop=3)
+        for row in np.flatnonzero(np.equal(asked, stamps[3])):
+            np.testing.assert_array_equal(motion.attitude[row], expected.attitude[0])
+            np.testing.assert_array_equal(motion.angular_velocity[row],
+                                          expected.angular_velocity[0])
+
+
 @pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
 @pytest.mark.parametrize('options', [{}, {'rate': 37.0}, {'until': 7.3}, {'until': 900.0}],
                          ids=str)

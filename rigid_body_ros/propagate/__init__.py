@@ -214,7 +214,7 @@ class Run:
 
     def _fill(self, log: TorqueLog, times: NDArray[np.int64], rows: NDArray[np.intp],
               motion: Floats, dropped: int, stop: int) -> NDArray[np.bool_]:
-        """Fill the motion, and tell in which samples a coast was answered in closed form."""
+        """Fill the motion, and return in which samples a coast was answered in closed form."""
         closed = np.zeros(len(log) + 1, np.bool_)
         if self._place:
             states, grid_ns, begin_ns, sample, silent = self._place
@@ -234,6 +234,10 @@ class Run:
                     *self._arguments, BUDGET)
                 if fast:
                     raise self._options.too_fast(grid_ns)
+        if done < times.size:  # the end of the piece, asked for again
+            again = (np.arange(times.size) if len(rows) == 0 else rows)[done:]
+            motion[:4 * times.size].reshape(-1, 4)[again] = states[4:8]
+            motion[4 * times.size:].reshape(-1, 3)[again] = states[:3]
         if self._place or (times.size and not begins_later):
             self._place = states, grid_ns, begin_ns, sample, silent
         return closed
