@@ -277,6 +277,32 @@ def test_a_kernel_that_returns_midway_goes_on_with_the_same_bits(monkeypatch, bu
     assert same(propagator.at(int(times[-1])), whole, -1)
 
 
+@pytest.mark.parametrize('case', ['stream', 'outputs of a stream', 'coast', 'segment', 'zeros'])
+def test_a_kernel_returns_after_a_bounded_number_of_steps_and_outputs(monkeypatch, case):
+    # However long the log and however many the outputs: between calls Python handles signals.
+    stamps = EPOCH_NS + np.arange(5000) * SECOND // 1000
+    torques = np.tile([0.1, 0.2, -0.1], (5000, 1))
+    span_ns = {'coast': 3600 * SECOND, 'segment': SECOND // 1000}.get(case, 5 * SECOND)
+    log = {'coast': None, 'segment': TorqueLog(stamps[:1], torques[:1]),
+           'zeros': TorqueLog(stamps, 0.0 * torques)}.get(case, TorqueLog(stamps, torques))
+    at = EPOCH_NS + span_ns - np.arange(1 if case in ('stream', 'zeros') else 5000)[::-1] * 10
+    whole = propagate(BODY, START, log, at=at)
+    progress, run = [], loop.run
+
+    def recorded(states, grid_ns, begin_ns, sample, silent, done, *rest):
+        reached = run(states, grid_ns, begin_ns, sample, silent, done, *rest)
+        progress.append((reached[2] - sample, reached[4] - done))
+        return reached
+    for module in (MODULE, loop):
+        monkeypatch.setattr(module, 'BUDGET', 1000)
+    monkeypatch.setattr(MODULE, 'run', recorded)
+    cut = propagate(BODY, START, log, at=at)
+    assert len(progress) > 1
+    assert np.max(progress) <= 1000 + 2  # a first call counts from IN_FORCE
+    np.testing.assert_array_equal(cut.attitude, whole.attitude)
+    np.testing.assert_array_equal(cut.angular_velocity, whole.angular_velocity)
+
+
 def test_a_step_longer_than_what_is_left_of_int64_does_not_wrap():
     motion = propagate(RigidBody(np.eye(3)), State(0, angular_velocity=(0, 0, 1e-10)),
                        at=[9 * 10 ** 18])

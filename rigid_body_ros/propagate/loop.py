@@ -46,8 +46,10 @@ NEVER_NS = 2 ** 63 - 1
 IN_ORDER = np.empty(0, np.intp)
 #: For `sample` of `run`: the one in force at the beginning, which is to be found.
 IN_FORCE = -2
-#: Steps, some 50 ms of work, after which a kernel returns, so that Python sees signals.
-BUDGET = 20_000
+#: What a full step, or a state in closed form, costs in units of the budget; anything else costs 1.
+_FULL = 16
+#: Units of work, at most about 0.1 s, after which a kernel returns so that Python handles signals.
+BUDGET = 20_000 * _FULL
 #: rad; `auto` answers a coast in closed form where it turns by more. Up to here the series is as
 #: exact, and cheaper.
 LONG_COAST = 16.0
@@ -134,12 +136,13 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
     max_step_ns : int
         Upper limit of a step, or the step of a solver of fixed step.
     budget : int
-        Steps to take at most, before Python sees signals.
+        Units of work after which it returns, at least 1: `_FULL` for a full step or a state in
+        closed form, 1 for a short step, an output or a torque change.
 
     Returns
     -------
     grid_ns, begin_ns, sample, silent, done
-        Where it got until all was done, the budget of steps used up, or the body too fast.
+        Where it got until all was done, the budget used up, or the body too fast.
     fast : bool
         Whether it is: beyond FASTEST.
 
@@ -157,7 +160,7 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
     free, prepared = free_motion.unchanging(begin, free_motion.LOST), False
     out = state
     degree = torques.shape[1] - 1
-    while sample < stop and done < len(at_ns):
+    while sample < stop and done < len(at_ns) and budget > 0:
         idle = silent or sample < 0
         next_ns = stamps_ns[sample + 1] if sample + 1 < len(stamps_ns) else NEVER_NS
         end_ns, falls_silent = next_ns, False
@@ -180,16 +183,20 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
             if formula and free.kind != free_motion.LOST:
                 out = free_motion.at(free, time_ns - begin_ns)
                 closed[sample + 1] = True
+                budget -= _FULL
             elif rest_ns == 0:
                 out = state
             elif (grid_ns == begin_ns and rest_ns < max_step_ns and solver <= EXACT
                   and (coasts or (degree == 0 and not space))
                   and taylor.is_short(state, seconds, push, tolerance)):
                 if not asked and not coasts and not falls_silent:
+                    last = min(sample + budget, len(stamps_ns) - 1)
+                    budget += sample
                     state, grid_ns, sample, done = _stream(
-                        state, grid_ns, sample, done, at_ns, rows, motion, stamps_ns, torques,
-                        in_space, timeout_ns, equations, diagonal, tolerance, max_step_ns)
+                        state, grid_ns, sample, last, done, at_ns, rows, motion, stamps_ns,
+                        torques, in_space, timeout_ns, equations, diagonal, tolerance, max_step_ns)
                     begin, begin_ns, prepared = state, grid_ns, False
+                    budget -= sample
                     continue
                 out = taylor.short_step(state, seconds, equations, diagonal, push, tolerance)
             else:
@@ -207,6 +214,7 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
                 state, grid_ns, begin, begin_ns, prepared = out, end_ns, out, end_ns, False
         if not asked or begin_ns == end_ns:
             sample, silent = (sample, True) if falls_silent else (sample + 1, False)
+        budget -= 1
     _store(state, states, 0)
     _store(begin, states, bodies.SIZE)
     _store(out, states, 2 * bodies.SIZE)
@@ -214,15 +222,16 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
 
 
 @part
-def _stream(state: vector.State, grid_ns: int, sample: int, done: int, at_ns: NDArray[np.int64],
-            rows: NDArray[np.intp], motion: Floats, stamps_ns: NDArray[np.int64],
-            torques: Floats, in_space: NDArray[np.bool_], timeout_ns: int,
-            equations: vector.Coefficients, diagonal: bool, tolerance: float,
+def _stream(state: vector.State, grid_ns: int, sample: int, last: int, done: int,
+            at_ns: NDArray[np.int64], rows: NDArray[np.intp], motion: Floats,
+            stamps_ns: NDArray[np.int64], torques: Floats, in_space: NDArray[np.bool_],
+            timeout_ns: int, equations: vector.Coefficients, diagonal: bool, tolerance: float,
             max_step_ns: int) -> tuple[vector.State, int, int, int]:
-    # Go from stamp to stamp under held body torques for as long as one short step each will do,
-    # and nothing is asked for in between. Apart from `run`, because there is nothing else in
-    # this loop the compiler keeps the state in registers. Returns state, grid_ns, sample, done.
-    while sample + 1 < len(stamps_ns) and done < len(at_ns):
+    # Go from stamp to stamp, at most to that of the sample `last`, under held body torques for as
+    # long as one short step each will do, and nothing is asked for in between. Apart from `run`:
+    # in a loop with nothing else in it the compiler keeps the state in registers. Returns state,
+    # grid_ns, sample, done.
+    while sample < last and done < len(at_ns):
         next_ns, torque = stamps_ns[sample + 1], _row(torques, sample, 0)
         row = done if len(rows) == 0 else rows[done]
         if at_ns[row] == grid_ns:
@@ -313,7 +322,7 @@ def _move(state: vector.State, grid_ns: int, time_ns: int, torque: vector.Polyno
     while grid_ns < time_ns:
         if budget <= 0:
             return state, grid_ns, out, False, budget
-        budget -= 1
+        budget -= _FULL
         rest_ns = time_ns - grid_ns
         step_ns = _natural_ns(state, rest_ns, bound, solver, angle, max_step_ns)
         last = step_ns >= rest_ns
