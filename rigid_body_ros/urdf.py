@@ -34,6 +34,8 @@ from rigid_body_ros.so3 import Floats
 _ENTRIES = ('ixx', 'ixy', 'ixz', 'ixy', 'iyy', 'iyz', 'ixz', 'iyz', 'izz')
 #: What `float` takes besides (1_000, digits of other scripts) is no number to urdfdom.
 _NUMBER = re.compile(r'[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?')
+#: Bound on the rounding error of a rotated tensor, relative to its largest moment.
+_ROTATED = 16.0 * np.finfo(float).eps
 
 
 def inertia(text: str, link: str = '') -> Floats:
@@ -64,7 +66,7 @@ def inertia(text: str, link: str = '') -> Floats:
     ValueError
         The text is not URDF, or still xacro; the link is not there or not the only one, or has no
         <inertial>; an attribute is missing or not the finite numbers that it should be; the
-        rotation is a quaternion (URDF 1.1).
+        rotation is a quaternion (URDF 1.1); a moment is zero within the rounding of the rotation.
 
     """
     name, inertial = _chosen(_robot(text), link)
@@ -75,8 +77,18 @@ def inertia(text: str, link: str = '') -> Floats:
         raise ValueError(f'{where}: expected the rotation as rpy, found quat_xyzw')
     _numbers(origin, 'xyz', 3, where, '0 0 0')
     angles = _numbers(origin, 'rpy', 3, where, '0 0 0')
+    if any(angles):
+        _check_thickness(tensor, where)
     rotation = so3.matrix(euler.to_quaternion(angles, 'xyz'))
     return rotation @ tensor @ rotation.T
+
+
+def _check_thickness(tensor: Floats, where: str) -> None:
+    """Raise ValueError if a rotation would make a moment of rounding alone."""
+    moments = np.linalg.eigvalsh(tensor)
+    if abs(moments[0]) <= _ROTATED * moments[2]:
+        raise ValueError(f'{where}: inertia: expected a positive definite tensor, found principal '
+                         f'moments {moments.tolist()} kg m^2')
 
 
 def _robot(text: str) -> Element:

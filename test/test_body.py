@@ -116,10 +116,42 @@ def test_a_thin_plate_is_a_body_and_rounded_digits_are_told():
 
 @pytest.mark.parametrize(('masses', 'positions', 'message'), [
     ([1.0, -1.0], np.eye(3)[:2], 'greater than zero'), ([], np.zeros((0, 3)), 'greater than zero'),
-    ([1.0], np.eye(3), 'shape'), ([1.0, 1.0], [[0, 0, 0], [0, 0, 1]], 'positive definite')])
+    ([1.0], np.eye(3), 'shape'), ([1.0, 1.0], [[0, 0, 0], [0, 0, 1]], 'positive definite'),
+    ([1.0], [[1.0, 2.0, 3.0]], 'on one line'),
+    ([1.0, np.inf, 1.0], np.eye(3), 'finite masses greater than zero'),
+    ([1.0, 1.0, 1.0], np.diag([1.0, np.nan, 1.0]), 'finite numbers')])
 def test_point_masses_that_make_no_body_are_refused(masses, positions, message):
     with pytest.raises(ValueError, match=message):
         RigidBody.from_point_masses(masses, positions)
+
+
+def line(random, count, offset, thickness=0.0):
+    """Return masses and positions along some line of about 1 m, somewhere in space."""
+    direction = so3.normalize(random.normal(size=3))
+    along = random.uniform(-1.0, 1.0, count) if count > 2 else np.array([-1.0, 0.3])
+    positions = np.outer(along, direction) + thickness * random.normal(size=(count, 3))
+    return random.uniform(0.1, 2.0, count), positions + offset * random.normal(size=3)
+
+
+@pytest.mark.parametrize('offset', [0.0, 1.0, 1e3, 1e7])
+@pytest.mark.parametrize('count', [2, 3, 10, 1000, 100_000])
+def test_masses_on_any_line_are_refused(count, offset):
+    random = np.random.default_rng(12)
+    for _ in range(2 if count > 1000 else 50):
+        masses, positions = line(random, count, offset)
+        for equal in (masses, np.full(count, 0.1)):
+            with pytest.raises(ValueError, match='masses .* on one line'):
+                RigidBody.from_point_masses(equal, positions)
+
+
+@pytest.mark.parametrize(('thickness', 'offset'), [(1e-3, 1e7), (1e-6, 1e3), (1e-6, 0.0)])
+@pytest.mark.parametrize('count', [4, 1000, 100_000])
+def test_a_thin_rod_of_point_masses_is_a_body(count, thickness, offset):
+    masses, positions = line(np.random.default_rng(13), count, offset, thickness)
+    moments = RigidBody.from_point_masses(masses, positions).principal_moments
+    arms = positions - np.average(positions, axis=0, weights=masses)
+    expected = np.linalg.svd(np.sqrt(masses)[:, None] * arms, compute_uv=False)[1:]
+    np.testing.assert_allclose(moments[0], expected @ expected, rtol=0.05)
 
 
 @pytest.mark.parametrize(('attitude', 'velocity', 'message'), [

@@ -116,6 +116,19 @@ def test_a_default_namespace_is_as_good_as_none():
                                   RigidBody.from_urdf(text).inertia)
 
 
+@pytest.mark.parametrize('rpy', ['0 0 0', *(' '.join(map(str, rpy)) for rpy in TURNS)])
+def test_a_moment_of_zero_is_refused_however_the_link_is_turned(rpy):
+    entries = {'ixx': 0, 'iyy': 1, 'izz': 1, 'ixy': 0, 'ixz': 0, 'iyz': 0}
+    with pytest.raises(ValueError, match='positive definite'):
+        RigidBody.from_urdf(robot(body=inertial(f'<origin rpy="{rpy}"/>', **entries)))
+
+
+def test_a_turned_thin_rod_is_a_body():
+    text = inertial('<origin rpy="0.3 -1.1 2.5"/>', ixx=1e-12, iyy=1, izz=1, ixy=0, ixz=0, iyz=0)
+    np.testing.assert_allclose(RigidBody.from_urdf(robot(body=text)).principal_moments[0], 1e-12,
+                               rtol=0.01)
+
+
 FULL = robot(base_link='', body=inertial())
 XACRO = FULL.replace('<joint', '<xacro:include filename="arm.xacro"/><joint')
 

@@ -46,7 +46,7 @@ NEVER_NS = 2 ** 63 - 1
 IN_ORDER = np.empty(0, np.intp)
 #: For `sample` of `run`: the one in force at the beginning, which is to be found.
 IN_FORCE = -2
-#: What a full step, or a state in closed form, costs in units of the budget; anything else costs 1.
+#: Cost of a full step, or a state in closed form, in units of the budget; anything else costs 1.
 _FULL = 16
 #: Units of work, at most about 0.1 s, after which a kernel returns so that Python handles signals.
 BUDGET = 20_000 * _FULL
