@@ -23,7 +23,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-import operator
 from typing import TypeVar
 
 import numpy as np
@@ -31,6 +30,7 @@ from numpy.typing import ArrayLike
 from rigid_body_ros import so3, urdf
 from rigid_body_ros import tensor as constants
 from rigid_body_ros.so3 import Floats
+from rigid_body_ros.times import instant
 
 Result = TypeVar('Result')
 
@@ -235,9 +235,9 @@ class State:
     Raises
     ------
     ValueError
-        A component is not finite, or the quaternion is zero.
+        A component is not finite, the quaternion is zero, or the time does not fit int64.
     TypeError
-        The time is no integer.
+        The time is not an integer.
 
     """
 
@@ -271,7 +271,7 @@ class State:
             q = so3.normalize(q)
         w = _checked_vector(angular_velocity, 3, 'angular velocity')
         packed = np.concatenate([w, [0.0], q, np.zeros(8)])
-        self.__dict__.update(self._as_computed(operator.index(time_ns), packed).__dict__)
+        self.__dict__.update(self._as_computed(instant(time_ns), packed).__dict__)
 
 
 def _checked_vector(values: ArrayLike, size: int, what: str) -> Floats:

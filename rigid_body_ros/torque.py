@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros._jit import njit
 from rigid_body_ros.so3 import Floats
+from rigid_body_ros.times import instants, NEVER_NS
 
 FRAMES = ('body', 'space')
 INTERPOLATIONS = ('hold', 'linear', 'cubic')
@@ -53,8 +54,9 @@ class TorqueLog:
     Raises
     ------
     ValueError
-        Shapes disagree, a torque is not finite, a name is unknown, or samples of different
-        frames are to be interpolated.
+        Shapes disagree, a time is not an integer that fits int64, the times span 292 years or
+        more, a torque is not finite, a name is unknown, or samples of different frames are to be
+        interpolated.
 
     """
 
@@ -153,8 +155,13 @@ class TorqueLog:
         in_space : array of bool, shape (m,)
             Whether the torque is given in space axes.
 
+        Raises
+        ------
+        ValueError
+            A time is not an integer that fits int64.
+
         """
-        times = np.asarray(times_ns, np.int64)
+        times = instants(times_ns)
         torques, in_space = np.zeros((times.size, 3)), np.zeros(times.size, np.bool_)
         samples = np.searchsorted(self.times_ns, times, 'right') - 1
         given = samples >= 0
@@ -192,10 +199,10 @@ class TorqueLog:
 
 
 def _checked_samples(times_ns: ArrayLike, torques: ArrayLike) -> tuple[NDArray[np.int64], Floats]:
-    times = np.asarray(times_ns)
-    if times.ndim != 1 or (times.size and not np.issubdtype(times.dtype, np.integer)):
-        raise ValueError('times_ns: expected integer nanoseconds of shape (n,), '
-                         f'found {times.dtype} of shape {times.shape}')
+    times = instants(times_ns)
+    if times.size and int(times.max()) - int(times.min()) >= NEVER_NS:
+        raise ValueError('times_ns: expected times within 292 years of each other, '
+                         f'found {times.min()} and {times.max()}')
     values = np.array(torques, float).reshape(-1, 3) if np.size(torques) == 0 \
         else np.array(torques, float, order='C')
     if values.shape != (times.size, 3):
@@ -204,7 +211,7 @@ def _checked_samples(times_ns: ArrayLike, torques: ArrayLike) -> tuple[NDArray[n
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
         raise ValueError(f'torque {bad[0]} at {times[bad[0]]} ns: expected finite numbers, '
                          f'found {values[bad[0]].tolist()}')
-    return times.astype(np.int64), values
+    return times, values
 
 
 def _checked_frames(frame: str | Sequence[str], count: int) -> NDArray[np.bool_]:

@@ -429,6 +429,8 @@ class TestPropagator:
 @pytest.mark.parametrize(('arguments', 'message'), [
     ({'at': [EPOCH_NS - 1]}, f'from the start, {EPOCH_NS} ns, on, found {EPOCH_NS - 1} ns'),
     ({'at': [0.5]}, 'at: expected integer nanoseconds'),
+    ({'at': [True]}, 'at: expected integer nanoseconds'),
+    ({'at': np.array([2 ** 63], np.uint64)}, f'at: .* int64 nanoseconds, found {2 ** 63}'),
     ({'solver': 'euler'}, "solver: expected one of auto, taylor, exact, .* found 'euler'"),
     ({'tolerance': 1e-16}, 'tolerance: .* 1e-15 to 1, found 1e-16'),
     ({'max_step': 0.0}, 'max_step: expected seconds greater than zero, found 0'),
@@ -442,11 +444,37 @@ def test_impossible_requests_are_refused(arguments, message):
 
 @pytest.mark.parametrize(('arguments', 'message'), [
     ((2 ** 70, [1, 2, 3]), 'expected a time in int64 nanoseconds'),
+    ((np.uint64(2 ** 63), [1, 2, 3]), 'expected a time in int64 nanoseconds'),
     ((0, [1, 2]), 'expected 3 finite numbers, found'), ((0, [1, 2, np.inf]), 'torque at 0 ns'),
     ((0, [1, 2, 3], 'map'), "'body' or 'space', found 'map'")])
 def test_impossible_torques_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         Propagator(BODY, State()).apply(*arguments)
+
+
+@pytest.mark.parametrize('time_ns', [1.5, np.float64(3.0), True, np.True_, '3', None], ids=repr)
+def test_a_time_that_is_not_an_integer_is_refused(time_ns):
+    propagator = Propagator(BODY, State())
+    for call in (State, propagator.at, lambda time_ns: propagator.apply(time_ns, [1, 2, 3])):
+        with pytest.raises(TypeError):
+            call(time_ns)
+
+
+@pytest.mark.parametrize('time_ns', [2 ** 63, -2 ** 63, np.uint64(2 ** 63 + 5)])
+def test_a_time_beyond_int64_is_refused(time_ns):
+    propagator = Propagator(BODY, State())
+    for call in (State, propagator.at, lambda time_ns: propagator.apply(time_ns, [1, 2, 3])):
+        with pytest.raises(ValueError, match='expected a time in int64 nanoseconds, found'):
+            call(time_ns)
+
+
+def test_a_time_as_far_from_the_start_as_no_int64_can_tell_is_refused():
+    start, late = State(-2 ** 62 - 2), 2 ** 62
+    propagator = Propagator(BODY, start)
+    for call in (lambda: propagate(BODY, start, at=[late]), lambda: propagator.at(late),
+                 lambda: propagator.apply(late, [1, 2, 3])):
+        with pytest.raises(ValueError, match='within 292 years of the start'):
+            call()
 
 
 def test_nothing_is_left_to_compile_after_the_warm_up():

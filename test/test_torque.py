@@ -113,6 +113,11 @@ def test_frames_may_differ_from_sample_to_sample():
 @pytest.mark.parametrize(('arguments', 'message'), [
     (([0, 1], [[1, 2, 3]]), r'torques: expected shape \(2, 3\), found \(1, 3\)'),
     (([0.5], [[1, 2, 3]]), 'times_ns: expected integer nanoseconds'),
+    (([True], [[1, 2, 3]]), 'times_ns: expected integer nanoseconds'),
+    (([2 ** 64], [[1, 2, 3]]), 'times_ns: expected integer nanoseconds'),
+    ((np.array([5, 2 ** 63], np.uint64), np.ones((2, 3))),
+     'times_ns: expected times in int64 nanoseconds, found 9223372036854775808'),
+    (([-2 ** 62 - 2, 2 ** 62], np.ones((2, 3))), 'times_ns: .*292 years of each other'),
     (([3], [[1, np.nan, 3]]), 'torque 0 at 3 ns: expected finite numbers, found .*nan'),
     (([3], [[1, 2, 3]], 'base_link'), "frame: expected 'body' or 'space', found 'base_link'"),
     (([3, 4], np.ones((2, 3)), ['body', 'x']), "frame: expected 'body' or 'space', found 'x'"),
@@ -122,3 +127,15 @@ def test_frames_may_differ_from_sample_to_sample():
 def test_impossible_logs_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         TorqueLog(*arguments)
+
+
+@pytest.mark.parametrize('times', [[0.5], [True], np.array([2 ** 63 + 1], np.uint64)], ids=str)
+def test_a_torque_is_asked_for_at_integer_times_only(times):
+    with pytest.raises(ValueError, match='times_ns: expected'):
+        TorqueLog([0, 10], np.eye(3)[:2]).at(times)
+
+
+def test_unsigned_times_that_fit_are_taken():
+    log = TorqueLog(np.array([5, 2 ** 63 - 2], np.uint64), np.eye(3)[:2])
+    assert log.times_ns.tolist() == [5, 2 ** 63 - 2]
+    np.testing.assert_array_equal(log.at(np.array([7], np.uint64))[0], [[1.0, 0.0, 0.0]])

@@ -37,7 +37,6 @@ from rigid_body_ros.propagate.loop import (
     BUDGET,
     IN_FORCE,
     IN_ORDER,
-    NEVER_NS,
     order,
     origin,
     run,
@@ -47,6 +46,7 @@ from rigid_body_ros.propagate.models import Answers, Model
 from rigid_body_ros.propagate.options import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.propagate.propagator import Propagator
 from rigid_body_ros.so3 import Floats
+from rigid_body_ros.times import instants, NEVER_NS
 from rigid_body_ros.torque import TorqueLog
 
 __all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Model', 'Options', 'Propagator', 'Run',
@@ -136,8 +136,8 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
     Raises
     ------
     ValueError
-        A time lies before the start or is no integer, an option is out of its range, the solver
-        'exact' is given torques, or the torques bring the body beyond 1e9 rad/s.
+        A time lies before the start or is not an integer that fits int64, an option is out of its
+        range, the solver 'exact' is given torques, or the torques bring the body beyond 1e9 rad/s.
 
     """
     motion = Run(body, start, solver=solver, tolerance=tolerance, max_step=max_step,
@@ -268,11 +268,7 @@ def _known_options(*values: Any) -> Options:
 
 def _checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], bool, int]:
     """Return times, whether they ascend, and the last of them."""
-    times = np.array(at)
-    if times.ndim != 1 or (times.size and times.dtype.kind not in 'iu'):
-        raise ValueError('at: expected integer nanoseconds of shape (m,), '
-                         f'found {times.dtype} of shape {times.shape}')
-    times = times.astype(np.int64, copy=False)
+    times = instants(at, 'at')
     if times.size > 1:
         ascends, first_ns, last_ns = order(times)
     else:  # to call a kernel takes as long as the rest here
@@ -281,6 +277,9 @@ def _checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], boo
         if not start_ns <= time_ns < NEVER_NS:
             raise ValueError(f'at: expected times from the start, {start_ns} ns, on, '
                              f'found {time_ns} ns')
+    if last_ns - start_ns >= NEVER_NS:
+        raise ValueError(f'at: expected times within 292 years of the start, {start_ns} ns, '
+                         f'found {last_ns} ns')
     return times, ascends, int(last_ns)  # a numpy integer where numba is absent
 
 

@@ -39,9 +39,8 @@ from rigid_body_ros.propagate.options import (
     TAYLOR,
 )
 from rigid_body_ros.so3 import Floats
+from rigid_body_ros.times import NEVER_NS
 
-#: Later than any time that can be asked for.
-NEVER_NS = 2 ** 63 - 1
 #: For `rows` of `run`: the times ascend.
 IN_ORDER = np.empty(0, np.intp)
 #: For `sample` of `run`: the one in force at the beginning, which is to be found.

@@ -19,7 +19,6 @@ from __future__ import annotations
 import bisect
 from dataclasses import dataclass
 import math
-import operator
 import time
 from typing import Any
 
@@ -30,6 +29,7 @@ from rigid_body_ros.propagate import loop
 from rigid_body_ros.propagate.loop import Origin
 from rigid_body_ros.propagate.options import duration_ns, Options
 from rigid_body_ros.so3 import Floats
+from rigid_body_ros.times import instant, NEVER_NS
 from rigid_body_ros.torque import FRAMES
 
 _NO_TORQUE = np.zeros((1, 3))
@@ -103,19 +103,18 @@ class Propagator:
         Raises
         ------
         ValueError
-            The torque is not finite, the frame is unknown, or the torques before brought the body
-            beyond 1e9 rad/s; it is not applied then.
+            The torque is not finite, the frame is unknown, the time does not fit int64 or lies
+            292 years or more from the start, or the torques before brought the body beyond
+            1e9 rad/s; it is not applied then.
         TypeError
-            The time is no integer.
+            The time is not an integer.
 
         """
-        time_ns = operator.index(time_ns)
+        time_ns = self._checked(time_ns)
         values = np.array(torque, float).reshape(1, -1)
         if values.shape != (1, 3) or not np.all(np.isfinite(values)):
             raise ValueError(f'torque at {time_ns} ns: expected 3 finite numbers, '
                              f'found {values[0].tolist()}')
-        if abs(time_ns) >= loop.NEVER_NS:
-            raise ValueError(f'expected a time in int64 nanoseconds, found {time_ns}')
         if self._options.solver == 'exact' and values.any():
             raise ValueError("solver 'exact' is for motion without torque, found a torque of "
                              f'{values[0].tolist()} N m at {time_ns} ns')
@@ -145,18 +144,28 @@ class Propagator:
         Raises
         ------
         ValueError
-            The time lies before the start, or further back than is remembered, or the torques
-            bring the body beyond 1e9 rad/s.
+            The time lies before the start, or further back than is remembered, does not fit
+            int64 or lies 292 years or more from the start, or the torques bring the body beyond
+            1e9 rad/s.
+        TypeError
+            The time is not an integer.
         TimeoutError
             It would have taken longer; the next call goes on from where this one got.
 
         """
-        time_ns, until = operator.index(time_ns), time.monotonic() + within
+        time_ns, until = self._checked(time_ns), time.monotonic() + within
         index = bisect.bisect_right(self._changes, time_ns, key=_time_ns) - 1
-        if index < 0 or time_ns >= loop.NEVER_NS:
+        if index < 0:
             raise ValueError(f'expected a time from {self.earliest_ns} ns on, found {time_ns} ns')
         self._resolve(index, until)
         return self._active(self._changes[index], time_ns, until).state_at(time_ns, until)
+
+    def _checked(self, time_ns: int) -> int:
+        found = instant(time_ns)
+        if abs(found - self._start.time_ns) >= NEVER_NS:
+            raise ValueError('time_ns: expected a time within 292 years of the start, '
+                             f'{self._start.time_ns} ns, found {found} ns')
+        return found
 
     def _apply_before_start(self, time_ns: int, torque: Floats, in_space: bool) -> None:
         # Nothing is forgotten before a stamp is `history` past the start, and a stamp as old as

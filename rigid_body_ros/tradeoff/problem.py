@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.propagate import LONGEST, propagate, Trajectory
+from rigid_body_ros.times import instant
 from rigid_body_ros.torque import TorqueLog
 
 TIGHTEST = 1e-15
@@ -151,6 +152,8 @@ def whole(body: RigidBody, start: State, log: TorqueLog | None, end_ns: int | No
         raise ValueError('initial_angular_velocity: expected a body that turns, or torques '
                          'that turn it, found neither')
     log = TorqueLog([], []) if log is None else log
+    if end_ns is not None:
+        end_ns = instant(end_ns, 'end_ns')
     if end_ns is None and len(log):
         end_ns = int(log.times_ns[-1])
     if end_ns is None:

@@ -1,0 +1,64 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Times in integer nanoseconds, checked where a caller gives them."""
+
+from __future__ import annotations
+
+import operator
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+#: Later than any time that can be given.
+NEVER_NS = 2 ** 63 - 1
+
+
+def instant(time_ns: int, name: str = 'time_ns') -> int:
+    """
+    Return a time as an int.
+
+    Raises
+    ------
+    ValueError
+        The time does not fit int64.
+    TypeError
+        The time is not an integer. A bool is not one.
+
+    """
+    if isinstance(time_ns, (bool, np.bool_)):
+        raise TypeError(f'{name}: expected integer nanoseconds, found {time_ns}')
+    found = operator.index(time_ns)
+    if abs(found) >= NEVER_NS:
+        raise ValueError(f'{name}: expected a time in int64 nanoseconds, found {found}')
+    return found
+
+
+def instants(times_ns: ArrayLike, name: str = 'times_ns') -> NDArray[np.int64]:
+    """
+    Return times as a new array of int64, shape (n,).
+
+    Raises
+    ------
+    ValueError
+        The times are not integers of shape (n,), do not fit int64.
+
+    """
+    times = np.asarray(times_ns)
+    if times.ndim != 1 or (times.size and times.dtype.kind not in 'iu'):
+        raise ValueError(f'{name}: expected integer nanoseconds of shape (n,), '
+                         f'found {times.dtype} of shape {times.shape}')
+    if times.dtype.kind == 'u' and times.size and times.max() > NEVER_NS:
+        raise ValueError(f'{name}: expected times in int64 nanoseconds, found {times.max()}')
+    return times.astype(np.int64)
