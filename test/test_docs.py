@@ -14,19 +14,25 @@
 
 """The documentation: what it shows runs and gives what it says, and its links lead somewhere."""
 
+from contextlib import suppress
 import doctest
+from functools import cache
+from importlib import import_module
 import re
 import subprocess
 import sys
+from types import ModuleType
 
-from conftest import ROOT
+from conftest import NAME, PACKAGE, ROOT
 import pytest
+import rigid_body_ros
 
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').glob('*.md'))]
 _FENCE = re.compile(r'^(```+|~~~+)(\w*)[^\n]*\n(.*?)^\1[`~]*[ ]*$', re.DOTALL | re.MULTILINE)
 _INLINE = re.compile(r'(`+)(?:(?!\n\n).)*?\1', re.DOTALL)
 _LINK = re.compile(r'\]\(\s*([^)\s]+)[^)]*\)|^\[[^\]]+\]:\s*(\S+)|\b(?:src|href)="([^"]+)"',
                    re.MULTILINE)
+_DOTTED = re.compile(r'`(?!\w+\.py`)(\w+(?:\.\w+)+)\b(?![./])')
 _HEADING = re.compile(r'^#{1,6} +(.*?) *#*$', re.MULTILINE)
 _EXTERNAL = re.compile(r'[a-z][a-z+.-]*:')
 
@@ -38,11 +44,11 @@ def blocks(page):
             if match[2] in ('python', 'pycon')]
 
 
-@pytest.mark.parametrize('page', [page for page in PAGES if blocks(page)], ids=lambda p: p.name)
-def test_the_code_of_a_page_runs_and_prints_what_it_says(page):
-    # In order and with one set of names, as a reader would type it; a warning is an error. Long
-    # messages may be wrapped.
+@cache
+def run(page):
+    """Run the code of a page as a reader types it; return its names, and what does not match."""
     names, said = {'__name__': '__main__'}, []
+    # Long messages may be wrapped.
     runner = doctest.DocTestRunner(verbose=False, optionflags=doctest.NORMALIZE_WHITESPACE)
     for code, before in blocks(page):
         if '>>>' in code:
@@ -51,6 +57,12 @@ def test_the_code_of_a_page_runs_and_prints_what_it_says(page):
             names = examples.globs
         else:
             exec(compile('\n' * before + code, page, 'exec'), names)
+    return names, said
+
+
+@pytest.mark.parametrize('page', [page for page in PAGES if blocks(page)], ids=lambda p: p.name)
+def test_the_code_of_a_page_runs_and_prints_what_it_says(page):
+    _, said = run(page)
     assert not said, ''.join(said)
 
 
@@ -60,6 +72,22 @@ def test_no_example_stands_where_it_is_not_run(page):
     run = [line for code, _ in blocks(page) for line in code.splitlines()
            if line.lstrip().startswith('>>> ')]
     assert len(shown) == len(run)
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_the_names_in_the_text_of_a_page_are_there(page):
+    # Code within a sentence is not run; its names are found where those of the examples are.
+    names, _ = run(page)
+    text = _FENCE.sub('', page.read_text(encoding='utf-8'))
+    assert [name for name in _DOTTED.findall(text) if not exists(name, names)] == []
+
+
+@pytest.mark.parametrize(('name', 'expected'), [
+    ('rigid_body_ros.warm_up', True), ('rigid_body_ros.propagate.warm_up', False),
+    ('rigid_body_ros.replay.replay', True), ('so3.rotate', True), ('so3.spin', False),
+    ('State.time_ns', True), ('State.time', False)])
+def test_a_name_exists_if_it_is_found_as_a_reader_types_it(name, expected):
+    assert exists(name, {}) == expected
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
@@ -81,6 +109,28 @@ def test_sphinx_builds_the_pages_without_a_warning(tmp_path):
                              ROOT / 'docs', tmp_path], capture_output=True, text=True, check=False)
     assert (result.returncode, result.stderr) == (0, '')
     assert {page.stem for page in PAGES[1:]} <= {page.stem for page in tmp_path.glob('*.html')}
+
+
+def exists(name, names):
+    """Return whether a dotted name is found, if it begins with one of these or one of ours."""
+    first, *rest = name.split('.')
+    modules = {path.stem for path in PACKAGE.iterdir() if path.suffix in ('', '.py')}
+    if first in names:
+        found = names[first]
+    elif first in {NAME, *rigid_body_ros.__all__, *modules}:
+        found, rest = rigid_body_ros, rest if first == NAME else [first, *rest]
+    else:
+        return True
+    for part in rest:
+        if isinstance(found, ModuleType) and not hasattr(found, part):
+            with suppress(ImportError):
+                import_module(f'{found.__name__}.{part}')
+        if part in getattr(found, '__annotations__', ()):  # a field of a dataclass
+            return part == rest[-1]
+        if not hasattr(found, part):
+            return False
+        found = getattr(found, part)
+    return True
 
 
 def links(page):
