@@ -16,11 +16,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from functools import cache
+import hashlib
+from importlib import resources
 import math
-from pathlib import Path
 from typing import Any, TypeVar
 import warnings
 
@@ -41,19 +42,23 @@ def njit(kernel: Kernel) -> Kernel:
     Compile a kernel that Python calls on its first call, and cache the result on disk.
 
     While it runs, other threads of Python do. IEEE arithmetic is kept (no fast-math), so a
-    kernel gives the same bits wherever it is inlined. Without numba the plain function is
-    returned: the same results within rounding, hundreds of times slower. Where no cache folder
-    can be written, as in a read-only install without a home, kernels are compiled anew by every
-    process, and one warning says so.
+    kernel gives the same bits wherever it is inlined. What is cached is used as long as the
+    sources of the package have the same hash. Without numba the plain function is returned: the
+    same results within rounding, hundreds of times slower. If no cache folder can be written, as
+    in a read-only install without a home, every process compiles the kernels again and logs one
+    warning.
     """
     if not COMPILES:
         return kernel
+    options = {'error_model': 'numpy', 'nogil': True}
     try:
-        compiled = numba.njit(cache=True, error_model='numpy', nogil=True)(kernel)
+        compiled = numba.njit(cache=True, **options)(kernel)
     except RuntimeError:
         _warn_uncached()
-        return numba.njit(error_model='numpy')(kernel)
-    _drop_stale(Path(compiled.stats.cache_path), kernel, _newest_source())
+        return numba.njit(**options)(kernel)
+    # numba compares time and size of the kernel's own file, not of those that it inlines from, and
+    # a copy may keep the time of what it replaces.
+    compiled._cache._cache_file._source_stamp = _sources_hash()
     return compiled
 
 
@@ -99,21 +104,20 @@ def _warn_uncached() -> None:
 
 
 @cache
-def _newest_source() -> float:
-    sources = Path(__file__).parent.rglob('*.py')
-    return max((source.stat().st_mtime for source in sources), default=0.0)
+def _sources_hash() -> str:
+    digest = hashlib.sha256()
+    for source in _sources(resources.files(__package__)):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()
 
 
-def _drop_stale(folder: Path, kernel: Callable[..., Any], newest: float) -> None:
-    # numba compares a cached kernel with its own file only, not with the files of the kernels
-    # inlined into it: after a change in one module the others would go on running the old code.
-    name = f'{Path(kernel.__code__.co_filename).stem}.{kernel.__qualname__}'
-    for index in folder.glob(f'{name}-*.nbi'):
-        try:
-            if index.stat().st_mtime < newest:
-                index.unlink()
-        except OSError:
-            pass  # another process was faster
+def _sources(folder: Any) -> Iterator[Any]:
+    """Yield the sources in a folder, which may lie in a zip file, and below it, in order."""
+    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
+        if entry.name.endswith('.py'):
+            yield entry
+        elif '.' not in entry.name and entry.name != '__pycache__' and entry.is_dir():
+            yield from _sources(entry)
 
 
 def _exact_fma(a: float, b: float, c: float) -> float:

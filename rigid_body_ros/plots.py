@@ -167,7 +167,8 @@ def _torque_times(log: TorqueLog, start_ns: int, end_ns: int,
                   timeout_ns: int) -> NDArray[np.int64]:
     # Both sides of every change, so that a step is drawn as one; a grid where there are too many.
     changes, _ = log.segments(timeout_ns)
-    grid = np.linspace(start_ns, end_ns, _POINTS // 4).astype(np.int64)
+    grid = start_ns + np.linspace(0, end_ns - start_ns, _POINTS // 4).astype(np.int64)
     if 2 * len(changes) <= _POINTS:
-        grid = np.unique(np.concatenate([grid, changes - 1, changes]))
+        grid = np.concatenate([grid, changes - 1, changes])
+    grid = np.unique(grid)
     return grid[(grid >= start_ns) & (grid <= end_ns)]

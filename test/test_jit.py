@@ -14,10 +14,12 @@
 
 """Kernels compile wherever the package runs, and run where numba does not."""
 
+from concurrent.futures import ThreadPoolExecutor
 import os
 import shutil
 import subprocess
 import sys
+from zipfile import ZipFile, ZipInfo
 
 from conftest import PACKAGE
 import numpy as np
@@ -97,6 +99,20 @@ def test_a_read_only_install_without_a_home_works_and_warns_once(few_kernels):
     assert words.count('no folder for compiled kernels can be written') == 1
 
 
+@pytest.mark.parametrize('cached', [True, False])
+def test_other_threads_run_while_a_kernel_does_cached_or_not(few_kernels, cached):
+    if not cached:
+        (few_kernels / '__pycache__').touch()
+    nowhere = str(few_kernels / '__pycache__' / 'nowhere')
+    result = subprocess.run(
+        [sys.executable, '-W', 'ignore', '-c', 'from few.outer import four_times as kernel; '
+         'print(kernel.targetoptions["nogil"], kernel.stats.cache_path is not None)'],
+        env={**os.environ, 'PYTHONPATH': str(few_kernels.parent), 'HOME': nowhere,
+             'XDG_CACHE_HOME': nowhere, 'NUMBA_CACHE_DIR': ''}, capture_output=True, text=True,
+        check=True)
+    assert result.stdout.split() == ['True', str(cached)]
+
+
 def test_a_change_in_one_module_reaches_the_kernels_of_all(few_kernels):
     # A part is compiled into kernels of other files, whose cached code would go on.
     assert eight_times_three(few_kernels) == (24.0, '')
@@ -104,6 +120,51 @@ def test_a_change_in_one_module_reaches_the_kernels_of_all(few_kernels):
     source = few_kernels / 'inner.py'
     source.write_text(source.read_text().replace('2.0', '25.0'))
     assert eight_times_three(few_kernels) == (46875.0, '')
+
+
+def change(source, time_ns):
+    """Change a source as `rsync -a` and tar do, which keep the time of what they copy."""
+    source.write_text(source.read_text().replace('2.0', '3.0'))
+    os.utime(source, ns=(time_ns, time_ns))
+
+
+def test_a_change_that_bears_an_old_time_reaches_the_kernels(few_kernels):
+    source = few_kernels / 'inner.py'
+    before_ns = source.stat().st_mtime_ns
+    assert eight_times_three(few_kernels) == (24.0, '')
+    change(source, before_ns)
+    assert eight_times_three(few_kernels) == (81.0, '')
+
+
+def test_a_new_time_alone_does_not_compile_again(few_kernels):
+    assert eight_times_three(few_kernels) == (24.0, '')
+    written = {path: path.stat().st_mtime_ns for path in few_kernels.rglob('*.nb?')}
+    for source in few_kernels.glob('*.py'):
+        os.utime(source)
+    assert eight_times_three(few_kernels) == (24.0, '')
+    assert {path: path.stat().st_mtime_ns for path in few_kernels.rglob('*.nb?')} == written
+
+
+@pytest.mark.slow
+def test_processes_that_start_at_once_after_a_change_all_run_the_new_code(few_kernels):
+    assert eight_times_three(few_kernels) == (24.0, '')
+    change(few_kernels / 'inner.py', 0)
+    with ThreadPoolExecutor(4) as pool:
+        results = [*pool.map(lambda _: eight_times_three(few_kernels), range(4))]
+    assert results == 4 * [(81.0, '')]
+
+
+@pytest.mark.slow
+def test_a_change_reaches_the_kernels_of_a_package_in_a_zip_file(few_kernels, tmp_path):
+    # Python imports from a .zip; what is compiled goes where NUMBA_CACHE_DIR says.
+    (few_kernels / '__init__.py').touch()
+    zipped, cache = tmp_path / 'few.zip', str(tmp_path / 'cache')
+    for expected in (24.0, 81.0):
+        with ZipFile(zipped, 'w') as archive:
+            for source in few_kernels.glob('*.py'):
+                archive.writestr(ZipInfo(f'few/{source.name}'), source.read_text())
+        assert eight_times_three(zipped / 'few', NUMBA_CACHE_DIR=cache) == (expected, '')
+        change(few_kernels / 'inner.py', 0)
 
 
 def test_a_part_of_kernels_cannot_be_called_and_crash_the_interpreter():
