@@ -131,6 +131,20 @@ def test_stamps_out_of_order_are_put_in_order_and_told(tmp_path, monkeypatch, di
     assert '2 stamps no later than the one before' in summary(result)
 
 
+@pytest.mark.parametrize('error', [MemoryError('no room'), RuntimeError('a defect')], ids=repr)
+def test_what_goes_wrong_in_another_reading_ends_the_replay_as_what_it_is(monkeypatch, error):
+    # Not as a reading that spins the body up.
+    log = recording.Piece.log
+
+    def failing(piece, interpolation):
+        if interpolation == 'cubic':
+            raise error
+        return log(piece, interpolation)
+    monkeypatch.setattr(recording.Piece, 'log', failing)
+    with pytest.raises(type(error), match=str(error)):
+        replay(RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml'))
+
+
 def test_frames_that_change_late_are_refused_between_samples_as_well(tmp_path, monkeypatch):
     monkeypatch.setattr(torques, '_SAMPLES', 100)
     path = shuffled(tmp_path / 'in.mcap', np.arange(1000), ('base_link', 'world'))

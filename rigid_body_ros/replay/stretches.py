@@ -17,7 +17,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Thread
@@ -84,8 +83,10 @@ class Stretches:
                         for name in names}
         self._ends: dict[str, Floats | None] = {}
         self._frames: set[bool] = set()
-        #: They are worked out beside, by a thread that does not keep the program from ending.
+        #: They are worked out by a thread that does not keep the program from ending, and what it
+        #: raised.
         self._beside: Thread | None = None
+        self._failure: BaseException | None = None
         self._end_ns, self._count = self.start.time_ns, 0
         self._until_ns = None if asked.until is None else \
             end_of(asked.path, 0, self.start.time_ns, asked.until)
@@ -167,17 +168,23 @@ class Stretches:
     def _wait(self) -> None:
         if self._beside:
             self._beside.join()
+        if self._failure:
+            raise self._failure
 
     def _read_otherwise(self, piece: Piece, stop: int | None, last: NDArray[np.int64]) -> None:
-        # Go on with the other readings to the end of the piece.
-        for name, run in [*self._others.items()]:
-            self._ends[name] = None
-            with suppress(ValueError):  # this reading alone spins the body beyond all bounds
-                motion = run.advance(piece.log(name), last if stop is None else [],
-                                     dropped=piece.dropped, stop=stop)
-                self._ends[name] = motion.attitude[-1] if stop is None else self._ends[name]
-                continue
-            del self._others[name]
+        """Go on with the other readings to the end of the piece."""
+        try:
+            for name, run in [*self._others.items()]:
+                self._ends[name] = None
+                try:
+                    motion = run.advance(piece.log(name), last if stop is None else [],
+                                         dropped=piece.dropped, stop=stop)
+                except ValueError:  # this reading alone spins the body beyond all bounds
+                    del self._others[name]
+                else:
+                    self._ends[name] = motion.attitude[-1] if stop is None else None
+        except BaseException as error:  # `_wait` raises it in the main thread
+            self._failure = error
 
 
 def end_of(path: str | Path, last_ns: int, start_ns: int, until: float | None = None) -> int:
