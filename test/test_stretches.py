@@ -14,12 +14,14 @@
 
 """A replay piece by piece: the same bits as in one piece, whatever the pieces."""
 
+import re
+
 from conftest import CONFIG, EPOCH_NS, RECORDINGS, SECOND
 import numpy as np
 import pytest
 from rigid_body_ros import messages, propagate, recording, RigidBody, scene, State, TorqueLog
 from rigid_body_ros.propagate import Run
-from rigid_body_ros.recording import torques
+from rigid_body_ros.recording import torques, writer
 from rigid_body_ros.replay import replay, stretches
 from rigid_body_ros.replay.report import summary
 from rigid_body_ros.scene import InputError
@@ -106,6 +108,15 @@ def test_a_recording_in_pieces_gives_the_bits_of_the_whole(tmp_path, monkeypatch
     assert result.last_ns == whole.last_ns
 
 
+def written(path, values):
+    """Write torques at 1 kHz."""
+    with recording.Writer(path) as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        for stamp_ns, torque in zip(range(EPOCH_NS, 2 ** 63, SECOND // 1000), values):
+            writer.write('/torque', stamp_ns, messages.wrench(stamp_ns, '', 1e-3 * torque))
+    return path
+
+
 def shuffled(path, order, frames=('',)):
     """Write torques at 1 kHz in another order, in frames one after the other."""
     with recording.Writer(path) as writer:
@@ -129,6 +140,36 @@ def test_stamps_out_of_order_are_put_in_order_and_told(tmp_path, monkeypatch, di
     np.testing.assert_array_equal(result.last.attitude, whole.last.attitude)
     assert (whole.unordered, result.unordered) == (0, 2)
     assert '2 stamps no later than the one before' in summary(result)
+
+
+@pytest.mark.parametrize('config', ['tumbler', 'free'])
+def test_a_check_says_what_beginning_of_the_motion_it_covers(tmp_path, monkeypatch, config):
+    monkeypatch.setattr(torques, '_SAMPLES', 100)
+    path, loaded = RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml')
+    if config == 'free':
+        path = written(tmp_path / 'in.mcap', np.zeros((1000, 3)))
+    with monkeypatch.context() as patch:
+        patch.setattr(stretches, '_BATCH', 70)
+        result = replay(path, loaded, tmp_path / 'out.mcap')
+    text = summary(result)
+    span = (result.last.time_ns - result.start.time_ns) * 1e-9
+    assert re.search(rf', checked over the first [0-9.]+ s of {span:.9g} s\n', text)
+    assert 0.0 < result.check.covered < 0.3 * span
+    whole = replay(path, loaded)
+    assert f', checked over all {span:.9g} s\n' in summary(whole)
+
+
+def test_a_motion_may_begin_after_the_first_piece(tmp_path, monkeypatch):
+    monkeypatch.setattr(torques, '_SAMPLES', 100)
+    monkeypatch.setattr(writer, '_CHUNK', 2 ** 12)  # what is read at a time
+    path = written(tmp_path / 'in.mcap', np.random.default_rng(4).normal(size=(1000, 3)))
+    text = (CONFIG / 'tumbler.yaml').read_text().replace(
+        'ros__parameters:', f'ros__parameters:\n    start_time: {EPOCH_NS + SECOND // 2}')
+    (tmp_path / 'late.yaml').write_text(text)
+    loaded = scene.load(tmp_path / 'late.yaml')
+    result, whole = replay(path, loaded, tmp_path / 'out.mcap'), replay(path, loaded)
+    np.testing.assert_array_equal(result.last.attitude, whole.last.attitude)
+    assert (result.first_ns, result.check.total) == (whole.first_ns, whole.check.total)
 
 
 @pytest.mark.parametrize('error', [MemoryError('no room'), RuntimeError('a defect')], ids=repr)

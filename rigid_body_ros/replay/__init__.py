@@ -37,7 +37,7 @@ from rigid_body_ros.messages import MessageType
 from rigid_body_ros.propagate import Trajectory, warm_up
 from rigid_body_ros.recording import Column, Messages, NotInOrderError, Piece, Source
 from rigid_body_ros.replay import markers
-from rigid_body_ros.replay.check import drift
+from rigid_body_ros.replay.check import Check, drift
 from rigid_body_ros.replay.stretches import Asked, end_of, Stretch, Stretches
 from rigid_body_ros.scene import InputError, Scene
 from rigid_body_ros.torque import TorqueLog
@@ -82,8 +82,8 @@ class Replay:
     readings : dict
         By interpolation, how far away, rad, another reading between the samples would end; None
         where that spins the body beyond all bounds.
-    check : str
-        How far the motion is, at its beginning, from what physics keeps.
+    check : Check, optional
+        How far the motion, or the beginning of it that is checked, is from the conservation laws.
     seconds : dict
         The time that it took to read, propagate and write.
     log, trajectory : TorqueLog, Trajectory
@@ -104,7 +104,7 @@ class Replay:
     last: State = field(default_factory=State)
     solvers: dict[str, int] = field(default_factory=dict)
     readings: dict[str, float | None] = field(default_factory=dict)
-    check: str = ''
+    check: Check | None = None
     seconds: dict[str, float] = field(
         default_factory=lambda: {'read': 0.0, 'propagate': 0.0, 'write': 0.0})
     log: TorqueLog | None = None
@@ -256,6 +256,7 @@ def _replayed(asked: Asked, source: Source,
     began, kept = time.perf_counter(), []
     stretches = Stretches(asked, source.topic, pieces(asked, source, result))
     result.start = result.last = stretches.start
+    result.first_ns = stretches.first_ns
     with ExitStack() as stack:
         writer = stack.enter_context(_writer(output)) if output is not None else None
         if writer:
@@ -286,13 +287,13 @@ def _take(result: Replay, stretch: Stretch) -> None:
     """Add a stretch to what is known of the whole."""
     began = time.perf_counter()
     log, trajectory = stretch.log, stretch.trajectory
-    if not result.check:
-        result.first_ns = int(log.times_ns[0])
-        result.check = drift(result.scene, log, result.start, trajectory)
     result.last_ns = int(log.times_ns[-1])
     if trajectory.times_ns.size:
         result.last = State(int(trajectory.times_ns[-1]), trajectory.attitude[-1],
                             trajectory.angular_velocity[-1])
+        check = result.check or drift(result.scene, log, result.start, trajectory)
+        result.check = check._replace(
+            total=float(result.last.time_ns - result.start.time_ns) * 1e-9)
     for model in trajectory.models:
         name = f'{model.solver} ({model.reason})'
         result.solvers[name] = result.solvers.get(name, 0) + model.end_ns - model.start_ns

@@ -12,9 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What tells whether a motion is right: the balance of work and energy, or the momentum kept."""
+"""Check a motion: the balance of work and energy, or the momentum that no torque changes."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,16 +33,33 @@ _GAUSS_POINTS = 0.5 + 0.1 * np.sqrt(15.0) * np.array([-1.0, 0.0, 1.0])
 _GAUSS_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 
-def drift(scene: Scene, log: TorqueLog, start: State, trajectory: Trajectory) -> str:
-    """Return how far a motion is from what physics keeps, in words."""
+class Check(NamedTuple):
+    """A finding, and how many of the seconds of a motion, from its start, it covers."""
+
+    finding: str
+    covered: float
+    total: float
+
+    def __str__(self) -> str:
+        if self.covered >= self.total:
+            return f'{self.finding}, checked over all {self.total:.9g} s'
+        return (f'{self.finding}, checked over the first {self.covered:.9g} s of '
+                f'{self.total:.9g} s')
+
+
+def drift(scene: Scene, log: TorqueLog, start: State, trajectory: Trajectory) -> Check:
+    """Return how far a motion of at least one output is from the conservation laws."""
+    seconds = float(trajectory.times_ns[-1] - start.time_ns) * 1e-9
     if not log.torques.any():
         momentum = trajectory.angular_momentum_space
         size = float(np.linalg.norm(momentum[0]))
         lost = float(np.linalg.norm(momentum - momentum[0], axis=1).max())
-        return f'space angular momentum drifts by {lost / size if size else lost:.1e} of itself'
-    imbalance, seconds = energy_balance(scene, log, start, trajectory)
-    return (f'work and energy differ by {imbalance:.1e} of the largest energy, '
-            f'over {seconds:.9g} s')
+        return Check(
+            f'space angular momentum drifts by {lost / size if size else lost:.1e} of itself',
+            seconds, seconds)
+    imbalance, covered = energy_balance(scene, log, start, trajectory)
+    return Check(f'work and energy differ by {imbalance:.1e} of the largest energy', covered,
+                 seconds)
 
 
 def energy_balance(scene: Scene, log: TorqueLog, start: State,
@@ -57,7 +76,7 @@ def energy_balance(scene: Scene, log: TorqueLog, start: State,
     imbalance : float
         |work - change of energy|, relative to the largest kinetic energy met.
     seconds : float
-        How far from the start that was looked at: there is a limit to the number of pieces.
+        Time from the start that the comparison covers: the number of pieces is limited.
 
     """
     timeout_ns = scene.timeout_ns

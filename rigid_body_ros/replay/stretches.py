@@ -65,6 +65,8 @@ class Stretches:
     Attributes
     ----------
     start : State
+    first_ns : int
+        Stamp of the first torque.
 
     """
 
@@ -74,8 +76,9 @@ class Stretches:
         self._piece = next(pieces)
         if not len(self._piece.times_ns):
             raise InputError(f'{self._where}: expected torques, found no message')
+        self.first_ns = int(self._piece.times_ns[0])
         start = asked.scene.start
-        self.start = replace(start, time_ns=start.time_ns or int(self._piece.times_ns[0]))
+        self.start = replace(start, time_ns=start.time_ns or self.first_ns)
         self._run = Run(asked.scene.body, self.start, **asked.scene.options)
         names = [name for name in INTERPOLATIONS if name != asked.interpolation]
         #: Other readings, and where each has got; None where it got nowhere.
