@@ -18,8 +18,9 @@ Measure the engine against its bars, and against what a user would pick instead.
     python benchmarks/engine.py [--json FILE] [SECTION ...]
 
 Errors are angles, rad, between final attitudes and the truth in 30 digits. A ratio says how many
-times as fast as the peer this package is: the median of pairs that run in turns, and its 95 %
-interval, of which the lower end has to reach the bar. One thread, warm; first calls apart.
+times as fast as the peer this package is: the ratio of the median times, which are taken in turns,
+and the 95 % interval of the rounds' ratios, of which the lower end has to reach the bar. One
+thread, warm; first calls apart.
 """
 
 import argparse

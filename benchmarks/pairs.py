@@ -13,26 +13,30 @@
 # limitations under the License.
 
 """
-Time two contenders in turns, so that what slows the machine slows both.
+Time contenders in turns, so that what slows the machine slows all of them.
 
 A contender has `reset()`, which is not timed, `run()`, which is, and `attitude()`, its answer.
 """
 
 from dataclasses import dataclass
+import math
 import time
 
 import numpy as np
 from scipy.stats import binom
 
-PAIRS = 301
-#: A sample repeats a run until it has taken so long, s: the clock's own cost is a microsecond.
+#: Rounds, and how many of them a contender takes part in at least.
+ROUNDS, FEWEST = 301, 6
+#: A timing repeats a run for at least this long, s.
 LEAST = 1e-3
+#: s; a shorter run notices what ran before it, and is repeated once without being timed.
+_NOTICES = 0.1
 
 
 @dataclass
 class Comparison:
     """
-    The times, s, of two contenders, run alternately.
+    The times, s, of two contenders in the same rounds; NaN in rounds that one sat out.
 
     Attributes
     ----------
@@ -45,21 +49,53 @@ class Comparison:
 
     @property
     def ratio(self):
-        """How many times faster ours is: the median of the pairs and its 95 % interval."""
-        ratios = np.sort(self.peers / self.ours)
+        """
+        How many times faster ours is: the ratio of the medians, and a 95 % interval.
+
+        The interval is that of the median of the rounds' ratios.
+        """
+        ratios = self.peers / self.ours
+        ratios = np.sort(ratios[np.isfinite(ratios)])
         # Order statistics: the median lies between these two whatever the distribution.
-        rank = int(binom.ppf(0.025, len(ratios), 0.5))
-        return np.median(ratios), ratios[rank - 1], ratios[-rank]
+        rank = max(1, int(binom.ppf(0.025, len(ratios), 0.5)))
+        return (float(np.nanmedian(self.peers) / np.nanmedian(self.ours)),
+                float(ratios[rank - 1]), float(ratios[-rank]))
 
 
 def compare(ours, peer):
-    """Return the times of PAIRS pairs, of which each contender is first in every second one."""
-    repeats = {contender: _repeats(contender) for contender in (ours, peer)}
-    times = {ours: [], peer: []}
-    for pair in range(PAIRS):
-        for contender in (ours, peer) if pair % 2 else (peer, ours):
-            times[contender].append(_mean(contender, repeats[contender]))
-    return Comparison(np.array(times[ours]), np.array(times[peer]))
+    """Return the times of two contenders, both of which run in every round."""
+    times = in_turns([ours, peer], [quick(ours), quick(peer)])
+    return Comparison(*times.T)
+
+
+def in_turns(contenders, seconds, patience=math.inf):
+    """
+    Return the time of a run, s, by round and contender, shape (ROUNDS, n).
+
+    Every second round goes through the contenders backwards.
+
+    Parameters
+    ----------
+    contenders : sequence
+        n of them.
+    seconds : sequence of n float
+        About how long a run takes each.
+    patience : float, s
+        Time for all runs of one contender. One that takes longer sits rounds out, evenly spread,
+        and has NaN there.
+
+    """
+    times = np.full((ROUNDS, len(contenders)), np.nan)
+    repeats = [1 + int(LEAST / each) for each in seconds]
+    every = [min(math.ceil(ROUNDS * many * each / patience) or 1, ROUNDS // FEWEST)
+             for many, each in zip(repeats, seconds)]
+    for number in range(ROUNDS):
+        for column in range(len(contenders))[::1 if number % 2 else -1]:
+            if number % every[column] == 0:
+                if seconds[column] < _NOTICES:
+                    _mean(contenders[column], 1)
+                times[number, column] = _mean(contenders[column], repeats[column])
+    return times
 
 
 def quick(contender):

@@ -18,15 +18,17 @@ Measure what an error costs, here and with what a user would pick instead.
     python benchmarks/peers.py [--json FILE] [--plot PNG] [--page docs/tradeoff.md] [PROBLEM ...]
 
 Each contender runs each problem over a ladder of settings, from coarse to fine, until a run takes
-half a second. For every level of error the cheapest setting that stays below it counts; ours and
-the best of the peers are then timed against each other in turns. Errors are angles, rad, between
-final attitudes and the truth in 30 digits; times are of one thread, warm. With --page the tables
-there are made anew: all between the lines `MARK` and `END`.
+half a second. For every level of error the setting counts that stays below it and takes the least
+time. All settings that count are then timed in turns: that one measurement gives every time and
+every ratio of a table. Errors are angles, rad, between final attitudes and the truth in 30 digits;
+times are of one thread, warm. With --page the tables there are replaced: all between the lines
+`MARK` and `END`.
 """
 
 import argparse
 import importlib
 import json
+import math
 from pathlib import Path
 import time
 from typing import Any, NamedTuple
@@ -35,7 +37,7 @@ from engine import first_run, machine, Ours
 from extremes import header, row
 from matplotlib.figure import Figure
 import numpy as np
-from pairs import compare, quick
+from pairs import Comparison, in_turns, quick
 from problems import error, PROBLEMS
 from tqdm import tqdm
 
@@ -50,6 +52,7 @@ LEVELS = tuple(float(f'1e-{k}') for k in range(3, 14))
 LONGEST = 0.5
 #: s; a run of so long need not be repeated to choose by.
 LONG = 0.1
+PATIENCE = 3.0
 TITLES = {
     'P1': 'no torque, intermediate axis, 100 s',
     'P1f': 'the same ten times as fast',
@@ -70,7 +73,10 @@ class Rung(NamedTuple):
     contender: Any
     setting: str
     error: float
+    #: About, or the median of the times once there are any.
     seconds: float
+    #: s, by round; NaN in rounds that it sat out.
+    times: Any = ()
 
 
 def our_ladder(problem):
@@ -152,19 +158,26 @@ def cheapest(rungs, level):
                key=lambda rung: rung.seconds, default=None)
 
 
+def timed(rungs):
+    """Return the rungs that count at some level, with their times in turns, by contender."""
+    chosen = {who: [*{id(rung): rung for level in LEVELS if (rung := cheapest(some, level))
+                      }.values()] for who, some in rungs.items()}
+    every = [rung for some in chosen.values() for rung in some]
+    times = iter(in_turns([rung.contender for rung in every], [rung.seconds for rung in every],
+                          PATIENCE).T)
+    return {who: [rung._replace(times=column, seconds=float(np.nanmedian(column)))
+                  for rung, column in zip(some, times)] for who, some in chosen.items()}
+
+
 def duels(rungs):
     """Return by level how many times as fast as the best peer ours is, with its interval."""
-    found, known = {}, {}
+    found = {}
     for level in LEVELS:
         ours = cheapest(rungs[US], level)
         peer = cheapest([rung for who, some in rungs.items() if who != US for rung in some],
                         level)
         if ours and peer:
-            pair = id(ours), id(peer)
-            if pair not in known:
-                known[pair] = [float(end) for end in compare(ours.contender,
-                                                             peer.contender).ratio]
-            found[level] = known[pair]
+            found[level] = Comparison(ours.times, peer.times).ratio
     return found
 
 
@@ -172,20 +185,20 @@ def verdict(ours, ratio):
     """Return the cell of a level: what the best peer takes, over what ours does."""
     if ratio is None:
         return 'alone' if ours else '-'
-    median, low, high = ratio
+    value, low, high = ratio
     word = '' if low > 1.0 else ' (level)' if high >= 1.0 else ' (behind)'
-    return f'{median:.3g}{word}'
+    return f'{value:.3g}{word}'
 
 
-def table(name, rungs, ratios):
-    """Return the lines of a problem: us by contender and level."""
+def table(name, rungs, least):
+    """Return the lines of a problem: us by contender and level; `least` are the least errors."""
+    ratios = duels(rungs)
     lines = [f'### {name}: {TITLES[name]}', '',
              *header('us', *(f'{level:.0e}' for level in LEVELS), 'least error')]
     for who, some in rungs.items():
         best = [cheapest(some, level) for level in LEVELS]
-        least = min((rung.error for rung in some), default=np.nan)
         lines.append(row(who, *(f'{1e6 * rung.seconds:.3g}' if rung else '-' for rung in best),
-                         f'{least:.0e}'))
+                         f'{least[who]:.0e}'))
     lines.append(row('best peer / ours', *(
         verdict(cheapest(rungs[US], level), ratios.get(level)) for level in LEVELS), ''))
     return [*lines, '']
@@ -239,11 +252,14 @@ def described(modules, missing):
             f"{', '.join(versions)}.", *missing, '']
 
 
-def as_data(rungs, failed, ratios):
+def as_data(rungs, least, failed):
     """Return what was measured at a problem, for a file."""
     return {'rungs': [{'contender': who, 'setting': rung.setting, 'error_rad': rung.error,
-                       'seconds': rung.seconds} for who, some in rungs.items() for rung in some],
-            'failed': failed, 'best_peer_over_ours_by_level': ratios}
+                       'seconds': rung.seconds,
+                       'times_s': [None if math.isnan(each) else each for each in rung.times]}
+                      for who, some in rungs.items() for rung in some],
+            'least_error_rad': least, 'failed': failed,
+            'best_peer_over_ours_by_level': duels(rungs)}
 
 
 def main():
@@ -261,10 +277,12 @@ def main():
     results = {}
     for name in arguments.problems:
         rungs, failed = measure(name, modules)
-        results[name] = rungs, failed, duels(rungs)
+        least = {who: min((rung.error for rung in some), default=math.nan)
+                 for who, some in rungs.items()}
+        results[name] = timed(rungs), least, failed
     lines = described(modules, missing)
-    for name, (rungs, failed, ratios) in results.items():
-        lines += table(name, rungs, ratios)
+    for name, (rungs, least, failed) in results.items():
+        lines += table(name, rungs, least)
         lines += [f'* failed: {reason}' for reason in failed] + [''] * bool(failed)
     text = '\n'.join(lines)
     print(text)

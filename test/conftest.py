@@ -50,8 +50,8 @@ NEEDS = {
     'rclpy': ['clocks', 'faults', 'launch', 'lockstep', 'node', 'soak', 'topics', 'workspace'],
     'launch_ros': ['launch'],  # PyPI does not have it
     'colcon_ros': ['workspace'],
-    'mpmath': ['elliptic', 'examples', 'extremes', 'free_motion', 'propagate', 'reference',
-               'steppers', 'tensor', 'truth', 'validation'],  # rosdep does not have it
+    'mpmath': ['elliptic', 'examples', 'extremes', 'free_motion', 'peers', 'propagate',
+               'reference', 'steppers', 'tensor', 'truth', 'validation'],  # rosdep has none
     'numba': ['elliptic', 'four'],
 }
 ABSENT = {module: [f'test_{name}.py' for name in names] for module, names in NEEDS.items()

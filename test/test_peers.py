@@ -1,0 +1,126 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The tables of peers: one measurement gives every number of a table."""
+
+import re
+
+from conftest import ROOT
+import numpy as np
+import pairs
+import peers
+from peers import LEVELS, Rung, US
+import pytest
+
+PAGE = (ROOT / 'docs' / 'tradeoff.md').read_text(encoding='utf-8')
+TABLES = [block.splitlines() for block in re.findall(r'^\| us \|.*?(?=\n\n)', PAGE,
+                                                     re.DOTALL | re.MULTILINE)]
+
+
+def cells(line):
+    return [cell.strip() for cell in line.strip('|').split('|')]
+
+
+def numbers(line):
+    """Return the times of a row by level, NaN where there is none."""
+    return np.array([float('nan' if cell == '-' else cell) for cell in cells(line)[1:-1]])
+
+
+def check_ratios(lines):
+    """Check that the last row is the ratio of the least time of a peer to ours, as printed."""
+    ours, *others, last = lines[2:]
+    ours, others = numbers(ours), np.array([numbers(line) for line in others])
+    best = np.fmin.reduce(others)
+    for own, peer, cell in zip(ours, best, cells(last)[1:-1], strict=True):
+        if np.isnan(own) or np.isnan(peer):
+            assert cell == ('-' if np.isnan(own) else 'alone')
+            continue
+        value, _, word = cell.partition(' ')
+        # Each number is printed with three digits.
+        np.testing.assert_allclose(float(value), peer / own, rtol=0.016)
+        assert word in ('', '(level)', '(behind)')
+
+
+class Contender:
+    """A contender whose runs are written down."""
+
+    def __init__(self, name, log):
+        self.name, self._log = name, log
+
+    def reset(self):
+        pass
+
+    def run(self):
+        self._log.append(self.name)
+
+
+def rung(random, error, seconds):
+    times = seconds * random.uniform(0.7, 1.6, pairs.ROUNDS)
+    times[random.random(pairs.ROUNDS) < 0.3] = np.nan
+    return Rung(None, 'setting', error, float(np.nanmedian(times)), times)
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_the_ratio_of_a_table_is_that_of_its_columns(seed):
+    random = np.random.default_rng(seed)
+    rungs = {who: [rung(random, 10.0 ** random.uniform(-13, -3), 10.0 ** random.uniform(-5, -3))
+                   for _ in range(random.integers(0, 6))] for who in (US, 'a', 'b', 'c')}
+    least = {who: min((each.error for each in some), default=np.nan)
+             for who, some in rungs.items()}
+    check_ratios(peers.table('P1', rungs, least)[2:-1])
+
+
+def test_a_duel_is_level_only_if_the_interval_of_its_rounds_has_1_in_it():
+    random = np.random.default_rng(3)
+    ours = 1e-5 * random.uniform(0.99, 1.01, pairs.ROUNDS)
+    for factor, word in ((1.001, ' (level)'), (1.1, ''), (0.9, ' (behind)')):
+        theirs = factor * 1e-5 * random.uniform(0.9, 1.1, pairs.ROUNDS)
+        comparison = pairs.Comparison(ours, theirs)
+        assert comparison.ratio[0] == np.median(theirs) / np.median(ours)
+        assert peers.verdict(True, comparison.ratio) == f'{comparison.ratio[0]:.3g}{word}'
+
+
+def test_contenders_run_in_turns_and_slow_ones_sit_rounds_out():
+    log = []
+    contenders = [Contender(name, log) for name in 'abc']
+    times = pairs.in_turns(contenders, [2e-3, 2e-3, 2.0], patience=3.0)
+    ran = np.isfinite(times).sum(axis=0).tolist()
+    assert ran == [pairs.ROUNDS, pairs.ROUNDS, 7]
+    assert np.isfinite(times[0]).all()
+    # Forwards and backwards in turn; a short run comes after one of its own that is not timed.
+    assert ''.join(log[:14]) == 'cbbaa' + 'aabb' + 'bbaa' + 'a'
+
+
+def test_every_time_of_a_table_is_measured_in_the_same_turns(monkeypatch):
+    given = []
+
+    def in_turns(contenders, seconds, patience):
+        given.append(contenders)
+        return np.tile(np.arange(1.0, 1.0 + len(contenders)), (pairs.ROUNDS, 1))
+    monkeypatch.setattr(peers, 'in_turns', in_turns)
+    found = peers.timed({US: [Rung('x', '', 1e-4, 1.0), Rung('never', '', 1e-4, 2.0)],
+                         'a': [Rung('y', '', 1e-4, 1.0), Rung('z', '', 1e-9, 3.0)], 'b': []})
+    assert given == [['x', 'y', 'z']]
+    assert {who: [each.seconds for each in some] for who, some in found.items()} == {
+        US: [1.0], 'a': [2.0, 3.0], 'b': []}
+
+
+@pytest.mark.parametrize('lines', TABLES, ids=[f'table {k}' for k in range(len(TABLES))])
+def test_the_page_does_not_contradict_itself(lines):
+    check_ratios(lines)
+
+
+def test_the_page_has_a_table_for_every_problem():
+    assert len(TABLES) == len(peers.TITLES)
+    assert len(cells(TABLES[0][0])) == len(LEVELS) + 2
