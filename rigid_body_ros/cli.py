@@ -172,7 +172,7 @@ def _tradeoff(options: argparse.Namespace) -> None:
 def _plot_tradeoff(path: str, result: Tradeoff, title: str) -> None:
     from rigid_body_ros import plots
     from rigid_body_ros.tradeoff import report
-    lines = {'rounding floor': result.floor, 'target': result.target}
+    lines = {'series with other steps': result.floor, 'target': result.target}
     if result.reading:
         lines[f'{result.reading.interpolation} between samples'] = result.reading.estimate
     with files.whole(path) as part:

@@ -94,7 +94,8 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'header or from its arrival (for bags played without --clock)',
               choices=TIME_SOURCES),
     Parameter('solver', 'auto', '', 'how the motion is integrated', choices=SOLVERS),
-    Parameter('tolerance', 1e-15, '', 'attitude error per radian turned', TOLERANCES),
+    Parameter('tolerance', 1e-15, '', 'bound on the truncation error of the attitude per radian '
+              'turned; rounding adds to it', TOLERANCES),
     Parameter('max_step', 0.0, 's', 'longest step, which the solvers of fixed step take; 0: none',
               (0.0, _BIG)),
     Parameter('interpolation', 'hold', '', 'what a torque does between its samples; the node, '

@@ -135,7 +135,7 @@ def is_short(state: State, seconds: float, push: Vector, tolerance: float) -> bo
     push : Vector
         J^-1 tau, rad/s^2.
     tolerance : float
-        Attitude error per radian turned.
+        Bound on the truncation error of the attitude per radian turned.
 
     """
     size, enough = _squares(state, seconds, push, tolerance)
@@ -230,7 +230,7 @@ def step(state: State, seconds: float, coefficients: Coefficients, diagonal: boo
     acceleration : float
         A bound on |J^-1 torque|, rad/s^2.
     tolerance : float
-        Attitude error per radian turned.
+        Bound on the truncation error of the attitude per radian turned.
     table : float64 (WORKSPACE,)
         Workspace.
 

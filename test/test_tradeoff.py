@@ -35,6 +35,7 @@ from rigid_body_ros import (
     TorqueLog,
 )
 from rigid_body_ros.tradeoff import Error, measure, recommend, report, Run, Setting
+from rigid_body_ros.tradeoff.problem import Problem
 from test_replay import bad_input
 
 TUMBLER = ('--scene', str(CONFIG / 'tumbler.yaml'))
@@ -122,6 +123,34 @@ def test_what_cannot_be_tried_on_the_whole_log_has_a_margin():
     assert (scaled.run, scaled.measured) == (runs[1], False)
     assert scaled.error == pytest.approx(1e-6)
     assert recommend(runs, 1e-12, 0.0, 10.0, lambda run: None) is None
+
+
+def test_a_short_run_is_timed_after_one_of_its_own(monkeypatch):
+    # Right after another solver's longest run it takes more than twice its time.
+    calls, run = [], Problem.run
+
+    def noted(problem, **options):
+        calls.append(options)
+        return run(problem, **options)
+    monkeypatch.setattr(Problem, 'run', noted)
+    result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
+                     State(0, angular_velocity=(0.1, 1.0, 0.2)))
+    short = [run.setting.options for run in result.runs if run.first_seconds < 1e-3]
+    assert len(short) > 10
+    for options in short:
+        places = [place for place, call in enumerate(calls) if call == options]
+        timed = [place for place in places if place > calls.index(result.runs[-1].setting.options)]
+        assert len(timed) >= 2 * 3
+        assert set(np.diff(timed)[::2].tolist()) == {1}
+
+
+def test_the_floor_is_shown_as_what_it_is():
+    result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
+                     State(0, angular_velocity=(0.1, 1.0, 0.2)))
+    meaning = report.figures(result)['rounding_floor_is']
+    assert 'runs of the series with different steps' in meaning
+    assert 'common to all of them does not show' in meaning
+    assert meaning in ' '.join(report.summary(result).split())
 
 
 def test_a_failed_setting_is_shown_as_failed():

@@ -123,7 +123,8 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
         by a Taylor series; 'taylor'; 'exact', for motion without torque; or one of 'rk4',
         'strang' and 'explicit_euler', which take fixed steps.
     tolerance : float
-        Attitude error per radian turned, 1e-15 to 1.
+        Bound on the truncation error of the attitude per radian turned, 1e-15 to 1. Rounding adds
+        to it.
     max_step : float, optional, s
         Upper limit of a step, or the step of a solver of fixed step, which needs it.
     torque_timeout : float, s

@@ -131,7 +131,7 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
     solver : int
         Its place in `SOLVERS`.
     tolerance : float
-        Attitude error per radian turned.
+        Bound on the truncation error of the attitude per radian turned.
     max_step_ns : int
         Upper limit of a step, or the step of a solver of fixed step.
     budget : int

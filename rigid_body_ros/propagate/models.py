@@ -80,7 +80,8 @@ class Answers(NamedTuple):
                              'in closed form from its beginning')
             return Model('taylor', start_ns, end_ns,
                          f'auto: torque, or a coast of up to {LONG_COAST:g} rad or too near the '
-                         f'separatrix, to {self.options.tolerance:g} rad per radian turned')
+                         f'separatrix, truncated below {self.options.tolerance:g} rad per radian '
+                         'turned')
         if solver == 'exact' and not closed and end_ns > start_ns:
             return Model('taylor', start_ns, end_ns,
                          'too near the separatrix for the closed form')

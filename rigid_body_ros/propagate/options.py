@@ -42,7 +42,7 @@ class Options:
         if solver not in SOLVERS:
             raise ValueError(f'solver: expected one of {", ".join(SOLVERS)}, found {solver!r}')
         if not TOLERANCES[0] <= tolerance <= TOLERANCES[1]:
-            raise ValueError('tolerance: expected an attitude error per radian turned from '
+            raise ValueError('tolerance: expected a truncation error per radian turned from '
                              f'{TOLERANCES[0]:g} to {TOLERANCES[1]:g}, found {tolerance}')
         if max_step is not None and not max_step > 0.0:
             raise ValueError(f'max_step: expected seconds greater than zero, found {max_step}')

@@ -17,8 +17,9 @@ Speed against accuracy: every solver over a ladder of settings, on the user's ow
 
 All settings run over one *stretch*, from the start to as far as a thousand or so radians and
 samples reach, and are compared with a reference there: the series at its tightest tolerance in
-shorter steps. What rounding leaves of it, the *floor*, is told by two further such runs. A
-setting that meets the target on the stretch is recommended only when it meets it on the whole log.
+shorter steps. The *floor* is the largest difference between it and two further such runs with
+other steps: it shows their rounding, but no error that is common to all of them. A setting that
+meets the target on the stretch is recommended only when it meets it on the whole log.
 """
 
 from __future__ import annotations
@@ -45,6 +46,8 @@ _TOLERANCES = tuple(float(f'1e-{k}') for k in range(2, 16))
 #: Angle of the longest step of the ladders, rad; the most steps of one run, a tenth of a second.
 _LONGEST_ANGLE, _MOST_STEPS = 1.0, 1_000_000
 _FEWEST_REPEATS, _MOST_REPEATS = 3, 15
+#: s; a shorter run notices what ran before it, and is repeated once without being timed.
+_NOTICES = 0.01
 
 
 class Setting(NamedTuple):
@@ -136,7 +139,8 @@ class Tradeoff:
         That the body turns by over the stretch, rad.
     runs : tuple of Run
     floor : float
-        Of rounding, on the stretch, rad.
+        Largest difference between runs of the series with different steps, on the stretch, rad;
+        see `Reference`.
     readings : tuple of Reading
     target : float, rad
     choice : Choice or None
@@ -227,7 +231,7 @@ def recommend(runs: Sequence[Run], target: float, floor: float, growth: float,
     runs : sequence of Run
         On a stretch from the start: one that misses the target there misses it on the whole log.
     target, floor : float, rad
-        What the reference leaves open is taken to be an error.
+        The floor counts as an error of the setting.
     growth : float
         How much longer the whole log is.
     judge : callable
@@ -263,7 +267,7 @@ def _settings(problem: Problem, motion: Trajectory) -> list[Setting]:
 
 def _timed(problem: Problem, settings: Sequence[Setting], reference: Reference, seconds: float,
            track: Track) -> list[Run]:
-    """Run every setting once to see what it gives, and again, in turns, for the time it takes."""
+    """Run every setting once for its error, and again, in turns, for the time it takes."""
     runs = []
     for setting in track(settings, len(settings)):
         began = time.perf_counter()
@@ -281,6 +285,8 @@ def _timed(problem: Problem, settings: Sequence[Setting], reference: Reference, 
             continue  # lets the bar come to its end
         for run, measured in zip(runs, times):
             if not run.failure:
+                if run.first_seconds < _NOTICES:
+                    problem.run(**run.setting.options)
                 began = time.perf_counter()
                 problem.run(**run.setting.options)
                 measured.append(time.perf_counter() - began)

@@ -124,7 +124,8 @@ class Reference:
     ----------
     trajectory : Trajectory
     floor : float, rad
-        What runs at the tightest tolerance differ by that differ in their steps only.
+        Largest difference between runs of the series at its tightest tolerance with different
+        steps. An error common to all of them does not show in it.
 
     """
 

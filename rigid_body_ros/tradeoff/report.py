@@ -24,6 +24,8 @@ from rigid_body_ros.tradeoff import Run, Tradeoff
 from rigid_body_ros.tradeoff.readings import Reading, READING_ORDERS
 
 _WIDTH = 18
+_FLOOR = ('largest difference between runs of the series with different steps;',
+          'an error common to all of them does not show')
 _HEADER = ('', 'solver', 'setting', 'final rad', 'largest rad', 'rad/s', 'momentum', 'energy',
            's per s', 'x real time')
 _ROW = '{:1} {:14} {:>17} {:>10} {:>11} {:>9} {:>9} {:>9} {:>9} {:>11}'
@@ -41,8 +43,7 @@ def summary(result: Tradeoff) -> str:
             ('', '')]
     table = [_ROW.format(*_HEADER), *(_line(run, result.stretch.seconds) for run in result.runs),
              '* nothing is both cheaper and nearer', '']
-    facts = [('rounding floor', f'{result.floor:.1e} rad, what the series at its tightest differs '
-                                'by from itself in other steps'),
+    facts = [('rounding floor', f'{result.floor:.1e} rad, {_FLOOR[0]}'), ('', _FLOOR[1]),
              *(('between samples', text) for text in _readings(result)),
              ('what dominates', _dominant(result))]
     return '\n'.join([*map(_pair, rows), *table, *map(_pair, facts), *_advice(result)])
@@ -60,6 +61,7 @@ def figures(result: Tradeoff) -> dict[str, Any]:
         'interpolation': result.stretch.log.interpolation,
         'torque_free': result.stretch.torque_free,
         'load_or_compile_s': result.load_seconds, 'rounding_floor_rad': result.floor,
+        'rounding_floor_is': ' '.join(_FLOOR),
         'target_rad': result.target, 'dominant': result.dominant,
         'readings': [{'interpolation': reading.interpolation,
                       'thinned_by_two_rad': reading.thinned,
@@ -150,7 +152,7 @@ def _better(result: Tradeoff, ours: Reading) -> str:
 
 
 def _dominant(result: Tradeoff) -> str:
-    return {'rounding': 'rounding: a tighter setting gains nothing',
+    return {'rounding': 'rounding, as far as other steps show it: a tighter setting gains nothing',
             'solver': 'the solver: a tighter setting is nearer',
             'reading': 'how the log is read between its samples: a tighter setting gains '
                        'nothing, closer samples or another interpolation do'}[result.dominant]
