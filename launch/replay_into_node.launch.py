@@ -44,13 +44,17 @@ def generate_launch_description():
              '--topics', LaunchConfiguration('torque'), '--rate', LaunchConfiguration('rate'),
              '--clock', '100', '--start-paused', '--disable-keyboard-controls'],
         output='screen')
-    begin = ExecuteProcess(
-        cmd=['ros2', 'service', 'call', ANY_SERVICE, 'rcl_interfaces/srv/GetParameters', '&&',
-             'ros2', 'service', 'call', '/rosbag2_player/resume', 'rosbag2_interfaces/srv/Resume'],
-        shell=True, name='begin')
+    answer = ExecuteProcess(
+        cmd=['ros2', 'service', 'call', ANY_SERVICE, 'rcl_interfaces/srv/GetParameters'],
+        name='answer')
+    resume = ExecuteProcess(
+        cmd=['ros2', 'service', 'call', '/rosbag2_player/resume', 'rosbag2_interfaces/srv/Resume'],
+        name='resume')
 
-    def end(event, context):
-        return None if event.action is begin and event.returncode == 0 else Shutdown()
+    def go_on(event, context):
+        if event.action is answer and event.returncode == 0:
+            return resume
+        return None if event.action is resume and event.returncode == 0 else Shutdown()
 
     return LaunchDescription([
         DeclareLaunchArgument('bag', description='folder or file that `ros2 bag play` takes'),
@@ -60,8 +64,8 @@ def generate_launch_description():
         DeclareLaunchArgument('use_sim_time', default_value='true',
                               description='true, as the bag has the time'),
         LogInfo(msg=['ros2 bag is in ', FindPackagePrefix('ros2bag')]),  # or all ends here
-        RegisterEventHandler(OnProcessExit(on_exit=end)),
+        RegisterEventHandler(OnProcessExit(on_exit=go_on)),
         IncludeLaunchDescription(PythonLaunchDescriptionSource(ATTITUDE_NODE)),
         bag,
-        begin,
+        answer,
     ])

@@ -146,7 +146,7 @@ def test_a_bag_plays_once_the_node_listens_and_ends_everything(tmp_path, monkeyp
     monkeypatch.setenv('PATH', str(tmp_path), os.pathsep)
     words, status = run('replay_into_node', f'bag:={bag}', 'namespace:=sat', 'torque:=/wrench')
     assert status == 0, words
-    assert words.count('process has finished cleanly') == 3
+    assert words.count('process has finished cleanly') == 4
     assert 'epoch' not in words  # it waits for /clock
     said = calls.read_text()
     assert (f'bag play {bag} --topics /wrench --rate 1.0 --clock 100 --start-paused '
