@@ -14,7 +14,7 @@
 
 """What every test shares."""
 
-from contextlib import contextmanager
+from contextlib import contextmanager, ExitStack, suppress
 import fcntl
 from importlib.util import find_spec
 import os
@@ -71,18 +71,35 @@ def _floating_point_errors_are_errors():
         yield
 
 
+def readable_by_all(path, flags):
+    """Open a file to lock, for `open`: each user of the machine can, whoever made it."""
+    with suppress(FileExistsError):
+        made = os.open(path, os.O_CREAT | os.O_EXCL)
+        os.fchmod(made, 0o644)
+        return made
+    return os.open(path, os.O_RDONLY)
+
+
+@contextmanager
+def locked(path):
+    """Hold a lock that one process of the machine can have; BlockingIOError if one has it."""
+    with open(path, opener=readable_by_all) as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+
+
 @pytest.fixture
 def domain():
     """Yield a ROS domain that no other test of this machine has at the same time."""
-    for number in range(1, 101):
-        with open(Path(tempfile.gettempdir()) / f'rigid_body_ros.{number}.lock', 'w') as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                continue
-            yield number
-            return
-    raise RuntimeError('expected a free ROS domain, found none from 1 to 100')
+    with ExitStack() as stack:
+        for number in range(1, 101):
+            path = Path(tempfile.gettempdir()) / f'rigid_body_ros.{number}.lock'
+            with suppress(BlockingIOError, PermissionError):
+                stack.enter_context(locked(path))
+                break
+        else:
+            raise RuntimeError('expected a free ROS domain, found none from 1 to 100')
+        yield number
 
 
 @pytest.fixture
@@ -103,9 +120,9 @@ def installed(tmp_path_factory):
     folder = tmp_path_factory.getbasetemp()
     if 'PYTEST_XDIST_WORKER' in os.environ:
         folder = folder.parent  # of all that run in parallel
-    # Also because a build is made in the checkout.
-    with open(Path(tempfile.gettempdir()) / f'{NAME}.build.lock', 'w') as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    # A build is made in the checkout: one at a time there.
+    with open(ROOT / 'setup.py') as checkout:
+        fcntl.flock(checkout, fcntl.LOCK_EX)
         if not (folder / 'installed').exists():
             _install(folder)
     return folder / 'prefix'

@@ -14,15 +14,19 @@
 
 """The package: what is installed where, and one version."""
 
+import ast
+from contextlib import contextmanager
 from importlib import metadata
 import os
+from pathlib import Path
 import re
 import subprocess
 import sys
+from tempfile import TemporaryDirectory
 import textwrap
 import xml.etree.ElementTree as ElementTree
 
-from conftest import CONFIG, NAME, RECORDINGS, ROOT
+from conftest import CONFIG, locked, NAME, RECORDINGS, ROOT
 import pytest
 
 COMMANDS = ('attitude_node', 'attitude_replay', 'attitude_tradeoff')
@@ -56,6 +60,20 @@ def test_what_else_is_installed(installed):
     assert {path.name for path in (share / 'launch').glob('*.py')} \
         == {path.name for path in (ROOT / 'launch').glob('*.py')}
     assert os.access(installed / 'lib' / NAME / 'attitude_controller.py', os.X_OK)
+
+
+@pytest.mark.parametrize('path', sorted((ROOT / 'launch').glob('*.py')), ids=lambda p: p.name)
+def test_no_launch_file_hands_its_arguments_to_a_shell(path):
+    # In a shell a namespace such as "a; rm -r b" is a command.
+    tree = ast.parse(path.read_text())
+    imported = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import)
+                for alias in node.names} | \
+        {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    assert not imported & {'os', 'subprocess'}
+    assert not [node.arg for node in ast.walk(tree)
+                if isinstance(node, ast.keyword) and node.arg in ('shell', None)]
+    assert not {'sh', 'bash', '-c', '&&', '||', '|', ';'} & {
+        node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)}
 
 
 @pytest.mark.slow
@@ -126,3 +144,30 @@ def test_without_ros_the_tests_of_the_node_are_left_out_and_the_report_says_so()
     assert result.returncode == pytest.ExitCode.NO_TESTS_COLLECTED, result.stdout
     line, = re.findall('^rclpy is not installed.*', result.stdout, re.MULTILINE)
     assert 'test_node.py' in line
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason='only root can be another user')
+@pytest.mark.parametrize('first', [0, 65534])
+def test_users_of_one_machine_lock_the_same_domains(first):
+    with TemporaryDirectory() as folder:
+        os.chmod(folder, 0o1777)
+        path = Path(folder) / 'rigid_body_ros.1.lock'
+        with user(first), locked(path):
+            pass
+        with user(65534 - first), locked(path), user(first), pytest.raises(BlockingIOError), \
+                locked(path):
+            pass
+
+
+@contextmanager
+def user(number):
+    """Be another user."""
+    before, mask = os.geteuid(), os.umask(0o077)
+    os.seteuid(0)
+    os.seteuid(number)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+        os.seteuid(before)
+        os.umask(mask)
