@@ -26,6 +26,7 @@ import sys
 from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros import files, interrupts
+from rigid_body_ros.errors import shortened
 from rigid_body_ros.scene import InputError, load, Scene
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def _guarded(name: str, command: Callable[[], None], arguments: Sequence[str] | 
         with interrupts.listening(to_the_end=arguments is None):
             command()
     except InputError as error:
-        print(f'{name}: error: {error}', file=sys.stderr)
+        print(shortened(f'{name}: error: {error}'), file=sys.stderr)
         return USER_ERROR
     except ModuleNotFoundError as error:
         package = str(error.name).split('.')[0]
@@ -109,7 +110,7 @@ def _replay(options: argparse.Namespace) -> None:
 def _scene(options: argparse.Namespace) -> Scene:
     scene = load(options.scene)
     for doubt in scene.doubts:
-        print(f'{options.command}: warning: {options.scene}: {doubt}', file=sys.stderr)
+        print(shortened(f'{options.command}: warning: {options.scene}: {doubt}'), file=sys.stderr)
     return scene
 
 
@@ -205,7 +206,7 @@ def replay_parser() -> argparse.ArgumentParser:
     parser.set_defaults(command=parser.prog)
     parser.add_argument('input', metavar='INPUT', nargs='+',
                         help='recording of torques: an MCAP file, a bag of rosbag2, or a CSV file '
-                        'of time (s), tx, ty, tz (N m)')
+                        'of time (s), tx, ty, tz (N m), or with names and units in its first line')
     parser.add_argument('--scene', required=True, metavar='FILE',
                         help='ROS 2 parameter file with inertia and start, as for attitude_node')
     target = parser.add_mutually_exclusive_group(required=True)

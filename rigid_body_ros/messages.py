@@ -33,6 +33,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.body import State
+from rigid_body_ros.errors import quoted
 from rigid_body_ros.so3 import Floats
 
 #: The last nanosecond that a ROS stamp can name, in January 2038.
@@ -263,7 +264,7 @@ def torque_frame(frame_id: str, body_frame: str, space_frame: str) -> str:
     if frame_id == space_frame:
         return 'space'
     raise ValueError(f"frame_id: expected '{body_frame}' or nothing (body axes) or "
-                     f"'{space_frame}' (space axes), found '{frame_id}'")
+                     f"'{space_frame}' (space axes), found {quoted(frame_id)}")
 
 
 def odometry(state: State, space_frame: str, body_frame: str) -> bytes:

@@ -31,15 +31,14 @@ from typing import Any, NamedTuple
 
 from rigid_body_ros import euler
 from rigid_body_ros.body import RigidBody, State
+from rigid_body_ros.errors import InputError as InputError  # handed on
+from rigid_body_ros.errors import listed, quoted, shortened
 from rigid_body_ros.propagate import LONGEST, Options, SOLVERS, TOLERANCES
+from rigid_body_ros.reading import read_yaml
 from rigid_body_ros.torque import INTERPOLATIONS
 import yaml
 
 NODE = 'attitude_node'
-
-
-class InputError(ValueError):
-    """A user's mistake: one line that names where, what was found and what was expected."""
 
 
 class Parameter(NamedTuple):
@@ -119,8 +118,10 @@ PARAMETERS = {parameter.name: parameter for parameter in (
 )}
 # What C's strtoll (base 0) and strtod take, which rcl asks.
 _INTEGER = re.compile(r'[+-]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)')
-_FLOAT = re.compile(r'[+-]?([0-9]+\.?[0-9]*([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?'
+_FLOAT = re.compile(r'[+-]?([0-9]+(\.[0-9]*)?([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?'
                     r'|\.?(inf|Inf|INF|nan|NaN|NAN))')
+#: Characters of a full name.
+_LONGEST = 500
 #: What ROS itself declares on every node; a parameter dump has them.
 _ROS, _QOS = ('use_sim_time', 'start_type_description_service'), 'qos_overrides.'
 
@@ -206,16 +207,7 @@ def load(path: str | Path) -> Scene:
         The file cannot be read, is no parameter file, or the scene is not valid.
 
     """
-    try:
-        text = Path(path).read_text(encoding='utf-8')
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
-        aliased = any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f'{path}: cannot read the scene: {_reason(error)}') from error
-    except (yaml.YAMLError, RecursionError) as error:
-        raise InputError(f'{path}: expected YAML: {" ".join(str(error).split())}') from error
-    if aliased:
-        raise InputError(f'{path}: expected YAML without aliases (*name), as ROS does')
+    root = read_yaml(path, 'scene')
     try:
         return Scene.from_values(_parameters(root))
     except InputError as error:
@@ -239,12 +231,12 @@ def checked(parameter: Parameter, given: Any) -> Any:
     if wrong:
         kind = {float: 'a number', int: 'an integer', str: 'a text',
                 bool: 'true or false'}[parameter.value_type]
-        quoted = isinstance(value, str) and _FLOAT.fullmatch(value)
-        raise InputError(f'{name}: expected {kind}{unit}, found {value!r}'
-                         + ('; leave out the quotes' if quoted else f': {parameter.description}'))
+        in_quotes = isinstance(value, str) and _FLOAT.fullmatch(value)
+        raise InputError(f'{name}: expected {kind}{unit}, found {quoted(value)}' + (
+            '; leave out the quotes' if in_quotes else f': {parameter.description}'))
     if parameter.choices and value not in parameter.choices:
         raise InputError(f'{name}: expected one of {", ".join(parameter.choices)}, '
-                         f'found {value!r}')
+                         f'found {quoted(value)}')
     if parameter.interval and not parameter.interval[0] <= value <= parameter.interval[1]:
         raise InputError(f'{name}: expected {limits(*parameter.interval)}{unit}, found {value}')
     return value
@@ -256,7 +248,8 @@ def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
                   for name in ('robot_description', 'link'))
     if not text:
         if link:
-            raise InputError(f'link: expected a robot_description to find {link!r} in, found none')
+            raise InputError(f'link: expected a robot_description to find {quoted(link)} in, '
+                             'found none')
         return {}
     try:
         tensor = RigidBody.from_urdf(text, link).inertia
@@ -268,7 +261,7 @@ def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
         # A dump of a running node has both.
         if given.get(name, 0.0) not in (0.0, entry):
             raise InputError(f'{name}: expected {entry!r}, as robot_description says, or none, '
-                             f'found {given[name]!r}')
+                             f'found {quoted(given[name])}')
     return entries
 
 
@@ -285,10 +278,10 @@ def _check_together(values: Mapping[str, Any]) -> None:
         if not values[name]:
             raise InputError(f'{name}: expected a name, found none')
         if '\0' in values[name] or values[name].encode(errors='ignore').decode() != values[name]:
-            raise InputError(f'{name}: expected text in UTF-8, found {values[name]!r}')
+            raise InputError(f'{name}: expected text in UTF-8, found {quoted(values[name])}')
     if values['space_frame'] == values['body_frame']:
         raise InputError('space_frame, body_frame: expected two names, '
-                         f'found {values["body_frame"]!r} twice')
+                         f'found {quoted(values["body_frame"])} twice')
     if values['mode'] == LOCKSTEP and values['time_source'] == ARRIVAL:
         raise InputError('time_source: expected header in lockstep, which goes by stamps, '
                          f'found {ARRIVAL!r}')
@@ -322,14 +315,10 @@ def _group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
 def _unknown(name: str, value: Any) -> str:
     parts = [*_group(PARAMETERS, name)]
     if parts:
-        return f'{name}: expected {", ".join(parts)} below it, found {value!r}'
+        return f'{name}: expected {", ".join(parts)} below it, found {quoted(value)}'
     close = difflib.get_close_matches(name, PARAMETERS, 1)
-    return f'{name}: unknown key; ' + (
-        f'did you mean {close[0]}?' if close else f'expected one of {", ".join(PARAMETERS)}')
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, 'strerror', None) or str(error)
+    hint = f'did you mean {close[0]}?' if close else f'expected one of {listed(PARAMETERS)}'
+    return f'{name}: unknown key; {hint}'
 
 
 def _parameters(root: yaml.Node | None) -> dict[str, Any]:
@@ -341,7 +330,7 @@ def _parameters(root: yaml.Node | None) -> dict[str, Any]:
         ours = names  # of a renamed node
     if len(ours) > 1 or not names:
         raise InputError(f'expected parameters of /** or of one {NODE}, found those of '
-                         f'{", ".join(sorted(names)) or "no node"}')
+                         f'{listed(sorted(names)) if names else "no node"}')
     values: dict[str, Any] = {}
     for name, entry in sorted(nodes, key=lambda node: node[0] != '**'):
         if name == '**' or name in ours:
@@ -357,7 +346,8 @@ def _nodes(node: yaml.Node | None, prefix: str) -> list[tuple[str, yaml.Node]]:
             found.append((prefix, value))
         elif prefix and isinstance(value, yaml.ScalarNode):
             raise InputError(f'{prefix}: expected /**: and ros__parameters: above '
-                             f'what is for a node, found {key}: {value.value}')
+                             f'what is for a node, found {shortened(key, 60)}: '
+                             f'{shortened(value.value, 60)}')
         else:  # a node, or a namespace
             found += _nodes(value, f'{prefix}/{key.strip("/")}'.strip('/'))
     return found
@@ -366,17 +356,19 @@ def _nodes(node: yaml.Node | None, prefix: str) -> list[tuple[str, yaml.Node]]:
 def _entries(node: yaml.Node | None, what: str) -> list[tuple[str, yaml.Node]]:
     # Pairs, not a dictionary: of a key that stands twice, rcl merges what is below.
     if not isinstance(node, yaml.MappingNode):
-        raise InputError(f'{what}: expected keys and values '
-                         '(/**: ros__parameters: inertia: ...)')
+        raise InputError(f'{what}: expected keys and values (/**: ros__parameters: inertia: ...)')
     for key, _ in node.value:
         if not isinstance(key, yaml.ScalarNode):
             raise InputError(f'{what}: expected names as keys, found a group at line '
                              f'{key.start_mark.line + 1}')
+        if len(what) + len(key.value) > _LONGEST:
+            raise InputError(f'{shortened(what, 60)}: expected names of at most {_LONGEST} '
+                             f'characters in all, found {quoted(key.value)}')
     return [(str(key.value), value) for key, value in node.value]
 
 
 def _flat(node: yaml.Node, prefix: str) -> dict[str, Any]:
-    values: dict[str, Any] = {}
+    values = {}
     for key, value in _entries(node, prefix.rstrip('.') or 'ros__parameters'):
         if isinstance(value, yaml.MappingNode):
             values.update(_flat(value, f'{prefix}{key}.'))

@@ -28,12 +28,13 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 from rigid_body_ros import euler, so3
+from rigid_body_ros.errors import listed, quoted, shortened
 from rigid_body_ros.so3 import Floats
 
 #: Attributes of <inertia>, row by row.
 _ENTRIES = ('ixx', 'ixy', 'ixz', 'ixy', 'iyy', 'iyz', 'ixz', 'iyz', 'izz')
 #: What `float` takes besides (1_000, digits of other scripts) is no number to urdfdom.
-_NUMBER = re.compile(r'[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?')
+_NUMBER = re.compile(r'[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?')
 #: Bound on the rounding error of a rotated tensor, relative to its largest moment.
 _ROTATED = 16.0 * np.finfo(float).eps
 
@@ -70,7 +71,7 @@ def inertia(text: str, link: str = '') -> Floats:
 
     """
     name, inertial = _chosen(_robot(text), link)
-    where = f'URDF link {name!r}'
+    where = f'URDF link {quoted(name)}'
     entries, origin = _child(inertial, 'inertia'), _child(inertial, 'origin')
     tensor = np.reshape([_numbers(entries, entry, 1, where) for entry in _ENTRIES], (3, 3))
     if origin.get('quat_xyzw') is not None:
@@ -95,14 +96,16 @@ def _robot(text: str) -> Element:
     try:
         robot = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
-        raise ValueError(f'URDF: expected XML, found {text[:40]!r} ({error})') from None
+        raise ValueError(f'URDF: expected XML, found {quoted(text)} ({error})') from None
     for element in robot.iter():
         namespace, _, name = element.tag.rpartition('}')
         if 'xacro' in namespace:
-            raise ValueError(f'URDF: expected what xacro makes of it, found <xacro:{name}>')
+            raise ValueError(f'URDF: expected what xacro makes of it, '
+                             f'found <xacro:{shortened(name, 60)}>')
     root = robot.tag.rpartition('}')[2]
     if root != 'robot':
-        raise ValueError(f'URDF: expected <robot> around everything, found <{root}>')
+        raise ValueError(f'URDF: expected <robot> around everything, '
+                         f'found <{shortened(root, 60)}>')
     return robot
 
 
@@ -117,16 +120,16 @@ def _chosen(robot: Element, link: str) -> tuple[str, Element]:
     name = link or heavy[0]
     found = [inertial for other, inertial in links if other == name]
     if len(found) != 1:
-        raise ValueError(f'URDF: expected one link {name!r}, '
+        raise ValueError(f'URDF: expected one link {quoted(name)}, '
                          f'found {_listed([other for other, _ in links])}')
     if found[0] is None:
-        raise ValueError(f'URDF link {name!r}: expected an <inertial>, found none; '
+        raise ValueError(f'URDF link {quoted(name)}: expected an <inertial>, found none; '
                          f'links that have one: {_listed(heavy)}')
     return name, found[0]
 
 
 def _listed(names: list[str]) -> str:
-    return ', '.join(map(repr, names)) or 'none'
+    return listed([*map(repr, names)])
 
 
 def _child(parent: Element, name: str) -> Element:
@@ -141,7 +144,7 @@ def _numbers(element: Element, name: str, count: int, where: str,
     numbers = [float(word) for word in words if _NUMBER.fullmatch(word)]
     if not len(numbers) == len(words) == count or not all(map(math.isfinite, numbers)):
         expected = 'a finite number' if count == 1 else f'{count} finite numbers'
-        found = 'nothing' if text is None else repr(text)
-        hint = ', which xacro should have replaced' if '${' in found else ''
+        found = 'nothing' if text is None else quoted(text)
+        hint = ', which xacro should have replaced' if '${' in (text or '') else ''
         raise ValueError(f'{where}: {name}: expected {expected}, found {found}{hint}')
     return numbers

@@ -1,0 +1,73 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Errors that a user reads: one line of bounded length, whatever a file holds."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from itertools import islice
+from reprlib import Repr
+
+#: Characters of an error line.
+LONGEST = 500
+#: Characters of a reason that another library gives, and of a name in a list of names.
+_REASON, _NAME = 200, 60
+#: Names that a list shows.
+_NAMES = 6
+_CUT = ' ... '
+
+_repr = Repr()
+_repr.maxstring = _repr.maxother = _repr.maxlong = 80
+_repr.maxlevel, _repr.maxdict = 3, 4
+
+
+class InputError(ValueError):
+    """A user's mistake: one line that names where, what was found and what was expected."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(shortened(message))
+
+
+def shortened(text: str, longest: int = LONGEST) -> str:
+    """Return a text as one line: cut in the middle, with nonprintable characters escaped."""
+    text = _cut(text, longest)
+    if text.isprintable():
+        return text
+    return _cut(''.join(char if char.isprintable() else char.encode('unicode_escape').decode()
+                        for char in text), longest)
+
+
+def quoted(value: object) -> str:
+    """Return the repr of a value that was found in a file, at most about 80 characters of it."""
+    return _repr.repr(value)
+
+
+def listed(names: Collection[str]) -> str:
+    """Return the first few names of a collection and the number of the others, or 'none'."""
+    shown = ', '.join(shortened(name, _NAME) for name in islice(names, _NAMES))
+    return (f'{shown} and {len(names) - _NAMES} more' if len(names) > _NAMES else shown) or 'none'
+
+
+def reason(error: Exception) -> str:
+    """Return the message of an error as one line, or its type if it has none."""
+    text = getattr(error, 'strerror', None) or ' '.join(str(error).split())
+    return shortened(text or type(error).__name__, _REASON)
+
+
+def _cut(text: str, longest: int) -> str:
+    if len(text) <= longest:
+        return text
+    tail = (longest - len(_CUT)) // 3
+    return text[:longest - len(_CUT) - tail] + _CUT + text[-tail:]

@@ -1,0 +1,164 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Files of a user: opened only if they are regular files, and YAML within bounds."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import re
+import stat
+from typing import BinaryIO
+
+from rigid_body_ros.errors import InputError, reason
+import yaml
+from yaml.composer import Composer
+from yaml.resolver import BaseResolver
+
+try:
+    from yaml.cyaml import CParser  # type: ignore[attr-defined]
+except ImportError:  # PyYAML was built without libyaml
+    _EventLoader = yaml.BaseLoader  # ten times slower
+else:
+    class _EventLoader(Composer, CParser, BaseResolver):  # type: ignore[no-redef]
+        """Compose nodes in Python, which checks its stack, from the events of libyaml."""
+
+        def __init__(self, text: str) -> None:
+            CParser.__init__(self, text)
+            Composer.__init__(self)
+            BaseResolver.__init__(self)
+
+#: Bytes, values and levels of a YAML file; a bag of 2000 files has about 0.5 MB and 30 000 values.
+_LARGEST, _MOST, _DEEPEST = 2 ** 22, 100_000, 50
+_TAGS = re.compile('^%TAG', re.MULTILINE)
+
+
+def open_file(path: str | Path, what: str) -> BinaryIO:
+    """
+    Open a file to read its bytes.
+
+    Parameters
+    ----------
+    path : str or Path
+        May also be a link to a file.
+    what : str
+        What the file holds, for the error message.
+
+    Raises
+    ------
+    InputError
+        The file cannot be opened, or is a folder, a pipe or a device: reading from those may
+        never end.
+
+    """
+    try:
+        mode = os.stat(path).st_mode
+        if stat.S_ISREG(mode):
+            return open(path, 'rb')
+    except (OSError, ValueError) as error:  # ValueError: the name contains a NUL
+        raise InputError(f'{path}: cannot read the {what}: {reason(error)}') from error
+    kind = ('a folder' if stat.S_ISDIR(mode) else 'a pipe' if stat.S_ISFIFO(mode) else
+            'a device or a socket')
+    raise InputError(f'{path}: cannot read the {what}: expected a regular file, found {kind}')
+
+
+def read_yaml(path: str | Path, what: str, aliases: bool = False) -> yaml.Node | None:
+    """
+    Return the root of a YAML file, None if it is empty.
+
+    The tags of the nodes mean nothing: no value is converted, so no value can fail to convert.
+
+    Parameters
+    ----------
+    path : str or Path
+        May also be a link to a file.
+    what : str
+        What the file holds, for the error message.
+    aliases : bool
+        Whether it may repeat values with anchors and aliases, as PyYAML does when it writes one
+        object twice. Every repetition counts as values of the file, and none may hold another:
+        otherwise 1 kB can expand to gigabytes.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is not YAML in UTF-8, has aliases that it must not have, or is
+        too large, too long or too deep.
+
+    """
+    with open_file(path, what) as stream:
+        try:
+            content = stream.read(_LARGEST + 1)
+        except OSError as error:
+            raise InputError(f'{path}: cannot read the {what}: {reason(error)}') from error
+    try:
+        if len(content) > _LARGEST:
+            raise InputError(f'expected at most {_LARGEST} bytes of YAML, found more')
+        text = content.decode('utf-8')
+        if _TAGS.search(text):
+            raise InputError('expected YAML without %TAG, which takes a parser hours where it '
+                             'stands often enough')
+        return _Loader(text, aliases).get_single_node()
+    except InputError as error:
+        raise InputError(f'{path}: {error}') from error
+    except UnicodeDecodeError as error:
+        raise InputError(f'{path}: expected YAML in UTF-8: {reason(error)}') from error
+    except yaml.YAMLError as error:
+        raise InputError(f'{path}: expected YAML: {_problem(error)}') from error
+
+
+class _Loader(_EventLoader):
+    """Compose nodes within bounds."""
+
+    def __init__(self, text: str, aliases: bool) -> None:
+        super().__init__(text)
+        self._aliases = aliases
+        self._values = self._level = self._repeated = 0
+        #: Values below each anchor, if there is no alias among them.
+        self._sizes: dict[str, int] = {}
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        values, repeated, anchor = self._values, self._repeated, event.anchor
+        if isinstance(event, yaml.AliasEvent):
+            self._repeated += 1
+            self._values += self._sizes.get(anchor, 0)
+        self._values += 1
+        self._check(event, anchor)
+        self._level += 1
+        node = super().compose_node(parent, index)
+        self._level -= 1
+        if repeated == self._repeated:
+            self._sizes[anchor] = self._values - values
+        return node
+
+    def _check(self, event: yaml.Event, anchor: str | None) -> None:
+        line = f'line {event.start_mark.line + 1}' if event.start_mark else 'it'
+        if anchor is not None and not self._aliases:
+            raise InputError('expected YAML without aliases (*name) and anchors (&name), '
+                             f'found one in {line}')
+        if isinstance(event, yaml.AliasEvent) and anchor not in self._sizes:
+            raise InputError('expected aliases (*name) of values that are complete and have no '
+                             f'aliases themselves, found another in {line}')
+        if self._values > _MOST:
+            raise InputError(f'expected YAML of at most {_MOST} values, found more in {line}')
+        if self._level == _DEEPEST:
+            raise InputError(f'expected YAML of at most {_DEEPEST} levels, found more in {line}')
+
+
+def _problem(error: yaml.YAMLError) -> str:
+    mark = getattr(error, 'problem_mark', None)
+    where = f' in line {mark.line + 1}' if mark else ''
+    return f'{getattr(error, "problem", None) or reason(error)}{where}'
