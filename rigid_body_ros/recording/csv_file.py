@@ -12,34 +12,39 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Torques as text: lines of time (s), tx, ty, tz (N m)."""
+"""Torques as text: a line for each time and torque."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 import csv
-from decimal import Decimal, InvalidOperation
+from decimal import DecimalException
+from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from rigid_body_ros import messages
-from rigid_body_ros.recording import bulk
+from rigid_body_ros.errors import InputError, quoted, reason
+from rigid_body_ros.reading import open_file
 from rigid_body_ros.recording.bulk import Raw
+from rigid_body_ros.recording.csv_columns import Columns, columns
 from rigid_body_ros.recording.file import File
-from rigid_body_ros.scene import InputError
 
-#: What its only topic is called.
+#: The name of its only topic.
 _TOPIC = '/torque'
 #: Lines of a block.
 _BLOCK = 8192
+#: Characters of a line.
+_LONGEST = 2 ** 16
 
 
 class CsvFile(File):
     """
-    The torques of a text file, as WrenchStamped in body axes; the first line may name columns.
+    The torques of a text file, as WrenchStamped in body axes.
 
-    A wrong line is refused, with InputError, when it is read.
+    The first line may name the columns; otherwise they are time (s), tx, ty, tz (N m). A wrong
+    line is rejected with InputError when it is read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -47,43 +52,65 @@ class CsvFile(File):
         self.types = {_TOPIC: messages.WRENCH.name}
 
     def count(self, topic: str) -> int:
-        """Return 0: only reading tells."""
+        """Return 0: the number of lines is known only when they have been read."""
         return 0
 
     def read(self, topic: str) -> Iterator[Raw]:
         """Generate the torques, in the order of the file."""
         try:
-            with open(self.path, newline='', encoding='utf-8-sig') as stream:
-                lines = ((number, line) for number, line in enumerate(csv.reader(stream), 1)
-                         if line and not (number == 1 and _is_heading(line)))
-                while block := list(islice(lines, _BLOCK)):
-                    yield _raw([self._parsed(number, line) for number, line in block])
+            with TextIOWrapper(open_file(self.path, 'recording'), 'utf-8-sig',
+                               newline='') as text:
+                rows = self._rows(text)
+                while block := list(islice(rows, _BLOCK)):
+                    yield _raw(block)
         except OSError as error:
-            raise InputError(f'{self.path}: cannot read the recording: {error.strerror}') \
-                from error
+            raise InputError(f'{self.path}: cannot read the recording: {reason(error)}') from error
         except (UnicodeDecodeError, csv.Error) as error:
-            raise InputError(f'{self.path}: expected lines of text ({bulk.one_line(error)})') \
-                from error
+            raise InputError(f'{self.path}: expected lines of text ({reason(error)})') from error
 
-    def _parsed(self, number: int, line: list[str]) -> tuple[int, list[float]]:
-        try:
-            seconds, *torque = line
-            # As a decimal: a double has no nanoseconds left in this century.
-            stamp_ns = int((Decimal(seconds) * 10 ** 9).to_integral_value())
-            if len(torque) == 3 and 0 <= stamp_ns <= messages.LAST_NS:
-                return stamp_ns, [float(text) for text in torque]
-        except (ValueError, InvalidOperation, OverflowError):
-            pass
-        raise InputError(f'{self.path}: line {number}: expected time (s), tx, ty, tz (N m), '
-                         f'found {",".join(line)[:80]!r}')
+    def _rows(self, text: TextIOWrapper) -> Iterator[tuple[int, list[float]]]:
+        found = None
+        lines = csv.reader(self._lines(text))
+        for line in filter(None, lines):
+            where = f'{self.path}: line {lines.line_num}'
+            if found is None and not _is_number(line[0]):
+                found = _named(where, line)
+                continue
+            found = found or Columns()
+            yield _parsed(where, line, found)
+
+    def _lines(self, text: TextIOWrapper) -> Iterator[str]:
+        for number, line in enumerate(iter(lambda: text.readline(_LONGEST), ''), 1):
+            if len(line) == _LONGEST:
+                raise InputError(f'{self.path}: line {number}: expected fewer than {_LONGEST} '
+                                 f'characters, found {quoted(line)}')
+            yield line
 
 
-def _is_heading(line: list[str]) -> bool:
+def _named(where: str, line: list[str]) -> Columns:
     try:
-        float(line[0])
+        return columns(line)
+    except InputError as error:
+        raise InputError(f'{where}: {error}') from error
+
+
+def _parsed(where: str, line: list[str], found: Columns) -> tuple[int, list[float]]:
+    try:
+        if len(line) == found.width:
+            return found.stamp_ns(line, messages.LAST_NS), found.torque(line)
+    except (ValueError, OverflowError, DecimalException):
+        pass
+    expected = 'time (s), tx, ty, tz (N m)' if found == Columns() else \
+        f'{found.width} columns with the time and torque that the first line names'
+    raise InputError(f'{where}: expected {expected}, found {quoted(",".join(line))}')
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
     except ValueError:
-        return True
-    return False
+        return False
+    return True
 
 
 def _raw(rows: list[tuple[int, list[float]]]) -> Raw:

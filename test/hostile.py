@@ -1,0 +1,69 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What becomes of a command that reads a hostile file: its error line, within limits."""
+
+from contextlib import contextmanager, redirect_stderr
+import io
+import signal
+import tracemalloc
+
+from conftest import CONFIG
+import pytest
+from rigid_body_ros import cli, recording, scene
+from rigid_body_ros.errors import LONGEST
+
+TUMBLER = CONFIG / 'tumbler.yaml'
+
+
+@contextmanager
+def limits():
+    """Fail if it works for more than 10 s, hangs, or if Python allocates more than 300 MB."""
+    def too_long(number, frame):
+        pytest.fail('works for more than 10 s, or waits for more than 60 s')
+    timers = [(signal.SIGPROF, signal.ITIMER_PROF, 10), (signal.SIGALRM, signal.ITIMER_REAL, 60)]
+    before = [signal.signal(number, too_long) for number, _, _ in timers]
+    for _, timer, seconds in timers:
+        signal.setitimer(timer, seconds)
+    tracemalloc.start()
+    try:
+        yield
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+        for (number, timer, _), handler in zip(timers, before):
+            signal.setitimer(timer, 0)
+            signal.signal(number, handler)
+    assert peak < 300e6
+
+
+def outcome(path, scene_path=TUMBLER):
+    """Return the error line of a command that reads both files, '' if there is none."""
+    def read():
+        values = scene.load(scene_path).values
+        recorded = recording.read(path)
+        recording.torque_log(path, recorded, values['body_frame'], values['space_frame'])
+        assert len(recorded.damage) <= LONGEST
+        assert recorded.damage == '' or recorded.damage.isprintable()
+    with limits(), redirect_stderr(io.StringIO()) as printed:
+        status = cli._guarded('attitude_replay', read, ())
+    text = printed.getvalue()
+    if status == 0:
+        assert text == ''
+        return ''
+    assert status == 2
+    assert len(text) <= LONGEST + len('\n')
+    assert text[:-1].isprintable()
+    assert text.startswith('attitude_replay: error: ')
+    return text[:-1]
