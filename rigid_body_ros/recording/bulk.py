@@ -42,11 +42,6 @@ class BadMessageError(ValueError):
         self.row = row
 
 
-def one_line(error: Exception) -> str:
-    """Return what an error says, which may have several lines or none."""
-    return ' '.join(str(error).split()) or type(error).__name__
-
-
 class Raw(NamedTuple):
     """
     Messages of one topic as bytes.

@@ -33,16 +33,15 @@ from mcap.stream_reader import MAGIC_SIZE, read_magic, StreamReader
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 import numpy as np
+from rigid_body_ros.errors import InputError, listed, quoted, reason
+from rigid_body_ros.reading import open_file
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Ints, Raw
 from rigid_body_ros.recording.file import File
-from rigid_body_ros.scene import InputError
-import zstandard
+from rigid_body_ros.recording.unpack import LARGEST, unpack
 
 #: Bytes of messages outside of chunks that make a block.
 _BLOCK = 2 ** 20
-#: Bytes that a chunk may hold; rosbag2 and mcap write about one million.
-_LARGEST = 2 ** 30
 _RECORD = struct.Struct('<BQ')
 #: The records that messages are read from.
 _MESSAGES = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
@@ -63,12 +62,12 @@ class McapFile(File):
         self._channels: dict[int, Channel] = {}
         self._counts: dict[int, int] = {}
         try:
-            self._size = self._place.stat().st_size
-            with open(self._place, 'rb') as stream:
+            with open_file(self._place, 'recording') as stream:
+                self._size = os.fstat(stream.fileno()).st_size
                 self._begin(stream)
                 summary = _summary(stream)
         except OSError as error:
-            raise InputError(f'{path}: cannot read the recording: {error.strerror}') from error
+            raise InputError(f'{path}: cannot read the recording: {reason(error)}') from error
         if summary is None:  # what is in it, only all of it tells
             for _ in self._blocks():
                 pass
@@ -86,10 +85,10 @@ class McapFile(File):
     def metadata(self, name: str) -> dict[str, str]:
         """Return what the file says under a name, or nothing."""
         found: dict[str, str] = {}
-        with suppress(DamageError), open(self._place, 'rb') as stream:
+        with suppress(DamageError), open_file(self._place, 'recording') as stream:
             stream.seek(MAGIC_SIZE)
-            for _, _, record in self._records(stream, (Opcode.METADATA,)):
-                metadata = Metadata.read(ReadDataStream(BytesIO(record)))
+            for place, _, record in self._records(stream, (Opcode.METADATA,)):
+                metadata = self._metadata(place, record)
                 if metadata.name == name:
                     found = metadata.metadata
         return found
@@ -109,7 +108,7 @@ class McapFile(File):
                 encoding = self._channels[number].message_encoding
                 if encoding != 'cdr':
                     raise InputError(f'{self.path}: {topic}: expected the message encoding cdr, '
-                                     f'found {encoding!r}')
+                                     f'found {quoted(encoding)}')
             if rows.size:
                 yield Raw(data, *(column[rows] for column in found))
 
@@ -122,12 +121,19 @@ class McapFile(File):
                 yield channel, self._schemas.get(channel.schema_id), Raw(
                     data, *(column[rows] for column in found))
 
+    def _metadata(self, place: int, record: bytes) -> Metadata:
+        try:
+            return Metadata.read(ReadDataStream(BytesIO(record)))
+        except Exception as error:  # on damaged bytes mcap raises a dozen kinds
+            raise InputError(f'{self.path}: damaged metadata record at byte {place} '
+                             f'({reason(error)})') from error
+
     def _begin(self, stream: IO[bytes]) -> None:
         try:
             read_magic(ReadDataStream(stream))
         except Exception as error:  # too short, or other bytes
             raise InputError(f'{self.path}: expected an MCAP file, found none '
-                             f'({bulk.one_line(error)})') from error
+                             f'({reason(error)})') from error
 
     def _blocks(self) -> Iterator[tuple[bulk.Bytes, Ints, tuple[Ints, Ints, Ints, Ints]]]:
         # Data, the channel of each message, its place, size and times.
@@ -135,7 +141,7 @@ class McapFile(File):
         self._counts = {}
         messages = 0
         try:
-            with open(self._place, 'rb') as stream:
+            with open_file(self._place, 'recording') as stream:
                 stream.seek(MAGIC_SIZE)
                 for begin, data in self._stretches(stream):
                     channels, found = self._scanned(begin, data)
@@ -148,7 +154,7 @@ class McapFile(File):
             self.damage = f'{problem}; {messages} messages of all topics come before'
         except OSError as error:
             raise InputError(f'{self.path}: cannot read the recording: '
-                             f'{error.strerror}') from error
+                             f'{reason(error)}') from error
 
     def _stretches(self, stream: IO[bytes]) -> Iterator[tuple[int, bulk.Bytes]]:
         # Records as they are in chunks, and those outside of chunks together.
@@ -191,6 +197,8 @@ class McapFile(File):
                 raise DamageError(f'cut off or damaged at byte {place}: a record of {length} '
                                   f'bytes, of which {self._size - place - _RECORD.size} are there')
             if opcode in wanted:
+                if length > LARGEST:
+                    raise DamageError(f'damaged at byte {place}: a record of {length} bytes')
                 yield place, opcode, stream.read(length)
             else:
                 stream.seek(length, os.SEEK_CUR)
@@ -211,7 +219,7 @@ class McapFile(File):
         unknown = set(numbers.tolist()) - self._channels.keys()
         if unknown:
             raise DamageError(f'damaged at byte {begin}: messages of channels that were not '
-                              f'announced: {sorted(unknown)}')
+                              f'announced: {listed([*map(str, sorted(unknown))])}')
         for number, more in zip(numbers.tolist(), counts.tolist()):
             self._counts[number] = self._counts.get(number, 0) + more
         return channels, (starts, sizes, log_ns, publish_ns)
@@ -233,7 +241,7 @@ class McapFile(File):
                 channel = Channel.read(content)
                 self._channels[channel.id] = channel
         except Exception as error:  # on damaged bytes mcap raises a dozen kinds
-            raise DamageError(f'damaged at byte {begin}: {bulk.one_line(error)}') from error
+            raise DamageError(f'damaged at byte {begin}: {reason(error)}') from error
         return position + length
 
 
@@ -241,35 +249,36 @@ def _unpacked(place: int, record: bytes) -> bulk.Bytes:
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(record)))
         size = chunk.uncompressed_size
-        if size > _LARGEST:
+        if size > LARGEST:
             raise ValueError(f'a chunk of {size} bytes')
         data = chunk.data
         if chunk.compression == 'zstd':
-            if zstandard.frame_content_size(data) > size:
-                raise ValueError(f'more than its {size} bytes')
-            data = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+            data = unpack(data, size)
         elif chunk.compression == 'lz4':
             data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size)
         elif chunk.compression:
-            raise ValueError(f'unknown compression {chunk.compression!r}')
+            raise ValueError(f'unknown compression {quoted(chunk.compression)}')
         if len(data) != size:
             raise ValueError(f'{len(data)} bytes, not {size}')
         if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
             raise ValueError('its checksum is wrong')
         return np.frombuffer(data, np.uint8)
     except Exception as error:  # of mcap, zstandard and lz4
-        raise DamageError(f'damaged chunk at byte {place} ({bulk.one_line(error)})') from error
+        raise DamageError(f'damaged chunk at byte {place} ({reason(error)})') from error
 
 
 def _summary(stream: IO[bytes]) -> Summary | None:
     # From memory, where mcap cannot be led to take more of it than the file has.
     try:
-        stream.seek(-_ENDING, os.SEEK_END)
+        end = stream.seek(-_ENDING, os.SEEK_END)
         _, _, start, _, _, magic = struct.unpack('<BQQQI8s', stream.read())
+        if not 0 < end - start < LARGEST:
+            return None
         stream.seek(start)
         content = BytesIO(stream.read())
         found = Summary()
-        for record in StreamReader(content, skip_magic=True).records:
+        # A chunk would be unpacked, to any size.
+        for record in StreamReader(content, skip_magic=True, emit_chunks=True).records:
             if isinstance(record, Schema):
                 found.schemas[record.id] = record
             elif isinstance(record, Channel):

@@ -21,22 +21,24 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 import os
 from pathlib import Path, PurePath
-import tempfile
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rigid_body_ros.errors import InputError, listed, quoted, reason, shortened
 from rigid_body_ros.messages import MessageType
+from rigid_body_ros.reading import read_yaml
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.csv_file import CsvFile
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.mcap_file import McapFile
 from rigid_body_ros.recording.sqlite_file import SqliteFile
+from rigid_body_ros.recording.unpack import LARGEST, temporary, unpack, unpack_file
 from rigid_body_ros.recording.writer import Writer
-from rigid_body_ros.scene import InputError
 from rigid_body_ros.so3 import Floats
 import yaml
+from yaml.constructor import BaseConstructor
 import zstandard
 
 #: Where the time of a message is taken from.
@@ -93,7 +95,7 @@ class Source:
     ----------
     path : str or Path
         An MCAP file, a SQLite file of rosbag2, a folder of either with metadata.yaml, or a CSV
-        file of time (s), tx, ty, tz (N m).
+        file whose first line names time and torques, or of time (s), tx, ty, tz (N m).
     topic : str, optional
         May be left out where only one topic has one of the types.
     kinds : sequence of MessageType
@@ -145,7 +147,7 @@ class Source:
     def damage(self) -> str:
         """Return what was lost, and where; '' if nothing was."""
         found = [f'{file.path}: {file.damage}' for file in self._files if file.damage]
-        return '; '.join([*found, *filter(None, [self._lost])])
+        return shortened('; '.join([*found, *filter(None, [self._lost])]))
 
     def metadata(self, name: str) -> dict[str, str]:
         """Return what the recording says under a name, or nothing."""
@@ -159,14 +161,17 @@ class Source:
         twice = sorted(self.types.keys() & set(topics))
         if twice:
             raise InputError(f'{self._path}: expected other topics in the recording to copy than '
-                             f'those written, found {", ".join(twice)}')
+                             f'those written, found {listed(twice)}')
 
     def copy_to(self, writer: Writer) -> None:
         """Write every message of the recording, byte for byte."""
+        numbers: dict[str, int] = {}
         for file in self._files:
             assert isinstance(file, McapFile)  # checked before
             for channel, schema, raw in file.read_all():
-                writer.copy(channel, schema, _unpacked_each(raw) if self._packed else raw)
+                number = numbers.get(channel.topic, 0)
+                writer.copy(channel, schema, self._plain(raw, channel.topic, number))
+                numbers[channel.topic] = number + len(raw.starts)
 
     def __iter__(self) -> Iterator[Messages]:
         number, first_ns = 0, None
@@ -184,17 +189,27 @@ class Source:
                 return
 
     def _messages(self, raw: Raw, number: int) -> Messages:
+        plain = self._plain(raw, self.topic, number)
         try:
-            decoded = bulk.decode(self.kind, _unpacked_each(raw) if self._packed else raw)
+            decoded = bulk.decode(self.kind, plain)
         except bulk.BadMessageError as error:
-            raise InputError(f'{self._path}: {self.topic}: message {number + error.row + 1}: '
-                             f'{error}') from error
+            raise self._refusal(error, self.topic, number) from error
         stamps = decoded.stamps_ns
         if self._time_source == 'publish':
             stamps = raw.publish_ns
         elif self._time_source == 'log' or not self.kind.has_header:
             stamps = raw.log_ns
         return Messages(self.topic, stamps, decoded.frames, decoded.names, decoded.values)
+
+    def _plain(self, raw: Raw, topic: str, number: int) -> Raw:
+        """Return messages of a topic, of which so many came before, as they were published."""
+        try:
+            return _unpacked_each(raw) if self._packed else raw
+        except bulk.BadMessageError as error:
+            raise self._refusal(error, topic, number) from error
+
+    def _refusal(self, error: bulk.BadMessageError, topic: str, number: int) -> InputError:
+        return InputError(f'{self._path}: {topic}: message {number + error.row + 1}: {error}')
 
 
 def joined(topic: str, kind: MessageType, blocks: list[Messages], damage: str) -> Messages:
@@ -218,13 +233,13 @@ def _chosen(path: str | Path, types: dict[str, str], topic: str | None,
     if topic is None:
         if len(fitting) != 1:
             raise InputError(f'{path}: expected one topic of {expected}, or the name of one '
-                             f'with --topic; found {", ".join(fitting) or "none"}')
+                             f'with --topic; found {listed(fitting)}')
         topic = fitting[0]
     if topic not in types:
-        raise InputError(f'{path}: no topic {topic}; found {", ".join(types) or "none"}')
+        raise InputError(f'{path}: no topic {shortened(topic, 100)}; found {listed(types)}')
     if topic not in fitting:
-        raise InputError(f'{path}: {topic}: expected {expected}, '
-                         f'found {types[topic] or "no type"}')
+        raise InputError(f'{path}: {shortened(topic, 100)}: expected {expected}, '
+                         f'found {shortened(types[topic], 100) or "no type"}')
     return topic, by_name[types[topic]]
 
 
@@ -233,16 +248,11 @@ def _files(path: Path, stack: ExitStack) -> tuple[list[File], bool, str]:
     if not os.path.isdir(path):  # of a Path the question fails where the name is too long
         return [_file(path, stack)], False, ''
     about = _metadata(path / 'metadata.yaml')
-    names = about.get('relative_file_paths')
-    if not names or not isinstance(names, list) or not all(isinstance(name, str)
-                                                           for name in names):
-        raise InputError(f'{path}/metadata.yaml: relative_file_paths: expected names of files, '
-                         f'found {names!r}')
     packed = str(about.get('compression_mode', '')).lower() == 'message'
     files: list[File] = []
-    for name in names:
-        try:  # early rosbag2 put the folder's own name before
-            files.append(_file(path / PurePath(name).name, stack))
+    for place in _places(path, about.get('relative_file_paths')):
+        try:
+            files.append(_file(place, stack))
         except InputError as error:
             if not files:
                 raise
@@ -250,50 +260,57 @@ def _files(path: Path, stack: ExitStack) -> tuple[list[File], bool, str]:
     return files, packed, ''
 
 
+def _places(folder: Path, names: object) -> list[Path]:
+    """Return the files of a bag, which lie in its folder."""
+    where = f'{folder}/metadata.yaml: relative_file_paths'
+    if not names or not isinstance(names, list):
+        raise InputError(f'{where}: expected names of files, found {quoted(names)}')
+    home = os.path.realpath(folder)
+    places: dict[str, Path] = {}
+    for name in names:
+        if not isinstance(name, str) or '\0' in name or not PurePath(name).name:
+            raise InputError(f'{where}: expected names of files, found {quoted(name)}')
+        path = PurePath(name)
+        if path.name in places:
+            raise InputError(f'{where}: expected each file once, found {quoted(name)} twice')
+        # Early rosbag2 put the name of the folder before that of the file.
+        place = places[path.name] = folder / path.name
+        if path.is_absolute() or '..' in path.parts \
+                or os.path.dirname(os.path.realpath(place)) != home:
+            raise InputError(f'{where}: expected files in the folder of the bag, '
+                             f'found {quoted(name)}')
+    return [*places.values()]
+
+
 def _metadata(path: Path) -> dict[str, Any]:
+    if not os.path.lexists(path):
+        raise InputError(f'{path}: not found, and without it a folder is not a recording')
+    root = read_yaml(path, 'description of the recording', aliases=True)
     try:
-        found = yaml.safe_load(path.read_text(encoding='utf-8'))
-        about = found['rosbag2_bagfile_information']
-        if isinstance(about, dict):
-            return about
-    except OSError as error:
-        raise InputError(f'{path}: cannot read, and without it a folder is no recording: '
-                         f'{error.strerror}') from error
-    except (yaml.YAMLError, UnicodeDecodeError, TypeError, KeyError, RecursionError):
-        pass
-    raise InputError(f'{path}: expected rosbag2_bagfile_information, found none')
+        found = BaseConstructor().construct_document(root) if root else None
+    except yaml.YAMLError as error:  # a group as a key
+        raise InputError(f'{path}: expected names as keys: {reason(error)}') from error
+    about = found.get('rosbag2_bagfile_information') if isinstance(found, dict) else None
+    if not isinstance(about, dict):
+        raise InputError(f'{path}: expected rosbag2_bagfile_information, found none')
+    return about
 
 
 def _file(path: Path, stack: ExitStack) -> File:
     if path.suffix.lower() == '.csv':
         return CsvFile(path)
-    unpacked = _unpacked(path, stack) if path.suffix in ('.zstd', '.zst') else path
-    if unpacked.suffix == '.db3':
-        if not os.path.isfile(unpacked):
-            raise InputError(f'{path}: cannot read the recording: No such file or directory')
-        return SqliteFile(path, unpacked)
-    return McapFile(path, unpacked)
-
-
-def _unpacked(path: Path, stack: ExitStack) -> Path:
-    try:
-        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='rigid_body_ros.'))
-        target = Path(folder) / path.stem
-        with open(path, 'rb') as packed, open(target, 'wb') as unpacked:
-            zstandard.ZstdDecompressor().copy_stream(packed, unpacked)
-    except OSError as error:
-        raise InputError(f'{path}: cannot read the recording: {error.strerror}') from error
-    except zstandard.ZstdError as error:
-        raise InputError(f'{path}: expected a file compressed by zstd, found none '
-                         f'({error})') from error
-    return target
+    is_packed = path.suffix in ('.zstd', '.zst')
+    unpacked = unpack_file(path, temporary(stack)) if is_packed else path
+    return SqliteFile(path, unpacked, stack) if unpacked.suffix == '.db3' else \
+        McapFile(path, unpacked)
 
 
 def _unpacked_each(raw: Raw) -> Raw:
-    messages, unpack = [], zstandard.ZstdDecompressor().decompress
+    messages, room = [], LARGEST
     for row in range(len(raw.starts)):
         try:
-            messages.append(unpack(raw.message(row)))
-        except zstandard.ZstdError as error:
-            raise bulk.BadMessageError(row, f'cannot unpack: {error}') from error
+            messages.append(unpack(raw.message(row), room))
+        except (zstandard.ZstdError, ValueError) as error:
+            raise bulk.BadMessageError(row, f'cannot unpack: {reason(error)}') from error
+        room -= len(messages[-1])
     return Raw.of(messages, raw.log_ns, raw.publish_ns)

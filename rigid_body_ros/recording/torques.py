@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages
+from rigid_body_ros.errors import InputError
 from rigid_body_ros.recording.source import Messages
-from rigid_body_ros.scene import InputError
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import TorqueLog
 

@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages, recording, so3
+from rigid_body_ros.errors import shortened
 from rigid_body_ros.fingerprint import fingerprint, NAME
 from rigid_body_ros.propagate import propagate
 from rigid_body_ros.recording import Source
@@ -124,9 +125,12 @@ def summary(result: Verified) -> str:
 
 
 def _differences(made_by: dict[str, str]) -> dict[str, tuple[str, str]]:
+    here = fingerprint()
     try:
         there = json.loads(made_by.get('fingerprint', '{}'))
-    except ValueError:
-        return {}
-    return {name: (str(there[name]), here) for name, here in fingerprint().items()
-            if name in there and there[name] != here}
+    except (ValueError, RecursionError):
+        there = None
+    if not isinstance(there, dict):
+        return {name: ('unknown', version) for name, version in here.items()}
+    return {name: (shortened(str(there[name]), 100), version) for name, version in here.items()
+            if name in there and there[name] != version}

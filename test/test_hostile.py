@@ -1,0 +1,394 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Hostile scenes and recordings: a result, or one short line and exit status 2, within limits."""
+
+from contextlib import closing, redirect_stderr
+import io
+import os
+import re
+import shutil
+import sqlite3
+import struct
+import tempfile
+
+import bags
+from conftest import files_up_to, RECORDINGS
+from hostile import limits, outcome, TUMBLER
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Chunk
+import numpy as np
+import pytest
+from rigid_body_ros import cli, messages, recording, scene
+from rigid_body_ros.errors import InputError, listed, LONGEST, quoted, reason, shortened
+from rigid_body_ros.recording import bulk, mcap_file, source, unpack
+from rigid_body_ros.replay import replay
+import yaml
+import zstandard
+
+#: 1 kB that would expand to 10^9 values.
+LAUGHS = 'a: &a [x,x,x,x,x,x,x,x,x,x]\n' + ''.join(
+    f'{name}: &{name} [{",".join(9 * [f"*{before}"])}]\n' for before, name in zip('abcdefgh',
+                                                                                  'bcdefghi'))
+
+
+def bag(folder, **options):
+    return bags.rosbag2(folder, bags.traffic(bags.torques(20)[6:]), **options)
+
+
+def described(folder, about):
+    """Return a bag whose metadata.yaml has a text, or other values than it should."""
+    path = bag(folder)
+    file = path / 'metadata.yaml'
+    if isinstance(about, dict):
+        whole = yaml.safe_load(file.read_text())
+        whole['rosbag2_bagfile_information'].update(about)
+        about = yaml.safe_dump(whole)
+    file.write_text(about)
+    return path
+
+
+def scene_file(folder, text):
+    path = folder / 'scene.yaml'
+    path.write_text('/**:\n  ros__parameters:\n    inertia: {ixx: 1.0, iyy: 2.0, izz: 2.5}\n'
+                    + text)
+    return path
+
+
+# What a bag says of itself
+
+@pytest.mark.parametrize('text', ['2020-13-45', '!!int x', '!!timestamp x', '!!binary x',
+                                  '!!set {a, a}', '!!python/name:os.abort', '9' * 5000])
+def test_values_of_no_meaning_may_be_anything(tmp_path, text):
+    path = bag(tmp_path)
+    file = path / 'metadata.yaml'
+    file.write_text(re.sub('version: .*', f'version: {text}', file.read_text(), count=1))
+    assert outcome(path) == ''
+
+
+def test_a_description_that_python_wrote_with_aliases_is_read(tmp_path):
+    path = bag(tmp_path)
+    file = path / 'metadata.yaml'
+    span = {'nanoseconds': 3}
+    about = yaml.safe_load(file.read_text())
+    about['rosbag2_bagfile_information'].update(duration=span, other=[span] * 99)
+    file.write_text(yaml.safe_dump(about))
+    assert '*id001' in file.read_text()
+    assert outcome(path) == ''
+
+
+@pytest.mark.parametrize('before', ['relative_file_paths: *i', 'compression_mode: *i',
+                                    'relative_file_paths: [*a, *a]'])
+def test_aliases_do_not_multiply(tmp_path, before):
+    path = described(tmp_path, f'{LAUGHS}rosbag2_bagfile_information: {{{before}}}')
+    assert 'metadata.yaml: expected ' in outcome(path)
+    many = 'a: &a [' + 'x,' * 1000 + ']\nb: [' + '*a,' * 1000 + ']'
+    assert 'at most 100000 values' in outcome(described(tmp_path / 'many', many))
+
+
+@pytest.mark.parametrize('name', ['../bag/bag.mcap', '/etc/passwd', 'a/../../bag.mcap', '..',
+                                  'bag\0.mcap', '', '.', ['bag.mcap'], {'bag.mcap': 1}])
+def test_a_file_outside_of_the_bag_is_refused(tmp_path, name):
+    path = described(tmp_path, {'relative_file_paths': [name]})
+    assert 'metadata.yaml: relative_file_paths: expected ' in outcome(path)
+
+
+def test_the_absolute_path_of_a_file_in_the_bag_is_refused(tmp_path):
+    path = described(tmp_path, {'relative_file_paths': [str(tmp_path / 'bag/bag.mcap')]})
+    assert 'expected files in the folder of the bag, found' in outcome(path)
+
+
+def test_a_link_out_of_the_bag_is_refused_and_one_within_it_is_followed(tmp_path):
+    path = described(tmp_path, {'relative_file_paths': ['link.mcap']})
+    (path / 'link.mcap').symlink_to('bag.mcap')
+    assert outcome(path) == ''
+    (path / 'bag.mcap').rename(tmp_path / 'elsewhere.mcap')
+    (path / 'link.mcap').unlink()
+    (path / 'link.mcap').symlink_to('../elsewhere.mcap')
+    assert "expected files in the folder of the bag, found 'link.mcap'" in outcome(path)
+    (tmp_path / 'alias').symlink_to(path)
+    (path / 'link.mcap').unlink()
+    (tmp_path / 'elsewhere.mcap').rename(path / 'link.mcap')
+    assert outcome(tmp_path / 'alias') == ''
+
+
+def test_a_file_that_is_named_again_is_refused(tmp_path):
+    path = described(tmp_path, {'relative_file_paths': ['bag.mcap'] * 10_000})
+    assert 'expected each file once' in outcome(path)
+
+
+def test_a_bag_with_the_name_of_its_folder_before_its_files_is_read(tmp_path):
+    assert outcome(described(tmp_path, {'relative_file_paths': ['old_name/bag.mcap']})) == ''
+
+
+@pytest.mark.parametrize('text', ['x' * 2 ** 23, '[a,' * 2 ** 17, '{a: ' * 9999, '- ' * 9999,
+                                  '%TAG !a! b\n' * 9999,
+                                  pytest.param('[' + 'a,' * 2 ** 20, marks=pytest.mark.slow)])
+def test_a_yaml_file_has_bounds(tmp_path, text):
+    (tmp_path / 'scene.yaml').write_text(text)
+    assert 'scene.yaml: expected ' in outcome(RECORDINGS / 'tumbler.mcap', tmp_path / 'scene.yaml')
+    assert 'metadata.yaml: expected ' in outcome(described(tmp_path, text))
+
+
+# Scenes
+
+@pytest.mark.parametrize(('text', 'message'), [
+    ('    tolerance: ' + '1' * 200_000 + 'x',
+     r"tolerance: expected a number, found '1+\.\.\.1+x'"),
+    ('    body_frame: ' + '[' * 20 + 'a' + ']' * 20, 'body_frame: expected a text'),
+    ('    ' + 'x' * 600 + ': 1', 'expected names of at most 500 characters'),
+    ('    ? ' + 'x' * 2 ** 20 + '\n    : {' + ','.join(f'a{k}: 1' for k in range(9999)) + '}',
+     'expected names of at most 500'),
+    ('    "\\e[2J": 1', re.escape(r'\x1b[2J: unknown key')),
+    ('    space_frame: "a\\nb"\n    body_frame: "a\\nb"', r"found 'a\\nb' twice"),
+    ('    robot_description: "<' + 'x' * 5000 + '>"', 'URDF: expected XML, found'),
+    ('    tolerance: &a 1', 'expected YAML without aliases'),
+    ('    gravity: 1', r'expected one of inertia.ixx, .* and \d+ more')])
+def test_what_is_quoted_of_a_scene_is_short(tmp_path, text, message):
+    found = outcome(RECORDINGS / 'tumbler.mcap', scene_file(tmp_path, text))
+    assert re.search(message, found)
+
+
+def test_a_long_number_of_a_robot_takes_no_time(tmp_path):
+    number = '1' * 100_000 + 'x'
+    urdf = f"<robot><link name='a'><inertial><inertia ixx='{number}'/></inertial></link></robot>"
+    found = outcome(RECORDINGS / 'tumbler.mcap',
+                    scene_file(tmp_path, f'    robot_description: "{urdf}"'))
+    assert 'ixx: expected a finite number, found' in found
+
+
+# Files that are none
+
+@pytest.mark.parametrize('name', ['a.csv', 'a.mcap', 'a.db3', 'a.mcap.zstd', 'a.db3.zst', 'a'])
+@pytest.mark.parametrize('kind', ['pipe', 'folder', 'zeros'])
+def test_what_is_no_file_is_refused_as_a_recording_and_as_a_scene(tmp_path, name, kind):
+    path = tmp_path / name
+    if kind == 'zeros':
+        path.symlink_to('/dev/zero')
+    else:
+        (os.mkfifo if kind == 'pipe' else os.mkdir)(path)
+    assert name in outcome(path)
+    assert f'{name}: cannot read the scene: expected a regular file' in outcome(
+        RECORDINGS / 'tumbler.mcap', path)
+    held = tmp_path / 'bag'
+    described(tmp_path, {'relative_file_paths': [name]})
+    path.rename(held / name)
+    assert name in outcome(held)
+
+
+def test_a_description_that_is_a_pipe_is_refused(tmp_path):
+    path = bag(tmp_path)
+    (path / 'metadata.yaml').unlink()
+    os.mkfifo(path / 'metadata.yaml')
+    assert 'metadata.yaml: cannot read the description' in outcome(path)
+
+
+@pytest.mark.parametrize('name', ['a.csv', 'a.mcap', 'a.db3', 'a.mcap.zstd', 'a'])
+def test_a_gigabyte_of_nothing_is_refused(tmp_path, name):
+    (tmp_path / name).touch()
+    os.truncate(tmp_path / name, 2 ** 33)
+    assert name in outcome(tmp_path / name)
+    assert name in outcome(RECORDINGS / 'tumbler.mcap', tmp_path / name)
+
+
+def test_a_summary_that_claims_the_whole_of_a_large_file_is_not_read(tmp_path):
+    path = tmp_path / 'large.mcap'
+    with open(path, 'wb') as stream:
+        stream.write(b'\x89MCAP0\r\n')
+        stream.seek(2 ** 33)
+        stream.write(bytes([Opcode.FOOTER]) + struct.pack('<QQQI', 20, 8, 0, 0))
+        stream.write(b'\x89MCAP0\r\n')
+    assert 'expected an MCAP file with messages' in outcome(path)
+
+
+def test_a_summary_does_not_unpack_chunks(tmp_path):
+    data = zstandard.ZstdCompressor().compress(bytes(2 ** 29))
+    builder = RecordBuilder()
+    Chunk('zstd', data, 0, 1, 0, 2 ** 29).write(builder)
+    chunk = builder.end()
+    footer = bytes([Opcode.FOOTER]) + struct.pack('<QQQI', 20, 8, 0, 0)
+    (tmp_path / 'a.mcap').write_bytes(b'\x89MCAP0\r\n' + chunk + footer + b'\x89MCAP0\r\n')
+    with limits(), open(tmp_path / 'a.mcap', 'rb') as stream:
+        assert mcap_file._summary(stream) is None
+
+
+# What is compressed
+
+def bomb(size):
+    """Return zeros, compressed to almost nothing, that do not say how many they are."""
+    compressor = zstandard.ZstdCompressor().compressobj()
+    pieces = [compressor.compress(bytes(2 ** 20)) for _ in range(size // 2 ** 20)]
+    return b''.join([*pieces, compressor.flush()])
+
+
+def with_messages(path, *sent):
+    """Return a bag of messages compressed one by one, with other messages in it."""
+    if (path / 'bag.db3').exists():
+        with closing(sqlite3.connect(path / 'bag.db3')) as database, database:
+            database.execute('UPDATE messages SET data = ?', sent[0][1:])
+    else:
+        with recording.Writer(path / 'bag.mcap') as writer:
+            for topic in dict(sent):
+                writer.add_topic(topic, messages.WRENCH)
+            for stamp, (topic, data) in enumerate(sent, 1):
+                writer.write(topic, stamp, data)
+    return path
+
+
+@pytest.mark.parametrize('says_its_size', [True, False])
+@pytest.mark.parametrize('storage', ['MCAP', 'SQLITE3'])
+def test_a_message_may_not_be_larger_than_a_chunk_may(tmp_path, monkeypatch, storage,
+                                                      says_its_size):
+    monkeypatch.setattr(source, 'LARGEST', 2 ** 24)
+    path = bag(tmp_path, storage=storage, compression='MESSAGE')
+    assert outcome(path) == ''
+    data = zstandard.ZstdCompressor().compress(bytes(2 ** 28)) if says_its_size else bomb(2 ** 28)
+    assert '/torque: message 1: cannot unpack: ' in outcome(with_messages(path, ('/torque', data)))
+
+
+def test_the_messages_of_a_block_may_not_be_larger_together_than_a_chunk_may(monkeypatch):
+    packed = zstandard.ZstdCompressor().compress(bytes(2 ** 20))
+    times = np.zeros(9, np.int64)
+    raw = bulk.Raw.of([packed] * 9, times, times)
+    assert source._unpacked_each(raw).sizes.tolist() == [2 ** 20] * 9
+    monkeypatch.setattr(source, 'LARGEST', 2 ** 23)
+    with pytest.raises(bulk.BadMessageError, match='cannot unpack: expected at most 0 bytes') as e:
+        source._unpacked_each(raw)
+    assert e.value.row == 8
+
+
+@pytest.mark.parametrize('size', [0, 1, 150, 2 ** 17, 2 ** 20])
+@pytest.mark.parametrize('content', [bytes, os.urandom], ids=['zeros', 'noise'])
+@pytest.mark.parametrize('says_its_size', [True, False])
+def test_what_is_dense_is_unpacked_whole(size, content, says_its_size):
+    data = content(size)
+    compressor = zstandard.ZstdCompressor(22, write_content_size=says_its_size)
+    packed = compressor.compress(data)
+    assert unpack.unpack(packed, max(size, 1)) == data
+    if size > 1:
+        with pytest.raises((ValueError, zstandard.ZstdError)):
+            unpack.unpack(packed, size - 1)
+
+
+def test_a_size_that_is_claimed_takes_no_memory():
+    packed = bytearray(zstandard.ZstdCompressor().compress(bytes(2 ** 29)))[:30]
+    assert zstandard.frame_content_size(bytes(packed)) == 2 ** 29
+    with limits(), pytest.raises(ValueError, match='expected at most 983040 bytes, found more'):
+        unpack.unpack(bytes(packed), 2 ** 30)
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    """Yield an empty folder for temporary files, and check that it is empty in the end."""
+    folder = tmp_path / 'temporary'
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, 'tempdir', str(folder))
+    yield folder
+    assert not list(folder.iterdir())
+
+
+def test_a_compressed_file_may_not_be_many_times_larger(tmp_path, temporary, monkeypatch):
+    monkeypatch.setattr(unpack, 'LARGEST', 2 ** 24)
+    path = tmp_path / 'a.mcap.zstd'
+    path.write_bytes(bomb(2 ** 28))
+    assert 'a.mcap.zstd: expected at most 16777216 bytes in it, found more' in outcome(path)
+
+
+def test_a_compressed_file_may_not_fill_the_temporary_folder(tmp_path, temporary, monkeypatch):
+    path = tmp_path / 'a.mcap.zstd'
+    path.write_bytes(bomb(2 ** 28))
+    usage = shutil.disk_usage(tmp_path)
+    left = iter(range(2 ** 24, 0, -2 ** 20))
+    monkeypatch.setattr(shutil, 'disk_usage', lambda folder: usage._replace(free=next(left)))
+    found = outcome(path)
+    assert f'a.mcap.zstd: expected room for it in {temporary}, found ' in found
+    assert found.endswith('TMPDIR names another folder')
+
+
+def test_a_full_temporary_folder_is_named(tmp_path, temporary):
+    path = tmp_path / 'a.mcap.zstd'
+    path.write_bytes(bomb(2 ** 24))
+    with files_up_to(2 ** 20):
+        assert f'a.mcap.zstd: cannot copy it to {temporary}: File too large' in outcome(path)
+
+
+def test_several_frames_are_one_file(tmp_path, temporary):
+    data = (RECORDINGS / 'tumbler.mcap').read_bytes()
+    path = tmp_path / 'a.mcap.zst'
+    path.write_bytes(b''.join(zstandard.ZstdCompressor().compress(data[start:start + 50_000])
+                              for start in range(0, len(data), 50_000)))
+    assert outcome(path) == ''
+
+
+# What is copied and compared
+
+def test_a_message_that_cannot_be_copied_is_named(tmp_path):
+    wrenches = [zstandard.ZstdCompressor().compress(messages.wrench(stamp, '', [0.0] * 3))
+                for stamp in (1, 2)]
+    path = with_messages(bag(tmp_path, compression='MESSAGE'), ('/torque', wrenches[0]),
+                         ('/other', b'no zstd'), ('/torque', wrenches[1]))
+    arguments = [str(path), '--scene', str(TUMBLER), '-o', str(tmp_path / 'out.mcap'), '--also',
+                 'input', '--topic', '/torque']
+    with redirect_stderr(io.StringIO()) as printed:
+        assert cli.attitude_replay(arguments) == 2
+    line, = printed.getvalue().splitlines()
+    assert '/other: message 1: cannot unpack: ' in line
+    assert not (tmp_path / 'out.mcap').exists()
+
+
+def test_a_damaged_metadata_record_is_named(tmp_path):
+    path = tmp_path / 'motion.mcap'
+    replay(RECORDINGS / 'tumbler.mcap', scene.load(TUMBLER), path)
+    data = path.read_bytes()
+    place, = (start for code, start, _ in bags.records(data) if code == Opcode.METADATA)
+    path.write_bytes(data[:place + 9] + b'\xff' * 8 + data[place + 17:])
+    arguments = [str(RECORDINGS / 'tumbler.mcap'), '--scene', str(TUMBLER), '--verify', str(path)]
+    with redirect_stderr(io.StringIO()) as printed:
+        assert cli.attitude_replay(arguments) == 2
+    line, = printed.getvalue().splitlines()
+    assert f'motion.mcap: damaged metadata record at byte {place} (' in line
+
+
+# Errors
+
+def test_an_error_is_one_line_of_bounded_length():
+    found = str(InputError('here: ' + 'a\n\x1b\ud800' * 10_000 + ' there'))
+    assert len(found) == LONGEST
+    assert found.isprintable()
+    assert found.startswith(r'here: a\n\x1b\ud800a')
+    assert found.endswith(' there')
+    assert str(InputError(found)) == found
+    assert str(InputError('Flügel/機体: 3 µN m')) == 'Flügel/機体: 3 µN m'
+
+
+@pytest.mark.parametrize('value', [
+    'x' * 10 ** 7, b'x' * 10 ** 7, ['x' * 10 ** 6] * 1000, {str(k): 'x' * 999 for k in range(999)},
+    [[[[[[['x' * 999]]]]]]], [*range(10 ** 6)]], ids=lambda value: type(value).__name__)
+def test_what_is_quoted_is_short(value):
+    assert len(quoted(value)) < 1000
+
+
+def test_of_many_names_the_first_are_listed():
+    assert listed([]) == 'none'
+    assert listed(['/a', '/b']) == '/a, /b'
+    assert listed([f'/{k}' for k in range(100)]) == '/0, /1, /2, /3, /4, /5 and 94 more'
+    assert len(listed(['x' * 10 ** 6] * 100)) < LONGEST
+
+
+def test_a_reason_is_one_line():
+    assert reason(ValueError('a\n  b')) == 'a b'
+    assert reason(ValueError()) == 'ValueError'
+    assert reason(OSError(2, 'No such file')) == 'No such file'
+    assert len(shortened('x' * 999, 99)) == 99
