@@ -1,0 +1,130 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Mutated scenes, CSV files and descriptions of bags: a result or one line, within limits."""
+
+import os
+import re
+
+import bags
+from conftest import CONFIG
+from hostile import outcome, TUMBLER
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import pytest
+from rigid_body_ros import messages, recording
+
+#: For a nightly run 20 000.
+EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '500'))
+
+LAUGHS = 'a: &a [x,x,x,x,x,x,x,x,x,x]\n' + ''.join(
+    f'{name}: &{name} [{",".join(9 * [f"*{before}"])}]\n' for before, name in zip('abcdefgh',
+                                                                                  'bcdefghi'))
+#: What is put between or in the place of words.
+SNIPPETS = [
+    b'\0', b'\r', b'\t', b'\x1b[2J', b'"', b"'", b'\xff\xfe', b'\xed\xa0\x80', b'\xe9', b'\xc3',
+    *(text.encode() for text in (
+        '\ufeff', '\u2028', '\u0661', '\u00a0', '&a ', '*a', '<<: *a', '!!python/name:os.abort',
+        '!!python/object/apply:os.abort []', '!!binary x', '!!timestamp 2020-13-45',
+        '!!set {a, a}', '!!int x', '!!float .', '!', '!<tag:x>', '2020-13-45', '---\n',
+        '2020-01-01T99:99:99',
+        '%TAG ! x\n', '...\n', '? ', ': ', '- ', '{', '}', '[', ']', ',', '#', '|\n', '>\n', '@',
+        '`', '~', 'null', 'true', '.inf', '-.inf', 'nan', 'snan', '1e9999999', '-1e-9999999', '0x',
+        '0o7', '1_0', '1e', '.', '-', '../', '/etc/passwd', '..', '/dev/zero', ';', ' ', '\n',
+        '\n\n', '\r\n', 'time_ms', 'tx (mNm)', 'ty [kN m]', 't_ns', 'time', 'mx', '(', ')',
+        '9' * 400, '9' * 5000, '[' * 3000, '{a: ' * 3000, '- ' * 3000, '? ' * 3000, 'x' * 70_000,
+        'a,' * 40_000, '1' * 70_000, LAUGHS, 'relative_file_paths: [..]\n', 'inertia: 3\n',
+        'x: ' * 300))]
+
+
+def words(data):
+    """Return the spans of words and of the space between them."""
+    return [found.span() for found in re.finditer(rb'[^\s,:]+|[\s,:]+', data)] or [(0, len(data))]
+
+
+def mutations(data):
+    """Return a strategy of ways to change bytes."""
+    place, word = st.integers(0, len(data)), st.sampled_from(words(data))
+    snippet = st.sampled_from(SNIPPETS) | st.binary(max_size=4)
+    spans = st.tuples(place, place).map(sorted).map(tuple)
+    return st.one_of(
+        st.tuples(word, snippet), st.tuples(word.map(lambda span: (span[0], span[0])), snippet),
+        st.tuples(place.map(lambda at: (at, at)), snippet), st.tuples(spans, st.just(b'')),
+        st.tuples(st.tuples(st.just(0), st.just(0)), snippet),
+        st.tuples(st.tuples(st.just(len(data)), st.just(len(data))), snippet),
+        # Something that is there already: lines and keys that stand twice.
+        st.tuples(place.map(lambda at: (at, at)), spans.map(lambda span: data[slice(*span)])))
+
+
+def mutated(data, changes, encoding):
+    for (start, end), snippet in sorted(changes, reverse=True):
+        data = data[:start] + snippet + data[end:]
+    return data.decode(errors='replace').encode(encoding) if encoding else data
+
+
+def check(target, seed, run, share):
+    """Run with a share of the mutations of a seed, in the place of a file."""
+    target.write_bytes(seed)
+    assert run() == ''
+
+    @settings(max_examples=max(1, EXAMPLES // share), database=None)
+    @given(st.lists(mutations(seed), min_size=1, max_size=4),
+           st.sampled_from([None] * 6 + ['utf-16', 'utf-8-sig', 'utf-32']))
+    def examine(changes, encoding):
+        target.write_bytes(mutated(seed, changes, encoding))
+        run()
+    examine()
+
+
+URDF = "<robot name='a'><link name='b'><inertial><mass value='1'/><inertia ixx='1' ixy='0' " \
+    "ixz='0' iyy='2' iyz='0' izz='2.5'/></inertial></link></robot>"
+SCENES = {
+    'tumbler': TUMBLER.read_text(),
+    'iss': (CONFIG / 'iss.yaml').read_text(),
+    'robot': f'/ns/attitude_node:\n  ros__parameters:\n    robot_description: "{URDF}"\n'
+             '    qos_overrides: {/torque: {subscription: {depth: 5}}}\n'}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', SCENES)
+def test_a_mutated_scene_gives_a_scene_or_a_line(tmp_path, name):
+    recorded, path = tmp_path / 'torque.csv', tmp_path / 'scene.yaml'
+    recorded.write_text('1,0,0,0\n2,0.1,0,0\n')
+    check(path, SCENES[name].encode(), lambda: outcome(recorded, path), 9)
+
+
+ROWS = ''.join(f'{k}.{k:09},{0.1 * k!r},-1e-{k},{k}\n' for k in range(1, 9))
+TEXTS = {'bare': ROWS, 'named': f'time,tx,ty,tz\n{ROWS}',
+         'units': 'tx (mN m),t_us,"status",ty [kNm],torque.z\r\n1,2,ok,3,4\r\n1,3,,3,4\r\n'}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', TEXTS)
+def test_mutated_text_gives_torques_or_a_line(tmp_path, name):
+    path = tmp_path / 'torque.csv'
+    check(path, TEXTS[name].encode(), lambda: outcome(path), 9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('kind', ['rosbags', 'ours'])
+def test_a_mutated_description_gives_torques_or_a_line(tmp_path, kind):
+    path = tmp_path / 'bag'
+    if kind == 'rosbags':
+        bags.split(tmp_path, bags.traffic(bags.torques(20)[6:]), parts=2)
+    else:
+        with recording.FolderWriter(path) as writer:
+            writer.add_topic('/torque', messages.WRENCH)
+            writer.write('/torque', 1, messages.wrench(1, '', [1.0, 0.0, 0.0]))
+    about = path / 'metadata.yaml'
+    check(about, about.read_bytes(), lambda: outcome(path), 6)
