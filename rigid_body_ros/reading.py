@@ -108,8 +108,8 @@ def read_yaml(path: str | Path, what: str, aliases: bool = False) -> yaml.Node |
             raise InputError(f'expected at most {_LARGEST} bytes of YAML, found more')
         text = content.decode('utf-8')
         if _TAGS.search(text):
-            raise InputError('expected YAML without %TAG, which takes a parser hours where it '
-                             'stands often enough')
+            raise InputError('expected YAML without %TAG directives: many of them take a parser '
+                             'hours')
         return _Loader(text, aliases).get_single_node()
     except InputError as error:
         raise InputError(f'{path}: {error}') from error

@@ -21,6 +21,8 @@ import re
 import shutil
 import sqlite3
 import struct
+import subprocess
+import sys
 import tempfile
 
 import bags
@@ -142,6 +144,22 @@ def test_a_yaml_file_has_bounds(tmp_path, text):
     assert 'metadata.yaml: expected ' in outcome(described(tmp_path, text))
 
 
+def test_without_libyaml_the_same_is_refused(tmp_path):
+    for number, text in enumerate(['a: [', 'a: *b', '[' * 2000, 'x: &x 1', '/**: 3']):
+        (tmp_path / f'{number}.yaml').write_text(text)
+    script = '\n'.join([
+        'import sys', "sys.modules['yaml._yaml'] = None", 'import yaml',
+        'assert not yaml.__with_libyaml__', 'from rigid_body_ros import scene',
+        f'scene.load({str(TUMBLER)!r})', 'for number in range(5):', '    try:',
+        f'        scene.load({str(tmp_path)!r} + f"/{{number}}.yaml")',
+        '    except scene.InputError as error:', '        print(error)'])
+    result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                            check=True)
+    for number, line in enumerate(result.stdout.splitlines()):
+        assert re.search(f'{number}.yaml: .*expected ', line)
+    assert number == 4
+
+
 # Scenes
 
 @pytest.mark.parametrize(('text', 'message'), [
@@ -188,10 +206,11 @@ def test_what_is_no_file_is_refused_as_a_recording_and_as_a_scene(tmp_path, name
     assert name in outcome(held)
 
 
-def test_a_description_that_is_a_pipe_is_refused(tmp_path):
+@pytest.mark.parametrize('make', [os.mkfifo, os.mkdir])
+def test_a_description_that_is_no_file_is_refused(tmp_path, make):
     path = bag(tmp_path)
     (path / 'metadata.yaml').unlink()
-    os.mkfifo(path / 'metadata.yaml')
+    make(path / 'metadata.yaml')
     assert 'metadata.yaml: cannot read the description' in outcome(path)
 
 
@@ -275,18 +294,18 @@ def test_the_messages_of_a_block_may_not_be_larger_together_than_a_chunk_may(mon
 def test_what_is_dense_is_unpacked_whole(size, content, says_its_size):
     data = content(size)
     compressor = zstandard.ZstdCompressor(22, write_content_size=says_its_size)
-    packed = compressor.compress(data)
-    assert unpack.unpack(packed, max(size, 1)) == data
+    packed, unpacker = compressor.compress(data), zstandard.ZstdDecompressor()
+    assert unpack.unpack(packed, max(size, 1), unpacker) == data
     if size > 1:
         with pytest.raises((ValueError, zstandard.ZstdError)):
-            unpack.unpack(packed, size - 1)
+            unpack.unpack(packed, size - 1, unpacker)
 
 
 def test_a_size_that_is_claimed_takes_no_memory():
     packed = bytearray(zstandard.ZstdCompressor().compress(bytes(2 ** 29)))[:30]
     assert zstandard.frame_content_size(bytes(packed)) == 2 ** 29
     with limits(), pytest.raises(ValueError, match='expected at most 983040 bytes, found more'):
-        unpack.unpack(bytes(packed), 2 ** 30)
+        unpack.unpack(bytes(packed), 2 ** 30, zstandard.ZstdDecompressor())
 
 
 @pytest.fixture
@@ -322,6 +341,13 @@ def test_a_full_temporary_folder_is_named(tmp_path, temporary):
     path.write_bytes(bomb(2 ** 24))
     with files_up_to(2 ** 20):
         assert f'a.mcap.zstd: cannot copy it to {temporary}: File too large' in outcome(path)
+
+
+def test_a_temporary_folder_that_cannot_be_made_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path / 'none'))
+    path = tmp_path / 'a.mcap.zstd'
+    path.touch()
+    assert 'cannot create a temporary folder: No such file' in outcome(path)
 
 
 def test_several_frames_are_one_file(tmp_path, temporary):

@@ -81,6 +81,16 @@ def test_what_another_machine_made_is_told(tmp_path, capsys):
     assert line.startswith('made by       processor arm64 cortex-a72, here ')
 
 
+def test_a_fingerprint_that_is_damaged_is_unknown(tmp_path):
+    replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion.mcap')
+    for text in ['[1, 2]', '3', 'null', '{', '"x"', '[' * 100_000, '']:
+        path = rewritten(tmp_path / 'motion.mcap', tmp_path / 'other.mcap',
+                         metadata={'fingerprint': text})
+        result = verify(TUMBLER, scene.load(SCENE), path)
+        assert result.differences == {
+            name: ('unknown', version) for name, version in fingerprint().items()}
+
+
 def test_a_motion_from_before_the_start_is_refused(tmp_path, capsys):
     path = tmp_path / 'early.mcap'
     with recording.Writer(path) as writer:

@@ -16,7 +16,8 @@
 Recordings: torques in, motion out.
 
 `source` finds a topic in a recording of any kind; `mcap_file`, `sqlite_file` and `csv_file` read
-the files it is made of, `bulk` what their messages say, and `torques` makes a log of it. `writer`
+the files it is made of, `unpack` what is compressed in them, `csv_columns` the first line of text,
+`bulk` what their messages say, and `torques` makes a log of it. `writer`
 writes MCAP files, `container` their bytes, and `folder` what rosbag2 wants beside them.
 """
 

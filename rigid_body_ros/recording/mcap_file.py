@@ -39,6 +39,7 @@ from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Ints, Raw
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.unpack import LARGEST, unpack
+import zstandard
 
 #: Bytes of messages outside of chunks that make a block.
 _BLOCK = 2 ** 20
@@ -253,7 +254,7 @@ def _unpacked(place: int, record: bytes) -> bulk.Bytes:
             raise ValueError(f'a chunk of {size} bytes')
         data = chunk.data
         if chunk.compression == 'zstd':
-            data = unpack(data, size)
+            data = unpack(data, size, zstandard.ZstdDecompressor())
         elif chunk.compression == 'lz4':
             data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size)
         elif chunk.compression:

@@ -306,10 +306,10 @@ def _file(path: Path, stack: ExitStack) -> File:
 
 
 def _unpacked_each(raw: Raw) -> Raw:
-    messages, room = [], LARGEST
+    messages, room, unpacker = [], LARGEST, zstandard.ZstdDecompressor()
     for row in range(len(raw.starts)):
         try:
-            messages.append(unpack(raw.message(row), room))
+            messages.append(unpack(raw.message(row), room, unpacker))
         except (zstandard.ZstdError, ValueError) as error:
             raise bulk.BadMessageError(row, f'cannot unpack: {reason(error)}') from error
         room -= len(messages[-1])

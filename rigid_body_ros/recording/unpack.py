@@ -36,7 +36,7 @@ _RATIO = 1000
 _BLOCK = 2 ** 20
 
 
-def unpack(data: bytes, most: int) -> bytes:
+def unpack(data: bytes, most: int, unpacker: zstandard.ZstdDecompressor) -> bytes:
     """
     Return what a frame of zstd holds.
 
@@ -51,12 +51,16 @@ def unpack(data: bytes, most: int) -> bytes:
     room = min(most, _DENSEST * len(data))  # a header may claim any size
     if zstandard.frame_content_size(data) > room:
         raise ValueError(f'expected at most {room} bytes, found more')
-    return zstandard.ZstdDecompressor().decompress(data, max_output_size=room)
+    return unpacker.decompress(data, max_output_size=room)
 
 
 def temporary(stack: ExitStack) -> Path:
-    """Return a new temporary folder, which the stack removes."""
-    return Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='rigid_body_ros.')))
+    """Return a new temporary folder, which the stack removes; raise InputError if none can be."""
+    try:
+        return Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='rigid_body_ros.')))
+    except OSError as error:
+        raise InputError(f'cannot create a temporary folder: {reason(error)}; TMPDIR names '
+                         'where') from error
 
 
 def unpack_file(path: Path, folder: Path) -> Path:
