@@ -22,7 +22,7 @@ files), so that one file means one thing everywhere.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import difflib
 import math
 from pathlib import Path
@@ -138,12 +138,15 @@ class Scene:
         Its time is 0 where the scene leaves it to the first torque or clock reading.
     values : dict
         Every parameter by name, given or default.
+    path : Path or None
+        The file that the scene was read from, absolute.
 
     """
 
     body: RigidBody
     start: State
     values: Mapping[str, Any]
+    path: Path | None = None
 
     @property
     def options(self) -> dict[str, Any]:
@@ -209,7 +212,7 @@ def load(path: str | Path) -> Scene:
     """
     root = read_yaml(path, 'scene')
     try:
-        return Scene.from_values(_parameters(root))
+        return replace(Scene.from_values(_parameters(root)), path=Path(path).absolute())
     except InputError as error:
         raise InputError(f'{path}: {error}') from error
 

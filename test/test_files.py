@@ -12,10 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Files are whole, or what they were."""
+"""Outputs are complete or what they were, and never replace what is protected."""
 
-import subprocess
-import sys
+import os
+import socket
+import stat
 
 from conftest import files_up_to
 import pytest
@@ -24,8 +25,16 @@ from rigid_body_ros.scene import InputError
 
 
 def write(path, text='new'):
-    with files.whole(path) as part:
+    with files.whole(path, '.json') as part:
         part.write_text(text)
+
+
+@pytest.fixture
+def umask():
+    """Set a umask that is not the usual one."""
+    before = os.umask(0o027)
+    yield
+    os.umask(before)
 
 
 def test_a_file_is_replaced_through_a_link(tmp_path):
@@ -50,32 +59,203 @@ def test_on_a_full_disk_a_file_is_what_it_was(tmp_path, before):
 
 
 def test_what_goes_wrong_while_writing_leaves_nothing(tmp_path):
-    with pytest.raises(KeyboardInterrupt), files.whole(tmp_path / 'file') as part:
+    with pytest.raises(KeyboardInterrupt), files.whole(tmp_path / 'file', '.json') as part:
         part.write_text('half')
         raise KeyboardInterrupt
     assert not list(tmp_path.iterdir())
 
 
-def test_a_device_stays_one(tmp_path):
-    with pytest.raises(InputError, match='/dev/full: cannot write: No space left on device'):
-        write('/dev/full')
-    write('/dev/null')
+def test_a_new_file_has_the_mode_of_the_umask_and_a_replaced_one_keeps_its_own(tmp_path, umask):
+    path = tmp_path / 'file'
+    for mode in (0o640, 0o600, 0o666):
+        if path.exists():
+            path.chmod(mode)
+        write(path)
+        assert stat.S_IMODE(path.stat().st_mode) == mode
 
 
-@pytest.mark.parametrize('folder', ['', '/'])
-def test_a_folder_refuses(tmp_path, folder):
-    with pytest.raises(InputError, match='cannot write: Is a directory'):
+def test_a_new_folder_has_the_mode_of_the_umask(tmp_path, umask):
+    part = files.Part(tmp_path / 'folder', files.FOLDER)
+    part.complete()
+    assert stat.S_IMODE((tmp_path / 'folder').stat().st_mode) == 0o750
+
+
+def test_a_file_that_is_replaced_stays_private_while_it_is_written(tmp_path):
+    path = tmp_path / 'file'
+    path.touch(0o600)
+    with files.whole(path, '.json') as part:
+        assert stat.S_IMODE(part.stat().st_mode) == 0o600
+
+
+def test_temporary_names_cannot_be_predicted(tmp_path):
+    names = set()
+    for _ in range(2):
+        with files.whole(tmp_path / 'file', '.json') as part:
+            names.add(part.name)
+    assert len(names) == 2
+
+
+def test_a_temporary_file_never_replaces_another(tmp_path, monkeypatch):
+    # What an attacker would do who guessed the name: have a link to somebody's file there.
+    monkeypatch.setattr('secrets.token_hex', lambda size: 'guessed')
+    other = tmp_path / 'other'
+    other.write_text('unchanged')
+    guessed = tmp_path / f'.file.guessed.{os.getpid()}.part'
+    guessed.symlink_to(other)
+    with pytest.raises(InputError, match='file: cannot write: File exists'):
+        write(tmp_path / 'file')
+    assert other.read_text() == 'unchanged'
+    assert guessed.is_symlink()
+
+
+@pytest.mark.parametrize('kind', ['file', 'folder'])
+def test_contents_are_on_the_disk_before_the_name(tmp_path, monkeypatch, kind):
+    # The order that a crash leaves the old or the new file by.
+    done = []
+
+    def noted(name, path_of=lambda argument: argument):
+        function = getattr(os, name)
+
+        def call(*arguments):
+            done.append((name, path_of(arguments[0])))
+            return function(*arguments)
+        monkeypatch.setattr(os, name, call)
+    noted('fsync', lambda handle: os.readlink(f'/proc/self/fd/{handle}'))
+    noted('replace', str)
+    part = files.Part(tmp_path / 'out', files.FOLDER if kind == 'folder' else '.json')
+    inside = [part.path / 'inside'] if kind == 'folder' else []
+    for path in inside or [part.path]:
+        path.write_text('new')
+    part.complete()
+    assert done == [*(('fsync', str(path)) for path in (*inside, part.path)),
+                    ('replace', str(part.path)), ('fsync', str(tmp_path))]
+
+
+@pytest.mark.parametrize('device', ['/dev/null', '/dev/full'])
+def test_a_device_is_refused(device):
+    with pytest.raises(InputError, match=f'{device}: expected a file to write, found a device'):
+        write(device)
+
+
+def test_a_pipe_is_refused_without_waiting_for_a_reader(tmp_path):
+    os.mkfifo(tmp_path / 'pipe')
+    with pytest.raises(InputError, match='pipe: expected a file to write, found a device, pipe'):
+        write(tmp_path / 'pipe')
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(tmp_path / 'socket'))
+    with pytest.raises(InputError, match='socket: expected a file to write'):
+        write(tmp_path / 'socket')
+
+
+@pytest.mark.parametrize('folder', ['', '/', '.'])
+def test_a_folder_is_refused(tmp_path, folder):
+    with pytest.raises(InputError, match='expected a file to write, found a folder'):
         write(folder or tmp_path)
 
 
-def test_a_pipe_takes_what_is_written():
-    script = ('from rigid_body_ros import files\n'
-              'with files.whole("/dev/stdout") as part:\n    part.write_text("new")')
-    result = subprocess.run([sys.executable, '-c', script], check=True, capture_output=True,
-                            text=True)
-    assert result.stdout == 'new'
+def test_a_read_only_file_is_refused(tmp_path):
+    path = tmp_path / 'file'
+    path.write_text('old')
+    path.chmod(0o444)
+    with pytest.raises(InputError, match='file: expected a file to write, found one that is read'):
+        write(path)
+    assert path.read_text() == 'old'
+
+
+@pytest.mark.parametrize(('name', 'message'), [
+    ('none/file', 'No such file or directory'), ('file/file', 'Not a directory'),
+    (300 * 'x', 'File name too long'), ('loop', 'Too many levels of symbolic links'),
+    ('/proc/file', 'No such file or directory')])
+def test_a_place_where_nothing_can_be_written_is_reported_before_any_work(tmp_path, name, message):
+    (tmp_path / 'file').touch()
+    (tmp_path / 'loop').symlink_to('loop')
+    before = set(tmp_path.iterdir())
+    with pytest.raises(InputError, match=message):
+        files.check((tmp_path / name, '.json'))
+    assert set(tmp_path.iterdir()) == before
 
 
 def test_a_name_may_be_as_long_as_names_can_be(tmp_path):
     write(tmp_path / (85 * '\u4e2d'))
     assert [path.read_text() for path in tmp_path.iterdir()] == ['new']
+
+
+@pytest.mark.parametrize('name', ['motion', 'run.1', 'run.1.mcap', '2024.11.22', 'a.MCAP', '.x'])
+def test_a_name_with_dots_is_a_name(tmp_path, name):
+    files.check((tmp_path / name, '.mcap' if name.lower().endswith('mcap') else files.FOLDER))
+
+
+@pytest.mark.parametrize('suffix', ['.csv', '.json', '.png', '.bag', '.db3', '.txt', '.PNG'])
+@pytest.mark.parametrize('expected', ['.mcap', files.FOLDER])
+def test_a_name_that_promises_another_format_is_refused(tmp_path, suffix, expected):
+    with pytest.raises(InputError, match=f'expected a name that .* found {suffix.lower()}'):
+        files.check((tmp_path / f'motion{suffix}', expected))
+
+
+def test_two_outputs_are_two_files(tmp_path):
+    (tmp_path / 'link').symlink_to('file')
+    with pytest.raises(InputError, match='link: would overwrite the output .*file'):
+        files.check((tmp_path / 'file', '.json'), (tmp_path / 'link', '.png'))
+    assert [path.name for path in tmp_path.iterdir()] == ['link']
+
+
+def test_what_changes_while_a_file_is_written_is_checked_again(tmp_path):
+    # The input takes the name of the output.
+    source, output = tmp_path / 'source', tmp_path / 'output'
+    source.write_text('input')
+    with pytest.raises(InputError, match='output: would overwrite the input .*source'), \
+            files.reading(source), files.whole(output, '.json') as part:
+        part.write_text('new')
+        source.rename(output)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ['input']
+
+
+def test_a_link_that_changes_while_a_file_is_written_leads_nowhere_else(tmp_path):
+    source, output = tmp_path / 'source', tmp_path / 'output'
+    source.write_text('input')
+    output.symlink_to('elsewhere')
+    with pytest.raises(InputError, match='would overwrite'), files.reading(source), \
+            files.whole(output, '.json'):
+        output.unlink()
+        output.symlink_to(source)
+    assert source.read_text() == 'input'
+
+
+def test_an_input_that_takes_the_place_of_the_target_of_a_link_is_not_replaced(tmp_path):
+    source, output = tmp_path / 'source', tmp_path / 'output'
+    source.write_text('input')
+    output.symlink_to('elsewhere')
+    with pytest.raises(InputError, match='would overwrite'), files.reading(source), \
+            files.whole(output, '.json'):
+        source.rename(tmp_path / 'elsewhere')
+        output.unlink()
+        output.symlink_to('another')
+    assert (tmp_path / 'elsewhere').read_text() == 'input'
+
+
+def test_what_is_read_no_longer_may_be_replaced(tmp_path):
+    path = tmp_path / 'file'
+    path.write_text('old')
+    with files.reading(path), pytest.raises(InputError):
+        write(path)
+    write(path)
+    assert path.read_text() == 'new'
+
+
+def test_journals_of_sqlite_are_read_with_their_file(tmp_path):
+    journal = tmp_path / 'bag.db3-wal'
+    journal.write_text('old')
+    with files.reading(tmp_path / 'bag.db3'), pytest.raises(InputError, match='overwrite the in'):
+        write(journal)
+
+
+def test_an_incomplete_file_gets_a_free_name(tmp_path):
+    taken = tmp_path / 'out.partial.mcap'
+    taken.symlink_to('missing')
+    for number in (2, 3):
+        part = files.Part(tmp_path / 'out.mcap', '.mcap')
+        part.path.write_text(str(number))
+        assert part.keep(part.path, '.mcap') == tmp_path / f'out.partial.{number}.mcap'
+        assert (tmp_path / f'out.partial.{number}.mcap').read_text() == str(number)
+        part.discard()
+    assert len(list(tmp_path.iterdir())) == 3

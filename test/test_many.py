@@ -22,11 +22,12 @@ import subprocess
 import sys
 import time
 
-from conftest import CONFIG, EPOCH_NS, RECORDINGS, SECOND
+from conftest import CONFIG, EPOCH_NS, RECORDINGS, ROOT, SECOND
 import numpy as np
 import pytest
 from rigid_body_ros import cli, messages, recording
-from rigid_body_ros.scene import InputError
+from rigid_body_ros.replay.many import outputs_in, replay_many
+from rigid_body_ros.scene import InputError, load
 
 SCENE = ['--scene', str(CONFIG / 'tumbler.yaml')]
 COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.cli import attitude_replay; '
@@ -111,9 +112,69 @@ def test_a_process_that_is_killed_is_told(tmp_path, two_long_ones):
                      f'{tmp_path / "a.mcap"}, {tmp_path / "b.mcap"}\n')
 
 
-def test_two_recordings_of_one_name_are_refused(tmp_path, capsys):
-    assert cli.attitude_replay(['a/x.mcap', 'b/x.csv', *SCENE, '-o', str(tmp_path)]) == 2
-    assert 'x.mcap: expected recordings of different names' in capsys.readouterr().err
+@pytest.mark.parametrize(('path', 'name'), [
+    ('run.1.mcap', 'run.1'), ('run.2.mcap', 'run.2'), ('x.mcap.zstd', 'x'), ('x.mcap.zst', 'x'),
+    ('x_0.db3.zstd', 'x_0'), ('x_0.db3', 'x_0'), ('a.b.csv', 'a.b'), ('a.CSV', 'a'),
+    ('bag', 'bag'), ('bags/run.1/', 'run.1'), ('bags/run.1/.', 'run.1'),
+    ('2024.11.22', '2024.11.22'), ('.mcap', '.mcap')])
+def test_a_motion_has_the_name_of_its_recording(path, name):
+    assert outputs_in('out', [path]) == [f'out/{name}.mcap']
+
+
+def test_recordings_whose_names_have_dots_are_different(tmp_path):
+    names = [tmp_path / name for name in ('run.1.csv', 'run.2.csv')]
+    for name in names:
+        name.write_text('1,0,0,0\n2,0.1,0,0\n')
+    outcomes = replay_many([*map(str, names)], load(SCENE[1]), tmp_path / 'out')
+    assert [outcome.error for outcome in outcomes] == ['', '']
+    assert sorted(path.name for path in (tmp_path / 'out').iterdir()) == [
+        'run.1.mcap', 'run.2.mcap']
+
+
+@pytest.mark.slow
+def test_the_script_that_ros2_run_starts_replays_several(tmp_path):
+    # Its processes import it again.
+    names = [tmp_path / name for name in ('a.csv', 'b.csv')]
+    for name in names:
+        name.write_text('1,0,0,0\n2,0.1,0,0\n')
+    result = subprocess.run([sys.executable, ROOT / 'scripts' / 'attitude_replay', *names, *SCENE,
+                             '-o', tmp_path / 'out'], capture_output=True, text=True, check=False,
+                            env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert (result.returncode, result.stderr) == (0, '')
+    assert result.stdout.splitlines()[-1] == '2 of 2 written'
+
+
+@pytest.mark.parametrize('paths', [['a/x.mcap', 'b/x.mcap'], ['a/x.mcap', 'a/x.csv'],
+                                   ['x.mcap', 'x.mcap'], ['a/x', 'b/x/']])
+def test_two_recordings_of_one_name_are_refused(tmp_path, capsys, paths):
+    assert cli.attitude_replay([*paths, *SCENE, '-o', str(tmp_path / 'out')]) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert (f'out/x.mcap: expected recordings of different names, found {paths[0]} and {paths[1]}'
+            in line)
+    assert not list(tmp_path.iterdir())
+
+
+def test_several_recordings_go_to_a_folder(tmp_path, capsys):
+    output = tmp_path / 'motion.mcap'
+    arguments = ['x.csv', 'y.csv', *SCENE, '-o', str(output)]
+    assert cli.attitude_replay(arguments) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert ('motion.mcap: expected a folder for several recordings, found a name that ends in '
+            '.mcap') in line
+    output.touch()
+    assert cli.attitude_replay(arguments) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_an_output_that_cannot_be_written_is_reported_beside_the_others(tmp_path):
+    names = [tmp_path / name for name in ('a.csv', 'b.csv')]
+    for name in names:
+        name.write_text('1,0,0,0\n2,0.1,0,0\n')
+    (tmp_path / 'out' / 'a.mcap').mkdir(parents=True)
+    first, second = replay_many([*map(str, names)], load(SCENE[1]), tmp_path / 'out')
+    assert 'a.mcap: expected a file to write, found a folder' in first.error
+    assert not second.error
+    assert sorted(path.name for path in (tmp_path / 'out').iterdir()) == ['a.mcap', 'b.mcap']
 
 
 def test_torques_as_text_are_read_to_the_nanosecond_and_the_last_bit(tmp_path):

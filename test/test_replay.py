@@ -224,14 +224,18 @@ def test_a_mistake_is_answered_by_one_line(name, message, tmp_path, output, caps
 
 @pytest.mark.parametrize(('arguments', 'message'), [
     (('-o', 'none/motion.mcap'), 'none/motion.mcap: cannot write: No such file or directory'),
-    (('-o', '.'), '.: expected a name that ends in .mcap, or one of no file or folder yet'),
-    (('-o', '/dev/null'), '/dev/null: expected a name that ends in .mcap, or one of no file'),
+    (('-o', '.'), '.: expected a name that ends in .mcap, or a new name for a folder; found one'),
+    (('-o', '/dev/null'), '/dev/null: expected a name that ends in .mcap, or a new name for a'),
+    (('-o', 'motion.csv'), 'motion.csv: expected a name that ends in .mcap, or one without a'),
+    (('-o', 'motion.mcap', '--plot', '/dev/full'), '/dev/full: expected a file to write, found a'),
+    (('-o', 'motion.mcap', '--plot', '.'), '.: expected a file to write, found a folder'),
+    (('-o', 'motion.mcap', '--plot', 'p.pdf'), 'p.pdf: expected a name that ends in .png, found'),
     (('-o', 'motion.mcap', '--until', '1e9'), '--until: expected an end that a ROS stamp can'),
     (('-o', 'motion.mcap', '--rate', '1e9'), '--rate: expected at most 100000000 outputs'),
-    (('-o', ISS[0]), 'expected another file for the output than for the input'),
-    (('-o', ISS[2]), 'expected another file for the output than for the scene'),
-    (('-o', 'motion.mcap', '--plot', ISS[2]), 'another file for the plot than for the scene'),
-    (('-o', 'motion.mcap', '--plot', 'motion.mcap'), 'for the plot than for the output'),
+    (('-o', ISS[0]), f'{ISS[0]}: would overwrite the input {ISS[0]}'),
+    (('-o', ISS[2]), f'{ISS[2]}: would overwrite the scene {ISS[2]}'),
+    (('-o', 'motion.mcap', '--plot', ISS[2]), f'{ISS[2]}: would overwrite the scene {ISS[2]}'),
+    (('-o', 'motion.mcap', '--plot', 'motion.mcap'), 'would overwrite the output motion.mcap'),
     (('-o', f'{ISS[0]}/x.mcap'), 'cannot write: Not a directory'),
     (('-o', 'x' * 300), 'cannot write: File name too long'),
     (('-o', 'motion.mcap', '--plot', 'none/p.png'), 'none/p.png: cannot write: No such file')])
@@ -240,6 +244,7 @@ def test_what_cannot_be_written_is_named(arguments, message, tmp_path, monkeypat
     assert cli.attitude_replay([*ISS, *arguments]) == 2
     line, = capsys.readouterr().err.splitlines()
     assert message in line
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_link_stays_a_link(tmp_path, output):
@@ -264,6 +269,20 @@ def test_wrong_arguments_are_answered_by_the_usage(arguments, output, capsys):
         cli.attitude_replay([*ISS, *(('-o', str(output)) if arguments else ()), *arguments])
     assert end.value.code == 2
     assert 'usage: attitude_replay' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(('option', 'first', 'second'), [
+    ('--topic', '/one', '/other'), ('-o', 'a.mcap', 'b.mcap'), ('--scene', 'a.yaml', 'b.yaml'),
+    ('--rate', '1', '2'), ('--also', 'imu', 'tf'), ('--interpolation', 'hold', 'hold')])
+def test_an_option_that_is_given_twice_is_refused(option, first, second, capsys):
+    assert cli.attitude_replay([ISS[0], option, first, option, second]) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert f'{option}: expected once, found with ' in line
+    assert first in line
+    assert second in line
+    assert cli.attitude_tradeoff(['--topic', 'a', '--scene', 'b', '--topic=c']) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert "--topic: expected once, found with 'a' and with 'c'" in line
 
 
 @pytest.mark.slow

@@ -18,18 +18,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-import os
 from pathlib import Path
 import struct
 from types import TracebackType
 from typing import NamedTuple
-import weakref
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.files import part_of
+from rigid_body_ros.files import Part, reported
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.container import Container, Indexed
@@ -65,18 +63,18 @@ class Column(NamedTuple):
 
 class Writer:
     """
-    Write an MCAP file.
+    Write an MCAP file, as a context manager.
 
-    As a context manager. The file gets its name when it is complete; where anything goes wrong
-    before, nothing is left, unless it is to be kept, and a file of that name stays as it was.
+    The file gets its name when it is complete. If writing fails before, a file of that name is
+    unchanged, and nothing is left unless it is to be kept.
 
     Parameters
     ----------
     path : str or Path
     keep_partial : bool
-        Where writing is interrupted or the disk is full, keep the chunks that were written, under
-        a name that ends in `.partial.mcap` and that the error tells: as the last argument of
-        KeyboardInterrupt, or in its message.
+        If writing is interrupted or fails, keep the chunks that were written under a new name
+        that ends in `.partial.mcap`. The exception has that name: KeyboardInterrupt as its last
+        argument, InputError in its message.
 
     Raises
     ------
@@ -85,13 +83,11 @@ class Writer:
 
     """
 
+    _suffix = '.mcap'
+
     def __init__(self, path: str | Path, keep_partial: bool = False) -> None:
         self._path = Path(path)
         self._keep_partial = keep_partial
-        # Where a link leads to, so that the link stays one.
-        self._target = Path(os.path.realpath(path))
-        self._part = part_of(self._target)
-        self._partial = self._target.with_suffix('.partial.mcap')
         self._channels: dict[str, int] = {}
         self._kinds: dict[str, MessageType] = {}
         self._sequence: dict[str, int] = {}
@@ -100,19 +96,20 @@ class Writer:
         self._waiting: list[tuple[int, int, int]] = []
 
     def __enter__(self) -> Writer:
-        # From before there is a file, and at the latest when Python ends: a signal may come
-        # between any two lines.
-        self._remove_part = weakref.finalize(self, _remove, self._part)
-        try:
-            if self._target.exists() and not self._target.is_file():
-                kind = 'a folder' if self._target.is_dir() else 'something else'
-                raise InputError(f'{self._path}: expected a file to write, found {kind}')
-            self._stream = open(self._part, 'wb')
-            self._container = Container(self._stream, 'rigid_body_ros')
-        except OSError as error:
-            self._remove_part()
-            raise InputError(f'{self._path}: cannot write: {error.strerror}') from error
+        with reported(self._path):
+            self._part = Part(self._path, self._suffix)
+            self._file = self._file_of(self._part)
+            try:
+                self._stream = open(self._file, 'wb')
+                self._container = Container(self._stream, 'rigid_body_ros')
+            except OSError:
+                self._part.discard()
+                raise
         return self
+
+    def _file_of(self, part: Part) -> Path:
+        """Return where the messages are written."""
+        return part.path
 
     def add_topic(self, topic: str, kind: MessageType) -> None:
         """Announce a topic; to be done once, before its messages."""
@@ -196,34 +193,36 @@ class Writer:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
+        failure: OSError | InputError | None = error if isinstance(error, OSError) else None
+        kept = ''
         try:
             if error is None:
-                self._flush()
-                self._container.finish()
-                self._stream.close()
-                os.replace(self._part, self._target)
-        except OSError as failure:
-            error = failure
+                self._finish()
+                self._part.complete()
+        except (OSError, InputError) as refused:
+            failure = refused
         finally:
             self._container.close()
             with suppress(OSError):  # closing flushes, which fails again on a full disk
                 self._stream.close()
-            kept = self._kept_partial() if isinstance(error, (KeyboardInterrupt, OSError)) else ''
-            self._remove_part()
+            if failure or isinstance(error, KeyboardInterrupt):
+                kept = self._kept_partial()
+            self._part.discard()
         if isinstance(error, KeyboardInterrupt) and kept:
             error.args += (kept,)
-        if isinstance(error, OSError):
-            raise InputError(f'{self._path}: cannot write: {error.strerror}{kept}') from error
+        if isinstance(failure, OSError):
+            raise InputError(f'{self._path}: cannot write: {failure.strerror}{kept}') from failure
+        if failure:
+            raise InputError(f'{failure}{kept}') from failure
+
+    def _finish(self) -> None:
+        """Write what makes the recording complete."""
+        self._flush()
+        self._container.finish()
+        self._stream.close()
 
     def _kept_partial(self) -> str:
-        if not self._keep_partial or not self._container.has_chunks:
-            return ''
-        with suppress(OSError):
-            os.replace(self._part, self._partial)
-            return f'; what was written so far is in {self._partial}'
+        if self._keep_partial and self._container.has_chunks:
+            with suppress(OSError):
+                return f'; what was written so far is in {self._part.keep(self._file, ".mcap")}'
         return ''
-
-
-def _remove(part: Path) -> None:
-    with suppress(FileNotFoundError, NotADirectoryError):
-        part.unlink()

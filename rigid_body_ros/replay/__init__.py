@@ -26,6 +26,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 import json
 from pathlib import Path
+import sys
 import time
 from typing import Any
 
@@ -44,7 +45,7 @@ from rigid_body_ros.torque import TorqueLog
 from tqdm import tqdm
 
 __all__ = ['ANGULAR_VELOCITY', 'ATTITUDE', 'EULER_ANGLES', 'Replay', 'bar', 'end_of',
-           'plot', 'read', 'replay']
+           'plot', 'read', 'replay', 'suffix_of']
 
 ATTITUDE, EULER_ANGLES, ANGULAR_VELOCITY = '/attitude', '/euler_angles', '/angular_velocity'
 _TOPICS = {ATTITUDE: messages.QUATERNION, EULER_ANGLES: messages.VECTOR3,
@@ -125,8 +126,9 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     scene : Scene
         Where its start_time is 0, the motion starts at the stamp of the first torque.
     output : str or Path, optional
-        MCAP file, or without that ending folder of rosbag2, to write attitude, Euler angles and
-        angular velocity to.
+        Where to write attitude, Euler angles and angular velocity: an MCAP file, or, if the name
+        does not end in .mcap, a new folder of rosbag2. It is neither the recording nor the file
+        of the scene, under any name, nor inside the folder of a bag that is read.
     topic : str, optional
         May be left out where only one topic has torques.
     interpolation : str, optional
@@ -157,18 +159,27 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
             raise InputError(f'also: expected some of {", ".join((*_ALSO, INPUT))}, '
                              f'found {name!r}')
     keep = output is None if keep is None else keep
-    for prepare in bar('kernels, compiled on first use')([warm_up], 1):
-        prepare()
     asked = Asked(path, scene, interpolation or scene.values['interpolation'], rate, until, also)
-    with Source(path, topic, recording.TORQUES, time_source, start) as source:
-        if INPUT in also:
-            source.check_copied(_topics(also))
-        if not keep:
-            try:
-                return _replayed(asked, source, _pieces, output)
-            except NotInOrderError:
-                pass  # then as a whole
-        return _replayed(asked, source, _whole, output, keep)
+    with files.reading(path), files.protected('scene', scene.path):
+        if output is not None:
+            files.check((output, suffix_of(output)))
+        for prepare in bar('kernels, compiled on first use')([warm_up], 1):
+            prepare()
+        with Source(path, topic, recording.TORQUES, time_source, start) as source:
+            if INPUT in also:
+                source.check_copied(_topics(also))
+            if not keep:
+                try:
+                    return _replayed(asked, source, _pieces, output)
+                except NotInOrderError:
+                    pass  # then as a whole
+            return _replayed(asked, source, _whole, output, keep)
+
+
+def suffix_of(output: str | Path) -> str:
+    """Return what a motion is written as: '.mcap', or `files.FOLDER` for a bag of rosbag2."""
+    name = Path(output).name.lower()  # as rosbag2 has it
+    return '.mcap' if name.endswith('.mcap') else files.FOLDER
 
 
 def read(path: str | Path, scene: Scene, topic: str | None = None,
@@ -194,9 +205,9 @@ def bar(label: str, unit: str = ' stamps',
         size: Callable[[Any], int] = lambda item: 1) -> recording.Track:
     """Return what shows the progress through items of some size, where somebody watches."""
     def track(items: Iterable[Any], total: int) -> Iterator[Any]:
-        # disable=None: no bar where standard error is no terminal.
+        # disable=None: no bar if standard error is not a terminal.
         with tqdm(None, label, total, unit=unit, unit_scale=True, leave=False,
-                  disable=None) as shown:
+                  disable=True if sys.stderr is None else None) as shown:
             for item in items:
                 yield item
                 shown.update(size(item))
@@ -218,7 +229,7 @@ def plot(path: str | Path, result: Replay, title: str) -> None:
     assert result.trajectory is not None
     assert result.log is not None
     sequence = result.scene.values['euler_sequence']
-    with files.whole(path) as part:
+    with files.whole(path, '.png') as part:
         plots.motion(part, result.trajectory, result.log, sequence, title,
                      result.scene.timeout_ns)
 
@@ -301,8 +312,7 @@ def _take(result: Replay, stretch: Stretch) -> None:
 
 
 def _writer(output: str | Path) -> recording.Writer:
-    # As rosbag2 has it: a name that does not end in .mcap is that of a folder.
-    kind = recording.Writer if str(output).endswith('.mcap') else recording.FolderWriter
+    kind = recording.FolderWriter if suffix_of(output) == files.FOLDER else recording.Writer
     return kind(output, keep_partial=True)
 
 

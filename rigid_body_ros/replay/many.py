@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from contextlib import closing, redirect_stderr, suppress
+from contextlib import closing, ExitStack, redirect_stderr, suppress
 from dataclasses import dataclass
 from functools import partial
 import io
@@ -25,10 +25,11 @@ import multiprocessing
 from multiprocessing.connection import Connection, wait
 import os
 from pathlib import Path
+import re
 import threading
 from typing import Any
 
-from rigid_body_ros import interrupts
+from rigid_body_ros import files, interrupts
 from rigid_body_ros.replay import bar, replay
 from rigid_body_ros.scene import InputError, Scene
 from tqdm import tqdm
@@ -55,16 +56,16 @@ class Outcome:
 def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
                 **options: Any) -> list[Outcome]:
     """
-    Replay recordings into a folder, as files of their names.
+    Replay recordings into a folder, as files of their names (see `outputs_in`).
 
     Parameters
     ----------
     paths : sequence of str
-        Each goes to a file NAME.mcap, where NAME is its own up to the first dot.
+        The recordings.
     scene : Scene
         One for all of them.
     folder : str or Path
-        Made if it is not there.
+        Created if it does not exist.
     options
         As of `replay`.
 
@@ -76,21 +77,48 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
     Raises
     ------
     InputError
-        The folder cannot be made, or two outputs would have one name.
+        The folder cannot be created, two outputs would have one name, or one of them would
+        replace a recording or the scene, or lie inside the folder of a bag that is read.
 
     """
-    outputs = [str(Path(folder) / f'{Path(path).name.split(".")[0]}.mcap') for path in paths]
-    twice = [name for name in outputs if outputs.count(name) > 1]
-    if twice:
-        raise InputError(f'{twice[0]}: expected recordings of different names, found two that '
-                         'would be written there')
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f'{folder}: cannot write: {error.strerror}') from error
-    with closing(_side_by_side([*zip(paths, outputs)], scene, options)) as outcomes:
-        done = list(bar('recordings', ' files')(outcomes, len(paths)))
+    with files.reading(*paths), files.protected('scene', scene.path):
+        outputs = outputs_in(folder, paths)
+        with files.reported(folder):
+            Path(folder).mkdir(parents=True, exist_ok=True)
+        with closing(_side_by_side([*zip(paths, outputs)], scene, options)) as outcomes:
+            done = list(bar('recordings', ' files')(outcomes, len(paths)))
     return sorted(done, key=lambda outcome: outputs.index(outcome.output))
+
+
+def outputs_in(folder: str | Path, paths: Sequence[str]) -> list[str]:
+    """
+    Return where the motions of recordings go: to FOLDER/NAME.mcap.
+
+    NAME is that of the recording without `.mcap`, `.db3` or `.csv`, and without `.zst` or `.zstd`
+    after it. Any other dot is part of the name.
+
+    Raises
+    ------
+    InputError
+        Two recordings have one name, the folder has the name of a file, or an output is
+        protected (see `files.protected`).
+
+    """
+    suffix = files.format_of(folder)
+    if suffix and not os.path.isdir(folder):
+        raise InputError(f'{folder}: expected a folder for several recordings, found a name that '
+                         f'ends in {suffix}')
+    outputs: dict[str, str] = {}
+    with ExitStack() as earlier:
+        for path in paths:
+            output = str(Path(folder) / f'{_name(path)}.mcap')
+            if output in outputs:
+                raise InputError(f'{output}: expected recordings of different names, found '
+                                 f'{outputs[output]} and {path}')
+            files.check_apart(output)
+            earlier.enter_context(files.protected('output', output))
+            outputs[output] = path
+    return [*outputs]
 
 
 def table(outcomes: Sequence[Outcome]) -> str:
@@ -102,6 +130,11 @@ def table(outcomes: Sequence[Outcome]) -> str:
     return '\n'.join([*lines, f'{len(outcomes) - failed} of {len(outcomes)} written'])
 
 
+def _name(path: str) -> str:
+    name = os.path.basename(os.path.abspath(path))  # of '.' that of the folder
+    return re.sub(r'(?<=.)(\.(mcap|db3|csv))?(\.zstd?)?$', '', name, flags=re.IGNORECASE)
+
+
 def _side_by_side(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
                   ) -> Generator[Outcome]:
     """Generate what becomes of each, in the order in which processes get through."""
@@ -111,7 +144,7 @@ def _side_by_side(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
     try:
         while waiting or busy:
             while waiting and len(busy) < (os.cpu_count() or 1):
-                busy.append(idle.pop() if idle else _Worker())
+                busy.append(idle.pop() if idle else _Worker([path for path, _ in tasks]))
                 busy[-1].begin(waiting.pop(), scene, options)
             ready = wait([worker.connection for worker in busy], _HEED_EVERY)
             for worker in [worker for worker in busy if worker.connection in ready]:
@@ -129,13 +162,21 @@ def _side_by_side(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
 
 
 class _Worker:
-    """A process that replays recordings, one at a time."""
+    """
+    A process that replays recordings, one at a time.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    inputs : sequence of str
+        All recordings, which no output may replace.
+
+    """
+
+    def __init__(self, inputs: Sequence[str]) -> None:
         # Spawned: a fork would take over half of what threads of this process are about.
         context = multiprocessing.get_context('spawn')
         self.connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self._process = context.Process(target=_serve, args=(theirs, inputs), daemon=True)
         with interrupts.kept_from_children():
             self._process.start()
         theirs.close()  # or the end of the process would not be seen
@@ -166,10 +207,11 @@ class _Worker:
         self._process.join()
 
 
-def _serve(connection: Connection) -> None:
+def _serve(connection: Connection, inputs: Sequence[str]) -> None:
     # What it would take otherwise is left over where a process is killed.
     tqdm.set_lock(threading.RLock())
-    with suppress(KeyboardInterrupt), interrupts.listening(to_the_end=True):
+    with suppress(KeyboardInterrupt), interrupts.listening(to_the_end=True), \
+            files.reading(*inputs):
         for work in iter(partial(_received, connection), None):
             with redirect_stderr(io.StringIO()):  # one progress bar is enough
                 outcome = _outcome(*work)
