@@ -22,6 +22,7 @@ import numpy as np
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter
 from rigid_body_ros import messages, propagate, recording, scene
+from rigid_body_ros.replay.verify import verify
 
 TUMBLER = CONFIG / 'tumbler.yaml'
 
@@ -48,6 +49,9 @@ def replayed(tmp_path, live):
     log = recording.torque_log('live.mcap', accepted, run.values['body_frame'],
                                run.values['space_frame'])
     committed = recording.read(tmp_path / 'live.mcap', COMMITTED, messages.ODOMETRY)
+    # Also for the log of a real node: it has all torques of the states.
+    verify(tmp_path / 'live.mcap', run, tmp_path / 'live.mcap', topic=ACCEPTED,
+           motion_topic=COMMITTED)
     # The start of an epoch is the last state of that stamp: those before are of other epochs.
     begin = int(np.flatnonzero(committed.stamps_ns == run.start.time_ns)[-1])
     stamps_ns, values = committed.stamps_ns[begin:], live_values(committed)[begin:]

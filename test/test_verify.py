@@ -12,14 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""attitude_replay --verify: a motion comes out again to the last bit, or it is told where not."""
+"""attitude_replay --verify: a motion comes out again to the last bit, or the differences."""
 
+from dataclasses import replace
 import json
 
 from conftest import CONFIG, RECORDINGS
 import numpy as np
 import pytest
-from rigid_body_ros import cli, messages, recording, scene
+from rigid_body_ros import cli, messages, propagate, recording, scene, State, TorqueLog
 from rigid_body_ros.fingerprint import fingerprint
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.verify import verify
@@ -91,13 +92,126 @@ def test_a_fingerprint_that_is_damaged_is_unknown(tmp_path):
             name: ('unknown', version) for name, version in fingerprint().items()}
 
 
+def test_differing_bits_end_with_status_1(tmp_path, capsys):
+    replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion.mcap')
+    other = {**fingerprint(), 'processor': 'arm64 cortex-a72'}
+
+    def nudged(values):
+        values[1:] = np.nextafter(values[1:], 2.0)
+        return values
+    path = rewritten(tmp_path / 'motion.mcap', tmp_path / 'nudged.mcap', nudged,
+                     {'fingerprint': json.dumps(other)})
+    arguments = [str(TUMBLER), '--scene', str(SCENE), '--verify', str(path)]
+    assert cli.attitude_replay(arguments) == 1
+    captured = capsys.readouterr()
+    assert 'same bits     1 of 3001' in captured.out
+    assert 'rad\nmade by       processor arm64 cortex-a72, here ' in captured.out
+    assert not captured.err
+
+
+STAMPS = 1_000_000_000 + np.arange(50) * 20_000_000
+START_NS = 900_000_000
+
+
+def node_log(folder, *, torques_from=0, without=(), states_from=0, start_time=START_NS):
+    """Write what a node logs of a run; return its path and that of a scene with a start time."""
+    config = folder / 'run.yaml'
+    config.write_text(f'{SCENE.read_text()}    start_time: {start_time}\n')
+    run = scene.load(SCENE)
+    start = replace(run.start, time_ns=START_NS)
+    values = 0.01 * np.random.default_rng(3).normal(size=(len(STAMPS), 3))
+    motion = propagate(run.body, start, TorqueLog(STAMPS, values), at=[START_NS, *STAMPS],
+                       **run.options)
+    with recording.Writer(folder / 'run.mcap') as writer:
+        writer.add_topic('/accepted_torque', messages.WRENCH)
+        writer.add_topic('/committed', messages.ODOMETRY)
+        for row in range(torques_from, len(STAMPS)):
+            if row not in without:
+                stamp_ns = int(STAMPS[row])
+                writer.write('/accepted_torque', stamp_ns,
+                             messages.wrench(stamp_ns, 'base_link', values[row]))
+        for state in motion_states(motion)[states_from:]:
+            writer.write('/committed', state.time_ns,
+                         messages.odometry(state, 'world', 'base_link'))
+    return str(folder / 'run.mcap'), str(config)
+
+
+def motion_states(motion):
+    return [State(int(time_ns), attitude, rates) for time_ns, attitude, rates in zip(
+        motion.times_ns, motion.attitude, motion.angular_velocity)]
+
+
+def verified(log, config):
+    return cli.attitude_replay([log, '--scene', config, '--verify', log])
+
+
+def test_the_log_of_a_node_comes_out_again(tmp_path, capsys):
+    assert verified(*node_log(tmp_path)) == 0
+    assert 'same bits     51 of 51' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(('missing', 'message'), [
+    # The recorder of the torques started late.
+    ({'torques_from': 7}, 'expected a torque at each state, found none at 7 of 51, first at '
+     f'{STAMPS[0]} ns: the beginning of the torque log is missing'),
+    ({'torques_from': 7, 'start_time': 0},
+     f'expected the attitude of the scene at the start, {STAMPS[7]} ns, found one 0.15 rad away: '
+     'the recorder started late, or the scene, with its start_time, is not that of the run'),
+    ({'start_time': 0},
+     f'expected the attitude of the scene at the start, {STAMPS[0]} ns, found one 0.063 rad'),
+    ({'without': (20, 21)}, 'expected a torque at each state, found none at 2 of 51, first at '
+     f'{STAMPS[20]} ns: a part of the torque log is missing'),
+    # The recorder of both started late.
+    ({'torques_from': 7, 'states_from': 8}, f'expected the start of the motion, at {START_NS} ns, '
+     f'found states from {STAMPS[7]} ns on: the recorder started late, or the scene, with'),
+    ({'torques_from': 7, 'states_from': 8, 'start_time': 0},
+     f'expected the attitude of the scene at the start, {STAMPS[7]} ns, found one '),
+    ({'states_from': 51}, f'expected states from {START_NS} ns on, found none'),
+    ({'start_time': START_NS + 5}, 'expected states from the start_time of the scene, '
+     f'{START_NS + 5} ns, on, found one at {START_NS} ns')
+], ids=str)
+def test_a_log_that_is_not_complete_is_recognized(tmp_path, capsys, missing, message):
+    assert verified(*node_log(tmp_path, **missing)) == 2
+    captured = capsys.readouterr()
+    line, = captured.err.splitlines()
+    assert f'run.mcap: /committed: {message}' in line
+    assert not captured.out
+
+
+def test_torques_that_begin_after_a_motion_are_recognized(tmp_path, capsys):
+    replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion.mcap')
+    read = recording.read(TUMBLER)
+    with recording.Writer(tmp_path / 'late.mcap') as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        for stamp_ns, values in zip(read.stamps_ns[100:].tolist(), read.values[100:]):
+            writer.write('/torque', stamp_ns, messages.wrench(stamp_ns, '', values[3:]))
+    assert cli.attitude_replay([str(tmp_path / 'late.mcap'), '--scene', str(SCENE), '--verify',
+                                str(tmp_path / 'motion.mcap')]) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert (f'expected states from the first torque, {read.stamps_ns[100]} ns, on, found one at '
+            f'{read.stamps_ns[0]} ns: the beginning of the torque log is missing') in line
+
+
+def test_torques_that_came_after_the_last_committed_state_are_no_gap(tmp_path):
+    path, config = node_log(tmp_path)
+    with recording.Writer(tmp_path / 'more.mcap') as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        read = recording.read(path)
+        for stamp_ns, values in zip(read.stamps_ns.tolist(), read.values):
+            writer.write('/torque', stamp_ns, messages.wrench(stamp_ns, '', values[3:]))
+        writer.write('/torque', stamp_ns + 5, messages.wrench(stamp_ns + 5, '', np.ones(3)))
+    more = str(tmp_path / 'more.mcap')
+    assert cli.attitude_replay([more, '--scene', config, '--verify', path]) == 0
+
+
 def test_a_motion_from_before_the_start_is_refused(tmp_path, capsys):
     path = tmp_path / 'early.mcap'
     with recording.Writer(path) as writer:
         writer.add_topic('/attitude', messages.QUATERNION)
         writer.write('/attitude', 5, messages.QUATERNION.encode(5, '', [0, 0, 0, 1]))
     assert cli.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '--verify', str(path)]) == 2
-    assert 'early.mcap: /attitude: expected states from the start' in capsys.readouterr().err
+    line, = capsys.readouterr().err.splitlines()
+    assert 'early.mcap: /attitude: expected states from the first torque' in line
 
 
 def test_a_folder_is_what_rosbag2_wants(tmp_path):

@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages, recording, so3
+from rigid_body_ros.body import State
 from rigid_body_ros.errors import shortened
 from rigid_body_ros.fingerprint import fingerprint, NAME
 from rigid_body_ros.propagate import propagate
@@ -30,9 +31,12 @@ from rigid_body_ros.recording import Source
 from rigid_body_ros.replay import read
 from rigid_body_ros.scene import InputError, Scene
 from rigid_body_ros.so3 import Floats
+from rigid_body_ros.torque import TorqueLog
 
 #: Where a node records its states, and a replay its attitude.
 _KINDS = (messages.ODOMETRY, messages.QUATERNION)
+#: rad; a first attitude that is further from the start of the scene has another origin.
+_SAME_START = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,22 +95,60 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *, topic: st
     begun = np.flatnonzero(recorded.stamps_ns == start.time_ns)
     # A node records the start of each epoch: what comes before the last is of others.
     first = int(begun[-1]) if is_state and begun.size else 0
-    stamps = recorded.stamps_ns[first:]
-    if not stamps.size or stamps.min() < start.time_ns:
-        raise InputError(f'{motion_path}: {source.topic}: expected states from the start of the '
-                         f'scene, {start.time_ns} ns, on, found '
-                         f'{f"one at {stamps.min()} ns" if stamps.size else "none"}')
+    stamps, values = recorded.stamps_ns[first:], recorded.values[first:]
+    try:
+        _check_begins(start, log, stamps)
+        if is_state:
+            _check_complete(start, log, stamps, values[0, messages.ORIENTATION])
+    except InputError as error:
+        raise InputError(f'{motion_path}: {source.topic}: {error}') from error
     motion = propagate(scene.body, start, log, at=stamps, **scene.options)
-    attitude = recorded.values[first:, messages.ORIENTATION] if is_state else \
-        recorded.values[first:]
+    attitude = values[:, messages.ORIENTATION] if is_state else values
     found, expected = attitude, motion.attitude
     if is_state:
-        rates = recorded.values[first:, messages.ANGULAR_VELOCITY]
-        found = np.hstack([attitude, rates])
+        found = np.hstack([attitude, values[:, messages.ANGULAR_VELOCITY]])
         expected = np.hstack([motion.attitude, motion.angular_velocity])
     same = np.all(np.ascontiguousarray(found).view(np.int64) == expected.view(np.int64), axis=1)
-    return Verified(source.topic, stamps, same, so3.angle_between(attitude, motion.attitude),
-                    _differences(made_by))
+    apart = so3.angle_between(attitude, motion.attitude)
+    return Verified(source.topic, stamps, same, apart, _differences(made_by))
+
+
+def _check_begins(start: State, log: TorqueLog, stamps_ns: NDArray[np.int64]) -> None:
+    """Raise InputError if a recorded motion has no states, or begins before its torques."""
+    if not stamps_ns.size:
+        raise InputError(f'expected states from {start.time_ns} ns on, found none')
+    first_ns, torque_ns = int(stamps_ns.min()), int(log.times_ns[0])
+    if first_ns >= start.time_ns:
+        return
+    if start.time_ns == torque_ns:
+        raise InputError(
+            f'expected states from the first torque, {torque_ns} ns, on, found one at {first_ns} '
+            'ns: the beginning of the torque log is missing, or start_time of the scene')
+    raise InputError(f'expected states from the start_time of the scene, {start.time_ns} ns, on, '
+                     f'found one at {first_ns} ns')
+
+
+def _check_complete(start: State, log: TorqueLog, stamps_ns: NDArray[np.int64],
+                    first: Floats) -> None:
+    """
+    Raise InputError if the committed states of a node, or their torques, are incomplete.
+
+    A node commits the start of an epoch first, then the state at every torque that it accepted.
+    """
+    late = 'the recorder started late, or the scene, with its start_time, is not that of the run'
+    if start.time_ns not in stamps_ns:
+        raise InputError(f'expected the start of the motion, at {start.time_ns} ns, found states '
+                         f'from {stamps_ns.min()} ns on: {late}')
+    apart = float(so3.angle_between(first, start.attitude))
+    if apart > _SAME_START:
+        raise InputError(f'expected the attitude of the scene at the start, {start.time_ns} ns, '
+                         f'found one {apart:.2g} rad away: {late}')
+    missing = np.setdiff1d(stamps_ns, [start.time_ns, *log.times_ns])
+    if missing.size:
+        where = 'the beginning' if missing[0] < log.times_ns[0] else 'a part'
+        raise InputError(
+            f'expected a torque at each state, found none at {missing.size} of {stamps_ns.size}, '
+            f'first at {missing[0]} ns: {where} of the torque log is missing')
 
 
 def summary(result: Verified) -> str:
