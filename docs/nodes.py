@@ -183,9 +183,19 @@ attitude_tradeoff --scene FILE
 
 ## Exit status
 
-0; 2 after a mistake in what was given, with one line that names it; 128 + n where signal n ended
-a command.
+{exits}
 """
+
+#: By exit status, its meaning.
+EXITS = [
+    ('0', 'success'),
+    ('1', '`--verify` found states whose bits differ; the summary has by how many radians'),
+    ('2', 'wrong arguments, an input that cannot be read, or an output that cannot be written, '
+          'with one line that names it'),
+    ('128 + n', 'signal n ended the command: 130 after Ctrl-C, 143 after SIGTERM (`attitude_node` '
+                'ends with 0); 141, without a message, if the reader of the output is gone, as in '
+                '`attitude_replay ... | head`'),
+]
 
 
 def main():
@@ -195,7 +205,8 @@ def main():
         parameters=table(('parameter', 'unit', 'default', 'values', 'meaning'), [
             (f'`{parameter.name}`', parameter.unit, default(parameter), values(parameter),
              parameter.description) for parameter in scene.PARAMETERS.values()]),
-        replay=options(cli.replay_parser()), tradeoff=options(cli.tradeoff_parser())), end='')
+        replay=options(cli.replay_parser()), tradeoff=options(cli.tradeoff_parser()),
+        exits=table(('status', 'meaning'), EXITS)), end='')
 
 
 def topics(listed):
