@@ -229,17 +229,16 @@ def checked(parameter: Parameter, given: Any) -> Any:
         raise InputError(f'{name}: missing; expected a number{unit}: {parameter.description}')
     value = float(given) if parameter.value_type is float and type(given) is int else given
     # A bool is an int to Python.
-    wrong = (isinstance(value, bool) is not (parameter.value_type is bool)
-             or not isinstance(value, parameter.value_type))
-    if wrong:
+    if (isinstance(value, bool) is not (parameter.value_type is bool)
+            or not isinstance(value, parameter.value_type)):
         kind = {float: 'a number', int: 'an integer', str: 'a text',
                 bool: 'true or false'}[parameter.value_type]
         in_quotes = isinstance(value, str) and _FLOAT.fullmatch(value)
         raise InputError(f'{name}: expected {kind}{unit}, found {quoted(value)}' + (
             '; leave out the quotes' if in_quotes else f': {parameter.description}'))
     if parameter.choices and value not in parameter.choices:
-        raise InputError(f'{name}: expected one of {", ".join(parameter.choices)}, '
-                         f'found {quoted(value)}')
+        choices = ', '.join(parameter.choices)
+        raise InputError(f'{name}: expected one of {choices}, found {quoted(value)}')
     if parameter.interval and not parameter.interval[0] <= value <= parameter.interval[1]:
         raise InputError(f'{name}: expected {limits(*parameter.interval)}{unit}, found {value}')
     return value
@@ -283,8 +282,8 @@ def _check_together(values: Mapping[str, Any]) -> None:
         if '\0' in values[name] or values[name].encode(errors='ignore').decode() != values[name]:
             raise InputError(f'{name}: expected text in UTF-8, found {quoted(values[name])}')
     if values['space_frame'] == values['body_frame']:
-        raise InputError('space_frame, body_frame: expected two names, '
-                         f'found {quoted(values["body_frame"])} twice')
+        found = quoted(values['body_frame'])
+        raise InputError(f'space_frame, body_frame: expected two names, found {found} twice')
     if values['mode'] == LOCKSTEP and values['time_source'] == ARRIVAL:
         raise InputError('time_source: expected header in lockstep, which goes by stamps, '
                          f'found {ARRIVAL!r}')
@@ -320,8 +319,8 @@ def _unknown(name: str, value: Any) -> str:
     if parts:
         return f'{name}: expected {", ".join(parts)} below it, found {quoted(value)}'
     close = difflib.get_close_matches(name, PARAMETERS, 1)
-    hint = f'did you mean {close[0]}?' if close else f'expected one of {listed(PARAMETERS)}'
-    return f'{name}: unknown key; {hint}'
+    return f'{name}: unknown key; ' + (
+        f'did you mean {close[0]}?' if close else f'expected one of {listed(PARAMETERS)}')
 
 
 def _parameters(root: yaml.Node | None) -> dict[str, Any]:
@@ -332,8 +331,8 @@ def _parameters(root: yaml.Node | None) -> dict[str, Any]:
     if not ours and '**' not in names:
         ours = names  # of a renamed node
     if len(ours) > 1 or not names:
-        raise InputError(f'expected parameters of /** or of one {NODE}, found those of '
-                         f'{listed(sorted(names)) if names else "no node"}')
+        found = listed(sorted(names)) if names else 'no node'
+        raise InputError(f'expected parameters of /** or of one {NODE}, found those of {found}')
     values: dict[str, Any] = {}
     for name, entry in sorted(nodes, key=lambda node: node[0] != '**'):
         if name == '**' or name in ours:
@@ -348,9 +347,8 @@ def _nodes(node: yaml.Node | None, prefix: str) -> list[tuple[str, yaml.Node]]:
         if key == 'ros__parameters' and prefix:
             found.append((prefix, value))
         elif prefix and isinstance(value, yaml.ScalarNode):
-            raise InputError(f'{prefix}: expected /**: and ros__parameters: above '
-                             f'what is for a node, found {shortened(key, 60)}: '
-                             f'{shortened(value.value, 60)}')
+            raise InputError(f'{prefix}: expected /**: and ros__parameters: above what is for a '
+                             f'node, found {shortened(f"{key}: {value.value}", 100)}')
         else:  # a node, or a namespace
             found += _nodes(value, f'{prefix}/{key.strip("/")}'.strip('/'))
     return found
@@ -362,8 +360,8 @@ def _entries(node: yaml.Node | None, what: str) -> list[tuple[str, yaml.Node]]:
         raise InputError(f'{what}: expected keys and values (/**: ros__parameters: inertia: ...)')
     for key, _ in node.value:
         if not isinstance(key, yaml.ScalarNode):
-            raise InputError(f'{what}: expected names as keys, found a group at line '
-                             f'{key.start_mark.line + 1}')
+            line = key.start_mark.line + 1
+            raise InputError(f'{what}: expected names as keys, found a group at line {line}')
         if len(what) + len(key.value) > _LONGEST:
             raise InputError(f'{shortened(what, 60)}: expected names of at most {_LONGEST} '
                              f'characters in all, found {quoted(key.value)}')

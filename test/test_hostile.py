@@ -34,7 +34,6 @@ from mcap.records import Chunk
 import numpy as np
 import pytest
 from rigid_body_ros import cli, messages, recording, scene
-from rigid_body_ros.errors import InputError, listed, LONGEST, quoted, reason, shortened
 from rigid_body_ros.recording import bulk, mcap_file, source, unpack
 from rigid_body_ros.replay import replay
 import yaml
@@ -385,36 +384,3 @@ def test_a_damaged_metadata_record_is_named(tmp_path):
         assert cli.attitude_replay(arguments) == 2
     line, = printed.getvalue().splitlines()
     assert f'motion.mcap: damaged metadata record at byte {place} (' in line
-
-
-# Errors
-
-def test_an_error_is_one_line_of_bounded_length():
-    found = str(InputError('here: ' + 'a\n\x1b\ud800' * 10_000 + ' there'))
-    assert len(found) == LONGEST
-    assert found.isprintable()
-    assert found.startswith(r'here: a\n\x1b\ud800a')
-    assert found.endswith(' there')
-    assert str(InputError(found)) == found
-    assert str(InputError('Flügel/機体: 3 µN m')) == 'Flügel/機体: 3 µN m'
-
-
-@pytest.mark.parametrize('value', [
-    'x' * 10 ** 7, b'x' * 10 ** 7, ['x' * 10 ** 6] * 1000, {str(k): 'x' * 999 for k in range(999)},
-    [[[[[[['x' * 999]]]]]]], [*range(10 ** 6)]], ids=lambda value: type(value).__name__)
-def test_what_is_quoted_is_short(value):
-    assert len(quoted(value)) < 1000
-
-
-def test_of_many_names_the_first_are_listed():
-    assert listed([]) == 'none'
-    assert listed(['/a', '/b']) == '/a, /b'
-    assert listed([f'/{k}' for k in range(100)]) == '/0, /1, /2, /3, /4, /5 and 94 more'
-    assert len(listed(['x' * 10 ** 6] * 100)) < LONGEST
-
-
-def test_a_reason_is_one_line():
-    assert reason(ValueError('a\n  b')) == 'a b'
-    assert reason(ValueError()) == 'ValueError'
-    assert reason(OSError(2, 'No such file')) == 'No such file'
-    assert len(shortened('x' * 999, 99)) == 99
