@@ -229,13 +229,14 @@ def checked(parameter: Parameter, given: Any) -> Any:
         raise InputError(f'{name}: missing; expected a number{unit}: {parameter.description}')
     value = float(given) if parameter.value_type is float and type(given) is int else given
     # A bool is an int to Python.
-    if (isinstance(value, bool) is not (parameter.value_type is bool)
-            or not isinstance(value, parameter.value_type)):
+    wrong = (isinstance(value, bool) is not (parameter.value_type is bool)
+             or not isinstance(value, parameter.value_type))
+    if wrong:
         kind = {float: 'a number', int: 'an integer', str: 'a text',
                 bool: 'true or false'}[parameter.value_type]
         in_quotes = isinstance(value, str) and _FLOAT.fullmatch(value)
-        raise InputError(f'{name}: expected {kind}{unit}, found {quoted(value)}' + (
-            '; leave out the quotes' if in_quotes else f': {parameter.description}'))
+        hint = '; leave out the quotes' if in_quotes else f': {parameter.description}'
+        raise InputError(f'{name}: expected {kind}{unit}, found {quoted(value)}{hint}')
     if parameter.choices and value not in parameter.choices:
         choices = ', '.join(parameter.choices)
         raise InputError(f'{name}: expected one of {choices}, found {quoted(value)}')
@@ -315,12 +316,11 @@ def _group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
 
 
 def _unknown(name: str, value: Any) -> str:
-    parts = [*_group(PARAMETERS, name)]
-    if parts:
+    if parts := [*_group(PARAMETERS, name)]:
         return f'{name}: expected {", ".join(parts)} below it, found {quoted(value)}'
-    close = difflib.get_close_matches(name, PARAMETERS, 1)
-    return f'{name}: unknown key; ' + (
-        f'did you mean {close[0]}?' if close else f'expected one of {listed(PARAMETERS)}')
+    for close in difflib.get_close_matches(name, PARAMETERS, 1):
+        return f'{name}: unknown key; did you mean {close}?'
+    return f'{name}: unknown key; expected one of {listed(PARAMETERS)}'
 
 
 def _parameters(root: yaml.Node | None) -> dict[str, Any]:
