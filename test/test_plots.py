@@ -26,6 +26,7 @@ def panels(tmp_path, monkeypatch):
     figures = []
 
     class Kept(plots.Figure):
+
         def __init__(self, *arguments, **options):
             super().__init__(*arguments, **options)
             figures.append(self)
