@@ -150,7 +150,7 @@ class AttitudeNode(Node):
     def _work(self) -> None:
         if self._mode.motion.work():
             self._worker.cancel()
-        else:
+        elif self._worker.is_canceled():
             self._worker.reset()
 
     def _on_state(self, data: bytes) -> None:

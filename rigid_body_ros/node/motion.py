@@ -72,10 +72,11 @@ class Motion:
         #: Whether the log has torques of an epoch before.
         self._is_logged = False
         self._inbox: deque[Arrival] = deque()
-        #: The torque of the first of them, once it is read, and the states that it made final,
-        #: once it is applied.
+        #: The torque of the first of them, once it is read, and whether it is applied.
         self._torque: Torque | None = None
-        self._final: list[State] | None = None
+        self._is_applied = False
+        #: States that are final, to be committed.
+        self._settled: list[State] = []
 
     @property
     def waiting(self) -> int:
@@ -127,7 +128,7 @@ class Motion:
 
         Its states are committed by `until`, a time of the monotonic clock, or soon.
         """
-        if self._final is not None:  # applied, but the answer takes too long
+        if self._is_applied:  # but the answer takes too long
             self._log(self._torque)
             self._inbox.popleft()
         for _ in self._inbox:
@@ -215,35 +216,33 @@ class Motion:
 
     def _proceed(self, torque: Torque, until: float) -> None:
         # Apply, answer, log: whoever waits for the answer comes first.
-        if self._final is None:
-            final = self._final_states(torque.stamp_ns - self.epoch.history_ns, until)
-            if not self._apply(torque):
+        if not self._is_applied:
+            self._settle(torque.stamp_ns - self.epoch.history_ns, until)
+            self._is_applied = self._apply(torque)
+            if not self._is_applied:
                 if self._answer is not None:
                     self._answer(torque, None)
                 return
-            self._final = final
         if self._answer is not None:
             self._answer(torque, self.state(torque.stamp_ns + self._step_ns, until))
         self._log(torque)
 
     def _log(self, torque: Torque) -> None:
         self._outputs.accept(torque)
-        self._is_logged = True
-        for state in self._final:
-            self._outputs.commit(state)
-        self._final = None
+        self._is_logged, self._is_applied = True, False
+        self._commit()
 
     def _finish(self, until: float) -> None:
         """Commit the states that were held back for late torques."""
         try:
-            while due := self.epoch.due(2 ** 63):
-                for stamp_ns in due[:LOG_DEPTH]:  # no more at once than the queue holds
-                    for state in self._final_states(stamp_ns, until):
-                        self._outputs.commit(state)
+            while due := self.epoch.due(2 ** 63)[:LOG_DEPTH]:  # what the queue holds
+                self._settle(due[-1], until)
+                self._commit()
                 self._outputs.deliver(until)
         except TimeoutError as error:
-            self._health.event(SLOW, f'{len(due)} states could not be computed before the end of '
-                               f'their epoch: {error}')
+            self._commit()
+            self._health.event(SLOW, f'{len(self.epoch.due(2 ** 63))} states could not be '
+                               f'computed before the end of their epoch: {error}')
 
     def _apply(self, torque: Torque) -> bool:
         repeated = self.epoch.holds(torque.stamp_ns)
@@ -263,11 +262,20 @@ class Motion:
             self._health.count(REPLACED)
         return True
 
-    def _final_states(self, horizon_ns: int, until: float) -> list[State]:
-        """Return the states up to a time that were not final before, and now are."""
-        states = [self.state(stamp_ns, until) for stamp_ns in self.epoch.due(horizon_ns)]
-        self.epoch.settle(horizon_ns)
-        return [state for state in states if state is not None]
+    def _settle(self, horizon_ns: int, until: float) -> None:
+        """Compute the states up to a time, which no torque changes any more."""
+        for stamp_ns in self.epoch.due(horizon_ns):
+            state = self.state(stamp_ns, until)
+            self.epoch.settle(stamp_ns)
+            if state is not None:
+                self._settled.append(state)
+            if time.monotonic() > until:  # the next call goes on from here
+                raise TimeoutError(f'the states are final up to {stamp_ns} ns')
+
+    def _commit(self) -> None:
+        for state in self._settled:
+            self._outputs.commit(state)
+        self._settled.clear()
 
     def _too_slow(self, error: TimeoutError) -> None:
         if self._answer is None:  # in lockstep the others wait
