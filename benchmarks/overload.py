@@ -38,13 +38,13 @@ import numpy as np
 from rcl_interfaces.srv import GetParameters
 from rclpy.time import Time
 from rigid_body_ros import messages
-from rigid_body_ros.node.health import APPLIED, LOST, OVERFLOW, RECEIVED
+from rigid_body_ros.node.health import APPLIED, LOST, OVERFLOW, RECEIVED, SLOW
 from rigid_body_ros.node.inputs import CAUSES, FRAME, MALFORMED, NOT_FINITE
 
 sys.path.extend(str(Path(__file__).resolve().parent.parent / name)
                 for name in ('examples', 'test'))
 from live import replayed, TUMBLER  # noqa: E402, I100
-from live_session import ATTITUDE, LiveSession  # noqa: E402
+from live_session import LiveSession  # noqa: E402
 from soak import Line, printed  # noqa: E402
 
 SEED = 23
@@ -52,14 +52,12 @@ SEED = 23
 LATEST, LAST = 0.4, 3.0
 #: s: to answer a service, between two diagnoses, until real time again.
 SERVICE, DIAGNOSIS, RECOVERY = 1.0, 2.0, 5.0
-#: s; what an attitude may be behind the clock in real time.
-BEHIND = 0.1
 #: What a share of the torques is rejected for.
 BAD = {MALFORMED: 0.01, FRAME: 0.01, NOT_FINITE: 0.01}
 
 
 def send(rate, seconds):
-    """Send torques for so long, and print how many."""
+    """Send torques for so long, and print how many, and when, ns, all but the last were sent."""
     from geometry_msgs.msg import WrenchStamped
     import rclpy
     from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -81,10 +79,11 @@ def send(rate, seconds):
             time.sleep(wait)
         stamp_ns = node.get_clock().now().nanoseconds - int(delays[row])
         publisher.publish(_message(causes[row], stamp_ns, torques[row]))
+    end_ns = node.get_clock().now().nanoseconds
     # The last one shows what is missing before it.
     time.sleep(1.0)
     publisher.publish(messages.wrench(node.get_clock().now().nanoseconds, '', torques[0]))
-    print(count + 1, flush=True)
+    print(count + 1, end_ns, flush=True)
     time.sleep(1.0)
 
 
@@ -135,8 +134,8 @@ def overload(rate, seconds, domain):
         live.disconnect()
         with busy(), load(live, rate, seconds) as sender:
             latency = _longest_service(live, sender)
-            sent = int(sender.stdout.readline())
-        recovery = _recovery(live)
+            sent, end_ns = map(int, sender.stdout.readline().split())
+        recovery = _recovery(live, end_ns)
         counts, _, _ = live.diagnosis('torques')
         with busy(), load(live, rate, 10 * LAST):
             live.spin(LAST)
@@ -145,7 +144,7 @@ def overload(rate, seconds, domain):
             status = live.stop()
             ending = time.monotonic() - began
         run = replayed(Path(folder), live)
-    stamps = [Time.from_msg(array.header.stamp).nanoseconds * 1e-9 for array in live.diagnostics]
+    stamps = [_stamp_ns(array) * 1e-9 for array in live.diagnostics]
     rejected = sum(counts[f'refused: {cause}'] for cause in CAUSES)
     same = np.all(run.committed.view(np.int64) == run.replay.view(np.int64), axis=1)
     print(f'sent {sent}: applied {counts[APPLIED]}, rejected {rejected}, lost on the way '
@@ -175,19 +174,23 @@ def _has_printed(process):
     return bool(select.select([process.stdout], [], [], 0.0)[0])
 
 
-def _recovery(live):
-    began = time.monotonic()
+def _recovery(live, end_ns):
+    # By the stamps of the node: this process has its own queue to work through.
+    def caught_up():
+        return [array for array in live.diagnostics if _stamp_ns(array) > end_ns
+                and _is_in_real_time(array)][1:]
+    live.wait_until(caught_up, 'real time')
+    return (_stamp_ns(caught_up()[0]) - end_ns) * 1e-9
 
-    def in_real_time():
-        live.received[ATTITUDE].clear()
-        live.spin(0.2)
-        live.wait_until(lambda: live.received[ATTITUDE], 'an attitude')
-        stamp_ns = messages.QUATERNION.decode(live.received[ATTITUDE][-1]).stamp_ns
-        return live.now_ns() - stamp_ns < BEHIND * 1e9
-    live.wait_until(in_real_time, 'real time')
-    recovery, count = time.monotonic() - began, len(live.diagnostics)
-    live.wait_until(lambda: len(live.diagnostics) > count + 1, 'a later diagnosis')
-    return recovery
+
+def _is_in_real_time(diagnosis):
+    torques, motion = diagnosis.status
+    waiting, = (int(pair.value) for pair in torques.values if pair.key == 'waiting')
+    return not waiting and SLOW not in motion.message
+
+
+def _stamp_ns(diagnosis):
+    return Time.from_msg(diagnosis.header.stamp).nanoseconds
 
 
 def main():
