@@ -27,7 +27,7 @@ from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
-from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.msg import ParameterEvent, ParameterType
 from rcl_interfaces.srv import DescribeParameters
 from rigid_body_ros import (
     euler,
@@ -122,6 +122,21 @@ def test_parameters_tell_what_they_are_and_keep_the_scene(domain):
         live.wait_until(lambda: len(live.received[ATTITUDE]) > count + 10, 'the new rate')
         rate, = get_parameters(live, 'publish_rate')
         assert rate.type == ParameterType.PARAMETER_INTEGER
+
+
+def test_the_start_of_an_epoch_is_shown_at_once(domain):
+    with LiveSession(TUMBLER, domain) as live:
+        events = []
+        live.node.create_subscription(
+            ParameterEvent, '/parameter_events',
+            lambda event: events.append([value.name for value in event.changed_parameters]), 10)
+        live.spin(0.5)
+        assert live.reset().success
+        live.wait_until(lambda: events, 'an event')
+        live.spin(0.3)
+    start, = events
+    assert sorted(start) == sorted(name for name in scene.PARAMETERS if name.startswith(
+        ('initial_', 'start_time')))
 
 
 def test_the_rate_may_change_while_running(domain):

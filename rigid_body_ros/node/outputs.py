@@ -87,7 +87,7 @@ class Outputs:
 
     @property
     def state_topics(self) -> list[str]:
-        """The topics of the states, as resolved."""
+        """Return the topics of the states, as resolved."""
         return [publisher.topic_name for publisher, _ in self._states]
 
     def publish(self, state: State) -> None:
