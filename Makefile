@@ -5,8 +5,8 @@ BIN := $(VENV)/bin
 JAZZY := .venv-jazzy
 # Tests of the node wait more than they work.
 PARALLEL := --numprocesses 3
-# But this one needs the machine to itself.
-SOAK := test/test_soak.py
+# But these need the machine to themselves.
+ALONE := test/test_soak.py test/test_overload.py
 
 .PHONY: demo test check docs clean
 
@@ -15,10 +15,10 @@ demo: $(VENV)/done ## replay a recording, and run the node on one over DDS
 
 test: $(VENV)/done $(JAZZY)/done ## every check and every test; those of the node on both ROS
 	$(MAKE) --no-print-directory lint
-	$(BIN)/python -m pytest $(PARALLEL) --ignore $(SOAK)
-	$(JAZZY)/bin/python -m pytest $(PARALLEL) -m ros --ignore $(SOAK)
-	$(BIN)/python -m pytest $(SOAK)
-	$(JAZZY)/bin/python -m pytest $(SOAK)
+	$(BIN)/python -m pytest $(PARALLEL) $(ALONE:%=--ignore %)
+	$(JAZZY)/bin/python -m pytest $(PARALLEL) -m ros $(ALONE:%=--ignore %)
+	$(BIN)/python -m pytest $(ALONE)
+	$(JAZZY)/bin/python -m pytest $(ALONE)
 
 check: $(VENV)/done ## the fast ones, without ROS
 	$(MAKE) --no-print-directory lint

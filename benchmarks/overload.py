@@ -97,12 +97,11 @@ def _message(cause, stamp_ns, torque):
 @contextmanager
 def started(*command, **options):
     """Run a process, and end it."""
-    process = subprocess.Popen([sys.executable, *map(str, command)], **options)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
+    with subprocess.Popen([sys.executable, *map(str, command)], **options) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 @contextmanager
