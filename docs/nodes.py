@@ -119,9 +119,9 @@ that is not finite, in an unknown frame, too old, or stamped impossibly is refus
 and reported at most every 5 s.
 
 Every torque sent is counted once: applied, waiting, rejected by cause, lost on the way, or lost in
-the queue of the subscription, because it came faster than the machine can take it. While torques
-wait for longer than 2 s in `realtime`, new ones are rejected (`overload`): the motion is soon back
-in real time.
+the queue of the subscription, because it came faster than the machine can take it. While more
+than 5000 torques wait in `realtime`, the first for longer than 2 s, new ones are rejected
+(`overload`): the motion is soon back in real time.
 
 Without a stamp, or with `time_source:=arrival`, a torque takes effect when it arrives. Each has a
 stamp of its own; between two ticks of simulated time, time goes on as fast as before.

@@ -93,6 +93,7 @@ class AttitudeNode(Node):
             mode = Lockstep if self._scene.values['mode'] == LOCKSTEP else Realtime
             self._mode = mode(self, parameters, self._inputs, self._outputs, self._health)
             self._subscribe()
+            self._mode.connect(self._torques)
             check_qos_overrides(self, (self._torques, self._states), self._outputs.publishers)
         except (RuntimeError, AssertionError) as error:  # such as a QoS override that is none
             raise InputError(' '.join(str(error).split())) from error

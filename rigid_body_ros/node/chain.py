@@ -22,14 +22,13 @@ was lost stops the loop.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 import math
 import time
 from typing import Any
 
 import numpy as np
-from rclpy.node import Node
 from rigid_body_ros.node.arrivals import Sender, UNKNOWN
 from rigid_body_ros.node.epoch import Torque
 
@@ -137,24 +136,24 @@ class Offers:
 
     Parameters
     ----------
-    node : Node
-    torques : str
-        The topic of the torques, as resolved.
-    states : iterable of str
-        The topics of the states, as resolved.
+    count : callable
+        Returns how many publishers of torques, and how many readers of states, are connected.
 
     """
 
-    def __init__(self, node: Node, torques: str, states: Iterable[str]) -> None:
-        self._node, self._torques, self._states = node, torques, [*states]
-        self._connected: frozenset[bytes] = frozenset()
+    def __init__(self, count: Callable[[], tuple[int, int]]) -> None:
+        self._count = count
+        self._connected = 0, 0
         self._changed_at = time.monotonic()
         self._published_at = -math.inf
-        #: Whether the state was published since the connections settled.
+        #: Whether a state was published since the connections settled.
         self._is_told = False
         self._patience = _PATIENCE
-        #: Whether a node publishes torques.
-        self.has_controller = False
+
+    @property
+    def has_controller(self) -> bool:
+        """Whether somebody publishes torques, as far as known."""
+        return self._connected[0] > 0
 
     def published(self, is_repeated: bool) -> None:
         """Note that a state was published, for the first time or again."""
@@ -165,24 +164,13 @@ class Offers:
 
     def is_due(self) -> bool:
         """Return whether to publish the latest state again now; call it regularly."""
-        now, connected = time.monotonic(), self._endpoints()
-        if connected - self._connected:
+        now, (publishers, readers) = time.monotonic(), self._count()
+        if publishers > self._connected[0] or (not publishers and readers > self._connected[1]):
             self._changed_at, self._is_told = now, False
-        self._connected = connected
+        self._connected = publishers, readers
         if now - self._changed_at < _SETTLED:
             return False
-        patience = self._patience if self._is_told else 0.0
-        return now - self._published_at >= (
-            patience if self.has_controller else _REPEAT_EVERY)
-
-    def _endpoints(self) -> frozenset[bytes]:
-        """Return the endpoints that a state and its answer go through."""
-        publishers = self._node.get_publishers_info_by_topic(self._torques)
-        readers = [info for topic in self._states
-                   for info in self._node.get_subscriptions_info_by_topic(topic)]
-        self.has_controller = bool(publishers)
-        if publishers:  # other readers only watch
-            controllers = {(info.node_namespace, info.node_name) for info in publishers}
-            readers = [info for info in readers
-                       if (info.node_namespace, info.node_name) in controllers]
-        return frozenset(bytes(info.endpoint_gid) for info in publishers + readers)
+        if not publishers:
+            return now - self._published_at >= _REPEAT_EVERY
+        # A loop that runs needs nothing, whoever joins it.
+        return now - self._published_at >= (self._patience if self._is_told else _SETTLED)

@@ -25,6 +25,7 @@ from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 from rigid_body_ros import messages
 from rigid_body_ros.body import State
 from rigid_body_ros.node.arrivals import Sender
@@ -65,7 +66,8 @@ class Lockstep:
         self.motion = Motion(parameters.scene, outputs, health, self._read, self._answer,
                              self._step_ns)
         self._answers = Answers(round(values['history'] * 1e9))
-        self._offers = Offers(node, node.resolve_topic_name('torque'), outputs.state_topics)
+        self._offers = Offers(self._connected)
+        self._torques: Subscription | None = None
         #: The state that waits for a torque, and since when, s.
         self._latest = self._start = self.motion.initial(self._given_start_ns)
         self._since = time.monotonic()
@@ -74,6 +76,10 @@ class Lockstep:
         self._timer = node.create_timer(_LOOK_EVERY, self._look,
                                         clock=RosClock(clock_type=ClockType.STEADY_TIME))
         self._begin()
+
+    def connect(self, torques: Subscription) -> None:
+        """Note the subscription that torques come from."""
+        self._torques = torques
 
     def set_rate(self, rate: float) -> None:
         """Nothing: torques set the pace."""
@@ -200,8 +206,12 @@ class Lockstep:
             self._clock.publish(Clock(clock=_time(state.time_ns)))
         self._outputs.publish(state)
         self._offers.published(is_repeated)
-        if self._offers.has_controller:
+        if self._offers.has_controller or self.motion.epoch is not None:
             self._answers.published(state.time_ns)
+
+    def _connected(self) -> tuple[int, int]:
+        publishers = self._torques.handle.get_publisher_count() if self._torques else 0
+        return publishers, self._outputs.reader_count
 
     def _clock_publisher(self) -> Publisher:
         if self._node.get_parameter('use_sim_time').value:

@@ -36,7 +36,7 @@ _LAST_WORDS = 0.2
 #: Torques that may wait for the motion to get there.
 _MOST_WAITING = 100_000
 #: In real time more than a few may wait for this long only, s: the motion has to catch up.
-_FEW, _LONGEST_WAIT = 1000, 2.0
+_FEW, _LONGEST_WAIT = 5000, 2.0
 
 
 class Motion:

@@ -86,9 +86,9 @@ class Outputs:
         return [*(publisher for publisher, _ in self._states), self._accepted, self._committed]
 
     @property
-    def state_topics(self) -> list[str]:
-        """Return the topics of the states, as resolved."""
-        return [publisher.topic_name for publisher, _ in self._states]
+    def reader_count(self) -> int:
+        """How many subscriptions of states are connected."""
+        return sum(publisher.get_subscription_count() for publisher, _ in self._states)
 
     def publish(self, state: State) -> None:
         """Tell a state to whoever listens."""

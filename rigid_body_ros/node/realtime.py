@@ -22,6 +22,7 @@ from dataclasses import replace
 from builtin_interfaces.msg import Time
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from rigid_body_ros.body import State
 from rigid_body_ros.node.arrivals import Sender
 from rigid_body_ros.node.clocks import ArrivalStamps, ClockWatch
@@ -62,6 +63,9 @@ class Realtime:
         self._timer = node.create_timer(1.0 / self._values['publish_rate'], self._publish,
                                         clock=pace)
         self._now_ns()
+
+    def connect(self, torques: Subscription) -> None:
+        """Nothing: the clock sets the pace, whoever is connected."""
 
     def set_rate(self, rate: float) -> None:
         """Publish at another rate, Hz."""
