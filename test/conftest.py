@@ -24,6 +24,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import tracemalloc
 
 from hypothesis import settings
 import numpy as np
@@ -137,6 +138,18 @@ def _install(folder):
     subprocess.run([*pip, 'install', '--no-deps', '--ignore-installed', '--prefix',
                     folder / 'prefix', wheel], check=True)
     (folder / 'installed').touch()
+
+
+@contextmanager
+def memory_limit(most):
+    """Fail if Python and its libraries allocate more than so many bytes."""
+    tracemalloc.start()
+    try:
+        yield
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < most
 
 
 @contextmanager

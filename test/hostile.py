@@ -17,9 +17,8 @@
 from contextlib import contextmanager, redirect_stderr
 import io
 import signal
-import tracemalloc
 
-from conftest import CONFIG, RECORDINGS
+from conftest import CONFIG, memory_limit, RECORDINGS
 import pytest
 from rigid_body_ros import cli, recording, scene
 from rigid_body_ros.errors import LONGEST
@@ -38,16 +37,13 @@ def limits():
     before = [signal.signal(number, too_long) for number, _, _ in timers]
     for _, timer, seconds in timers:
         signal.setitimer(timer, seconds)
-    tracemalloc.start()
     try:
-        yield
-        _, peak = tracemalloc.get_traced_memory()
+        with memory_limit(300e6):
+            yield
     finally:
-        tracemalloc.stop()
         for (number, timer, _), handler in zip(timers, before):
             signal.setitimer(timer, 0)
             signal.signal(number, handler)
-    assert peak < 300e6
 
 
 def outcome(path, scene_path=TUMBLER):

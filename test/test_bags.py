@@ -14,16 +14,15 @@
 
 """Recordings of every form: the torques are read to the last bit, or what is lost is told."""
 
-from contextlib import contextmanager
 from functools import cache
 from io import BytesIO
 import os
 import re
 import signal
-import tracemalloc
 
 import bags
 from bags import FORMS, LOGGED, mcap, PUBLISHED, records, Torques, traffic, UNINDEXED
+from conftest import memory_limit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import lz4.frame
@@ -86,18 +85,6 @@ def outcome(path):
         signal.setitimer(signal.ITIMER_PROF, 0)
         signal.signal(signal.SIGPROF, before)
     return damage, found.rows()
-
-
-@contextmanager
-def memory_limit():
-    """Limit what Python and its libraries take to 200 MB."""
-    tracemalloc.start()
-    try:
-        yield
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert peak < 200e6
 
 
 @every_form
@@ -340,7 +327,7 @@ def test_a_chunk_that_would_fill_the_memory_is_damage(tmp_path, compression, cla
     builder = RecordBuilder()
     Chunk(compression, bomb(compression, says_its_size), 0, 1, 0, claimed).write(builder)
     path.write_bytes(data[:end] + builder.end() + data[end:])
-    with memory_limit():
+    with memory_limit(200e6):
         told, rows = outcome(path)
     assert told
     assert rows == ALONE.rows()
@@ -413,7 +400,7 @@ def test_harmed_files_give_genuine_messages_or_a_line(tmp_path, form):
     @given(harms(data))
     def check(harm):
         target.write_bytes(harmed(data, harm))
-        with memory_limit():
+        with memory_limit(200e6):
             _, rows = outcome(path)
         assert form not in CHECKED or genuine.issuperset(rows)
     check()

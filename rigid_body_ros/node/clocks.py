@@ -29,7 +29,7 @@ class ArrivalStamps:
     Stamps messages with the time of their arrival, each later than the one before.
 
     Simulated time advances in ticks. Between two ticks, time goes on as fast as from the tick
-    before to the last one, but by no more than one tick; a leap is none.
+    before to the last one, but by no more than one tick. A leap is not a tick.
     """
 
     def __init__(self) -> None:

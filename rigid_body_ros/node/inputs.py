@@ -64,7 +64,7 @@ class Inputs:
 
     def torque(self, data: bytes) -> Torque:
         """
-        Return the torque of a WrenchStamped in CDR; report a force, which is ignored.
+        Return the torque of a WrenchStamped in CDR, and report a force that is ignored.
 
         Raises
         ------
