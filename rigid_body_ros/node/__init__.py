@@ -65,6 +65,8 @@ _TORQUE_QOS = {scene.REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPol
                LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
 #: s; how long a clean end may take.
 _PATIENCE = 0.8
+#: s; a slice of work takes longer, so that the next one is due, unless torques wait for a clock.
+_WORK_EVERY = 0.001
 #: s; how often to look for signals.
 _HEED_EVERY = 0.1
 
@@ -102,7 +104,7 @@ class AttitudeNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self._diagnose, clock=steady)
         #: Runs while torques wait: a slice of work in each turn of the executor.
-        self._worker = self.create_timer(0.0, self._work, clock=steady)
+        self._worker = self.create_timer(_WORK_EVERY, self._work, clock=steady)
         self._worker.cancel()
 
     def finish(self, until: float) -> None:

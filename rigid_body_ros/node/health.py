@@ -53,7 +53,7 @@ class Health:
     Counts what happens to torques and motion.
 
     Every torque sent is lost on the way or in the queue, or it is received. Every torque received
-    is applied, rejected for a cause, or waiting for the motion to get there.
+    is applied, rejected for a cause, or waiting for the motion or the clock to get there.
     """
 
     def __init__(self, node: Node) -> None:

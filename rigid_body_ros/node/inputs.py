@@ -54,6 +54,10 @@ class RefusedError(ValueError):
         self.cause = cause
 
 
+class EarlyError(RefusedError):
+    """A torque that is ahead of the clock, which may reach it in a moment."""
+
+
 class Inputs:
     """Reads messages as a scene means them."""
 

@@ -25,7 +25,15 @@ from rigid_body_ros.body import State
 from rigid_body_ros.node.arrivals import Sender
 from rigid_body_ros.node.epoch import Epoch, Torque
 from rigid_body_ros.node.health import APPLIED, Health, REPLACED, SLOW, UNKNOWN
-from rigid_body_ros.node.inputs import Arrival, LATE, NO_STATE, OVERLOAD, RefusedError
+from rigid_body_ros.node.inputs import (
+    Arrival,
+    EarlyError,
+    FUTURE,
+    LATE,
+    NO_STATE,
+    OVERLOAD,
+    RefusedError,
+)
 from rigid_body_ros.node.outputs import LOG_DEPTH, Outputs
 from rigid_body_ros.scene import Scene
 
@@ -54,7 +62,7 @@ class Motion:
     health : Health
     read : callable
         Returns the torque of an Arrival, None if it is one that has no effect, or raises
-        RefusedError.
+        RefusedError; EarlyError if it is to be read again later.
     answer : callable, optional
         Lockstep: receives each torque and the state `step` after it, as soon as the torque is
         applied; None if it is not applied, or there is no state.
@@ -72,16 +80,20 @@ class Motion:
         #: Whether the log has torques of an epoch before.
         self._is_logged = False
         self._inbox: deque[Arrival] = deque()
+        #: Those that wait for the clock; others pass them.
+        self._early: deque[Arrival] = deque()
         #: The torque of the first of them, once it is read, and whether it is applied.
         self._torque: Torque | None = None
         self._is_applied = False
+        #: When the state was asked for while torques waited, ns; 0: it was not.
+        self._owed_ns = 0
         #: States that are final, to be committed.
         self._settled: list[State] = []
 
     @property
     def waiting(self) -> int:
-        """How many torques wait."""
-        return len(self._inbox)
+        """How many torques wait, for the motion or for the clock."""
+        return len(self._inbox) + len(self._early)
 
     @property
     def waiting_time(self) -> float:
@@ -131,11 +143,13 @@ class Motion:
         if self._is_applied:  # but the answer takes too long
             self._log(self._torque)
             self._inbox.popleft()
-        for _ in self._inbox:
-            self._health.refuse(RefusedError(
-                OVERLOAD, 'the epoch ended before the motion got to a torque'))
-        self._torque = None
-        self._inbox.clear()
+        for line, cause, what in ((self._inbox, OVERLOAD, 'motion'),
+                                  (self._early, FUTURE, 'clock')):
+            for _ in line:
+                self._health.refuse(RefusedError(
+                    cause, f'the epoch ended before the {what} got to a torque'))
+            line.clear()
+        self._torque, self._owed_ns = None, 0
         if self.epoch is not None:
             self._finish(time.monotonic() + _LAST_WORDS if until is None else until)
         self.epoch = None
@@ -161,6 +175,7 @@ class Motion:
     def work(self) -> bool:
         """Take torques that wait, for a slice of time; return whether none is left."""
         until = time.monotonic() + _BUDGET
+        self._readmit()
         try:
             while self._inbox and time.monotonic() < until:
                 if self._torque is None:
@@ -169,12 +184,22 @@ class Motion:
                     self._proceed(self._torque, until)
                 self._torque = None
                 self._inbox.popleft()
+            if self._owed_ns and not self._inbox:
+                self.publish(self._owed_ns)
         except TimeoutError as error:
             self._too_slow(error)
-        return not self._inbox
+        return not self.waiting
 
     def publish(self, time_ns: int) -> None:
-        """Publish the state at a time, if a slice of work is enough to compute it."""
+        """
+        Publish the state at a time, if a slice of work is enough to compute it.
+
+        While torques wait for the motion, what is known is not yet the state: then the last one
+        that was asked for is published after them.
+        """
+        self._owed_ns = time_ns if self._inbox else 0
+        if self._owed_ns:
+            return
         try:
             state = self.state(time_ns, time.monotonic() + _BUDGET)
         except TimeoutError as error:
@@ -210,9 +235,22 @@ class Motion:
     def _readable(self, arrival: Arrival) -> Torque | None:
         try:
             return self._read(arrival)
+        except EarlyError:
+            self._early.append(arrival)
         except RefusedError as refused:
             self._health.refuse(refused)
-            return None
+        return None
+
+    def _readmit(self) -> None:
+        """Put early torques back in line that the clock has reached, or that waited too long."""
+        while self._early:
+            try:
+                self._read(self._early[0])
+            except EarlyError:
+                return
+            except RefusedError:
+                pass  # counted in its turn
+            self._inbox.append(self._early.popleft())
 
     def _proceed(self, torque: Torque, until: float) -> None:
         # Apply, answer, log: whoever waits for the answer comes first.

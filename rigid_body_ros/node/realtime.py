@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+import time
 
 from builtin_interfaces.msg import Time
 from rclpy.clock import Clock, ClockType
@@ -28,7 +29,15 @@ from rigid_body_ros.node.arrivals import Sender
 from rigid_body_ros.node.clocks import ArrivalStamps, ClockWatch
 from rigid_body_ros.node.epoch import Torque
 from rigid_body_ros.node.health import Health, TIME_JUMP, UNKNOWN
-from rigid_body_ros.node.inputs import Arrival, FUTURE, Inputs, LATE, NO_CLOCK, RefusedError
+from rigid_body_ros.node.inputs import (
+    Arrival,
+    EarlyError,
+    FUTURE,
+    Inputs,
+    LATE,
+    NO_CLOCK,
+    RefusedError,
+)
 from rigid_body_ros.node.motion import Motion
 from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import Parameters
@@ -38,6 +47,8 @@ from rigid_body_ros.scene import ARRIVAL, REBASE, RESET
 _OTHER_CLOCK_NS = 3600 * 10 ** 9
 _ADVICE = ('; torques of a bag? Play it with --clock and set use_sim_time, or set '
            'time_source:=arrival')
+#: s; how much later than a torque the message of /clock may come that was sent before it.
+_CLOCK_DELAY = 0.5
 #: A clock that leaps ahead by more is worth a word.
 _LEAP_NS = 10 ** 9
 
@@ -136,13 +147,25 @@ class Realtime:
         torque = self._inputs.torque(arrival.data)
         if not torque.stamp_ns or self._values['time_source'] == ARRIVAL:
             torque = torque._replace(stamp_ns=arrival.time_ns)
-        self._check_stamp(torque.stamp_ns, arrival.time_ns)
+        try:
+            self._check_stamp(torque.stamp_ns, arrival.time_ns)
+        except RefusedError as refused:
+            self._check_again(torque.stamp_ns, arrival, refused)
         return torque
+
+    def _check_again(self, stamp_ns: int, arrival: Arrival, refused: RefusedError) -> None:
+        # A torque may overtake the message of /clock that was sent before it.
+        if not self._simulated or refused.cause != FUTURE:
+            raise refused
+        now_ns = self._node.get_clock().now().nanoseconds
+        if _OTHER_CLOCK_NS > stamp_ns - now_ns > self._max_future_ns \
+                and time.monotonic() - arrival.since < _CLOCK_DELAY:
+            raise EarlyError(FUTURE, str(refused))
+        self._check_stamp(stamp_ns, now_ns)
 
     def _publish(self) -> None:
         now_ns = self._now_ns()
-        # Where torques wait, what is known is not yet the state.
-        if now_ns and not self.motion.waiting and now_ns >= self.motion.epoch.start.time_ns:
+        if now_ns and now_ns >= self.motion.epoch.start.time_ns:
             self.motion.publish(now_ns)
 
     def _valid_now_ns(self) -> int:
