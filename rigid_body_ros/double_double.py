@@ -96,7 +96,12 @@ def root(a: Double) -> Double:
 
 
 @part
+def whole(number: int) -> Double:
+    """Return an integer of 64 bits."""
+    return two_sum(float(number >> 32) * 4294967296.0, float(number & 0xFFFFFFFF))
+
+
+@part
 def seconds(span_ns: int) -> Double:
     """Return a number of nanoseconds in seconds."""
-    return divide(two_sum(float(span_ns >> 32) * 4294967296.0, float(span_ns & 0xFFFFFFFF)),
-                  (1e9, 0.0))
+    return divide(whole(span_ns), (1e9, 0.0))

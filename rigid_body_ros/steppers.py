@@ -15,7 +15,7 @@
 """
 Classical one-step methods of fixed step, for the trade of speed against accuracy.
 
-Torque is a polynomial in the fraction of the step, as for `taylor.step`. None carries rounding
+The drive is a polynomial in the fraction of the step, as for `taylor.step`. None carries rounding
 errors along: what they lose is what a program loses that uses them.
 """
 
@@ -44,16 +44,16 @@ from rigid_body_ros.vector import (
 
 
 @part
-def explicit_euler(state: State, seconds: float, equations: Coefficients, torque: Polynomial,
+def explicit_euler(state: State, seconds: float, equations: Coefficients, drive: Polynomial,
                    in_space: bool) -> State:
     """Return the state after a step of Euler's method, order 1; conserves the norm of q only."""
     w, q = state[0], state[1]
-    a, v = _derivative(w, q, 0.0, equations, torque, in_space)
+    a, v = _derivative(w, q, 0.0, equations, drive, in_space)
     return _state(add_scaled(w, seconds, a), add_scaled(q, seconds, v))
 
 
 @part
-def rk4(state: State, seconds: float, equations: Coefficients, torque: Polynomial,
+def rk4(state: State, seconds: float, equations: Coefficients, drive: Polynomial,
         in_space: bool) -> State:
     """
     Return the state after a step of the classical Runge-Kutta method, order 4.
@@ -62,13 +62,13 @@ def rk4(state: State, seconds: float, equations: Coefficients, torque: Polynomia
     """
     w, q = state[0], state[1]
     half = 0.5 * seconds
-    a1, v1 = _derivative(w, q, 0.0, equations, torque, in_space)
-    a2, v2 = _derivative(add_scaled(w, half, a1), add_scaled(q, half, v1), 0.5, equations, torque,
+    a1, v1 = _derivative(w, q, 0.0, equations, drive, in_space)
+    a2, v2 = _derivative(add_scaled(w, half, a1), add_scaled(q, half, v1), 0.5, equations, drive,
                          in_space)
-    a3, v3 = _derivative(add_scaled(w, half, a2), add_scaled(q, half, v2), 0.5, equations, torque,
+    a3, v3 = _derivative(add_scaled(w, half, a2), add_scaled(q, half, v2), 0.5, equations, drive,
                          in_space)
     a4, v4 = _derivative(add_scaled(w, seconds, a3), add_scaled(q, seconds, v3), 1.0, equations,
-                         torque, in_space)
+                         drive, in_space)
     a = add(add(a1, a4), scale(2.0, add(a2, a3)))
     v = add(add(v1, v4), scale(2.0, add(v2, v3)))
     return _state(add_scaled(w, seconds / 6.0, a), add_scaled(q, seconds / 6.0, v))
@@ -76,7 +76,7 @@ def rk4(state: State, seconds: float, equations: Coefficients, torque: Polynomia
 
 @part
 def strang(state: State, seconds: float, equations: Coefficients, frame: Frame,
-           torque: Polynomial, in_space: bool) -> State:
+           drive: Polynomial, in_space: bool) -> State:
     """
     Return the state after a symmetric splitting into rotations about principal axes, order 2.
 
@@ -86,7 +86,7 @@ def strang(state: State, seconds: float, equations: Coefficients, frame: Frame,
     """
     w, q = state[0], state[1]
     half = 0.5 * seconds
-    w = add_scaled(w, half, _push(q, 0.0, equations, torque, in_space))
+    w = add_scaled(w, half, _push(q, 0.0, equations, drive, in_space))
     moments, _, axes, _ = frame
     i, j, k = moments[0], moments[1], moments[2]
     m = of(i * dot(axes[0], w), j * dot(axes[1], w), k * dot(axes[2], w))
@@ -99,28 +99,26 @@ def strang(state: State, seconds: float, equations: Coefficients, frame: Frame,
     w = combine(axes, of(m[0] / i, m[1] / j, m[2] / k))
     x = combine(axes, turn)
     q = _unit(multiply(q, four.of(x[0], x[1], x[2], turn[3])))
-    return _state(add_scaled(w, half, _push(q, 1.0, equations, torque, in_space)), q)
+    return _state(add_scaled(w, half, _push(q, 1.0, equations, drive, in_space)), q)
 
 
 @part
 def _derivative(w: Vector, q: Quaternion, fraction: float, equations: Coefficients,
-                torque: Polynomial, in_space: bool) -> tuple[Vector, Quaternion]:
+                drive: Polynomial, in_space: bool) -> tuple[Vector, Quaternion]:
     columns = equations[0]
-    rate = _push(q, fraction, equations, torque, in_space)
+    rate = _push(q, fraction, equations, drive, in_space)
     rate = add(rate, combine(columns[:3], four.multiply(four.yzx(w), four.zxy(w))))
     rate = add(rate, combine(columns[3:6], four.multiply(w, w)))
     return rate, multiply(q, scale(0.5, w))
 
 
 @part
-def _push(q: Quaternion, fraction: float, equations: Coefficients, torque: Polynomial,
+def _push(q: Quaternion, fraction: float, equations: Coefficients, drive: Polynomial,
           in_space: bool) -> Vector:
     # The angular acceleration by the torque.
-    tau = add_scaled(torque[0], fraction, add_scaled(torque[1], fraction, add_scaled(
-        torque[2], fraction, torque[3])))
-    if in_space:
-        tau = to_body(_unit(q), tau)
-    return combine(equations[0][6:], tau)
+    value = add_scaled(drive[0], fraction, add_scaled(drive[1], fraction, add_scaled(
+        drive[2], fraction, drive[3])))
+    return combine(equations[0][6:], to_body(_unit(q), value)) if in_space else value
 
 
 @part

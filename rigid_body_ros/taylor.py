@@ -45,6 +45,7 @@ from rigid_body_ros.vector import (
     add_scaled,
     Coefficients,
     combine,
+    combine_exactly,
     cross,
     dot,
     multiply,
@@ -99,26 +100,45 @@ def step_seconds(square: float, acceleration: float, angle: float) -> float:
 
 
 @inlined
-def acceleration_bound(torque: Polynomial, in_space: bool, coefficients: Coefficients) -> float:
-    """Return a bound on |J^-1 tau|, rad/s^2, over the span of a torque polynomial."""
+def acceleration_bound(drive: Polynomial, in_space: bool, coefficients: Coefficients) -> float:
+    """Return a bound on |J^-1 tau|, rad/s^2, over the span of a drive as `step` takes it."""
     if not in_space:
         bound = 0.0
-        for vector in torque:
-            part = response(coefficients, vector)
-            bound += math.sqrt(dot(part, part))
+        for vector in drive:
+            bound += math.sqrt(dot(vector, vector))
         return bound
     norm = size = 0.0  # a torque in space may come to lie along any body axis
     for column in coefficients[0][6:]:
         norm += dot(column, column)
-    for vector in torque:
+    for vector in drive:
         size += math.sqrt(dot(vector, vector))
     return math.sqrt(norm) * size
 
 
 @inlined
-def response(coefficients: Coefficients, torque: Vector) -> Vector:
-    """Return the angular acceleration J^-1 tau, rad/s^2."""
-    return combine(coefficients[0][6:], torque)
+def response(coefficients: Coefficients, diagonal: bool, torque: Vector) -> Vector:
+    """
+    Return the angular acceleration J^-1 tau, rad/s^2.
+
+    For a thin rod it may be a difference of terms a million times its size, so it is summed in
+    twice the working precision (Ogita, Rump and Oishi, "Accurate sum and dot product", 2005).
+    """
+    columns, low, _, along = coefficients
+    if diagonal:
+        return four.multiply(along, torque)
+    return combine_exactly(columns[6:], low[6:], torque)
+
+
+@inlined
+def responses(coefficients: Coefficients, diagonal: bool, torque: Polynomial,
+              rests: Polynomial) -> Polynomial:
+    """Return J^-1 tau, rad/s^2, of a torque in body axes and what rounding took from it."""
+    a, b, c, d = torque
+    _, lost_b, lost_c, lost_d = rests
+    return (response(coefficients, diagonal, a),
+            add(response(coefficients, diagonal, b), response(coefficients, diagonal, lost_b)),
+            add(response(coefficients, diagonal, c), response(coefficients, diagonal, lost_c)),
+            add(response(coefficients, diagonal, d), response(coefficients, diagonal, lost_d)))
 
 
 @inlined
@@ -206,7 +226,7 @@ def _half_turn(turn: Vector) -> Quaternion:
 
 @inlined
 def step(state: State, seconds: float, coefficients: Coefficients, diagonal: bool,
-         torque: Polynomial, degree: int, in_space: bool, acceleration: float, tolerance: float,
+         drive: Polynomial, degree: int, in_space: bool, acceleration: float, tolerance: float,
          table: Floats) -> State:
     """
     Return the state after one step.
@@ -221,14 +241,15 @@ def step(state: State, seconds: float, coefficients: Coefficients, diagonal: boo
         Of Euler's equations, as `tensor.euler_coefficients` has them.
     diagonal : bool
         Whether they are those of principal axes.
-    torque : Polynomial
-        In the fraction of the step, 0 to 1.
+    drive : Polynomial
+        In the fraction of the step, 0 to 1: J^-1 tau, rad/s^2, of a torque in body axes, or the
+        torque, N m, in space axes.
     degree : int
         Of the polynomial: the coefficients beyond are zero.
     in_space : bool
-        Whether the torque is given in space axes.
+        Whether it is a torque in space axes.
     acceleration : float
-        A bound on |J^-1 torque|, rad/s^2.
+        A bound on |J^-1 tau|, rad/s^2.
     tolerance : float
         Bound on the truncation error of the attitude per radian turned.
     table : float64 (WORKSPACE,)
@@ -237,7 +258,7 @@ def step(state: State, seconds: float, coefficients: Coefficients, diagonal: boo
     """
     angle = seconds * fma(0.5 * acceleration, seconds, math.sqrt(dot(state[0], state[0])))
     enough = tolerance * angle
-    order = _expand(state, seconds, coefficients, diagonal, torque, degree, in_space, enough,
+    order = _expand(state, seconds, coefficients, diagonal, drive, degree, in_space, enough,
                     table)
     rise = turn = four.every(0.0)
     for k in range(order, 0, -1):  # the small terms first
@@ -251,21 +272,23 @@ def step(state: State, seconds: float, coefficients: Coefficients, diagonal: boo
 
 @inlined
 def _expand(state: State, seconds: float, coefficients: Coefficients, diagonal: bool,
-            torque: Polynomial, degree: int, in_space: bool, enough: float, table: Floats) -> int:
+            drive: Polynomial, degree: int, in_space: bool, enough: float, table: Floats) -> int:
     # Fill the table with the terms of u and of the rotation, and return the order needed.
     first = latest = _keep(table, 0, scale(seconds, state[0]), four.of(0.0, 0.0, 0.0, 1.0))
     if in_space:
         for i in range(degree + 1):
-            _keep_turned(table, _TORQUES + 12 * i, to_body(state[1], torque[i]))
+            _keep_turned(table, _TORQUES + 12 * i, to_body(state[1], drive[i]))
     # A body at rest under a torque ~ t^degree has non-zero terms only at every (degree + 2)nd
     # order, so that fewer small terms in succession prove nothing.
     small = 0
     for k in range(MAX_ORDER):
         products, rotation = _cauchy(table, k, first, latest, diagonal)
         u = _rate(coefficients, diagonal, products)
-        if in_space or k <= degree:
-            push = response(coefficients, _torque_term(table, k, torque, degree, in_space))
+        if in_space:
+            push = response(coefficients, diagonal, _torque_term(table, k, degree))
             u = add_scaled(u, seconds * seconds, push)
+        elif k <= degree:
+            u = add_scaled(u, seconds * seconds, drive[k])
         u = scale(1.0 / (k + 1), u)
         factor = 0.5 / (k + 1)
         turn = scale(factor, rotation)
@@ -331,11 +354,8 @@ def _add_term(sums: tuple[Vector, Vector, Quaternion, Quaternion, Quaternion], o
 
 
 @inlined
-def _torque_term(table: Floats, k: int, torque: Polynomial, degree: int,
-                 in_space: bool) -> Vector:
-    # The term of order k of the torque in body axes.
-    if not in_space:
-        return torque[k]
+def _torque_term(table: Floats, k: int, degree: int) -> Vector:
+    # The term of order k, in body axes, of a torque in space axes.
     term = four.every(0.0)
     for i in range(degree + 1):
         if i <= k:
@@ -370,11 +390,11 @@ def _advance(state: State, rise: Vector, turn: Quaternion) -> State:
 @inlined
 def _rate(coefficients: Coefficients, diagonal: bool, products: Products) -> Vector:
     # Euler's equations without torque.
-    columns, low, main = coefficients
+    columns, low, main, _ = coefficients
     mixed, squares = products
     if diagonal:  # what rounding took averages to zero over a period
         return four.multiply(main, mixed)
-    rest = add(combine(low[:3], mixed), combine(low[3:], squares))
+    rest = add(combine(low[:3], mixed), combine(low[3:6], squares))
     return _add_combined(_add_combined(rest, columns[3:6], squares), columns[:3], mixed)
 
 

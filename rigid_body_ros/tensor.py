@@ -131,13 +131,13 @@ def packed(coefficients: Floats, moments: Floats, axes: Floats) -> Floats:
 
     Returns
     -------
-    array, shape (92,)
-        Nine columns of Euler's equations, the rest of the first six; principal moments and their
-        rest; three axes and their rest.
+    array, shape (104,)
+        Nine columns of Euler's equations and their rest; principal moments and their rest; three
+        axes and their rest.
 
     """
     high, low = coefficients
-    vectors = np.concatenate([high.T, low.T[:6], moments, axes[0].T, axes[1].T])
+    vectors = np.concatenate([high.T, low.T, moments, axes[0].T, axes[1].T])
     return np.pad(vectors, [(0, 0), (0, 1)]).ravel()
 
 

@@ -21,7 +21,9 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros._jit import njit
+from rigid_body_ros import double_double as dd
+from rigid_body_ros._jit import njit, part
+from rigid_body_ros.double_double import Double
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.times import instants, NEVER_NS
 
@@ -122,8 +124,9 @@ class TorqueLog:
         -------
         iterable of (start, stop, coefficients)
             The samples of the chunk, and the polynomials in the fraction of the time from a sample
-            to the next: array, shape (stop - start + 1, degree + 1, 3), N m; one row more than the
-            chunk has, unless it is the last.
+            to the next: array, shape (stop - start + 1, 2 degree + 1, 3), N m; one row more than
+            the chunk has, unless it is the last. After the degree + 1 coefficients comes what
+            rounding took from all but the first, which is the sample itself.
 
         """
         count = len(self)
@@ -175,8 +178,9 @@ class TorqueLog:
         spans = np.append(np.diff(stamps), 10 ** 9)[samples - first]
         fraction = ((times - self.times_ns[samples]) / spans)[:, None]
         coefficients = self._polynomials(first, stop)[samples - first]
-        value = coefficients[:, -1]
-        for k in range(coefficients.shape[1] - 2, -1, -1):
+        degree = coefficients.shape[1] // 2
+        value = coefficients[:, degree]
+        for k in range(degree - 1, -1, -1):
             value = coefficients[:, k] + fraction * value
         torques[given], in_space[given] = value, self.in_space[samples]
         return torques, in_space
@@ -185,17 +189,14 @@ class TorqueLog:
         here = self.torques[first:stop]
         if self.interpolation == 'hold':
             return here[:, None, :]
-        following = self.torques[first + 1:stop + 1]
-        following = np.concatenate([following, here[len(following):]])
         if self.interpolation == 'linear':
-            return np.stack([here, following - here], axis=1)
-        nodes = np.minimum(np.arange(first, stop + 1), len(self) - 1)
-        span = np.diff(self.times_ns[nodes])[:, None] * 1e-9
-        slopes = _slopes(self.times_ns, self.torques, nodes)
-        start, end = slopes[:-1] * span, slopes[1:] * span
-        rise = following - here
-        return np.stack([here, start, 3.0 * rise - 2.0 * start - end, start + end - 2.0 * rise],
-                        axis=1)
+            following = self.torques[first + 1:stop + 1]
+            following = np.concatenate([following, here[len(following):]])
+            rise = following - here
+            back = rise - following
+            lost = (following - (rise - back)) - (here + back)  # Knuth's exact sum
+            return np.stack([here, rise, lost], axis=1)
+        return _hermite(self.times_ns, self.torques, first, stop)
 
 
 def _checked_samples(times_ns: ArrayLike, torques: ArrayLike) -> tuple[NDArray[np.int64], Floats]:
@@ -225,25 +226,61 @@ def _checked_frames(frame: str | Sequence[str], count: int) -> NDArray[np.bool_]
 
 
 @njit
-def _slopes(times_ns: NDArray[np.int64], values: Floats, nodes: NDArray[np.int64]) -> Floats:
-    # Derivative at each node of the polynomial through the nearest samples (barycentric weights;
-    # Berrut and Trefethen, "Barycentric Lagrange interpolation", 2004, section 9.3).
-    count = min(_NEAREST, len(times_ns))
-    slopes, seconds, weights = np.zeros((len(nodes), 3)), np.empty(count), np.ones(count)
-    for row in range(len(nodes)):
-        node = nodes[row]
-        first = min(max(node - count // 2, 0), len(times_ns) - count)
-        for k in range(count):
-            seconds[k] = (times_ns[first + k] - times_ns[node]) * 1e-9
-        span = seconds[count - 1] - seconds[0]
-        for k in range(count):
-            weights[k] = 1.0
-            for m in range(count):
-                if m != k:
-                    weights[k] /= (seconds[k] - seconds[m]) / span
-        for k in range(count):
-            if first + k != node:
-                slope = -weights[k] / weights[node - first] / seconds[k]
-                for axis in range(3):
-                    slopes[row, axis] += slope * (values[first + k, axis] - values[node, axis])
-    return slopes
+def _hermite(times_ns: NDArray[np.int64], values: Floats, first: int, stop: int) -> Floats:
+    # Cubics through the samples, with the slopes there of polynomials through the nearest ones,
+    # and what rounding takes from them: the torques on a thin rod may cancel but for that.
+    last = len(times_ns) - 1
+    count = min(_NEAREST, last + 1)
+    result = np.empty((stop - first, 7, 3))
+    weights, spacing = np.zeros((_NEAREST, 2)), np.zeros(_NEAREST, np.int64)
+    start, end = np.zeros((3, 2)), np.zeros((3, 2))
+    for node in range(first, stop + 1):
+        start, end = end, start
+        at = min(node, last)
+        begin = min(max(at - count // 2, 0), last + 1 - count)
+        _weigh(times_ns, at, begin, count, weights, spacing)
+        for axis in range(3):
+            slope = (0.0, 0.0)
+            for k in range(count):
+                rise = dd.two_sum(values[begin + k, axis], -values[at, axis])
+                slope = dd.add(slope, dd.multiply((weights[k, 0], weights[k, 1]), rise))
+            end[axis, 0], end[axis, 1] = slope
+            if node > first:
+                _fill(result[node - 1 - first, :, axis], values[node - 1, axis],
+                      values[at, axis], dd.whole(times_ns[at] - times_ns[node - 1]),
+                      (start[axis, 0], start[axis, 1]), slope)
+    return result
+
+
+@part
+def _weigh(times_ns: NDArray[np.int64], node: int, begin: int, count: int, weights: Floats,
+           spacing: NDArray[np.int64]) -> None:
+    # What the rise from a node to each of the samples counts for in the slope, 1/ns: derivatives
+    # of Lagrange's polynomials. Those of the node before hold where the spacing is the same.
+    same = True
+    for k in range(count):
+        span = times_ns[begin + k] - times_ns[node]
+        same = same and span == spacing[k]
+        spacing[k] = span
+    if same:
+        return
+    for k in range(count):
+        above, below = (1.0, 0.0), dd.whole(spacing[k])
+        for m in range(count):
+            if spacing[m] != 0 and m != k:
+                above = dd.multiply(above, dd.whole(-spacing[m]))
+                below = dd.multiply(below, dd.whole(spacing[k] - spacing[m]))
+        weights[k, 0], weights[k, 1] = dd.divide(above, below) if spacing[k] != 0 else (0.0, 0.0)
+
+
+@part
+def _fill(row: Floats, here: float, following: float, span: Double, start: Double,
+          end: Double) -> None:
+    # The coefficients on one axis, from the values and the slopes, 1/ns, at both ends.
+    rise = dd.two_sum(following, -here)
+    start, end = dd.multiply(start, span), dd.multiply(end, span)
+    bend = dd.subtract(rise, start)
+    third = dd.subtract(dd.subtract(end, rise), bend)
+    second = dd.subtract(bend, third)
+    row[0], row[1], row[2], row[3] = here, start[0], second[0], third[0]
+    row[4], row[5], row[6] = start[1], second[1], third[1]

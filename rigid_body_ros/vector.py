@@ -32,10 +32,10 @@ State = tuple[Vector, Quaternion, Vector, Quaternion]
 #: Torque, N m: coefficients of a cubic in the fraction of a span of time.
 Polynomial = tuple[Vector, Vector, Vector, Vector]
 #: Euler's equations, dw/dt by the products of w and by the torque: as `tensor.euler_coefficients`
-#: has them, a vector a column, and what rounding took from those of the products. The last is
-#: the diagonal of the first three.
-Coefficients = tuple[tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector],
-                     tuple[Vector, Vector, Vector, Vector, Vector, Vector], Vector]
+#: has them, a vector a column, and what rounding took from them. The last two are the diagonals
+#: of the first three and of the last three.
+Columns = tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector]
+Coefficients = tuple[Columns, Columns, Vector, Vector]
 #: Principal moments and axes, and what rounding took from both, as `tensor.principal` does.
 Frame = tuple[Vector, Vector, tuple[Vector, Vector, Vector], tuple[Vector, Vector, Vector]]
 
@@ -83,6 +83,28 @@ def cross(a: Vector, b: Vector) -> Vector:
 def combine(axes: tuple[Vector, Vector, Vector], a: Vector) -> Vector:
     """Return the vector that has components a along the axes."""
     return add_scaled(add_scaled(scale(a[2], axes[2]), a[1], axes[1]), a[0], axes[0])
+
+
+@inlined
+def combine_exactly(axes: tuple[Vector, Vector, Vector], rests: tuple[Vector, Vector, Vector],
+                    a: Vector) -> Vector:
+    """Return what `combine` does, of axes and their rests in twice the precision, rounded once."""
+    x, y, z = four.every(a[0]), four.every(a[1]), four.every(a[2])
+    i, j, k = four.multiply(x, axes[0]), four.multiply(y, axes[1]), four.multiply(z, axes[2])
+    rest = add(four.fma(x, axes[0], four.negative(i)), add(
+        four.fma(y, axes[1], four.negative(j)), four.fma(z, axes[2], four.negative(k))))
+    rest = add(rest, combine(rests, a))
+    first, lost = two_sum(i, j)
+    both, more = two_sum(first, k)
+    return add(both, add(add(lost, more), rest))
+
+
+@inlined
+def two_sum(a: Four, b: Four) -> tuple[Four, Four]:
+    """Return the sum, and what rounding took from it (Knuth)."""
+    new = add(a, b)
+    part = four.subtract(new, a)
+    return new, add(four.subtract(a, four.subtract(new, part)), four.subtract(b, part))
 
 
 @inlined

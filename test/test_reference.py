@@ -26,7 +26,7 @@ AMPLIFYING = {'separatrix': 1e-7, 'torque_free_intermediate_axis': 5e-12}
 
 
 def test_every_reference_motion_is_here():
-    assert len(NAMES) == 14
+    assert len(NAMES) == 15
 
 
 def cases():

@@ -48,7 +48,8 @@ def series(tensor, attitude, rates, torques, digits=50):
     rates : array, shape (3,), rad/s, body axes
         At the start.
     torques : [(duration_ns, torque, in_space)]
-        Held one after the other; N m, body axes or space axes.
+        One after the other; N m, body axes or space axes. Held, if of shape (3,); if of shape
+        (degree + 1, 3), a polynomial in the fraction of the duration.
     digits : int
         Of the result; `GUARD` more are carried.
 
@@ -59,13 +60,17 @@ def series(tensor, attitude, rates, torques, digits=50):
         size = mp.mnorm(mp.matrix(inverse.tolist()), 'f')
         states = []
         for duration_ns, torque, in_space in torques:
-            seconds, torque = _seconds(duration_ns), exact(torque)
-            while seconds > 0:
+            seconds, torque = _seconds(duration_ns), np.atleast_2d(exact(torque))
+            push = sum(size * _length(row) if in_space else _length(inverse @ row)
+                       for row in torque)
+            fraction = mp.zero
+            while fraction < 1:
                 # The inverse of this rate bounds the radius of convergence from below.
-                rate = _length(w) + mp.sqrt(size * _length(torque))
-                h = min(seconds, STEP_ANGLE / rate) if rate else seconds
-                q, w = _step(q, w, h, tensor, inverse, torque, in_space)
-                seconds -= h
+                rate = _length(w) + mp.sqrt(push)
+                part = min(1 - fraction, STEP_ANGLE / rate / seconds) if rate else mp.one
+                q, w = _step(q, w, part * seconds, tensor, inverse,
+                             _shifted(torque, fraction, part), in_space)
+                fraction += part
             states.append((q, w))
         return states
 
@@ -108,7 +113,7 @@ def _step(q, w, h, tensor, inverse, torque, in_space):
     bits = mp.prec + 16 + 2 * mp.mag(abs(inverse).max() * size)  # which magnifies rounding
     fixed = np.vectorize(lambda x: int(mp.nint(mp.ldexp(x, bits))), otypes=[object])
     if in_space:
-        torque = rotate(_conjugate(q), torque)
+        torque = np.array([rotate(_conjugate(q), row) for row in torque])
     sums = _sums(fixed(q), fixed(w * h), fixed(tensor @ w * h / size),
                  fixed(torque * h * h / size), in_space, fixed(inverse * size), bits)
     q, w = (exact(s) * mp.ldexp(1, -bits) for s in sums)
@@ -118,19 +123,33 @@ def _step(q, w, h, tensor, inverse, torque, in_space):
 def _sums(q, w, m, torque, in_space, inverse, bits):
     # The sums of the series of q and w after one unit of time.
     orders, negligible = 4 * mp.dps, 1 << bits - mp.prec
-    qs, ws, ms, ts = (np.full((orders + 1, n), 0, dtype=object) for n in (4, 3, 3, 3))
-    qs[0], ws[0], ms[0], ts[0] = q, w, m, torque
+    qs, ws, ms = (np.full((orders + 1, n), 0, dtype=object) for n in (4, 3, 3))
+    qs[0], ws[0], ms[0] = q, w, m
+    # In body axes each coefficient of the torque is a constant, or turns.
+    ts = np.full((len(torque), orders + 1, 3), 0, dtype=object)
+    ts[:, 0] = torque
     for k in range(orders):
         past = ws[k::-1]
-        ms[k + 1] = ((np.cross(ms[:k + 1], past).sum(axis=0) >> bits) + ts[k]) // (k + 1)
+        push = sum(ts[i, k - i] for i in range(min(k + 1, len(ts))))
+        ms[k + 1] = ((np.cross(ms[:k + 1], past).sum(axis=0) >> bits) + push) // (k + 1)
         ws[k + 1] = inverse @ ms[k + 1] >> bits
         qs[k + 1] = (_times(qs[:k + 1], _pure(past)).sum(axis=0) >> bits) // (2 * (k + 1))
-        if in_space:
-            ts[k + 1] = (np.cross(ts[:k + 1], past).sum(axis=0) >> bits) // (k + 1)
-        # From rest every second term is zero, but not two in succession.
-        if max(abs(qs[k:k + 2]).max(), abs(ws[k:k + 2]).max()) < negligible:
+        for turning in ts if in_space else ():
+            turning[k + 1] = (np.cross(turning[:k + 1], past).sum(axis=0) >> bits) // (k + 1)
+        # From rest only every (degree + 2)nd term is not zero.
+        last = slice(max(0, k + 1 - len(ts)), k + 2)
+        if k >= len(ts) and max(abs(qs[last]).max(), abs(ws[last]).max()) < negligible:
             return qs.sum(axis=0), ws.sum(axis=0)
     raise ArithmeticError('the series does not converge: is the inertia that of a body?')
+
+
+def _shifted(torque, fraction, part):
+    # The coefficients in the fraction of a part: a Taylor shift.
+    result = torque.copy()
+    for i in range(len(result)):
+        for k in range(len(result) - 2, i - 1, -1):
+            result[k] += fraction * result[k + 1]
+    return result * np.array([[part ** k] for k in range(len(result))], dtype=object)
 
 
 def _frame(tensor, m):

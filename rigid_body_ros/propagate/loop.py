@@ -120,13 +120,14 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
         Set where a coast was answered in closed form, by sample + 1.
     stamps_ns, in_space : int64 (n,), bool (n,)
         From when on each sample rules, and whether its torque is given in space axes.
-    torques : float64 (k, degree + 1, 3)
-        Polynomials in the fraction of their time, for samples from `first` on.
+    torques : float64 (k, 2 degree + 1, 3)
+        Polynomials in the fraction of their time, for samples from `first` on, as of
+        `TorqueLog.polynomials`.
     first, stop : int
         The sample that `torques` begins with, and the one not to begin with.
     timeout_ns : int
         How long after a sample the torque becomes zero; 0: never.
-    constants : float64 (92,)
+    constants : float64 (104,)
         The body, as of `tensor.packed`.
     solver : int
         Its place in `SOLVERS`.
@@ -158,7 +159,7 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
     table = np.empty(taylor.WORKSPACE)
     free, prepared = free_motion.unchanging(begin, free_motion.LOST), False
     out = state
-    degree = torques.shape[1] - 1
+    degree = torques.shape[1] // 2
     while sample < stop and done < len(at_ns) and budget > 0:
         idle = silent or sample < 0
         next_ns = stamps_ns[sample + 1] if sample + 1 < len(stamps_ns) else NEVER_NS
@@ -175,7 +176,7 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
         if asked or not goes_on:
             time_ns = at_ns[row] if asked else end_ns
             rest_ns, seconds = time_ns - grid_ns, (time_ns - grid_ns) / 1e9
-            push = taylor.response(equations, torque[0])
+            push = taylor.response(equations, diagonal, torque[0])
             formula = coasts and _is_long(solver, begin, time_ns - begin_ns)
             if formula and not prepared:
                 free, prepared = free_motion.prepare(begin, frame), True
@@ -200,8 +201,10 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
                 out = taylor.short_step(state, seconds, equations, diagonal, push, tolerance)
             else:
                 origin_ns, span = _span(stamps_ns, sample)
+                drive = torque if space or coasts else taylor.responses(
+                    equations, diagonal, torque, _rests(torques, index))
                 state, grid_ns, out, reached, budget = _move(
-                    state, grid_ns, time_ns, torque, 0 if coasts else degree,
+                    state, grid_ns, time_ns, drive, 0 if coasts else degree,
                     space and not coasts, origin_ns, span, equations, diagonal, frame, solver,
                     tolerance, angle, max_step_ns, table, budget)
                 if not reached:
@@ -237,7 +240,7 @@ def _stream(state: vector.State, grid_ns: int, sample: int, last: int, done: int
             _fill(state, row, motion)
             done += 1
             continue
-        push, span_ns = taylor.response(equations, torque), next_ns - grid_ns
+        push, span_ns = taylor.response(equations, diagonal, torque), next_ns - grid_ns
         seconds = span_ns / 1e9
         if (at_ns[row] < next_ns or span_ns >= max_step_ns or in_space[sample]
                 or _is_nothing(torque) or 0 < timeout_ns < next_ns - stamps_ns[sample]
@@ -264,10 +267,22 @@ def _torque(torques: Floats, index: int, idle: bool) -> vector.Polynomial:
         return none, none, none, none
     if torques.shape[1] == 1:
         return _row(torques, index, 0), none, none, none
-    if torques.shape[1] == 2:
+    if torques.shape[1] == 3:
         return _row(torques, index, 0), _row(torques, index, 1), none, none
     return (_row(torques, index, 0), _row(torques, index, 1), _row(torques, index, 2),
             _row(torques, index, 3))
+
+
+@inlined
+def _rests(torques: Floats, index: int) -> vector.Polynomial:
+    # What rounding took from the coefficients.
+    none = four.every(0.0)
+    if torques.shape[1] == 1:
+        return none, none, none, none
+    if torques.shape[1] == 3:
+        return none, _row(torques, index, 2), none, none
+    return (none, _row(torques, index, 4), _row(torques, index, 5),
+            _row(torques, index, 6))
 
 
 @inlined
@@ -308,7 +323,7 @@ def _span(stamps_ns: NDArray[np.int64], sample: int) -> tuple[int, float]:
 
 
 @part
-def _move(state: vector.State, grid_ns: int, time_ns: int, torque: vector.Polynomial, degree: int,
+def _move(state: vector.State, grid_ns: int, time_ns: int, drive: vector.Polynomial, degree: int,
           in_space: bool, origin_ns: int, span: float, equations: vector.Coefficients,
           diagonal: bool, frame: vector.Frame, solver: int, tolerance: float, angle: float,
           max_step_ns: int, table: Floats,
@@ -316,7 +331,7 @@ def _move(state: vector.State, grid_ns: int, time_ns: int, torque: vector.Polyno
     # Go on to the last grid point before a time, and from there to the time. Returns the state
     # on the grid, when that is, the state at the time, whether it was reached before the budget
     # of steps was used up or the body too fast, and what is left of the budget.
-    bound = taylor.acceleration_bound(torque, in_space, equations)
+    bound = taylor.acceleration_bound(drive, in_space, equations)
     out = state
     while grid_ns < time_ns:
         if budget <= 0:
@@ -328,8 +343,8 @@ def _move(state: vector.State, grid_ns: int, time_ns: int, torque: vector.Polyno
         if last:
             step_ns = rest_ns
         seconds = step_ns / 1e9
-        local = torque if degree == 0 else _local(
-            torque, (grid_ns - origin_ns) / 1e9 / span, seconds / span)
+        local = drive if degree == 0 else _local(
+            drive, (grid_ns - origin_ns) / 1e9 / span, seconds / span)
         out = _step(state, seconds, equations, diagonal, frame, local, degree, in_space, bound,
                     solver, tolerance, table)
         if last:
@@ -356,22 +371,22 @@ def _natural_ns(state: vector.State, rest_ns: int, bound: float, solver: int, an
 
 @inlined
 def _step(state: vector.State, seconds: float, equations: vector.Coefficients, diagonal: bool,
-          frame: vector.Frame, torque: vector.Polynomial, degree: int, in_space: bool,
+          frame: vector.Frame, drive: vector.Polynomial, degree: int, in_space: bool,
           bound: float, solver: int, tolerance: float, table: Floats) -> vector.State:
     if solver == RK4:
-        return steppers.rk4(state, seconds, equations, torque, in_space)
+        return steppers.rk4(state, seconds, equations, drive, in_space)
     if solver == STRANG:
-        return steppers.strang(state, seconds, equations, frame, torque, in_space)
+        return steppers.strang(state, seconds, equations, frame, drive, in_space)
     if solver == EXPLICIT_EULER:
-        return steppers.explicit_euler(state, seconds, equations, torque, in_space)
-    return taylor.step(state, seconds, equations, diagonal, torque, degree, in_space, bound,
+        return steppers.explicit_euler(state, seconds, equations, drive, in_space)
+    return taylor.step(state, seconds, equations, diagonal, drive, degree, in_space, bound,
                        tolerance, table)
 
 
 @part
-def _local(torque: vector.Polynomial, offset: float, ratio: float) -> vector.Polynomial:
+def _local(drive: vector.Polynomial, offset: float, ratio: float) -> vector.Polynomial:
     # From p(s) to p(offset + ratio s), by Horner's rule (a Taylor shift).
-    a, b, c, d = torque
+    a, b, c, d = drive
     a = vector.add_scaled(a, offset, vector.add_scaled(b, offset, vector.add_scaled(c, offset, d)))
     b = vector.add_scaled(b, offset, vector.add_scaled(vector.scale(2.0, c), 3.0 * offset, d))
     c = vector.add_scaled(c, 3.0 * offset, d)
@@ -384,15 +399,17 @@ def _equations(constants: Floats) -> vector.Coefficients:
     at = four.load
     c = constants
     return ((at(c, 0), at(c, 4), at(c, 8), at(c, 12), at(c, 16), at(c, 20), at(c, 24), at(c, 28),
-             at(c, 32)), (at(c, 36), at(c, 40), at(c, 44), at(c, 48), at(c, 52), at(c, 56)),
-            vector.of(c[0], c[5], c[10]))
+             at(c, 32)),
+            (at(c, 36), at(c, 40), at(c, 44), at(c, 48), at(c, 52), at(c, 56), at(c, 60),
+             at(c, 64), at(c, 68)),
+            vector.of(c[0], c[5], c[10]), vector.of(c[24], c[29], c[34]))
 
 
 @part
 def _frame(constants: Floats) -> vector.Frame:
     at, c = four.load, constants
-    return (at(c, 60), at(c, 64), (at(c, 68), at(c, 72), at(c, 76)),
-            (at(c, 80), at(c, 84), at(c, 88)))
+    return (at(c, 72), at(c, 76), (at(c, 80), at(c, 84), at(c, 88)),
+            (at(c, 92), at(c, 96), at(c, 100)))
 
 
 @part
