@@ -63,6 +63,12 @@ Term = tuple[Vector, Vector, Vector, Quaternion]
 #: Products y z, z x, x y and x x, y y, z z of a vector, or their Cauchy sums.
 Products = tuple[Vector, Vector]
 
+#: Of the inertia tensor: diagonal, full, and full with moments of which one is so small that
+#: J^-1 tau may cancel by more than a digit.
+DIAGONAL, FULL, THIN = range(3)
+#: Ratio of the largest moment to the smallest beyond which it is THIN: a loss of 16 eps is a tenth
+#: of what rounding makes of a motion otherwise.
+THIN_FROM = 16.0
 MAX_ORDER = 40
 #: What the table holds of each term: u, itself and turned round; the rotation since the beginning;
 #: up to four torques, themselves and turned round.
@@ -116,29 +122,40 @@ def acceleration_bound(drive: Polynomial, in_space: bool, coefficients: Coeffici
 
 
 @inlined
-def response(coefficients: Coefficients, diagonal: bool, torque: Vector) -> Vector:
+def response(coefficients: Coefficients, form: int, torque: Vector) -> Vector:
     """
     Return the angular acceleration J^-1 tau, rad/s^2.
 
     For a thin rod it may be a difference of terms a million times its size, so it is summed in
-    twice the working precision (Ogita, Rump and Oishi, "Accurate sum and dot product", 2005).
+    twice the working precision.
     """
     columns, low, _, along = coefficients
-    if diagonal:
+    if form == DIAGONAL:
         return four.multiply(along, torque)
-    return combine_exactly(columns[6:], low[6:], torque)
+    if form == FULL:
+        return combine(columns[6:], torque)
+    total, rest = combine_exactly(columns[6:], low[6:], torque)
+    return add(total, rest)
 
 
 @inlined
-def responses(coefficients: Coefficients, diagonal: bool, torque: Polynomial,
+def responses(coefficients: Coefficients, form: int, torque: Polynomial,
               rests: Polynomial) -> Polynomial:
     """Return J^-1 tau, rad/s^2, of a torque in body axes and what rounding took from it."""
     a, b, c, d = torque
-    _, lost_b, lost_c, lost_d = rests
-    return (response(coefficients, diagonal, a),
-            add(response(coefficients, diagonal, b), response(coefficients, diagonal, lost_b)),
-            add(response(coefficients, diagonal, c), response(coefficients, diagonal, lost_c)),
-            add(response(coefficients, diagonal, d), response(coefficients, diagonal, lost_d)))
+    if form != THIN:
+        return (response(coefficients, form, a), response(coefficients, form, b),
+                response(coefficients, form, c), response(coefficients, form, d))
+    columns, low = coefficients[0][6:], coefficients[1][6:]
+    return (response(coefficients, form, a), _response(columns, low, b, rests[1]),
+            _response(columns, low, c, rests[2]), _response(columns, low, d, rests[3]))
+
+
+@inlined
+def _response(columns: tuple[Vector, Vector, Vector], low: tuple[Vector, Vector, Vector],
+              torque: Vector, lost: Vector) -> Vector:
+    total, rest = combine_exactly(columns, low, torque)
+    return add(total, add(rest, combine(columns, lost)))
 
 
 @inlined
@@ -173,7 +190,7 @@ def _squares(state: State, seconds: float, push: Vector, tolerance: float) -> tu
 
 
 @inlined
-def short_step(state: State, seconds: float, coefficients: Coefficients, diagonal: bool,
+def short_step(state: State, seconds: float, coefficients: Coefficients, form: int,
                push: Vector, tolerance: float) -> State:
     """
     Return the state after one step, by terms to order 5, or fewer where they do.
@@ -188,22 +205,22 @@ def short_step(state: State, seconds: float, coefficients: Coefficients, diagona
     # The terms of w, rad/s, and the same in radians a step. Factors go to what is known early,
     # so that the next term need not wait for them.
     u0 = scale(seconds, w)
-    w1 = add_scaled(_rate(coefficients, diagonal, _products(u0, w)), seconds, push)
-    w2 = _rate(coefficients, diagonal, _twice(scale(1 / 2, u0), w1))
+    w1 = add_scaled(_rate(coefficients, form, _products(u0, w)), seconds, push)
+    w2 = _rate(coefficients, form, _twice(scale(1 / 2, u0), w1))
     u1, u2 = scale(seconds, w1), scale(seconds, w2)
-    w3 = _rate(coefficients, diagonal, _plus_twice(
+    w3 = _rate(coefficients, form, _plus_twice(
         _products(scale(1 / 3, u1), w1), scale(1 / 3, u0), w2))
     a = cross(u0, u1)
     rise = add(add(w1, w2), w3)
     turn = add_scaled(add_scaled(scale(1 / 2, u1), 1 / 3, u2), 1 / 12, a)
     if _ERROR_3 ** 2 * size ** 2 > enough:
-        w4 = _rate(coefficients, diagonal, _plus_twice(
+        w4 = _rate(coefficients, form, _plus_twice(
             _twice(scale(1 / 4, u1), w2), scale(1 / 4, u0), w3))
         u3, b = scale(seconds, w3), cross(u0, u2)
         rise = add(rise, w4)
         turn = add(turn, add_scaled(scale(1 / 4, u3), 1 / 12, b))
         if _ERROR_4 ** 4 * size ** 5 > enough * enough:
-            w5 = _rate(coefficients, diagonal, _plus_twice(_plus_twice(
+            w5 = _rate(coefficients, form, _plus_twice(_plus_twice(
                 _products(scale(1 / 5, u2), w2), scale(1 / 5, u1), w3), scale(1 / 5, u0), w4))
             rise = add(rise, w5)
             inner = add_scaled(scale(3 / 40, u3), 1 / 360, b)
@@ -225,7 +242,7 @@ def _half_turn(turn: Vector) -> Quaternion:
 
 
 @inlined
-def step(state: State, seconds: float, coefficients: Coefficients, diagonal: bool,
+def step(state: State, seconds: float, coefficients: Coefficients, form: int,
          drive: Polynomial, degree: int, in_space: bool, acceleration: float, tolerance: float,
          table: Floats) -> State:
     """
@@ -239,8 +256,8 @@ def step(state: State, seconds: float, coefficients: Coefficients, diagonal: boo
         Length of the step; no more than about `step_seconds`.
     coefficients : Coefficients
         Of Euler's equations, as `tensor.euler_coefficients` has them.
-    diagonal : bool
-        Whether they are those of principal axes.
+    form : int
+        Of the inertia tensor: DIAGONAL, FULL or THIN.
     drive : Polynomial
         In the fraction of the step, 0 to 1: J^-1 tau, rad/s^2, of a torque in body axes, or the
         torque, N m, in space axes.
@@ -258,7 +275,7 @@ def step(state: State, seconds: float, coefficients: Coefficients, diagonal: boo
     """
     angle = seconds * fma(0.5 * acceleration, seconds, math.sqrt(dot(state[0], state[0])))
     enough = tolerance * angle
-    order = _expand(state, seconds, coefficients, diagonal, drive, degree, in_space, enough,
+    order = _expand(state, seconds, coefficients, form, drive, degree, in_space, enough,
                     table)
     rise = turn = four.every(0.0)
     for k in range(order, 0, -1):  # the small terms first
@@ -271,7 +288,7 @@ def step(state: State, seconds: float, coefficients: Coefficients, diagonal: boo
 
 
 @inlined
-def _expand(state: State, seconds: float, coefficients: Coefficients, diagonal: bool,
+def _expand(state: State, seconds: float, coefficients: Coefficients, form: int,
             drive: Polynomial, degree: int, in_space: bool, enough: float, table: Floats) -> int:
     # Fill the table with the terms of u and of the rotation, and return the order needed.
     first = latest = _keep(table, 0, scale(seconds, state[0]), four.of(0.0, 0.0, 0.0, 1.0))
@@ -282,10 +299,10 @@ def _expand(state: State, seconds: float, coefficients: Coefficients, diagonal: 
     # order, so that fewer small terms in succession prove nothing.
     small = 0
     for k in range(MAX_ORDER):
-        products, rotation = _cauchy(table, k, first, latest, diagonal)
-        u = _rate(coefficients, diagonal, products)
+        products, rotation = _cauchy(table, k, first, latest, form)
+        u = _rate(coefficients, form, products)
         if in_space:
-            push = response(coefficients, diagonal, _torque_term(table, k, degree))
+            push = response(coefficients, form, _torque_term(table, k, degree))
             u = add_scaled(u, seconds * seconds, push)
         elif k <= degree:
             u = add_scaled(u, seconds * seconds, drive[k])
@@ -326,28 +343,28 @@ def _kept(table: Floats, row: int) -> Term:
 
 @inlined
 def _cauchy(table: Floats, k: int, first: Term, latest: Term,
-            diagonal: bool) -> tuple[Products, Quaternion]:
+            form: int) -> tuple[Products, Quaternion]:
     # The terms of order k of the products of u, and of the rotation times (u, 0). What has the
     # latest term comes last, and not from memory, so that the rest need not wait for it.
     sums = (four.every(0.0), four.every(0.0), four.every(0.0), four.every(0.0), four.every(0.0))
     row = _TERM * k
     for j in range(_TERM, row, _TERM):
-        sums = _add_term(sums, _kept(table, row - j), _kept(table, j), diagonal)
+        sums = _add_term(sums, _kept(table, row - j), _kept(table, j), form)
     if k > 0:
-        sums = _add_term(sums, first, latest, diagonal)
-    products, squares, x, y, z = _add_term(sums, latest, first, diagonal)
+        sums = _add_term(sums, first, latest, form)
+    products, squares, x, y, z = _add_term(sums, latest, first, form)
     return (products, squares), add(add(four.times_i(x), four.times_j(y)), four.times_k(z))
 
 
 @inlined
 def _add_term(sums: tuple[Vector, Vector, Quaternion, Quaternion, Quaternion], one: Term,
               other: Term,
-              diagonal: bool) -> tuple[Vector, Vector, Quaternion, Quaternion, Quaternion]:
+              form: int) -> tuple[Vector, Vector, Quaternion, Quaternion, Quaternion]:
     products, squares, x, y, z = sums
     u, yzx, _, _ = one
     v, _, zxy, turn = other
     products = four.fma(yzx, zxy, products)
-    if not diagonal:
+    if form != DIAGONAL:
         squares = four.fma(u, v, squares)
     return (products, squares, add_scaled(x, u[0], turn), add_scaled(y, u[1], turn),
             add_scaled(z, u[2], turn))
@@ -388,11 +405,11 @@ def _advance(state: State, rise: Vector, turn: Quaternion) -> State:
 
 
 @inlined
-def _rate(coefficients: Coefficients, diagonal: bool, products: Products) -> Vector:
+def _rate(coefficients: Coefficients, form: int, products: Products) -> Vector:
     # Euler's equations without torque.
     columns, low, main, _ = coefficients
     mixed, squares = products
-    if diagonal:  # what rounding took averages to zero over a period
+    if form == DIAGONAL:  # what rounding took averages to zero over a period
         return four.multiply(main, mixed)
     rest = add(combine(low[:3], mixed), combine(low[3:6], squares))
     return _add_combined(_add_combined(rest, columns[3:6], squares), columns[:3], mixed)

@@ -87,8 +87,12 @@ def combine(axes: tuple[Vector, Vector, Vector], a: Vector) -> Vector:
 
 @inlined
 def combine_exactly(axes: tuple[Vector, Vector, Vector], rests: tuple[Vector, Vector, Vector],
-                    a: Vector) -> Vector:
-    """Return what `combine` does, of axes and their rests in twice the precision, rounded once."""
+                    a: Vector) -> tuple[Vector, Vector]:
+    """
+    Return what `combine` does of axes and their rests, and what rounding took from it.
+
+    In twice the working precision (Ogita, Rump and Oishi, "Accurate sum and dot product", 2005).
+    """
     x, y, z = four.every(a[0]), four.every(a[1]), four.every(a[2])
     i, j, k = four.multiply(x, axes[0]), four.multiply(y, axes[1]), four.multiply(z, axes[2])
     rest = add(four.fma(x, axes[0], four.negative(i)), add(
@@ -96,7 +100,7 @@ def combine_exactly(axes: tuple[Vector, Vector, Vector], rests: tuple[Vector, Ve
     rest = add(rest, combine(rests, a))
     first, lost = two_sum(i, j)
     both, more = two_sum(first, k)
-    return add(both, add(add(lost, more), rest))
+    return both, add(add(lost, more), rest)
 
 
 @inlined

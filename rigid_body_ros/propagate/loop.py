@@ -155,7 +155,7 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
         silent = sample >= 0 and 0 < timeout_ns <= grid_ns - stamps_ns[sample]
         begin, begin_ns = state, grid_ns
     equations, frame = _equations(constants), _frame(constants)
-    diagonal, angle = _is_diagonal(equations), taylor.step_angle(tolerance)
+    form, angle = _form(equations, frame), taylor.step_angle(tolerance)
     table = np.empty(taylor.WORKSPACE)
     free, prepared = free_motion.unchanging(begin, free_motion.LOST), False
     out = state
@@ -176,7 +176,7 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
         if asked or not goes_on:
             time_ns = at_ns[row] if asked else end_ns
             rest_ns, seconds = time_ns - grid_ns, (time_ns - grid_ns) / 1e9
-            push = taylor.response(equations, diagonal, torque[0])
+            push = taylor.response(equations, form, torque[0])
             formula = coasts and _is_long(solver, begin, time_ns - begin_ns)
             if formula and not prepared:
                 free, prepared = free_motion.prepare(begin, frame), True
@@ -194,18 +194,19 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
                     budget += sample
                     state, grid_ns, sample, done = _stream(
                         state, grid_ns, sample, last, done, at_ns, rows, motion, stamps_ns,
-                        torques, in_space, timeout_ns, equations, diagonal, tolerance, max_step_ns)
+                        torques, in_space, timeout_ns, equations, form, tolerance, max_step_ns)
                     begin, begin_ns, prepared = state, grid_ns, False
                     budget -= sample
                     continue
-                out = taylor.short_step(state, seconds, equations, diagonal, push, tolerance)
+                out = taylor.short_step(state, seconds, equations, form, push, tolerance)
             else:
                 origin_ns, span = _span(stamps_ns, sample)
-                drive = torque if space or coasts else taylor.responses(
-                    equations, diagonal, torque, _rests(torques, index))
+                drive = torque
+                if not space and not coasts:
+                    drive = taylor.responses(equations, form, torque, _rests(torques, index))
                 state, grid_ns, out, reached, budget = _move(
                     state, grid_ns, time_ns, drive, 0 if coasts else degree,
-                    space and not coasts, origin_ns, span, equations, diagonal, frame, solver,
+                    space and not coasts, origin_ns, span, equations, form, frame, solver,
                     tolerance, angle, max_step_ns, table, budget)
                 if not reached:
                     break
@@ -227,7 +228,7 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
 def _stream(state: vector.State, grid_ns: int, sample: int, last: int, done: int,
             at_ns: NDArray[np.int64], rows: NDArray[np.intp], motion: Floats,
             stamps_ns: NDArray[np.int64], torques: Floats, in_space: NDArray[np.bool_],
-            timeout_ns: int, equations: vector.Coefficients, diagonal: bool, tolerance: float,
+            timeout_ns: int, equations: vector.Coefficients, form: int, tolerance: float,
             max_step_ns: int) -> tuple[vector.State, int, int, int]:
     # Go from stamp to stamp, at most to that of the sample `last`, under held body torques for as
     # long as one short step each will do, and nothing is asked for in between. Apart from `run`:
@@ -240,13 +241,13 @@ def _stream(state: vector.State, grid_ns: int, sample: int, last: int, done: int
             _fill(state, row, motion)
             done += 1
             continue
-        push, span_ns = taylor.response(equations, diagonal, torque), next_ns - grid_ns
+        push, span_ns = taylor.response(equations, form, torque), next_ns - grid_ns
         seconds = span_ns / 1e9
         if (at_ns[row] < next_ns or span_ns >= max_step_ns or in_space[sample]
                 or _is_nothing(torque) or 0 < timeout_ns < next_ns - stamps_ns[sample]
                 or not taylor.is_short(state, seconds, push, tolerance)):
             break
-        state = taylor.short_step(state, seconds, equations, diagonal, push, tolerance)
+        state = taylor.short_step(state, seconds, equations, form, push, tolerance)
         grid_ns = next_ns
         sample += 1
     return state, grid_ns, sample, done
@@ -325,7 +326,7 @@ def _span(stamps_ns: NDArray[np.int64], sample: int) -> tuple[int, float]:
 @part
 def _move(state: vector.State, grid_ns: int, time_ns: int, drive: vector.Polynomial, degree: int,
           in_space: bool, origin_ns: int, span: float, equations: vector.Coefficients,
-          diagonal: bool, frame: vector.Frame, solver: int, tolerance: float, angle: float,
+          form: int, frame: vector.Frame, solver: int, tolerance: float, angle: float,
           max_step_ns: int, table: Floats,
           budget: int) -> tuple[vector.State, int, vector.State, bool, int]:
     # Go on to the last grid point before a time, and from there to the time. Returns the state
@@ -345,7 +346,7 @@ def _move(state: vector.State, grid_ns: int, time_ns: int, drive: vector.Polynom
         seconds = step_ns / 1e9
         local = drive if degree == 0 else _local(
             drive, (grid_ns - origin_ns) / 1e9 / span, seconds / span)
-        out = _step(state, seconds, equations, diagonal, frame, local, degree, in_space, bound,
+        out = _step(state, seconds, equations, form, frame, local, degree, in_space, bound,
                     solver, tolerance, table)
         if last:
             break
@@ -370,7 +371,7 @@ def _natural_ns(state: vector.State, rest_ns: int, bound: float, solver: int, an
 
 
 @inlined
-def _step(state: vector.State, seconds: float, equations: vector.Coefficients, diagonal: bool,
+def _step(state: vector.State, seconds: float, equations: vector.Coefficients, form: int,
           frame: vector.Frame, drive: vector.Polynomial, degree: int, in_space: bool,
           bound: float, solver: int, tolerance: float, table: Floats) -> vector.State:
     if solver == RK4:
@@ -379,7 +380,7 @@ def _step(state: vector.State, seconds: float, equations: vector.Coefficients, d
         return steppers.strang(state, seconds, equations, frame, drive, in_space)
     if solver == EXPLICIT_EULER:
         return steppers.explicit_euler(state, seconds, equations, drive, in_space)
-    return taylor.step(state, seconds, equations, diagonal, drive, degree, in_space, bound,
+    return taylor.step(state, seconds, equations, form, drive, degree, in_space, bound,
                        tolerance, table)
 
 
@@ -413,7 +414,15 @@ def _frame(constants: Floats) -> vector.Frame:
 
 
 @part
-def _is_diagonal(equations: vector.Coefficients) -> bool:
+def _form(equations: vector.Coefficients, frame: vector.Frame) -> int:
+    if _is_along_axes(equations):
+        return taylor.DIAGONAL
+    moments = frame[0]
+    return taylor.THIN if moments[2] > taylor.THIN_FROM * moments[0] else taylor.FULL
+
+
+@part
+def _is_along_axes(equations: vector.Coefficients) -> bool:
     a, b, c, d, e, f, _, _, _ = equations[0]
     return (a[1] == a[2] == b[0] == b[2] == c[0] == c[1] == 0.0
             and _is_nothing(d) and _is_nothing(e) and _is_nothing(f))
