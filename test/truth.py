@@ -22,6 +22,8 @@ space; the continuous lift from the start, not flipped) and the body rates as nu
 mpmath's numbers.
 """
 
+from itertools import pairwise
+
 from mpmath import mp
 import numpy as np
 
@@ -75,6 +77,27 @@ def series(tensor, attitude, rates, torques, digits=50):
         return states
 
 
+def between_samples(log, digits=50):
+    """
+    Return the torques of a log from sample to sample, as `series` takes them.
+
+    Cubic: Hermite's polynomials, with the slopes of polynomials through the five nearest samples.
+    """
+    with mp.workdps(digits + GUARD):
+        times, values = [exact(time) for time in log.times_ns.tolist()], exact(log.torques)
+        pieces = []
+        for k, (start, end) in enumerate(pairwise(times)):
+            here, rise, span = values[k], values[k + 1] - values[k], end - start
+            rows = [here]
+            if log.interpolation == 'linear':
+                rows = [here, rise]
+            elif log.interpolation == 'cubic':
+                first, last = (_slope(times, values, node) * span for node in (k, k + 1))
+                rows = [here, first, 3 * rise - 2 * first - last, first + last - 2 * rise]
+            pieces.append((int(span), np.array(rows), bool(log.in_space[k])))
+        return pieces
+
+
 def free(tensor, attitude, rates, time_ns, digits=50):
     """
     Return the torque-free motion at one time after the start as (attitude, rates).
@@ -104,6 +127,16 @@ def chord(truth, attitude):
 def rotate(q, v):
     """Return the vector v turned by the unit quaternion q."""
     return _times(_times(q, _pure(v)), _conjugate(q))[:3]
+
+
+def _slope(times, values, node):
+    # The derivative of Lagrange's polynomial through the five nearest samples.
+    count = min(5, len(times))
+    first = min(max(node - count // 2, 0), len(times) - count)
+    others = [k for k in range(first, first + count) if k != node]
+    return sum((values[k] - values[node]) / (times[k] - times[node])
+               * mp.fprod((times[node] - times[m]) / (times[k] - times[m])
+                          for m in others if m != k) for k in others)
 
 
 def _step(q, w, h, tensor, inverse, torque, in_space):
