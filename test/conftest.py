@@ -51,7 +51,7 @@ NEEDS = {
     'rclpy': ['clocks', 'faults', 'launch', 'lockstep', 'node', 'soak', 'topics', 'workspace'],
     'launch_ros': ['launch'],  # PyPI does not have it
     'colcon_ros': ['workspace'],
-    'mpmath': ['elliptic', 'examples', 'extremes', 'free_motion', 'peers', 'propagate',
+    'mpmath': ['arm', 'elliptic', 'examples', 'extremes', 'free_motion', 'peers', 'propagate',
                'reference', 'steppers', 'tensor', 'truth', 'validation'],  # rosdep has none
     'numba': ['elliptic', 'four'],
 }
