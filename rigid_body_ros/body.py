@@ -151,13 +151,12 @@ class RigidBody:
 
     def moment_about(self, axis: ArrayLike) -> float:
         """Return the moment of inertia n J n, kg m^2, about an axis through the centre of mass."""
-        direction = np.asarray(axis, float)
-        direction = direction / np.linalg.norm(direction)
-        return float(direction @ self.inertia @ direction)
+        direction = so3.normalize(axis)
+        return float(np.sum(direction * self.angular_momentum(direction)))
 
     def angular_momentum(self, angular_velocity: ArrayLike) -> Floats:
         """Return L = J w, N m s, body axes, shape (..., 3)."""
-        return np.asarray(angular_velocity, float) @ self.inertia
+        return _combined(np.asarray(angular_velocity, float), self.inertia)
 
     def kinetic_energy(self, angular_velocity: ArrayLike) -> Floats:
         """Return w J w / 2, J, shape (...)."""
@@ -183,12 +182,20 @@ class RigidBody:
         """
         w, torque = np.broadcast_arrays(np.asarray(angular_velocity, float), torque)
         products = np.concatenate([np.roll(w, -1, -1) * np.roll(w, -2, -1), w * w, torque], -1)
-        return products @ self._coefficients[0].T
+        return _combined(products, self._coefficients[0].T)
 
     def torque(self, angular_velocity: ArrayLike, angular_acceleration: ArrayLike) -> Floats:
         """Return the body torque tau = (dL/dt)_space in body axes, N m, shape (..., 3)."""
         change = self.angular_momentum(angular_acceleration)
         return rate_in_space(change, angular_velocity, self.angular_momentum(angular_velocity))
+
+
+def _combined(factors: Floats, rows: Floats) -> Floats:
+    # The product factors @ rows, added up in order: that of BLAS depends on the processor.
+    total = factors[..., :1] * rows[0]
+    for k in range(1, len(rows)):
+        total = total + factors[..., k:k + 1] * rows[k]
+    return total
 
 
 def rate_in_space(rate_in_body: ArrayLike, angular_velocity: ArrayLike,
@@ -267,7 +274,7 @@ class State:
         if not q.any():
             raise ValueError('attitude quaternion (x, y, z, w): expected a rotation, '
                              f'found {q.tolist()}')
-        if abs(np.linalg.norm(q) - 1.0) > 4.0 * np.finfo(float).eps:
+        if abs(np.sqrt(np.sum(q * q)) - 1.0) > 4.0 * np.finfo(float).eps:
             q = so3.normalize(q)
         w = _checked_vector(angular_velocity, 3, 'angular velocity')
         packed = np.concatenate([w, [0.0], q, np.zeros(8)])

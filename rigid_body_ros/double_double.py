@@ -23,16 +23,18 @@ from __future__ import annotations
 
 import math
 
+from rigid_body_ros import digits
 from rigid_body_ros._jit import fma, part
 
 #: The larger part, and what is missing in it.
 Double = tuple[float, float]
 
-PI = (3.141592653589793, 1.2246467991473532e-16)
+PI = digits.PI
 
 
 @part
-def _quick_sum(a: float, b: float) -> Double:
+def quick_sum(a: float, b: float) -> Double:
+    """Return the exact sum of two doubles, the first not the smaller one unless zero."""
     total = a + b
     return total, b - (total - a)
 
@@ -57,8 +59,8 @@ def add(a: Double, b: Double) -> Double:
     """Return a + b."""
     high, low = two_sum(a[0], b[0])
     more, rest = two_sum(a[1], b[1])
-    high, low = _quick_sum(high, low + more)
-    return _quick_sum(high, low + rest)
+    high, low = quick_sum(high, low + more)
+    return quick_sum(high, low + rest)
 
 
 @part
@@ -68,10 +70,16 @@ def subtract(a: Double, b: Double) -> Double:
 
 
 @part
+def negative(a: Double) -> Double:
+    """Return -a."""
+    return -a[0], -a[1]
+
+
+@part
 def multiply(a: Double, b: Double) -> Double:
     """Return a b."""
     high, low = two_product(a[0], b[0])
-    return _quick_sum(high, low + fma(a[0], b[1], a[1] * b[0]))
+    return quick_sum(high, low + fma(a[0], b[1], a[1] * b[0]))
 
 
 @part
@@ -81,7 +89,7 @@ def divide(a: Double, b: Double) -> Double:
     rest = subtract(a, multiply((first, 0.0), b))
     second = rest[0] / b[0]
     rest = subtract(rest, multiply((second, 0.0), b))
-    high, low = _quick_sum(first, second)
+    high, low = quick_sum(first, second)
     return add((high, low), (rest[0] / b[0], 0.0))
 
 
@@ -92,7 +100,7 @@ def root(a: Double) -> Double:
         return 0.0, 0.0
     high = math.sqrt(a[0])
     rest = subtract(a, two_product(high, high))
-    return _quick_sum(high, rest[0] / (2.0 * high))
+    return quick_sum(high, rest[0] / (2.0 * high))
 
 
 @part

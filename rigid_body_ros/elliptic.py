@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 
 from rigid_body_ros import double_double as dd
+from rigid_body_ros import elementary
 from rigid_body_ros._jit import part
 from rigid_body_ros.double_double import Double
 
@@ -70,8 +71,8 @@ def jacobi(u: float, complement: float) -> tuple[float, float, float]:
     elliptic functions", 1965); SciPy's `ellipj` loses all digits from m = 1 - 1e-10 on.
     """
     if complement == 0.0:
-        cn = 1.0 / math.cosh(u)
-        return math.tanh(u), cn, cn
+        tangent, secant = elementary.hyperbolic(u)
+        return tangent, secant, secant
     if abs(u) < 1e-9:
         return u, 1.0, 1.0
     a, kc, count = 1.0, math.sqrt(complement), 0
@@ -82,7 +83,8 @@ def jacobi(u: float, complement: float) -> tuple[float, float, float]:
         if abs(a - kc) <= 1e-8 * a:
             break
         kc, a = math.sqrt(a * kc), c
-    sn, cn, dn = math.sin(c * u), math.cos(c * u), 1.0
+    sn, cn = elementary.sine_cosine(c * u)
+    dn = 1.0
     a = cn / sn
     c = a * c
     for index in range(count, -1, -1):
@@ -112,7 +114,7 @@ def carlson_f(x: float, y: float, z: float) -> float:
     dz = -dx - dy
     e2, e3 = dx * dy - dz * dz, dx * dy * dz
     series = 1.0 - e2 / 10.0 + e3 / 14.0 + e2 * e2 / 24.0 - 3.0 * e2 * e3 / 44.0 \
-        - 5.0 * e2 ** 3 / 208.0 + 3.0 * e3 * e3 / 104.0 + e2 * e2 * e3 / 16.0
+        - 5.0 * e2 * e2 * e2 / 208.0 + 3.0 * e3 * e3 / 104.0 + e2 * e2 * e3 / 16.0
     return series / math.sqrt(mean)
 
 
@@ -136,11 +138,11 @@ def carlson_j(x: float, y: float, z: float, p: float) -> float:
     dx, dy, dz = dx * scale / mean, dy * scale / mean, dz * scale / mean
     dp = -0.5 * (dx + dy + dz)
     e2 = dx * dy + dx * dz + dy * dz - 3.0 * dp * dp
-    e3 = dx * dy * dz + 2.0 * e2 * dp + 4.0 * dp ** 3
-    e4 = (2.0 * dx * dy * dz + e2 * dp + 3.0 * dp ** 3) * dp
+    e3 = dx * dy * dz + 2.0 * e2 * dp + 4.0 * dp * dp * dp
+    e4 = (2.0 * dx * dy * dz + e2 * dp + 3.0 * dp * dp * dp) * dp
     e5 = dx * dy * dz * dp * dp
     series = 1.0 - 3.0 * e2 / 14.0 + e3 / 6.0 + 9.0 * e2 * e2 / 88.0 - 3.0 * e4 / 22.0 \
-        - 9.0 * e2 * e3 / 52.0 + 3.0 * e5 / 26.0 - e2 ** 3 / 16.0 + 3.0 * e3 * e3 / 40.0 \
+        - 9.0 * e2 * e3 / 52.0 + 3.0 * e5 / 26.0 - e2 * e2 * e2 / 16.0 + 3.0 * e3 * e3 / 40.0 \
         + 3.0 * e2 * e4 / 20.0 + 45.0 * e2 * e2 * e3 / 272.0 - 9.0 * (e3 * e4 + e2 * e5) / 68.0
     return scale * series / (mean * math.sqrt(mean)) + 6.0 * total
 
@@ -151,4 +153,5 @@ def _carlson_c1(e: float) -> float:
     if e < 1e-2:
         return 1.0 - e * (1 / 3 - e * (1 / 5 - e * (1 / 7 - e * (1 / 9 - e * (
             1 / 11 - e * (1 / 13 - e * (1 / 15 - e / 17)))))))
-    return math.atan(math.sqrt(e)) / math.sqrt(e)
+    root = math.sqrt(e)
+    return elementary.arctangent(root, 1.0) / root

@@ -20,10 +20,10 @@ axis of the turned body), lower case for extrinsic ones (about the axes fixed in
 3-1-3: phi about space Z, theta about the line of nodes, psi about body z. All angles are active,
 in rad: they take vectors from body to space components.
 
-Attitude and angles are converted in extended precision (`np.longdouble`) and rounded once: there
-and back they differ by less than 1e-15 rad, at the poles as anywhere. Rounding itself, half the
-4.4e-16 to 8.9e-16 between neighbouring doubles, is nearly all of that. Where long double is no
-longer than double, as on Windows, it is 3e-15 rad.
+Attitude and angles are converted with 65 bits or more and rounded once: there and back they differ
+by less than 1e-15 rad, at the poles as anywhere. Rounding itself, half the 4.4e-16 to 8.9e-16
+between neighbouring doubles, is nearly all of that. All results have the same bits on every
+machine.
 """
 
 from __future__ import annotations
@@ -33,19 +33,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from rigid_body_ros import euler_kernels as kernels
 from rigid_body_ros._jit import njit
+from rigid_body_ros.elementary import sines_cosines
 from rigid_body_ros.so3 import Floats
-
-Extended = NDArray[np.longdouble]
 
 #: sin(theta), or cos(theta) for three different axes, below which the outer two angles are
 #: reported as not determined apart.
 DEGENERATE = 1e-7
 _TURN = 2.0 * np.pi
-_EXTENDED_TURN = 2.0 * np.arccos(np.longdouble(-1.0))
-#: The least and the greatest double in the domain of the outer two angles.
-_PROPER = 0.0, np.nextafter(_TURN, 0.0)
-_TAIT_BRYAN = np.nextafter(-np.pi, 0.0), np.pi
 #: Divided by less, a rate would overflow.
 _VANISHING = 1e-290
 #: The same within rounding: the attitude says nothing of one of their combinations.
@@ -77,6 +73,11 @@ def _axes(sequence: str) -> _Axes:
     return _Axes(i, j, k, i == k, 1 if (j - i) % 3 == 1 else -1, extrinsic)
 
 
+def check_sequence(sequence: str) -> None:
+    """Raise ValueError if a sequence is none of the twelve."""
+    _axes(sequence)
+
+
 def to_quaternion(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
     Return the attitude of Euler angles.
@@ -100,18 +101,10 @@ def to_quaternion(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
     """
     axes = _axes(sequence)
-    halves = 0.5 * np.moveaxis(_intrinsic(angles, axes).astype(np.longdouble), -1, 0)
-    (s1, s2, s3), (c1, c2, c3) = np.sin(halves), np.cos(halves)
-    # First and second turn multiplied, then the third; x, y, z are along i, j and i x j.
-    w, x, y, z = c1 * c2, s1 * c2, c1 * s2, s1 * s2
-    if axes.proper:
-        w, x, y, z = w * c3 - x * s3, x * c3 + w * s3, y * c3 + z * s3, z * c3 - y * s3
-    else:
-        s3 = axes.parity * s3
-        w, x, y, z = w * c3 - z * s3, x * c3 + y * s3, y * c3 - x * s3, z * c3 + w * s3
-    attitude = np.empty((*np.shape(w), 4))
-    attitude[..., 3], attitude[..., axes.i], attitude[..., axes.j] = w, x, y
-    attitude[..., 3 - axes.i - axes.j] = axes.parity * z + 0.0  # no -0.0 at rest
+    rows = np.array(_intrinsic(angles, axes), order='C')
+    attitude = np.empty((*rows.shape[:-1], 4))
+    kernels.fill_attitudes(rows.reshape(-1, 3), attitude.reshape(-1, 4), axes.i, axes.j,
+                           axes.proper, float(axes.parity))
     return attitude
 
 
@@ -129,7 +122,8 @@ def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     Parameters
     ----------
     attitude : array, shape (..., 4)
-        x y z w, body to space; unit norm is not needed.
+        x y z w, body to space; unit norm is not needed. If it is zero or not finite, the angles
+        are NaN.
     sequence : str
         As for `to_quaternion`.
 
@@ -146,23 +140,10 @@ def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
     """
     axes = _axes(sequence)
-    q = np.asarray(attitude, np.longdouble)
-    w, x, y = q[..., 3], q[..., axes.i], q[..., axes.j]
-    z = axes.parity * q[..., 3 - axes.i - axes.j]
-    if not axes.proper:  # a quarter turn about the middle axis makes it a proper sequence
-        w, x, y, z = w - y, x - z, w + y, x + z
-    # Adding zero turns -0.0 into 0.0, whose arctangent would be pi.
-    half_sum, half_difference = np.arctan2(x + 0.0, w + 0.0), np.arctan2(z + 0.0, y + 0.0)
-    middle = 2.0 * np.arctan2(np.hypot(y, z), np.hypot(w, x))
-    first, third = half_sum + half_difference, half_sum - half_difference
-    if not axes.proper:
-        middle, third = middle - 0.25 * _EXTENDED_TURN, -axes.parity * third
-    domain = _PROPER if axes.proper else _TAIT_BRYAN
-    middle, rounded = middle.astype(float), _rounded(first, domain)
-    _, cosine = _sine_cosine(middle, axes)
-    third = _rounded(third - cosine * _folded(rounded - first), domain)
-    angles = np.empty((*middle.shape, 3))
-    angles[..., 0], angles[..., 1], angles[..., 2] = rounded, middle, third
+    rows = np.array(attitude, float, order='C')
+    angles = np.empty((*rows.shape[:-1], 3))
+    kernels.fill_angles(rows.reshape(-1, 4), angles.reshape(-1, 3), axes.i, axes.j,
+                        axes.proper, float(axes.parity))
     return angles[..., ::-1] if axes.extrinsic else angles
 
 
@@ -237,8 +218,7 @@ def angular_velocity(angles: ArrayLike, rates: ArrayLike, sequence: str = 'ZXZ')
     array, shape (..., 3), rad/s, body axes
 
     """
-    return np.einsum('...r,...rc->...c', np.asarray(rates, float),
-                     rotation_axes(angles, sequence))
+    return np.sum(np.asarray(rates, float)[..., None] * rotation_axes(angles, sequence), axis=-2)
 
 
 def rates(angles: ArrayLike, angular_velocity: ArrayLike, sequence: str = 'ZXZ') -> Floats:
@@ -341,7 +321,8 @@ def _nearest(angle: float, last: float) -> float:
 
 @njit
 def _distance(triple: tuple[float, float, float], last: Floats) -> float:
-    return (triple[0] - last[0]) ** 2 + (triple[1] - last[1]) ** 2 + (triple[2] - last[2]) ** 2
+    a, b, c = triple[0] - last[0], triple[1] - last[1], triple[2] - last[2]
+    return a * a + b * b + c * c
 
 
 def _intrinsic(angles: ArrayLike, axes: _Axes) -> Floats:
@@ -357,26 +338,12 @@ def _triad(angles: ArrayLike, axes: _Axes) -> tuple[Floats, Floats, Floats, Floa
     sine, cosine = _sine_cosine(middle, axes)
     outer = unit[axes.k]
     start = np.cross(unit[axes.i], unit[axes.j]) if axes.proper else unit[axes.i]
-    node, across = (np.cos(last)[..., None] * axis
-                    + np.sin(last)[..., None] * np.cross(axis, outer)
-                    for axis in (unit[axes.j], start))
+    s, c = (values[..., None] for values in sines_cosines(last))
+    node, across = (c * axis + s * np.cross(axis, outer) for axis in (unit[axes.j], start))
     return np.broadcast_to(outer, node.shape), node, across, sine, cosine
 
 
 def _sine_cosine(middle: Floats, axes: _Axes) -> tuple[Floats, Floats]:
     # Of the angle between the first and the last axis.
-    if axes.proper:
-        return np.sin(middle), np.cos(middle)
-    return np.cos(middle), axes.parity * np.sin(middle)
-
-
-def _rounded(angle: Extended, domain: tuple[float, float]) -> Floats:
-    # The nearest double in the domain, give or take whole turns.
-    low, high = domain
-    # Not np.clip, which takes longer than all the rest where there is one angle.
-    return np.minimum(np.maximum(_folded(angle, 0.5 * (low + high)).astype(float), low), high)
-
-
-def _folded(angle: Extended, centre: float = 0.0) -> Extended:
-    # Whole turns taken off, to within half a turn of the centre.
-    return angle - _EXTENDED_TURN * np.rint((angle - centre) / _EXTENDED_TURN)
+    sine, cosine = sines_cosines(middle)
+    return (sine, cosine) if axes.proper else (cosine, axes.parity * sine)

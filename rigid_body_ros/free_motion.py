@@ -47,7 +47,7 @@ import math
 from typing import NamedTuple
 
 from rigid_body_ros import double_double as dd
-from rigid_body_ros import elliptic, four
+from rigid_body_ros import elementary, elliptic, four
 from rigid_body_ros._jit import part
 from rigid_body_ros.double_double import Double
 from rigid_body_ros.vector import (
@@ -140,15 +140,15 @@ def prepare(state: State, frame: Frame) -> Motion:
         return unchanging(state, LOST)
     rows = frame[2]
     if second[0] < 0.0:  # axes 3, -2, 1; all differences change their signs
-        i, m = (i[2], i[1], i[0]), (m[2], _negative(m[1]), m[0])
+        i, m = (i[2], i[1], i[0]), (m[2], dd.negative(m[1]), m[0])
         rows = (rows[2], four.negative(rows[1]), rows[0])
         d21, d31, d32 = d32, d31, d21
-        first, second, third = third, _negative(second), first
+        first, second, third = third, dd.negative(second), first
         sign = -1.0
     else:
         sign = 1.0
     if m[2][0] < 0.0:
-        m = (_negative(m[0]), m[1], _negative(m[2]))
+        m = (dd.negative(m[0]), m[1], dd.negative(m[2]))
         rows = (four.negative(rows[0]), rows[1], four.negative(rows[2]))
     return _canonical(state, scale, i, m, rows, d21, d31, d32, first, second, third, sign)
 
@@ -169,7 +169,7 @@ def _canonical(state: State, scale: float, i: Doubles, m: Doubles,
     b = (dd.root(dd.divide(dd.multiply(i[0], third), d31)),
          dd.root(dd.divide(dd.multiply(i[1], third), d32)),
          dd.root(dd.divide(dd.multiply(i[2], first), d31)))
-    n = _negative(dd.divide(dd.multiply(i[2], d21), dd.multiply(i[0], d32)))
+    n = dd.negative(dd.divide(dd.multiply(i[2], d21), dd.multiply(i[0], d32)))
     factor = dd.divide(dd.multiply(momentum, (sign * d31[0], sign * d31[1])),
                        dd.multiply(speed, dd.multiply(i[0], i[2])))
     half_period, gain = _ZERO, _ZERO
@@ -183,7 +183,7 @@ def _canonical(state: State, scale: float, i: Doubles, m: Doubles,
         gain = dd.add(_double(dd.multiply(factor, gain)), dd.PI)
     odd = m[0][0] < 0.0
     sine, cosine = -m[1][0] / b[1][0], abs(m[0][0]) / b[0][0]
-    norm = math.hypot(sine, cosine)
+    norm = dd.root(dd.add(dd.two_product(sine, sine), dd.two_product(cosine, cosine)))[0]
     sine, cosine = (-sine / norm if odd else sine / norm), cosine / norm
     phase = sine * elliptic.carlson_f(cosine * cosine, cosine * cosine
                                       + complement[0] * sine * sine, 1.0)
@@ -220,8 +220,9 @@ def at(motion: Motion, span_ns: int) -> State:
     before, first, _ = _reduced(motion, motion.phase, motion.odd)
     after, last, rates = _reduced(motion, u[0], motion.odd != (count % 2.0 != 0.0))
     half = 0.5 * dd.add(_modulo(psi), dd.two_sum(after, -before))[0]
+    sine, cosine = elementary.sine_cosine(half)
     turn = multiply(multiply(four.of(-first[0], -first[1], -first[2], first[3]),
-                             four.of(0.0, 0.0, math.sin(half), math.cos(half))), last)
+                             four.of(0.0, 0.0, sine, cosine)), last)
     x = combine(motion.axes, turn)
     return _state(motion, combine(motion.axes, rates), four.of(x[0], x[1], x[2], turn[3]))
 
@@ -230,19 +231,19 @@ def at(motion: Motion, span_ns: int) -> State:
 def _reduced(motion: Motion, u: float, odd: bool) -> tuple[float, Quaternion, Vector]:
     # The periodic part of psi, P, and the angular velocity, for |u| <= K.
     sn, cn, dn = elliptic.jacobi(u, motion.complement)
-    n, m = motion.n, 1.0 - motion.complement
+    n, m, cube = motion.n, 1.0 - motion.complement, sn * sn * sn
     if motion.kind == SEPARATRIX:
         root = math.sqrt(-n)
-        arc = math.atan(root * sn)
+        arc = elementary.arctangent(root * sn, 1.0)
         integral = (n * u + root * arc) / (1.0 - n) if n >= -1.0 else \
             (u + root * arc) / (1.0 - n)
     elif n >= -1.0:
-        integral = n * sn ** 3 * elliptic.carlson_j(cn * cn, dn * dn, 1.0, 1.0 - n * sn * sn) / 3.0
+        integral = n * cube * elliptic.carlson_j(cn * cn, dn * dn, 1.0, 1.0 - n * sn * sn) / 3.0
     else:
         g = math.sqrt((1.0 - n) * (1.0 - m / n))
-        integral = math.atan2(g * sn, cn * dn) / g - m * sn ** 3 / (3.0 * n) * elliptic.carlson_j(
-            cn * cn, dn * dn, 1.0, 1.0 - m * sn * sn / n)
-    psi = motion.factor * integral + math.atan2(math.sqrt(1.0 - n) * sn, cn)
+        integral = elementary.arctangent(g * sn, cn * dn) / g - m * cube / (
+            3.0 * n) * elliptic.carlson_j(cn * cn, dn * dn, 1.0, 1.0 - m * sn * sn / n)
+    psi = motion.factor * integral + elementary.arctangent(math.sqrt(1.0 - n) * sn, cn)
     if odd:
         sn, cn = -sn, -cn
     along = motion.directions
@@ -261,8 +262,8 @@ def _turned(motion: Motion, span_ns: int) -> State:
     if speed[0] == 0.0:
         return motion.start
     half = 0.5 * _modulo(dd.multiply(speed, dd.seconds(span_ns)))[0]
-    sine = math.sin(half) / speed[0]
-    return _state(motion, w, add(scale(sine, w), four.of(0.0, 0.0, 0.0, math.cos(half))))
+    sine, cosine = elementary.sine_cosine(half)
+    return _state(motion, w, add(scale(sine / speed[0], w), four.of(0.0, 0.0, 0.0, cosine)))
 
 
 @part
@@ -321,8 +322,3 @@ def _modulo(angle: Double) -> Double:
 @part
 def _double(a: Double) -> Double:
     return 2.0 * a[0], 2.0 * a[1]
-
-
-@part
-def _negative(a: Double) -> Double:
-    return -a[0], -a[1]

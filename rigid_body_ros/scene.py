@@ -276,7 +276,7 @@ def limits(low: float, high: float) -> str:
 
 
 def _check_together(values: Mapping[str, Any]) -> None:
-    euler.from_quaternion((0.0, 0.0, 0.0, 1.0), values['euler_sequence'])
+    euler.check_sequence(values['euler_sequence'])
     for name in ('space_frame', 'body_frame'):
         if not values[name]:
             raise InputError(f'{name}: expected a name, found none')

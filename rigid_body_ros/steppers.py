@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 
-from rigid_body_ros import four
+from rigid_body_ros import elementary, four
 from rigid_body_ros._jit import part
 from rigid_body_ros.vector import (
     add,
@@ -157,5 +157,5 @@ def _about_3(m: Vector, turn: Quaternion, step: float) -> tuple[Vector, Quaterni
 
 @part
 def _half_and_full(angle: float) -> tuple[float, float, float, float]:
-    sine, cosine = math.sin(0.5 * angle), math.cos(0.5 * angle)
+    sine, cosine = elementary.sine_cosine(0.5 * angle)
     return sine, cosine, 2.0 * sine * cosine, 1.0 - 2.0 * sine * sine

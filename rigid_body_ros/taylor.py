@@ -36,7 +36,7 @@ from __future__ import annotations
 
 import math
 
-from rigid_body_ros import four
+from rigid_body_ros import elementary, four
 from rigid_body_ros._jit import fma, inlined, part
 from rigid_body_ros.so3 import Floats
 from rigid_body_ros.vector import (
@@ -75,6 +75,9 @@ WORKSPACE = _TERM * (MAX_ORDER + 1)
 _ERROR_3 = 0.5
 _ERROR_4 = 0.2
 _ERROR_5 = 0.1
+#: Powers of these as products, because Python's ** goes to the pow of the C library.
+_SQUARE_3, _SQUARE_5 = _ERROR_3 * _ERROR_3, _ERROR_5 * _ERROR_5
+_FOURTH_4 = (_ERROR_4 * _ERROR_4) * (_ERROR_4 * _ERROR_4)
 #: Fourth power of the angle, rad^4, up to which the short step is right and one step suffices.
 _LARGEST = 1e-4
 
@@ -88,7 +91,7 @@ def step_angle(tolerance: float) -> float:
     tightest tolerance, where shorter steps also round less, and above 1 rad at loose ones,
     where what a step costs besides its terms counts for more.
     """
-    return 0.5 + 0.09 * math.log10(tolerance / 1e-15)
+    return 0.5 + 0.09 * elementary.logarithm_10(tolerance / 1e-15)
 
 
 @inlined
@@ -139,7 +142,7 @@ def is_short(state: State, seconds: float, push: Vector, tolerance: float) -> bo
 
     """
     size, enough = _squares(state, seconds, push, tolerance)
-    return size < _LARGEST and _ERROR_5 ** 2 * size ** 3 <= enough
+    return size < _LARGEST and _SQUARE_5 * (size * (size * size)) <= enough
 
 
 @inlined
@@ -176,13 +179,13 @@ def short_step(state: State, seconds: float, coefficients: Coefficients, diagona
     a = cross(u0, u1)
     rise = add(add(w1, w2), w3)
     turn = add_scaled(add_scaled(scale(1 / 2, u1), 1 / 3, u2), 1 / 12, a)
-    if _ERROR_3 ** 2 * size ** 2 > enough:
+    if _SQUARE_3 * (size * size) > enough:
         w4 = _rate(coefficients, diagonal, _plus_twice(
             _twice(scale(1 / 4, u1), w2), scale(1 / 4, u0), w3))
         u3, b = scale(seconds, w3), cross(u0, u2)
         rise = add(rise, w4)
         turn = add(turn, add_scaled(scale(1 / 4, u3), 1 / 12, b))
-        if _ERROR_4 ** 4 * size ** 5 > enough * enough:
+        if _FOURTH_4 * (size * ((size * size) * (size * size))) > enough * enough:
             w5 = _rate(coefficients, diagonal, _plus_twice(_plus_twice(
                 _products(scale(1 / 5, u2), w2), scale(1 / 5, u1), w3), scale(1 / 5, u0), w4))
             rise = add(rise, w5)

@@ -80,8 +80,8 @@ def inertia(text: str, link: str = '') -> Floats:
     angles = _numbers(origin, 'rpy', 3, where, '0 0 0')
     if any(angles):
         _check_thickness(tensor, where)
-    rotation = so3.matrix(euler.to_quaternion(angles, 'xyz'))
-    return rotation @ tensor @ rotation.T
+    attitude = euler.to_quaternion(angles, 'xyz')
+    return so3.rotate(attitude, so3.rotate(attitude, tensor).T)
 
 
 def _check_thickness(tensor: Floats, where: str) -> None:

@@ -305,5 +305,5 @@ def _rule_at_start(body: RigidBody, start: State, log: TorqueLog, options: Optio
 def warm_up() -> None:
     """Compile every kernel, or load what an earlier process compiled."""
     body, start = RigidBody(np.eye(3)), State()
-    propagate(body, start, TorqueLog([0], [[1.0, 0.0, 0.0]]), at=[1])
+    propagate(body, start, TorqueLog([0], [[1.0, 0.0, 0.0]]), at=[1]).euler_angles()
     Propagator(body, start).at(1)

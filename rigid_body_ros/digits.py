@@ -1,0 +1,130 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Constants of the elementary functions, computed in integers at import.
+
+A number is an integer multiple of a power of two, and the tables hold it as a sum of two doubles,
+both correctly rounded. Python's integers are exact, so the tables are the same on every machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import accumulate
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Pair = tuple[float, float]
+
+#: Steps in half a turn of the table of sines, and from 0 to 1 of the table of arctangents.
+STEPS = 128
+#: Bits in each of `TURN_PARTS`: a product with half of a double's bits is exact.
+PART_BITS = 24
+#: The last part is 2^-200 of a step for the largest double.
+_PARTS = 52
+#: 1 in the units of the tables, and of `TURN_PARTS`.
+_ONE, _FINE = 1 << 200, 1 << PART_BITS * (_PARTS + 2)
+
+
+def _split(value: int) -> Pair:
+    """Return value / _ONE as a double and what rounding took from it."""
+    high = value / _ONE  # Python rounds the quotient of integers correctly
+    above, below = high.as_integer_ratio()
+    return high, (value - above * _ONE // below) / _ONE
+
+
+def _thrice(value: int) -> tuple[float, float, float]:
+    high, low = _split(value)
+    rest = sum(part.as_integer_ratio()[0] * _ONE // part.as_integer_ratio()[1]
+               for part in (high, low))
+    return high, low, (value - rest) / _ONE
+
+
+def _inverse_tangent(above: int, below: int, one: int, sign: int) -> int:
+    """Return the arctangent (sign -1) or its hyperbolic twin (1) of a fraction, by its series."""
+    power, total, odd = one * above // below, 0, 1
+    while power:
+        total += power // odd
+        power, odd = sign * power * above * above // (below * below), odd + 2
+        if power == -1:  # integers round down
+            break
+    return total
+
+
+def _sine(angle: int) -> int:
+    """Return the sine of at most a quarter turn, by its series."""
+    power, total, order = angle, 0, 2
+    while abs(power) > 1:
+        total += power
+        power = -power * angle * angle // (_ONE * _ONE * order * (order + 1))
+        order += 2
+    return total
+
+
+def _half_turn(one: int) -> int:
+    """Return pi (Machin)."""
+    return 16 * _inverse_tangent(1, 5, one, -1) - 4 * _inverse_tangent(1, 239, one, -1)
+
+
+def _sines() -> list[Pair]:
+    """Return the sines of a whole turn, with the symmetries that they have."""
+    quarter = [_split(_sine(_PI * k // STEPS)) for k in range(STEPS // 2)]
+    half = [*quarter, (1.0, 0.0), *quarter[:0:-1]]
+    return half + [(-high, -low) for high, low in half]
+
+
+def _arctangents() -> list[Pair]:
+    # atan(k + 1) - atan(k) in steps is the arctangent of one step over 1 + k (k + 1) steps^2.
+    rises = (_inverse_tangent(STEPS, STEPS * STEPS + k * (k + 1), _ONE, -1) for k in range(STEPS))
+    return [_split(angle) for angle in accumulate(rises, initial=0)]
+
+
+def _turn_parts() -> list[float]:
+    """Return STEPS / pi in parts of PART_BITS each, the first before the point."""
+    rest, parts = _FINE * _FINE * STEPS // _half_turn(_FINE), []
+    for _ in range(_PARTS):
+        parts.append(float(rest // _FINE))
+        rest = rest % _FINE << PART_BITS
+    return parts
+
+
+def _inverses(divisors: Iterable[int]) -> NDArray[np.float64]:
+    return np.array([_split(_ONE // divisor) for divisor in divisors])
+
+
+_PI = _half_turn(_ONE)
+_LN_2 = 2 * _inverse_tangent(1, 3, _ONE, 1)
+_LN_10 = 3 * _LN_2 + 2 * _inverse_tangent(1, 9, _ONE, 1)
+
+PI = _split(_PI)
+#: pi / STEPS as a sum of three doubles.
+STEP = _thrice(_PI // STEPS)
+LN_2 = _split(_LN_2)
+LOG10_2, LOG10_E = _split(_LN_2 * _ONE // _LN_10), _split(_ONE * _ONE // _LN_10)
+#: sin(k pi / STEPS), for a whole turn, and atan(k / STEPS); shape (n, 2), the second column is
+#: what rounding took from the first.
+SINES, ARCTANGENTS = np.array(_sines()), np.array(_arctangents())
+#: Coefficients of power series, likewise: sin x / x and (1 - cos x) / x^2 in -x^2, (e^x - 1) / x,
+#: arctan x / x in -x^2, and artanh x / x in x^2. They reach 100 bits for |x| up to half a step,
+#: ln 2 / 128, 1 / 256 and 0.18.
+SINE_SERIES = _inverses(math.factorial(k) for k in range(1, 18, 2))
+COSINE_SERIES = _inverses(math.factorial(k) for k in range(2, 17, 2))
+GROWTH_SERIES = _inverses(math.factorial(k) for k in range(1, 13))
+ARCTANGENT_SERIES = _inverses(range(1, 16, 2))
+LOGARITHM_SERIES = _inverses(range(1, 44, 2))
+#: STEPS / pi: the sum of part k times 2^(-PART_BITS k).
+TURN_PARTS = np.array(_turn_parts())

@@ -1,0 +1,156 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Kernels that convert between attitudes and Euler angles with 65 bits, and round once.
+
+A sequence is given as intrinsic rotations about body axes i, j, k: the first two axes, whether it
+is proper (k = i), and the parity, 1 if i, j and the third axis are right-handed, else -1.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from rigid_body_ros import double_double as dd
+from rigid_body_ros._jit import njit, part
+from rigid_body_ros.double_double import Double
+from rigid_body_ros.elementary import arctangent_pair, Floats, sine_cosine_pairs
+
+#: The least and the greatest double in the domain of the outer two angles.
+_PROPER = 0.0, math.nextafter(2.0 * math.pi, 0.0)
+_TAIT_BRYAN = math.nextafter(-math.pi, 0.0), math.pi
+#: The square of a number between these is far within the range of doubles.
+_SMALL, _LARGE = 2.0 ** -400, 2.0 ** 400
+_SCALE = 2.0 ** 600
+
+
+@njit
+def fill_attitudes(angles: Floats, attitudes: Floats, i: int, j: int, proper: bool,
+                   parity: float) -> None:
+    """
+    Fill the attitudes of Euler angles.
+
+    Parameters
+    ----------
+    angles : float64 (m, 3), rad
+        In the order of the intrinsic rotations.
+    attitudes : float64 (m, 4)
+        Filled with x y z w.
+    i, j, proper, parity : int, int, bool, float
+        The sequence.
+
+    """
+    for row in range(len(angles)):
+        s1, c1 = sine_cosine_pairs(0.5 * float(angles[row, 0]))
+        s2, c2 = sine_cosine_pairs(0.5 * float(angles[row, 1]))
+        s3, c3 = sine_cosine_pairs(0.5 * float(angles[row, 2]))
+        # First and second turn multiplied, then the third; x, y, z are along i, j and i x j.
+        w, x = dd.multiply(c1, c2), dd.multiply(s1, c2)
+        y, z = dd.multiply(c1, s2), dd.multiply(s1, s2)
+        if proper:
+            w, x = _turned(w, x, s3, c3)
+            z, y = _turned(z, y, s3, c3)
+        else:
+            s3 = (parity * s3[0], parity * s3[1])
+            w, z = _turned(w, z, s3, c3)
+            y, x = _turned(y, x, s3, c3)
+        # Adding zero turns -0.0 into 0.0.
+        attitudes[row, 3], attitudes[row, i] = w[0] + 0.0, x[0] + 0.0
+        attitudes[row, j], attitudes[row, 3 - i - j] = y[0] + 0.0, parity * z[0] + 0.0
+
+
+@njit
+def fill_angles(attitudes: Floats, angles: Floats, i: int, j: int, proper: bool,
+                parity: float) -> None:
+    """
+    Fill the Euler angles of attitudes; NaN if an attitude is zero or not finite.
+
+    Parameters
+    ----------
+    attitudes : float64 (m, 4)
+        x y z w, of any norm.
+    angles : float64 (m, 3), rad
+        Filled in the order of the intrinsic rotations.
+    i, j, proper, parity : int, int, bool, float
+        The sequence.
+
+    """
+    low, high = _PROPER if proper else _TAIT_BRYAN
+    for row in range(len(attitudes)):
+        w, x = float(attitudes[row, 3]), float(attitudes[row, i])
+        y, z = float(attitudes[row, j]), parity * float(attitudes[row, 3 - i - j])
+        size = max(abs(w), abs(x), abs(y), abs(z))
+        if size == 0.0 or 0.0 * w + 0.0 * x + 0.0 * y + 0.0 * z != 0.0:
+            angles[row] = np.nan
+            continue
+        scale = _scale(size)
+        first, middle, third, cosine = _angles(scale * w, scale * x, scale * y, scale * z, proper)
+        if not proper:
+            middle = dd.subtract(middle, (0.5 * dd.PI[0], 0.5 * dd.PI[1]))
+            third, cosine = (-parity * third[0], -parity * third[1]), -parity * cosine
+        rounded = _rounded(first, low, high)
+        change = cosine * _folded(dd.subtract((rounded, 0.0), first), 0.0)[0]
+        angles[row, 0], angles[row, 1] = rounded, middle[0]
+        angles[row, 2] = _rounded(dd.subtract(third, (change, 0.0)), low, high)
+
+
+@part
+def _turned(a: Double, b: Double, sine: Double, cosine: Double) -> tuple[Double, Double]:
+    return (dd.subtract(dd.multiply(a, cosine), dd.multiply(b, sine)),
+            dd.add(dd.multiply(b, cosine), dd.multiply(a, sine)))
+
+
+@part
+def _angles(w: float, x: float, y: float, z: float,
+            proper: bool) -> tuple[Double, Double, Double, float]:
+    # Of a proper sequence, and the cosine of the middle one.
+    a, b, c, d = (w, 0.0), (x, 0.0), (y, 0.0), (z, 0.0)
+    if not proper:  # a quarter turn about the middle axis makes it one
+        a, b, c, d = (dd.two_sum(w, -y), dd.two_sum(x, -z), dd.two_sum(w, y), dd.two_sum(x, z))
+    half_sum, half_difference = arctangent_pair(b, a), arctangent_pair(d, c)
+    along, across = _hypotenuse(a, b), _hypotenuse(c, d)
+    half = arctangent_pair(across, along)
+    cosine = (along[0] - across[0]) * (along[0] + across[0]) / (
+        along[0] * along[0] + across[0] * across[0])
+    return (dd.add(half_sum, half_difference), (2.0 * half[0], 2.0 * half[1]),
+            dd.subtract(half_sum, half_difference), cosine)
+
+
+@part
+def _scale(size: float) -> float:
+    # A power of two that brings numbers up to this size to where squares keep their digits.
+    return _SCALE if size < _SMALL else 1.0 / _SCALE if size > _LARGE else 1.0
+
+
+@part
+def _hypotenuse(a: Double, b: Double) -> Double:
+    scale = _scale(max(abs(a[0]), abs(b[0])))
+    a, b = (scale * a[0], scale * a[1]), (scale * b[0], scale * b[1])
+    root = dd.root(dd.add(dd.multiply(a, a), dd.multiply(b, b)))
+    return root[0] / scale, root[1] / scale
+
+
+@part
+def _rounded(angle: Double, low: float, high: float) -> float:
+    # The nearest double in the domain, give or take whole turns; not -0.0.
+    return min(max(_folded(angle, 0.5 * (low + high))[0], low), high) + 0.0
+
+
+@part
+def _folded(angle: Double, centre: float) -> Double:
+    # Whole turns taken off, to within half a turn of the centre.
+    turns = 2.0 * float(round((angle[0] - centre) / (2.0 * dd.PI[0])))
+    return dd.subtract(angle, (turns * dd.PI[0], turns * dd.PI[1]))
