@@ -15,6 +15,7 @@
 """The comparison of machines, `make arm`: exact inputs, and no difference that it overlooks."""
 
 import json
+import subprocess
 import sys
 
 import arm
@@ -73,3 +74,17 @@ def test_the_emulated_machine_has_what_the_package_requires():
     text = setup[setup.index('install_requires=['):]
     required = {name.split('>')[0] for name in text[:text.index(']')].split("'")[1::2]}
     assert required - {'matplotlib'} <= set(arm_machine.REQUIRED)
+
+
+@pytest.mark.slow
+def test_an_old_processor_gives_the_same_bits(tmp_path):
+    pytest.importorskip('numba', reason='without numba nothing is compiled for a processor')
+    motions = tmp_path / 'motions.json'
+    motions.write_text(json.dumps(arm.motions(10)))
+    found = []
+    for machine in (arm.HERE, 'SSE2'):
+        subprocess.run([sys.executable, ROOT / 'benchmarks' / 'portable.py', motions,
+                        tmp_path / f'{machine}.npz'], env=arm.environment(machine), check=True)
+        with np.load(tmp_path / f'{machine}.npz') as file:
+            found.append(dict(file))
+    assert {name: count for name, (count, *_) in arm.compared(*found).items() if count} == {}
