@@ -8,7 +8,7 @@ PARALLEL := --numprocesses 3
 # But these need the machine to themselves.
 ALONE := test/test_soak.py test/test_overload.py
 
-.PHONY: demo test check docs clean
+.PHONY: demo test check arm docs clean
 
 demo: $(VENV)/done ## replay a recording, and run the node on one over DDS
 	$(BIN)/python examples/demo.py
@@ -38,11 +38,14 @@ $(JAZZY)/done: ROS := jazzy
 	$*/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[$(ROS),test]'
 	@touch $@
 
+arm: $(VENV)/done ## compare every bit with an emulated 64-bit ARM machine
+	$(BIN)/python benchmarks/arm.py
+
 docs: $(VENV)/done ## the documentation as HTML
 	$(BIN)/python docs/nodes.py > docs/nodes.md
 	$(BIN)/python -m sphinx -W --keep-going -q docs docs/_build
 	@echo "Open docs/_build/index.html"
 
 clean: ## forget the environment, what was compiled and what the demo wrote
-	rm -rf $(VENV) $(JAZZY) demo docs/_build build install log *.egg-info .*_cache .hypothesis
+	rm -rf $(VENV) $(JAZZY) .arm demo docs/_build build install log *.egg-info .*_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -12,20 +12,40 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the last bits of a motion depend on, besides scene and torques."""
+"""The versions that the last bits of a motion depend on, besides scene and torques."""
 
 from __future__ import annotations
 
 from importlib.metadata import PackageNotFoundError, version
 import platform
 
+from rigid_body_ros._jit import COMPILES
+
 NAME = 'rigid_body_ros'
+#: What compiles the kernels.
+_COMPILERS = ('numba', 'llvmlite')
+#: The entry of recordings whose last bits depended on the processor, too.
+PROCESSOR = 'processor'
 
 
 def fingerprint() -> dict[str, str]:
-    """Return versions and processor: where all agree, so do all bits of a motion."""
-    found = {package: _version(package) for package in (NAME, 'numpy', 'numba', 'llvmlite')}
-    return {**found, 'processor': _processor()}
+    """
+    Return versions: if all of them agree, so do all bits of a motion, on any processor.
+
+    Compilers that are not used here have the version 'none'.
+    """
+    found = {package: _version(package) for package in (NAME, 'numpy')}
+    return {**found, **{package: _version(package) if COMPILES else 'none'
+                        for package in _COMPILERS}}
+
+
+def processor() -> str:
+    """Return what an earlier version recorded as `PROCESSOR`."""
+    try:
+        from llvmlite import binding
+    except ImportError:
+        return platform.machine()
+    return f'{platform.machine()} {binding.get_host_cpu_name()}'
 
 
 def _version(package: str) -> str:
@@ -33,11 +53,3 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:  # run from its folder
         return 'none'
-
-
-def _processor() -> str:
-    try:
-        from llvmlite import binding
-    except ImportError:
-        return platform.machine()
-    return f'{platform.machine()} {binding.get_host_cpu_name()}'

@@ -51,8 +51,8 @@ NEEDS = {
     'rclpy': ['clocks', 'faults', 'launch', 'lockstep', 'node', 'soak', 'topics', 'workspace'],
     'launch_ros': ['launch'],  # PyPI does not have it
     'colcon_ros': ['workspace'],
-    'mpmath': ['elementary', 'elliptic', 'examples', 'extremes', 'free_motion', 'peers',
-               'propagate', 'reference', 'steppers', 'tensor', 'truth',
+    'mpmath': ['arm', 'elementary', 'elliptic', 'examples', 'extremes', 'free_motion', 'peers',
+               'propagate', 'reference', 'rods', 'steppers', 'tensor', 'truth',
                'validation'],  # rosdep has none
     'numba': ['elementary', 'elliptic', 'four'],
 }

@@ -14,14 +14,18 @@
 
 """attitude_replay --verify: a motion comes out again to the last bit, or the differences."""
 
+import ast
 from dataclasses import replace
 import json
+import os
+import subprocess
+import sys
 
 from conftest import CONFIG, RECORDINGS
 import numpy as np
 import pytest
 from rigid_body_ros import cli, messages, propagate, recording, scene, State, TorqueLog
-from rigid_body_ros.fingerprint import fingerprint
+from rigid_body_ros.fingerprint import fingerprint, processor
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.verify import verify
 from rosbags.highlevel import AnyReader
@@ -72,14 +76,32 @@ def test_the_first_difference_is_told(tmp_path):
     assert result.apart.max() < 1e-15
 
 
-def test_what_another_machine_made_is_told(tmp_path, capsys):
+def test_another_version_is_reported_but_no_processor(tmp_path, capsys):
+    assert sorted(fingerprint()) == ['llvmlite', 'numba', 'numpy', 'rigid_body_ros']
     replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion.mcap')
-    other = {**fingerprint(), 'processor': 'arm64 cortex-a72'}
-    path = rewritten(tmp_path / 'motion.mcap', tmp_path / 'other.mcap',
-                     metadata={'fingerprint': json.dumps(other)})
+    path = rewritten(tmp_path / 'motion.mcap', tmp_path / 'other.mcap', metadata={
+        'fingerprint': json.dumps({**fingerprint(), 'numpy': '1.21.5'})})
     assert cli.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '--verify', str(path)]) == 0
     line = capsys.readouterr().out.splitlines()[-1]
-    assert line.startswith('made by       processor arm64 cortex-a72, here ')
+    assert line == (f'made by       numpy 1.21.5, here {fingerprint()["numpy"]}: '
+                    'the last bits may differ')
+
+
+@pytest.mark.parametrize(('made_on', 'reported'), [
+    ('arm64 cortex-a72', {'processor': ('arm64 cortex-a72', processor())}),
+    (processor(), {})], ids=['another', 'the same'])
+def test_an_old_recording_that_names_another_processor_is_reported(tmp_path, made_on, reported):
+    replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion.mcap')
+    path = rewritten(tmp_path / 'motion.mcap', tmp_path / 'old.mcap', metadata={
+        'fingerprint': json.dumps({**fingerprint(), 'processor': made_on})})
+    assert verify(TUMBLER, scene.load(SCENE), path).differences == reported
+
+
+def test_kernels_that_are_not_compiled_have_a_fingerprint_of_their_own():
+    program = 'from rigid_body_ros.fingerprint import fingerprint; print(fingerprint())'
+    printed = subprocess.run([sys.executable, '-c', program], check=True, capture_output=True,
+                             env={**os.environ, 'NUMBA_DISABLE_JIT': '1'}, text=True).stdout
+    assert ast.literal_eval(printed) == {**fingerprint(), 'numba': 'none', 'llvmlite': 'none'}
 
 
 def test_a_fingerprint_that_is_damaged_is_unknown(tmp_path):

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages, recording, so3
 from rigid_body_ros.body import State
 from rigid_body_ros.errors import shortened
-from rigid_body_ros.fingerprint import fingerprint, NAME
+from rigid_body_ros.fingerprint import fingerprint, NAME, PROCESSOR, processor
 from rigid_body_ros.propagate import propagate
 from rigid_body_ros.recording import Source
 from rigid_body_ros.replay import read
@@ -174,5 +174,7 @@ def _differences(made_by: dict[str, str]) -> dict[str, tuple[str, str]]:
         there = None
     if not isinstance(there, dict):
         return {name: ('unknown', version) for name, version in here.items()}
+    if PROCESSOR in there:
+        here[PROCESSOR] = processor()
     return {name: (shortened(str(there[name]), 100), version) for name, version in here.items()
             if name in there and there[name] != version}

@@ -1,0 +1,123 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+A 64-bit ARM machine in a folder, for `arm.py`.
+
+Python and its libraries come from Debian's arm64 packages, unpacked beside apt's own lists and
+cache, so that the system's packages stay as they are and root is not needed. numpy, numba and what
+else the package needs come as wheels, in the versions that are installed here. QEMU runs them.
+"""
+
+import hashlib
+from importlib.metadata import version
+import os
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+
+ROOT = Path(__file__).resolve().parent.parent
+FOLDER = ROOT / '.arm'
+SYSTEM, WHEELS, KERNELS = FOLDER / 'system', FOLDER / 'wheels', FOLDER / 'kernels'
+PYTHON = f'python{sys.version_info.major}.{sys.version_info.minor}'
+QEMU = 'qemu-aarch64-static'
+#: Commands, and the Debian package of each.
+COMMANDS = {QEMU: 'qemu-user-static', 'apt-get': 'apt', 'dpkg-deb': 'dpkg'}
+#: What `install_requires` lists without matplotlib, which only draws, and what numba needs.
+REQUIRED = ('PyYAML', 'llvmlite', 'lz4', 'mcap', 'numba', 'numpy', 'tqdm', 'zstandard')
+#: The C library of Debian 12 is 2.36.
+PLATFORMS = ('manylinux2014_aarch64', *(f'manylinux_2_{minor}_aarch64' for minor in range(17, 37)))
+
+
+class UnavailableError(Exception):
+    """The machine cannot be made here: one line about what is missing and how to get it."""
+
+
+def install() -> None:
+    """
+    Make the folder unless it has the same versions already.
+
+    Raises
+    ------
+    UnavailableError
+        A command is missing, or a download failed.
+
+    """
+    absent = {name: package for name, package in COMMANDS.items() if not shutil.which(name)}
+    if absent:
+        raise UnavailableError(f'expected the commands {", ".join(COMMANDS)}, did not find '
+                          f'{", ".join(absent)}; on Debian: apt-get install '
+                          f'{" ".join(absent.values())}')
+    pins = [f'{name}=={version(name)}' for name in REQUIRED]
+    for folder, content, install_into in ((SYSTEM, [PYTHON, 'libstdc++6'], _install_system),
+                                          (WHEELS, pins, _install_wheels)):
+        try:
+            _once(folder, content, install_into)
+        except subprocess.CalledProcessError as error:
+            raise UnavailableError(f'expected to install {", ".join(content)} for arm64, but '
+                              f'{error.cmd[0]} ended with status {error.returncode}; its message '
+                              'is above') from error
+
+
+def run(program: Path, *arguments: object) -> None:
+    """
+    Run a Python program of the checkout on the machine.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        Its exit status is not 0.
+
+    """
+    # Compiled kernels are kept apart from those of this machine.
+    environment = {**os.environ, 'NUMBA_CACHE_DIR': str(KERNELS),
+                   'PYTHONPATH': os.pathsep.join([str(ROOT), str(WHEELS)])}
+    subprocess.run([QEMU, '-L', SYSTEM, SYSTEM / 'usr' / 'bin' / PYTHON, program, *arguments],
+                   env=environment, check=True)
+
+
+def _once(folder: Path, content: list[str], install_into) -> None:
+    # A file beside the folder names what was installed completely.
+    done = folder.with_suffix('.' + hashlib.sha256(' '.join(content).encode()).hexdigest()[:16])
+    if done.exists():
+        return
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    print(f'Installing {" ".join(content)} for arm64 into {os.path.relpath(folder)}', flush=True)
+    install_into(folder, content)
+    done.touch()
+
+
+def _install_system(folder: Path, packages: list[str]) -> None:
+    apt = FOLDER / 'apt'
+    for name in ('state/lists/partial', 'cache/archives/partial'):
+        (apt / name).mkdir(parents=True, exist_ok=True)
+    (apt / 'status').touch()  # nothing is installed: apt finds all that the packages need
+    command = ['apt-get', '--quiet=2', '-o', f'Dir::State={apt / "state"}',
+               '-o', f'Dir::State::status={apt / "status"}', '-o', f'Dir::Cache={apt / "cache"}',
+               '-o', 'APT::Architecture=arm64', '-o', 'APT::Architectures=arm64']
+    subprocess.run([*command, 'update'], check=True)
+    subprocess.run([*command, 'install', '--download-only', '--yes', '--no-install-recommends',
+                    *packages], check=True, stdout=subprocess.DEVNULL)
+    for package in sorted((apt / 'cache' / 'archives').glob('*.deb')):
+        subprocess.run(['dpkg-deb', '--extract', package, folder], check=True)
+
+
+def _install_wheels(folder: Path, pins: list[str]) -> None:
+    platforms = [word for platform in PLATFORMS for word in ('--platform', platform)]
+    subprocess.run([sys.executable, '-m', 'pip', 'install', '--quiet', '--no-deps',
+                    '--disable-pip-version-check', '--only-binary=:all:', '--implementation', 'cp',
+                    *platforms, '--python-version', PYTHON.removeprefix('python'),
+                    '--target', folder, *pins], check=True)

@@ -1,0 +1,171 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Propagate given motions and write every result, for `arm.py` to compare between machines.
+
+    python benchmarks/portable.py MOTIONS.json RESULTS.npz
+
+Bodies, starts, torques and times are read, not drawn: numpy draws and scales random numbers with
+functions whose last bit depends on the machine.
+"""
+
+from collections.abc import Iterator
+import json
+import sys
+
+import bits
+import numpy as np
+from rigid_body_ros import euler, propagate, RigidBody, so3, State, TorqueLog, urdf
+
+#: Which results to compute of a motion: those of `bits.groups`, or by each solver that it names.
+RANDOM, SCENE = 'random', 'scene'
+#: Written instead of results if a solver rejects a motion.
+REJECTED = np.array([np.nan])
+_URDF = ('<robot name="robot"><link name="body"><inertial><origin rpy="0.3 -1.1 2.5"/>'
+         '<mass value="2"/><inertia {}/></inertial></link></robot>')
+
+
+def plain(motion: bits.Motion, kind: str, number: int = 0, solvers: dict | None = None) -> dict:
+    """
+    Return a motion as JSON holds it, without a rounding.
+
+    Parameters
+    ----------
+    motion : bits.Motion
+        Body, start, torques, times and options.
+    kind : str
+        RANDOM or SCENE.
+    number : int
+        Of a random motion: the seed of the order in which a Propagator is asked.
+    solvers : dict
+        Of a scene: names, and the last of its times (ns) that each solver is asked for.
+
+    """
+    body, start, log = motion.body, motion.start, motion.log
+    return {'kind': kind, 'number': number, 'solvers': solvers or {},
+            'inertia': body.inertia.tolist(), 'time_ns': start.time_ns,
+            'attitude': start.attitude.tolist(), 'rates': start.angular_velocity.tolist(),
+            'times_ns': log.times_ns.tolist(), 'torques': log.torques.tolist(),
+            'in_space': log.in_space.tolist(), 'interpolation': log.interpolation,
+            'at': motion.at.tolist(), 'options': motion.options, 'max_step': motion.max_step}
+
+
+def motion_of(values: dict) -> bits.Motion:
+    """Return the motion that `plain` wrote."""
+    frames = np.where(np.array(values['in_space'], bool), 'space', 'body').tolist()
+    torques = np.array(values['torques'], float).reshape(-1, 3)
+    return bits.Motion(
+        RigidBody(values['inertia']),
+        State(values['time_ns'], values['attitude'], values['rates']),
+        TorqueLog(values['times_ns'], torques, frames or 'body', values['interpolation']),
+        np.array(values['at'], np.int64), values['options'], values['max_step'])
+
+
+def groups(values: dict) -> Iterator[tuple[str, Iterator[np.ndarray]]]:
+    """Yield the name of each group of results of a motion, and its arrays."""
+    motion = motion_of(values)
+    yield 'bodies', described(motion)
+    yield 'urdf, point masses', read_bodies(motion)
+    yield 'so3', turned(motion)
+    if values['kind'] == RANDOM:
+        yield from bits.groups(motion, values['number'])
+        yield 'euler functions', converted(motion)
+    for solver, last_ns in values['solvers'].items():
+        yield f'scenes {solver}', scene(motion, solver, last_ns)
+
+
+def described(motion: bits.Motion) -> Iterator[np.ndarray]:
+    """Yield what the library computes of a body and its start."""
+    body, rates = motion.body, motion.start.angular_velocity
+    for factor in (3.0, 0.7, 1.0 + 2.0 ** -50, 1.0 - 2.0 ** -50):
+        yield State(0, factor * motion.start.attitude).attitude
+    yield from (body.principal_moments, body.principal_axes, body.angular_momentum(rates),
+                body.kinetic_energy(rates), body.angular_acceleration(rates, rates),
+                body.torque(rates, rates), body.moment_about((1.0, 2.0, 3.0)))
+
+
+def read_bodies(motion: bits.Motion) -> Iterator[np.ndarray]:
+    """Yield the tensors of a URDF and of point masses."""
+    tensor = motion.body.inertia
+    entries = ' '.join(f'i{a}{b}="{tensor.item("xyz".index(a), "xyz".index(b))}"'
+                       for a, b in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz'))
+    yield urdf.inertia(_URDF.format(entries))
+    masses = 1.0 + np.arange(12.0) / 7.0
+    places = np.arange(36.0).reshape(12, 3) ** 2 % 7.0
+    yield RigidBody.from_point_masses(masses, places + motion.start.attitude[:3]).inertia
+
+
+def turned(motion: bits.Motion) -> Iterator[np.ndarray]:
+    """Yield what `so3` computes of the start."""
+    attitude, rates = motion.start.attitude, motion.start.angular_velocity
+    turn = so3.exp(rates)
+    yield turn
+    yield so3.log(attitude)
+    yield so3.log(turn)
+    yield so3.multiply(attitude, turn)
+    yield so3.rotate(attitude, rates)
+    yield so3.matrix(attitude)
+    yield so3.from_matrix(so3.matrix(attitude))
+    yield so3.angle_between(attitude, turn)
+
+
+def converted(motion: bits.Motion) -> Iterator[np.ndarray]:
+    """Yield attitudes of Euler angles, and rates there and back, in all sequences."""
+    trajectory = propagate(motion.body, motion.start, motion.log, at=motion.at, **motion.options)
+    for sequence in bits.SEQUENCES:
+        for name in (sequence, sequence.lower()):
+            angles = euler.from_quaternion(trajectory.attitude, name)
+            yield angles
+            yield euler.to_quaternion(angles, name)
+            rates = euler.rates(angles, trajectory.angular_velocity, name)
+            yield rates
+            yield euler.angular_velocity(angles, rates, name)
+            yield euler.rotation_axes(angles, name)
+
+
+def scene(motion: bits.Motion, solver: str, last_ns: int) -> Iterator[np.ndarray]:
+    """Yield attitude, rates and Euler angles by a solver up to a time."""
+    trajectory = propagate(motion.body, motion.start, motion.log,
+                           at=motion.at[motion.at <= last_ns], **motion.solver_options(solver))
+    yield trajectory.attitude
+    yield trajectory.angular_velocity
+    for sequence in ('ZXZ', 'ZYX'):
+        yield trajectory.euler_angles(sequence)
+        yield trajectory.euler_angles(sequence, continuous=True)
+
+
+def results(motions: dict[str, dict]) -> dict[str, np.ndarray]:
+    """Return the arrays of all motions in one row each, by 'group/name of the motion'."""
+    found = {}
+    for name, values in motions.items():
+        for group, arrays in groups(values):
+            try:
+                rows = [np.asarray(array, float).ravel() for array in arrays]
+            except ValueError:
+                rows = [REJECTED]
+            found[f'{group}/{name}'] = np.concatenate(rows)
+    return found
+
+
+def main() -> None:
+    """Read motions, write results."""
+    source, target = sys.argv[1:]
+    with open(source, encoding='utf-8') as file:
+        motions = json.load(file)
+    np.savez(target, **results(motions))
+
+
+if __name__ == '__main__':
+    main()
