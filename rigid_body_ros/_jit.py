@@ -44,7 +44,7 @@ def njit(kernel: Kernel) -> Kernel:
     While it runs, other threads of Python do. IEEE arithmetic is kept (no fast-math), so a
     kernel gives the same bits wherever it is inlined. What is cached is used as long as the
     sources of the package have the same hash. Without numba the plain function is returned: the
-    same results within rounding, hundreds of times slower. If no cache folder can be written, as
+    same bits, hundreds of times slower. If no cache folder can be written, as
     in a read-only install without a home, every process compiles the kernels again and logs one
     warning.
     """

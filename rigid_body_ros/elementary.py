@@ -21,9 +21,9 @@ operations that IEEE 754 defines to the last bit: + - * /, square root and the f
 A function is evaluated twice, as CORE-MATH does (Sibidanov, Zimmermann and Glondu, "The CORE-MATH
 project", 2022). A quick evaluation with about 65 bits decides how nearly all results round. Where
 it does not (Ziv, "Fast evaluation of elementary mathematical functions with correctly rounded last
-bit", 1991), about one in a thousand, a careful one with about 100 bits is rounded. It rounds to
-the wrong neighbour only if it has to decide closer than that, which is expected for one argument
-in 10^13 or fewer.
+bit", 1991), about one in a thousand, a careful one with an error below 1e-31 is rounded. It rounds
+to the wrong neighbour only if the true value is that close to the middle between two doubles,
+which is expected for about one argument in 10^15.
 
 Angles are reduced to the nearest multiple of pi / 128, and ratios to that of 1 / 128, whose
 functions come from tables (Gal and Bachelis, "An accurate elementary mathematical library for the

@@ -51,9 +51,10 @@ NEEDS = {
     'rclpy': ['clocks', 'faults', 'launch', 'lockstep', 'node', 'soak', 'topics', 'workspace'],
     'launch_ros': ['launch'],  # PyPI does not have it
     'colcon_ros': ['workspace'],
-    'mpmath': ['arm', 'elliptic', 'examples', 'extremes', 'free_motion', 'peers', 'propagate',
-               'reference', 'steppers', 'tensor', 'truth', 'validation'],  # rosdep has none
-    'numba': ['elliptic', 'four'],
+    'mpmath': ['arm', 'elementary', 'elliptic', 'examples', 'extremes', 'free_motion', 'peers',
+               'propagate', 'reference', 'steppers', 'tensor', 'truth',
+               'validation'],  # rosdep has none
+    'numba': ['elementary', 'elliptic', 'four'],
 }
 ABSENT = {module: [f'test_{name}.py' for name in names] for module, names in NEEDS.items()
           if find_spec(module) is None}

@@ -1,0 +1,254 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Elementary functions: correctly rounded, and the same bits on every machine."""
+
+from itertools import product
+import math
+import os
+import platform
+import subprocess
+import sys
+
+import mpmath
+from mpmath import mp, mpf
+import numba
+import numpy as np
+import pytest
+from rigid_body_ros import digits, elementary
+
+#: Arguments of each function; 10 million take five minutes.
+EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '20000'))
+RANDOM = np.random.default_rng(754)
+ULP = np.finfo(float).eps
+EXTENDED = np.finfo(np.longdouble).eps < ULP  # not on ARM or Windows
+SPECIAL = (0.0, 1.0, 5e-324, 1e308, math.inf)
+
+SCRIPT = """
+import hashlib
+import numpy as np
+from rigid_body_ros import elementary, euler, propagate, RigidBody, so3, State
+integers = np.random.default_rng(1985).integers
+values = integers(-2 ** 53, 2 ** 53, (60, 4)) / 2.0 ** 53
+wide = values[:, 0] * 2.0 ** integers(-40, 1000, 60)
+results = [*elementary.sines_cosines(wide), elementary.arctangents(wide, wide[::-1]),
+           so3.exp(9.0 * values[:, :3]), so3.log(values), so3.angle_between(values, -values[::-1])]
+for sequence in ('ZXZ', 'xyz'):
+    angles = euler.from_quaternion(values, sequence)
+    results += [angles, euler.to_quaternion(angles, sequence), euler.unwrap(angles, sequence),
+                euler.rates(angles, values[:, 1:], sequence),
+                euler.angular_velocity(angles, values[:, 1:], sequence)]
+for moments in ((1.0, 2.0, 2.5), (1.0, 1.0, 1.5), (1.1, 2.0, 2.7, 0.15, -0.2, 0.05)):
+    body = RigidBody.from_moments(*moments)
+    for rates in ((0.5, -0.7, 0.9), (1.0, 0.001, 0.0)):
+        start = State(0, (0.1, 0.2, -0.4, 1.0), rates)
+        for options in ({'solver': 'exact'}, {'solver': 'taylor', 'tolerance': 1e-9},
+                        {'solver': 'strang', 'max_step': 0.25}):
+            motion = propagate(body, start, at=[10 ** 9, 10 ** 10], **options)
+            results += [motion.attitude, motion.angular_velocity, motion.kinetic_energy]
+print(hashlib.sha256(b''.join(map(np.ndarray.tobytes, results))).hexdigest()[:16])
+"""
+#: What the script prints: another number means that results have changed.
+DIGEST = '47dd80c0e92a05ad'
+
+
+@pytest.fixture(autouse=True)
+def _fifty_digits():
+    with mp.workdps(50):
+        yield
+
+
+def callable_(part):
+    """Return a part of kernels as a function that Python can call."""
+    return numba.njit(error_model='numpy')(lambda *arguments: part(*arguments))
+
+
+def joined(pair):
+    return mpf(float(pair[0])) + mpf(float(pair[1]))
+
+
+def angles(count):
+    """Return angles of every size, and close to multiples of pi / 2 and pi / 128."""
+    part = count // 4
+    steps = RANDOM.integers(1, 2 ** 26, count - 3 * part) * RANDOM.choice(
+        [1, 64], count - 3 * part)
+    signs = RANDOM.choice([-1.0, 1.0], count)
+    return signs * np.concatenate([
+        10.0 ** RANDOM.uniform(-9, 1, part), RANDOM.uniform(0.0, 1e7, part),
+        10.0 ** RANDOM.uniform(6, 308.25, part), steps * (math.pi / 128)])
+
+
+def points(count):
+    """Return points in every direction, close to the axes and far from them."""
+    near = RANDOM.normal(size=(2, count // 2))
+    return np.concatenate([near, RANDOM.normal(size=(2, count - count // 2))
+                           * 10.0 ** RANDOM.uniform(-140, 140, (2, count - count // 2))], axis=1)
+
+
+def not_nearest(found, extended, exact, *arguments):
+    """
+    Return how many results are not the doubles nearest to the true ones.
+
+    The C library's long double decides, if there is one, unless its last 4 of 11 extra bits leave
+    it open; then, or if it disagrees, mpmath does.
+    """
+    doubtful = np.ones(found.shape, bool)
+    if EXTENDED:
+        right = extended(*(values.astype(np.longdouble) for values in arguments))
+        rest = np.abs((right - found) / np.spacing(np.abs(found))).astype(float)
+        doubtful = ~(rest < 0.5 - 2.0 ** -7) | (np.frexp(found)[0] == 0.5)
+    return sum(float(exact(*(mpf(float(values[row])) for values in arguments))) != found[row]
+               for row in np.flatnonzero(doubtful))
+
+
+def in_blocks(function, count):
+    """Return the sum of a function of counts that make up the count, to bound the memory."""
+    return sum(function(min(100_000, count - done)) for done in range(0, count, 100_000))
+
+
+def test_sine_and_cosine_are_correctly_rounded():
+    def wrong(count):
+        given = angles(count)
+        sines, cosines = elementary.sines_cosines(given)
+        return (not_nearest(sines, np.sin, mpmath.sin, given)
+                + not_nearest(cosines, np.cos, mpmath.cos, given))
+    assert in_blocks(wrong, EXAMPLES) == 0
+
+
+def test_arctangent_is_correctly_rounded():
+    def wrong(count):
+        y, x = points(count)
+        return not_nearest(elementary.arctangents(y, x), np.arctan2, mpmath.atan2, y, x)
+    assert in_blocks(wrong, EXAMPLES) == 0
+
+
+def test_sines_of_the_hardest_angles_are_right():
+    # The double nearest to a multiple of pi / 2, and the largest.
+    nearest = 6381956970095103.0 * 2.0 ** 797
+    sines, cosines = elementary.sines_cosines([nearest, np.finfo(float).max])
+    np.testing.assert_array_equal(cosines[0], -4.68716592425462761112e-19)
+    np.testing.assert_array_equal(sines, [1.0, 0.004961954789184062])
+
+
+def test_logarithm_is_correctly_rounded():
+    logarithm = callable_(elementary.logarithm_10)
+    exact = [10.0 ** k for k in range(23)]
+    assert [logarithm(x) for x in exact] == [*range(23)]
+    for x in [*(10.0 ** RANDOM.uniform(0, 15, 500)), *RANDOM.uniform(0.5, 2.0, 500),
+              *(10.0 ** RANDOM.uniform(-307, 308, 200))]:
+        assert logarithm(x) == float(mpmath.log10(mpf(x)))
+
+
+def test_hyperbolic_tangent_and_secant_are_correctly_rounded():
+    hyperbolic = callable_(elementary.hyperbolic)
+    for x in [*RANDOM.uniform(-25, 25, 500), *(10.0 ** RANDOM.uniform(-9, 2.78, 500))]:
+        assert hyperbolic(x) == (float(mpmath.tanh(mpf(x))), float(mpmath.sech(mpf(x))))
+    assert [hyperbolic(x) for x in (-0.0, 1e-300, 800.0, -math.inf)] == [
+        (0.0, 1.0), (1e-300, 1.0), (1.0, 0.0), (-1.0, 0.0)]
+
+
+def test_the_careful_evaluations_have_a_hundred_bits_and_the_quick_ones_their_bounds():
+    careful, quick = (callable_(part) for part in (elementary._careful_sine_cosine,
+                                                   elementary.sine_cosine_pairs))
+    for angle in angles(400):
+        exact = mpmath.sin(mpf(angle)), mpmath.cos(mpf(angle))
+        for function, error in ((careful, 1e-31), (quick, elementary._SINE_ERROR)):
+            for pair, right in zip(function(angle), exact):
+                assert abs(joined(pair) / right - 1) < error
+    careful, quick = (callable_(part) for part in (elementary._careful_arctangent,
+                                                   elementary._quick_arctangent))
+    for ratio in [*RANDOM.uniform(0, 1, 300), *(10.0 ** RANDOM.uniform(-9, 0, 100))]:
+        right = mpmath.atan(mpf(ratio))
+        for function, error in ((careful, 1e-31), (quick, elementary._ANGLE_ERROR)):
+            assert abs(joined(function((ratio, 0.0), (1.0, 0.0))) / right - 1) < error
+
+
+def test_arctangent_of_pairs_has_65_bits():
+    arctangent = callable_(elementary.arctangent_pair)
+    for y, x in points(400).T:
+        pairs = [(value, value * ULP * RANDOM.uniform(-0.5, 0.5)) for value in (y, x)]
+        right = mpmath.atan2(*map(joined, pairs))
+        assert abs(joined(arctangent(*pairs)) / right - 1) < elementary._ANGLE_ERROR
+
+
+@pytest.mark.parametrize('x', [-math.inf, math.inf, math.nan])
+def test_sines_of_infinity_and_nan_are_nan(x):
+    assert np.isnan(elementary.sines_cosines(x)).all()
+
+
+def test_tiny_angles_are_their_own_sines():
+    tiny = np.array([0.0, -0.0, 5e-324, -1e-310, 1e-200, 2.0 ** -28])
+    sines, cosines = elementary.sines_cosines(tiny)
+    np.testing.assert_array_equal(sines, tiny)
+    np.testing.assert_array_equal(np.signbit(sines), np.signbit(tiny))
+    np.testing.assert_array_equal(cosines, np.ones(6))
+
+
+def test_arctangents_of_zeros_and_infinities_are_those_of_c():
+    values = [*SPECIAL, *(-x for x in SPECIAL), math.nan]
+    y, x = np.array([*product(values, repeat=2)]).T
+    expected = np.array([math.atan2(*pair) for pair in zip(y, x)])
+    found = elementary.arctangents(y, x)
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(np.signbit(found[found == 0]), np.signbit(expected[found == 0]))
+
+
+def test_a_subnormal_arctangent_rounds_down_half_way_between_doubles():
+    # The ratios are 1.5, 2.5 and 3.5 of the least doubles, and the arctangents are less.
+    least = 5e-324
+    np.testing.assert_array_equal(
+        elementary.arctangents([3 * least, 5 * least, -7 * least, 3 * least],
+                               [2.0, 2.0, 2.0, 1.9]),
+        [least, 2 * least, -3 * least, 2 * least])
+
+
+def test_sines_and_arctangents_are_odd():
+    given = angles(500)
+    np.testing.assert_array_equal(elementary.sines_cosines(-given)[0],
+                                  -elementary.sines_cosines(given)[0])
+    np.testing.assert_array_equal(elementary.arctangents(-given, 1.0),
+                                  -elementary.arctangents(given, 1.0))
+
+
+def test_tables_hold_32_digits():
+    step = mp.pi / digits.STEPS
+    for table, function, count in ((digits.SINES, lambda k: mpmath.sin(k * step), 256),
+                                   (digits.ARCTANGENTS, lambda k: mpmath.atan(mpf(k) / 128), 129)):
+        assert len(table) == count
+        for k, pair in enumerate(table):
+            assert abs(joined(pair) - function(k)) < 1e-32
+    for pair, right in ((digits.PI, mp.pi), (digits.LN_2, mpmath.ln2),
+                        (digits.LOG10_2, mpmath.log10(2)), (digits.LOG10_E, 1 / mpmath.ln10)):
+        assert abs(joined(pair) / right - 1) < 1e-32
+    assert abs(sum(map(mpf, digits.STEP)) / step - 1) < 1e-48
+    with mp.workdps(400):
+        found = sum(mpf(part) / mpf(2) ** (24 * k) for k, part in enumerate(digits.TURN_PARTS))
+        assert 0 < 128 / mp.pi - found < mpf(2) ** (-24 * 51)
+
+
+@pytest.mark.parametrize(('before', 'environment'), [
+    pytest.param('', {}, id='compiled'),
+    # One without wide registers and fused products, whose place a function of C takes.
+    pytest.param('', {'NUMBA_CPU_NAME': 'nocona', 'NUMBA_CPU_FEATURES': ''},
+                 id='for an old processor', marks=[pytest.mark.slow, pytest.mark.skipif(
+                     platform.machine() != 'x86_64', reason='the processor is an x86-64')]),
+    pytest.param('', {'NUMBA_DISABLE_JIT': '1'}, id='not compiled'),
+    pytest.param("import sys; sys.modules['numba'] = None", {}, id='without numba',
+                 marks=pytest.mark.slow)])
+def test_results_have_the_same_bits_everywhere(before, environment, tmp_path):
+    if 'NUMBA_CPU_NAME' in environment:
+        environment = {**environment, 'NUMBA_CACHE_DIR': str(tmp_path)}
+    result = subprocess.run([sys.executable, '-c', before + SCRIPT], capture_output=True,
+                            text=True, check=True, env={**os.environ, **environment})
+    assert result.stdout.strip() == DIGEST
