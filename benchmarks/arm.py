@@ -38,7 +38,7 @@ import portable
 from rigid_body_ros import TorqueLog
 
 sys.path.insert(0, str(ROOT / 'test'))
-from conftest import chord, Reference  # noqa: E402
+from conftest import chord, Reference  # noqa: E402, I100
 from scenes import SCENES  # noqa: E402
 from test_reference import AMPLIFYING, cases  # noqa: E402
 

@@ -57,18 +57,18 @@ def install() -> None:
     """
     absent = {name: package for name, package in COMMANDS.items() if not shutil.which(name)}
     if absent:
-        raise UnavailableError(f'expected the commands {", ".join(COMMANDS)}, did not find '
-                          f'{", ".join(absent)}; on Debian: apt-get install '
-                          f'{" ".join(absent.values())}')
+        raise UnavailableError(
+            f'expected the commands {", ".join(COMMANDS)}, did not find {", ".join(absent)}; '
+            f'on Debian: apt-get install {" ".join(absent.values())}')
     pins = [f'{name}=={version(name)}' for name in REQUIRED]
     for folder, content, install_into in ((SYSTEM, [PYTHON, 'libstdc++6'], _install_system),
                                           (WHEELS, pins, _install_wheels)):
         try:
             _once(folder, content, install_into)
         except subprocess.CalledProcessError as error:
-            raise UnavailableError(f'expected to install {", ".join(content)} for arm64, but '
-                              f'{error.cmd[0]} ended with status {error.returncode}; its message '
-                              'is above') from error
+            raise UnavailableError(
+                f'expected to install {", ".join(content)} for arm64, but {error.cmd[0]} ended '
+                f'with status {error.returncode}; its message is above') from error
 
 
 def run(program: Path, *arguments: object) -> None:

@@ -80,7 +80,7 @@ def test_the_emulated_machine_has_what_the_package_requires():
 def test_an_old_processor_gives_the_same_bits(tmp_path):
     pytest.importorskip('numba', reason='without numba nothing is compiled for a processor')
     motions = tmp_path / 'motions.json'
-    motions.write_text(json.dumps(arm.motions(10)))
+    motions.write_text(json.dumps(arm.motions(3)))
     found = []
     for machine in (arm.HERE, 'SSE2'):
         subprocess.run([sys.executable, ROOT / 'benchmarks' / 'portable.py', motions,
