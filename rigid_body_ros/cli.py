@@ -220,7 +220,8 @@ def _measured(options: argparse.Namespace) -> Tradeoff:
 def _plot_tradeoff(path: str, result: Tradeoff, title: str) -> None:
     from rigid_body_ros import plots
     from rigid_body_ros.tradeoff import report
-    lines = {'series with other steps': result.floor, 'target': result.target}
+    lines = {'rounding floor': result.floor, 'last digits': result.last_digits,
+             'target': result.target}
     if result.reading:
         lines[f'{result.reading.interpolation} between samples'] = result.reading.estimate
     with files.whole(path, '.png') as part:

@@ -22,8 +22,10 @@ of its moments: (J w) x w of a rod is a difference of terms a million times its 
 from __future__ import annotations
 
 from decimal import Decimal, localcontext
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.so3 import Floats
 
 #: Digits of the principal axes: twice those of a double, and as many again for cancellation.
@@ -33,7 +35,7 @@ _SWEEPS = 20
 _NEGLIGIBLE = Decimal(1).scaleb(10 - _DIGITS)
 
 
-def euler_coefficients(tensor: Floats) -> Floats:
+def euler_coefficients(tensor: NDArray[Any]) -> Floats:
     """
     Return the coefficients of Euler's equations, solved for the acceleration.
 
@@ -44,7 +46,7 @@ def euler_coefficients(tensor: Floats) -> Floats:
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
-        About the centre of mass, body axes; symmetric.
+        About the centre of mass, body axes; symmetric. Doubles, or sums of them as Fractions.
 
     Returns
     -------
@@ -60,7 +62,7 @@ def euler_coefficients(tensor: Floats) -> Floats:
     """
     # Doubles are integers over a power of two. Integers need no fractions to be brought to lowest
     # terms, which takes several times as long, and Python rounds their quotients correctly.
-    ratios = [[float(entry).as_integer_ratio() for entry in row] for row in tensor]
+    ratios = [[entry.as_integer_ratio() for entry in row] for row in tensor.tolist()]
     scale = max(below for row in ratios for _, below in row)
     j = [[above * (scale // below) for above, below in row] for row in ratios]
     gyroscopic = [

@@ -31,6 +31,8 @@ FRAMES = ('body', 'space')
 INTERPOLATIONS = ('hold', 'linear', 'cubic')
 #: Samples that a slope of the cubic is taken from.
 _NEAREST = 5
+#: Samples beyond a part of a log that its cubics depend on.
+_BESIDE = 4
 #: Samples whose polynomials are worked out at a time.
 _CHUNK = 65536
 
@@ -85,6 +87,17 @@ class TorqueLog:
 
     def __len__(self) -> int:
         return len(self.times_ns)
+
+    def with_torques(self, torques: ArrayLike) -> TorqueLog:
+        """Return a log of other torques, N m, shape (n, 3), at the same times; errors as above."""
+        return TorqueLog(self.times_ns, torques, frame_names(self.in_space), self.interpolation)
+
+    def part(self, begin_ns: int, end_ns: int) -> TorqueLog:
+        """Return the samples that the torque from one time to another depends on."""
+        first = max(int(np.searchsorted(self.times_ns, begin_ns, 'right')) - _BESIDE, 0)
+        rows = slice(first, int(np.searchsorted(self.times_ns, end_ns, 'right')) + _BESIDE)
+        return TorqueLog(self.times_ns[rows], self.torques[rows],
+                         frame_names(self.in_space[rows]), self.interpolation)
 
     def segments(self, timeout_ns: int = 0) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
         """
@@ -197,6 +210,13 @@ class TorqueLog:
             lost = (following - (rise - back)) - (here + back)  # Knuth's exact sum
             return np.stack([here, rise, lost], axis=1)
         return _hermite(self.times_ns, self.torques, first, stop)
+
+
+def frame_names(in_space: NDArray[np.bool_]) -> str | list[str]:
+    """Return the frame of samples as `TorqueLog` takes it: one name where one will do."""
+    if not in_space.any():
+        return 'body'
+    return 'space' if in_space.all() else np.where(in_space, 'space', 'body').tolist()
 
 
 def _checked_samples(times_ns: ArrayLike, torques: ArrayLike) -> tuple[NDArray[np.int64], Floats]:

@@ -28,6 +28,7 @@ import pytest
 from rigid_body_ros import cli, messages, propagate, recording, scene
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.check import energy_balance
+from rigid_body_ros.replay.report import summary
 from rigid_body_ros.scene import InputError
 from rosbags.highlevel import AnyReader
 
@@ -112,6 +113,37 @@ def test_the_summary_tells_what_happened(output, capsys):
     text = capsys.readouterr().out
     assert 'space angular momentum drifts by' in text
     assert ', checked over all 100 s\n' in text
+
+
+def replayed(name, output, **options):
+    return replay(RECORDINGS / f'{name}.mcap', scene.load(RECORDINGS / f'{name}.yaml'), output,
+                  **options)
+
+
+def test_the_effect_of_the_last_digits_is_reported_where_it_is_large(output):
+    # One unit in the last place of a rod's inertia moves this end by 1e-11 to 1e-10 rad.
+    result = replayed('rod_full_tensor_body_torque', output)
+    assert 1e-11 < result.last_digits.effect < 1e-9
+    assert (f'\nlast digits   a change of the last digit of inertia, torque or start moves the '
+            f'attitude by {result.last_digits.effect:.1e} rad: no solver can do better\n'
+            ) in summary(result)
+    ordinary = replayed('thruster_pulses_irregular', output)
+    assert 0.0 < ordinary.last_digits.effect < 1e-13
+    assert 'last digits' not in summary(ordinary)
+
+
+@pytest.mark.parametrize(('name', 'limit'), [('_SAMPLES', 1), ('_ANGLE', 4.0)])
+def test_the_effect_of_the_last_digits_covers_a_beginning(name, limit, output, monkeypatch):
+    monkeypatch.setattr(f'rigid_body_ros.replay.check.{name}', limit)
+    result = replayed('rod_full_tensor_body_torque', output)
+    digits = result.last_digits
+    assert 0.1 < digits.covered < 0.9 * digits.total
+    assert digits.total == result.check.total
+    assert f' rad in the first {digits.covered:.9g} s of {digits.total:.9g} s: ' in summary(result)
+
+
+def test_a_motion_of_no_length_has_no_last_digits(output):
+    assert replayed('constant_space_torque', output).last_digits is None
 
 
 def test_another_reading_that_spins_beyond_bounds_is_told(tmp_path, output, capsys):

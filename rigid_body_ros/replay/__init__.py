@@ -38,7 +38,7 @@ from rigid_body_ros.messages import MessageType
 from rigid_body_ros.propagate import Trajectory, warm_up
 from rigid_body_ros.recording import Column, Messages, NotInOrderError, Piece, Source
 from rigid_body_ros.replay import markers
-from rigid_body_ros.replay.check import Check, drift
+from rigid_body_ros.replay.check import Check, drift, last_digits, LastDigits
 from rigid_body_ros.replay.stretches import Asked, end_of, Stretch, Stretches
 from rigid_body_ros.scene import InputError, Scene
 from rigid_body_ros.torque import TorqueLog
@@ -85,6 +85,9 @@ class Replay:
         where that spins the body beyond all bounds.
     check : Check, optional
         How far the motion, or the beginning of it that is checked, is from the conservation laws.
+    last_digits : LastDigits, optional
+        How far the motion, or the beginning of it, moves if the last digits of inertia, torques
+        and start change; None where that was not estimated.
     seconds : dict
         The time that it took to read, propagate and write.
     log, trajectory : TorqueLog, Trajectory
@@ -106,6 +109,7 @@ class Replay:
     solvers: dict[str, int] = field(default_factory=dict)
     readings: dict[str, float | None] = field(default_factory=dict)
     check: Check | None = None
+    last_digits: LastDigits | None = None
     seconds: dict[str, float] = field(
         default_factory=lambda: {'read': 0.0, 'propagate': 0.0, 'write': 0.0})
     log: TorqueLog | None = None
@@ -302,9 +306,13 @@ def _take(result: Replay, stretch: Stretch) -> None:
     if trajectory.times_ns.size:
         result.last = State(int(trajectory.times_ns[-1]), trajectory.attitude[-1],
                             trajectory.angular_velocity[-1])
-        check = result.check or drift(result.scene, log, result.start, trajectory)
-        result.check = check._replace(
-            total=float(result.last.time_ns - result.start.time_ns) * 1e-9)
+        if not result.check:
+            checked = result.scene, log, result.start, trajectory
+            result.check, result.last_digits = drift(*checked), last_digits(*checked)
+        total = float(result.last.time_ns - result.start.time_ns) * 1e-9
+        result.check = result.check._replace(total=total)
+        if result.last_digits:
+            result.last_digits = result.last_digits._replace(total=total)
     for model in trajectory.models:
         name = f'{model.solver} ({model.reason})'
         result.solvers[name] = result.solvers.get(name, 0) + model.end_ns - model.start_ns

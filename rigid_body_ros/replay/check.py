@@ -12,7 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Check a motion: the balance of work and energy, or the momentum that no torque changes."""
+"""
+Check a motion: the balance of work and energy, or the momentum that no torque changes.
+
+And how far the last digit of what is given moves it, whatever the solver.
+"""
 
 from __future__ import annotations
 
@@ -23,12 +27,16 @@ from numpy.typing import NDArray
 from rigid_body_ros import so3
 from rigid_body_ros.body import State
 from rigid_body_ros.propagate import propagate, Trajectory
+from rigid_body_ros.propagate.sensitivity import last_digit_effect
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.torque import TorqueLog
 
 #: The balance of work and energy is taken over at most so many pieces of at most this angle, rad.
 _PIECES = 200_000
 _PIECE_ANGLE = 0.05
+#: The effect of the last digits is taken over at most so many samples and so many rad, which takes
+#: some 10 ms, and compared at so many times.
+_SAMPLES, _ANGLE, _TIMES = 16_384, 4096.0, 64
 _GAUSS_POINTS = 0.5 + 0.1 * np.sqrt(15.0) * np.array([-1.0, 0.0, 1.0])
 _GAUSS_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
@@ -45,6 +53,48 @@ class Check(NamedTuple):
             return f'{self.finding}, checked over all {self.total:.9g} s'
         return (f'{self.finding}, checked over the first {self.covered:.9g} s of '
                 f'{self.total:.9g} s')
+
+
+class LastDigits(NamedTuple):
+    """How far a change of the last digits moves a motion, rad; see `last_digit_effect`."""
+
+    effect: float
+    #: What rounding makes of as many radians.
+    rounding: float
+    #: The seconds of the motion, from its start, that this is about, and all of them.
+    covered: float
+    total: float
+
+    def __str__(self) -> str:
+        part = '' if self.covered >= self.total else \
+            f' in the first {self.covered:.9g} s of {self.total:.9g} s'
+        return (f'a change of the last digit of inertia, torque or start moves the '
+                f'attitude by {self.effect:.1e} rad{part}: no solver can do better')
+
+
+def last_digits(scene: Scene, log: TorqueLog, start: State,
+                trajectory: Trajectory) -> LastDigits | None:
+    """Return what the last digits do to the beginning of a motion; None if it has no length."""
+    begin_ns, end_ns = start.time_ns, int(trajectory.times_ns[-1])
+    speed = float(np.linalg.norm(trajectory.angular_velocity, axis=1).max())
+    covered_ns = end_ns - begin_ns
+    following = log.times_ns[log.times_ns > begin_ns][_SAMPLES - 1:_SAMPLES]
+    if following.size:
+        covered_ns = min(covered_ns, int(following[0]) - begin_ns)
+    if speed * covered_ns * 1e-9 > _ANGLE:
+        covered_ns = int(_ANGLE / speed * 1e9)
+    log = log.part(begin_ns, begin_ns + covered_ns)
+    times = np.unique(np.linspace(0, covered_ns, _TIMES + 1)[1:].astype(np.int64))
+    try:
+        effect = last_digit_effect(scene.body, start, log, at=begin_ns + times,
+                                   torque_timeout=scene.values['torque_timeout'])
+    except ValueError:  # the motion of another solver leads beyond all bounds
+        return None
+    if not covered_ns:
+        return None
+    seconds = covered_ns * 1e-9
+    return LastDigits(effect, 1e-15 * (10.0 + speed * seconds), seconds,
+                      (end_ns - begin_ns) * 1e-9)
 
 
 def drift(scene: Scene, log: TorqueLog, start: State, trajectory: Trajectory) -> Check:

@@ -18,7 +18,11 @@ from __future__ import annotations
 
 from rigid_body_ros import euler
 from rigid_body_ros.replay import Replay
+from rigid_body_ros.replay.check import LastDigits
 from rigid_body_ros.so3 import Floats
+
+#: The effect of the last digits is reported where it is so many times that of rounding.
+_WORTH_A_LINE = 10.0
 
 
 def summary(result: Replay) -> str:
@@ -43,9 +47,14 @@ def summary(result: Replay) -> str:
         (f'  {sequence}', f'{_numbers(euler.from_quaternion(last.attitude, sequence))}  rad'),
         ('  body rates', f'{_numbers(last.angular_velocity)}  rad/s'),
         ('check', result.check),
+        *([('last digits', result.last_digits)] if _counts(result.last_digits) else []),
         ('speed', f'{span / total:.3g} times real time ({split})'),
     ]
     return '\n'.join(f'{name:14}{text}' for name, text in rows)
+
+
+def _counts(digits: LastDigits | None) -> bool:
+    return digits is not None and digits.effect > _WORTH_A_LINE * digits.rounding
 
 
 def _solvers(result: Replay) -> list[str]:

@@ -17,9 +17,11 @@ Speed against accuracy: every solver over a ladder of settings, on the user's ow
 
 All settings run over one *stretch*, from the start to as far as a thousand or so radians and
 samples reach, and are compared with a reference there: the series at its tightest tolerance in
-shorter steps. The *floor* is the largest difference between it and two further such runs with
-other steps: it shows their rounding, but no error that is common to all of them. A setting that
-meets the target on the stretch is recommended only when it meets it on the whole log.
+shorter steps. The *floor* is the largest difference between it and motions that round otherwise:
+the series with other steps and in principal axes, and, without torque, the closed form. If a
+change of the last digits of inertia, torques and start moves the motion by more than that, no
+solver can be right for certain by less. A setting that meets the target on the stretch is
+recommended only when it meets it on the whole log.
 """
 
 from __future__ import annotations
@@ -46,6 +48,8 @@ _TOLERANCES = tuple(float(f'1e-{k}') for k in range(2, 16))
 #: Angle of the longest step of the ladders, rad; the most steps of one run, a tenth of a second.
 _LONGEST_ANGLE, _MOST_STEPS = 1.0, 1_000_000
 _FEWEST_REPEATS, _MOST_REPEATS = 3, 15
+#: What a reference costs, in runs of the series.
+_REFERENCE = 14.0
 #: s; a shorter run notices what ran before it, and is repeated once without being timed.
 _NOTICES = 0.01
 
@@ -138,9 +142,9 @@ class Tradeoff:
     angle : float
         That the body turns by over the stretch, rad.
     runs : tuple of Run
-    floor : float
-        Largest difference between runs of the series with different steps, on the stretch, rad;
-        see `Reference`.
+    floor, last_digits : float
+        Rounding on the stretch, and what the last digits of what is given move it by, rad; see
+        `Reference`.
     readings : tuple of Reading
     target : float, rad
     choice : Choice or None
@@ -154,6 +158,7 @@ class Tradeoff:
     angle: float
     runs: tuple[Run, ...]
     floor: float
+    last_digits: float
     readings: tuple[Reading, ...]
     target: float
     choice: Choice | None
@@ -170,7 +175,7 @@ class Tradeoff:
         """Return what the error of the recommended setting, or of the best, is owed to most."""
         errors = [run.error.attitude for run in self.runs if not run.failure]
         solver = self.choice.run.error.attitude if self.choice else min(errors, default=math.inf)
-        shares = {'rounding': self.floor, 'solver': solver,
+        shares = {'rounding': self.floor, 'solver': solver, 'last digits': self.last_digits,
                   'reading': self.reading.estimate if self.reading else 0.0}
         # A solver at the floor has no error of its own to show.
         if solver <= 2.0 * self.floor:
@@ -215,10 +220,10 @@ def measure(body: RigidBody, start: State, log: TorqueLog | None = None, *,
     reference = Reference.of(stretch)
     runs = _front(_timed(stretch, _settings(stretch, reference.trajectory), reference, seconds,
                          track), reference.floor)
-    choice = recommend(runs, target, reference.floor, problem.seconds / stretch.seconds,
+    choice = recommend(runs, target, reference.certain, problem.seconds / stretch.seconds,
                        _judge(problem, stretch, reference, runs, seconds))
     return Tradeoff(stretch, problem, turned_angle(reference.trajectory), runs, reference.floor,
-                    compare_readings(stretch), target, choice, load_seconds)
+                    reference.last_digits, compare_readings(stretch), target, choice, load_seconds)
 
 
 def recommend(runs: Sequence[Run], target: float, floor: float, growth: float,
@@ -231,7 +236,8 @@ def recommend(runs: Sequence[Run], target: float, floor: float, growth: float,
     runs : sequence of Run
         On a stretch from the start: one that misses the target there misses it on the whole log.
     target, floor : float, rad
-        The floor counts as an error of the setting.
+        The floor counts as an error of the setting: the larger of what rounding and what the last
+        digits of what is given do.
     growth : float
         How much longer the whole log is.
     judge : callable
@@ -325,7 +331,7 @@ def _judge(whole: Problem, stretch: Problem, reference: Reference, runs: Sequenc
            seconds: float) -> Callable[[Run], float | None]:
     """Return what tells the error of a setting on the whole log, while there is time for it."""
     if stretch is whole:
-        return lambda run: run.error.attitude + reference.floor
+        return lambda run: run.error.attitude + reference.certain
     growth = whole.seconds / stretch.seconds
     left, known = seconds, None
     series = max((run.seconds for run in runs if run.setting == Setting('taylor', TIGHTEST)),
@@ -333,7 +339,7 @@ def _judge(whole: Problem, stretch: Problem, reference: Reference, runs: Sequenc
 
     def judge(run: Run) -> float | None:
         nonlocal left, known
-        cost = growth * (run.seconds + (0.0 if known else 5.0 * series))
+        cost = growth * (run.seconds + (0.0 if known else _REFERENCE * series))
         if cost > left:
             return None
         left -= cost
@@ -343,5 +349,5 @@ def _judge(whole: Problem, stretch: Problem, reference: Reference, runs: Sequenc
         except ValueError:
             return math.inf
         apart = so3.angle_between(motion.attitude, known.trajectory.attitude)
-        return float(apart.max()) + known.floor
+        return float(apart.max()) + known.certain
     return judge

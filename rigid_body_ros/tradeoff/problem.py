@@ -21,6 +21,7 @@ The right motion is the series at its tightest tolerance in shorter steps.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 import math
 from typing import Any
 
@@ -29,8 +30,11 @@ from numpy.typing import NDArray
 from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.propagate import LONGEST, propagate, Trajectory
+from rigid_body_ros.propagate.sensitivity import last_digit_effect
+from rigid_body_ros.so3 import Floats
 from rigid_body_ros.times import instant
 from rigid_body_ros.torque import TorqueLog
+from rigid_body_ros.tradeoff.axes import PrincipalAxes
 
 TIGHTEST = 1e-15
 #: Turns of a motion without torques.
@@ -41,8 +45,6 @@ _SERIES_ANGLE = 0.5
 _WORK = 4000
 #: Outputs besides those at the stamps, so that between two far ones an error is seen, too.
 _OUTPUTS = 100
-#: Samples beyond a stretch that its cubic polynomials are made from.
-_BESIDE = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,15 +85,18 @@ class Problem:
         return propagate(self.body, self.start, self.log, at=self.times_ns,
                          torque_timeout=self.torque_timeout, **options)
 
+    def in_principal_axes(self, max_step: float) -> Floats:
+        """Return the attitudes that the series gives in principal axes, turned back."""
+        axes = PrincipalAxes(self.body)
+        turned = replace(self, body=axes.body, start=axes.start(self.start),
+                         log=axes.log(self.log))
+        return axes.back(turned.run(solver='taylor', tolerance=TIGHTEST,
+                                    max_step=max_step).attitude)
+
     def until(self, end_ns: int) -> Problem:
         """Return the problem up to an end, with the samples that matter until then."""
-        log, start_ns = self.log, self.start.time_ns
-        stop = int(np.searchsorted(log.times_ns, end_ns, 'right')) + _BESIDE
-        first = max(int(np.searchsorted(log.times_ns, start_ns, 'right')) - _BESIDE, 0)
-        frames = np.where(log.in_space[first:stop], 'space', 'body').tolist()
-        part = TorqueLog(log.times_ns[first:stop], log.torques[first:stop], frames,
-                         log.interpolation) if len(log) else log
-        return replace(self, log=part, times_ns=_times(part, start_ns, end_ns))
+        part = self.log.part(self.start.time_ns, end_ns)
+        return replace(self, log=part, times_ns=_times(part, self.start.time_ns, end_ns))
 
     def stretch(self) -> Problem:
         """Return the longest half, quarter ... of this that is little work, or this."""
@@ -124,13 +129,21 @@ class Reference:
     ----------
     trajectory : Trajectory
     floor : float, rad
-        Largest difference between runs of the series at its tightest tolerance with different
-        steps. An error common to all of them does not show in it.
+        Largest difference between this motion and others that round otherwise: the series with
+        other steps and in principal axes, and, without torque, the closed form.
+    last_digits : float, rad
+        What the last digits of inertia, torques and start move it by, see `last_digit_effect`.
 
     """
 
     trajectory: Trajectory
     floor: float
+    last_digits: float
+
+    @property
+    def certain(self) -> float:
+        """Return the least error, rad, that can be promised."""
+        return max(self.floor, self.last_digits)
 
     @classmethod
     def of(cls, problem: Problem) -> Reference:
@@ -139,9 +152,14 @@ class Reference:
         step = problem.natural_step(plain, _SERIES_ANGLE)
         best, other = (problem.run(solver='taylor', tolerance=TIGHTEST, max_step=share * step)
                        for share in (0.7, 0.4))
-        floor = max(float(so3.angle_between(motion.attitude, best.attitude).max())
-                    for motion in (plain, other))
-        return cls(best, max(floor, math.ulp(1.0)))
+        alike = [best.attitude, plain.attitude, other.attitude,
+                 problem.in_principal_axes(0.55 * step)]
+        if problem.torque_free:
+            alike.append(problem.run(solver='exact').attitude)
+        floor = max(float(so3.angle_between(*pair).max()) for pair in combinations(alike, 2))
+        moved = last_digit_effect(problem.body, problem.start, problem.log, at=problem.times_ns,
+                                  torque_timeout=problem.torque_timeout)
+        return cls(best, max(floor, math.ulp(1.0)), moved)
 
 
 def whole(body: RigidBody, start: State, log: TorqueLog | None, end_ns: int | None,

@@ -24,8 +24,9 @@ from rigid_body_ros.tradeoff import Run, Tradeoff
 from rigid_body_ros.tradeoff.readings import Reading, READING_ORDERS
 
 _WIDTH = 18
-_FLOOR = ('largest difference between runs of the series with different steps;',
-          'an error common to all of them does not show')
+_FLOOR = ('largest difference between runs of the series with other steps and in principal axes,',
+          'and from the closed form if there is no torque: an error common to all does not show')
+_DIGITS = 'a change of the last digit of inertia, torque or start moves the attitude by {} rad'
 _HEADER = ('', 'solver', 'setting', 'final rad', 'largest rad', 'rad/s', 'momentum', 'energy',
            's per s', 'x real time')
 _ROW = '{:1} {:14} {:>17} {:>10} {:>11} {:>9} {:>9} {:>9} {:>9} {:>11}'
@@ -44,6 +45,7 @@ def summary(result: Tradeoff) -> str:
     table = [_ROW.format(*_HEADER), *(_line(run, result.stretch.seconds) for run in result.runs),
              '* nothing is both cheaper and nearer', '']
     facts = [('rounding floor', f'{result.floor:.1e} rad, {_FLOOR[0]}'), ('', _FLOOR[1]),
+             ('last digits', _digits(result)),
              *(('between samples', text) for text in _readings(result)),
              ('what dominates', _dominant(result))]
     return '\n'.join([*map(_pair, rows), *table, *map(_pair, facts), *_advice(result)])
@@ -61,7 +63,7 @@ def figures(result: Tradeoff) -> dict[str, Any]:
         'interpolation': result.stretch.log.interpolation,
         'torque_free': result.stretch.torque_free,
         'load_or_compile_s': result.load_seconds, 'rounding_floor_rad': result.floor,
-        'rounding_floor_is': ' '.join(_FLOOR),
+        'rounding_floor_is': ' '.join(_FLOOR), 'last_digit_effect_rad': result.last_digits,
         'target_rad': result.target, 'dominant': result.dominant,
         'readings': [{'interpolation': reading.interpolation,
                       'thinned_by_two_rad': reading.thinned,
@@ -153,16 +155,24 @@ def _better(result: Tradeoff, ours: Reading) -> str:
 
 def _dominant(result: Tradeoff) -> str:
     return {'rounding': 'rounding, as far as other steps show it: a tighter setting gains nothing',
+            'last digits': 'the last digits of inertia, torque and start: a tighter setting gains '
+                           'nothing',
             'solver': 'the solver: a tighter setting is nearer',
             'reading': 'how the log is read between its samples: a tighter setting gains '
                        'nothing, closer samples or another interpolation do'}[result.dominant]
 
 
+def _digits(result: Tradeoff) -> str:
+    return _DIGITS.format(f'{result.last_digits:.1e}')
+
+
 def _advice(result: Tradeoff) -> list[str]:
     choice, target = result.choice, f'target {result.target:.3g} rad'
     if choice is None:
-        return ['', f'No setting meets the {target} for certain: the rounding floor is '
-                    f'{result.floor:.1e} rad on the stretch, and more on a longer log.']
+        why = f'the rounding floor is {result.floor:.1e} rad' \
+            if result.floor >= result.last_digits else _digits(result)
+        return ['', f'No setting meets the {target} for certain: {why} on the stretch, and more '
+                    'on a longer log.']
     how = 'measured on the whole log' if choice.measured else \
         'scaled by the square of the time from the stretch to the whole log'
     return ['', f'Cheapest for the {target} ({choice.error:.1e} rad, {how}):',
