@@ -15,6 +15,7 @@ demo: $(VENV)/done ## replay a recording, and run the node on one over DDS
 
 test: $(VENV)/done $(JAZZY)/done ## every check and every test; those of the node on both ROS
 	$(MAKE) --no-print-directory lint
+	$(BIN)/python -c 'import rigid_body_ros; rigid_body_ros.warm_up()' # not in each of the tests
 	$(BIN)/python -m pytest $(PARALLEL) $(ALONE:%=--ignore %)
 	$(JAZZY)/bin/python -m pytest $(PARALLEL) -m ros $(ALONE:%=--ignore %)
 	$(BIN)/python -m pytest $(ALONE)

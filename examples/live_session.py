@@ -51,7 +51,7 @@ RELIABLE = ('-p', 'qos_overrides./torque.subscription.reliability:=reliable')
 _LOCAL = {'ROS_LOCALHOST_ONLY': '1'} if os.environ.get('ROS_DISTRO') == 'humble' else \
     {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 #: The first start on a machine compiles the kernels.
-_PATIENCE_S = 120.0
+_PATIENCE_S = 300.0
 
 
 class LiveSession:
@@ -98,20 +98,20 @@ class LiveSession:
         # A pipe that nobody empties stops the node once it has said 64 KiB.
         self._stderr = tempfile.TemporaryFile()
         self.process = subprocess.Popen(self.command, env=self.environment, stderr=self._stderr)
-        try:
-            self._connect()
-        except BaseException:
-            self.process.kill()
-            raise
-        return self
-
-    def _connect(self):
         os.environ.update(_LOCAL)
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=self._domain)
         self.node = rclpy.create_node('live_session', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
+        try:
+            self._connect()
+        except BaseException as error:  # what is left would disturb the next session
+            self.__exit__(type(error), error, None)
+            raise
+        return self
+
+    def _connect(self):
         self._torque = self.node.create_publisher(WrenchStamped, 'torque', 100_000)
         if 'use_sim_time:=true' in self._waits:
             self._clock = self.node.create_publisher(Clock, '/clock', 10)

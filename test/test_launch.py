@@ -31,7 +31,7 @@ from rclpy.wait_for_message import wait_for_message
 
 pytestmark = pytest.mark.ros
 #: s; the first start on a machine compiles the kernels.
-PATIENCE = 120
+PATIENCE = 300
 INDEX = 'share/ament_index/resource_index/packages'
 #: Writes down what it is asked for. A bag plays until somebody resumes it, which is not so by far
 #: of what `ros2 bag play` does, but as much as a launch file has to do with.

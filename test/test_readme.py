@@ -34,7 +34,7 @@ BLOCKS = [[line.partition('   #')[0].strip() for line in block.splitlines()]
 COMMANDS = [line for block in BLOCKS for line in block]
 SCENE, = (block for language, block in FENCED if language == 'yaml')
 #: s; the first start after an installation compiles the kernels.
-PATIENCE = 120
+PATIENCE = 300
 
 
 @pytest.fixture

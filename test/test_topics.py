@@ -27,7 +27,7 @@ NODE = 'attitude_node'
 #: ROS's own topics of a node.
 ROS = {'/parameter_events', '/rosout', '/clock'}
 #: s; a graph is discovered piece by piece.
-PATIENCE = 30
+PATIENCE = 300
 
 
 def by_full_name(topics):
