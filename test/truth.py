@@ -75,6 +75,48 @@ def series(tensor, attitude, rates, torques, digits=50):
         return states
 
 
+def polynomials(times_ns, torques, interpolation):
+    """
+    Return the torque between samples, and after the last, as `series` takes it, exactly.
+
+    Parameters
+    ----------
+    times_ns : array of int, shape (n,)
+        Ascending.
+    torques : array, shape (n, 3), N m
+        The samples.
+    interpolation : str
+        'hold', 'linear' or 'cubic', as for `TorqueLog`.
+
+    """
+    with mp.workdps(60):
+        times, values = [_seconds(time_ns) for time_ns in times_ns], exact(torques)
+        found = []
+        for i, (span, rise) in enumerate(zip(np.diff(times), np.diff(values, axis=0))):
+            if interpolation == 'cubic':
+                a, b = (span * _slope(times, values, k) for k in (i, i + 1))
+                rows = [a, 3 * rise - 2 * a - b, a + b - 2 * rise]
+            else:
+                rows = [rise] if interpolation == 'linear' else []
+            found.append(np.array([values[i], *rows]))
+        return [*found, values[-1:]]
+
+
+def _slope(times, values, i):
+    # Of the polynomial through the five nearest samples, at one of them (barycentric weights).
+    count = min(5, len(times))
+    first = min(max(i - count // 2, 0), len(times) - count)
+    near = [k for k in range(first, first + count) if k != i]
+    total = np.array([mp.zero] * 3)
+    for j in near:
+        weight = 1 / (times[j] - times[i])
+        for k in near:
+            if k != j:
+                weight *= (times[i] - times[k]) / (times[j] - times[k])
+        total += weight * (values[j] - values[i])
+    return total
+
+
 def free(tensor, attitude, rates, time_ns, digits=50):
     """
     Return the torque-free motion at one time after the start as (attitude, rates).
@@ -131,11 +173,11 @@ def _sums(q, w, m, torque, in_space, inverse, bits):
     for k in range(orders):
         past = ws[k::-1]
         push = sum(ts[i, k - i] for i in range(min(k + 1, len(ts))))
-        ms[k + 1] = ((np.cross(ms[:k + 1], past).sum(axis=0) >> bits) + push) // (k + 1)
+        ms[k + 1] = ((_cross(ms[:k + 1], past).sum(axis=0) >> bits) + push) // (k + 1)
         ws[k + 1] = inverse @ ms[k + 1] >> bits
         qs[k + 1] = (_times(qs[:k + 1], _pure(past)).sum(axis=0) >> bits) // (2 * (k + 1))
-        for turning in ts if in_space else ():
-            turning[k + 1] = (np.cross(turning[:k + 1], past).sum(axis=0) >> bits) // (k + 1)
+        if in_space:
+            ts[:, k + 1] = (_cross(ts[:, :k + 1], past).sum(axis=1) >> bits) // (k + 1)
         # From rest only every (degree + 2)nd term is not zero.
         last = slice(max(0, k + 1 - len(ts)), k + 2)
         if k >= len(ts) and max(abs(qs[last]).max(), abs(ws[last]).max()) < negligible:
@@ -211,8 +253,13 @@ def _turn(w, seconds):
 
 def _times(p, q):
     u, a, v, b = p[..., :3], p[..., 3:], q[..., :3], q[..., 3:]
-    return np.concatenate([a * v + b * u + np.cross(u, v),
+    return np.concatenate([a * v + b * u + _cross(u, v),
                            a * b - (u * v).sum(axis=-1, keepdims=True)], axis=-1)
+
+
+def _cross(u, v):
+    # For objects np.cross takes twice as long.
+    return u[..., [1, 2, 0]] * v[..., [2, 0, 1]] - u[..., [2, 0, 1]] * v[..., [1, 2, 0]]
 
 
 def _pure(v):
