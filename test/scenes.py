@@ -13,7 +13,9 @@
 # limitations under the License.
 
 """
-Motions at the edges of what a body can do, each with a right answer in fifty digits.
+Motions at the edges of what a body can do, each with a right answer.
+
+It has 50 digits, or 25 under torque.
 
 `test_extremes.py` holds every solver to them, `benchmarks/extremes.py` prints what each one gave.
 """
@@ -39,7 +41,7 @@ LOSS = 5e-17
 @dataclass(frozen=True)
 class Scene:
     """
-    A body, a start from the identity, and torques held one after the other.
+    A body, a start from the identity, and torques one after the other.
 
     Attributes
     ----------
@@ -50,7 +52,9 @@ class Scene:
     seconds : float
         How long it lasts; without meaning where there are torques.
     torques : [(duration_ns, torque, in_space)]
-        As for `truth.series`.
+        Samples, and the time from each to the next; the last is held.
+    interpolation : str
+        Between the samples.
     amplifies : bool
         Whether the motion itself makes much of a rounding error.
 
@@ -62,6 +66,7 @@ class Scene:
     rates: tuple
     seconds: float = 0.0
     torques: tuple = ()
+    interpolation: str = 'hold'
     amplifies: bool = False
 
     @cached_property
@@ -87,7 +92,8 @@ class Scene:
             return None
         durations, torques, in_space = zip(*self.torques)
         return TorqueLog(np.cumsum((0, *durations[:-1])), torques,
-                         ['space' if space else 'body' for space in in_space])
+                         ['space' if space else 'body' for space in in_space],
+                         self.interpolation)
 
     @cached_property
     def solvers(self):
@@ -104,9 +110,15 @@ class Scene:
         """Return the attitudes and the rates at its times."""
         tensor, attitude = self.body.inertia, self.start.attitude
         if self.torques:
-            return list(zip(*truth.series(tensor, attitude, self.rates, self.torques)))
+            return list(zip(*self._series(tensor, self.rates, self.log.torques)))
         return list(zip(*(truth.free(tensor, attitude, self.rates, time_ns)
                           for time_ns in self.times_ns.tolist())))
+
+    def _series(self, tensor, rates, torques, digits=25):
+        between = truth.polynomials(self.log.times_ns, torques, self.interpolation)
+        return truth.series(tensor, self.start.attitude, rates, [
+            (duration, rows, in_space)
+            for (duration, _, in_space), rows in zip(self.torques, between)], digits)
 
     def errors(self, motion):
         """Return by what angles, rad, a motion is off, and by what rates, rad/s."""
@@ -147,13 +159,35 @@ class Scene:
 
     def bound(self, solver):
         """Return the error, rad, that a solver may have: more if it steps into the unknown."""
+        if self.torques:
+            return min(10.0 * self.bar, self.growth) if self.amplifies else self.bar
         if solver != 'taylor':
             return self.bar
         return self.bar + LOSS * self.phase ** 1.5 + (4.0 * self.growth if self.amplifies else 0.0)
 
     @cached_property
     def growth(self):
-        """Return what becomes, rad, of a last digit of the rates at the worst of five moments."""
+        """
+        Return what becomes of a last digit, rad.
+
+        Of the rates, or, under torque, of inertia, rates and torques.
+        """
+        return self._growth_under_torque() if self.torques else self._growth_of_rates()
+
+    def _growth_under_torque(self):
+        random = np.random.default_rng(0)
+
+        def moved(values):
+            return np.nextafter(values, random.choice([-np.inf, np.inf], np.shape(values)))
+        upper = np.triu(moved(self.body.inertia))
+        # Eight digits, and those carried, are enough for a difference.
+        states = self._series(upper + np.triu(upper, 1).T, moved(self.rates),
+                              moved(self.log.torques), digits=8)
+        return max(truth.chord(there, here.astype(float))
+                   for (there, _), here in zip(states, self.truth[0]))
+
+    def _growth_of_rates(self):
+        # At the worst of five moments.
         end = int(self.times_ns[-1])
         tensor, last = self.body.inertia, self.truth[0][-1]
         moved = []
@@ -166,11 +200,23 @@ class Scene:
         return max(moved)
 
 
-def turned(moments, rates, turn=(0.3, -0.1, 0.7, 0.4)):
+#: Of the principal axes of a full tensor.
+TURN = (0.3, -0.1, 0.7, 0.4)
+
+
+def turned(moments, rates):
     """Return the tensor and the rates of a body whose principal axes are not those of the body."""
-    rotation = so3.matrix(so3.normalize(turn))
+    rotation = so3.matrix(so3.normalize(TURN))
     tensor = rotation @ np.diag(moments) @ rotation.T
     return 0.5 * (tensor + tensor.T), tuple(rotation @ rates)
+
+
+def gusts(count, seconds, sizes, *, in_space=False, seed=0):
+    """Return random torques of some sizes along the axes of `turned`, or along those of space."""
+    axes = np.eye(3) if in_space else so3.matrix(so3.normalize(TURN))
+    random = np.random.default_rng(seed)
+    return tuple(held(seconds, *(axes @ (sizes * random.normal(size=3))), in_space=in_space)
+                 for _ in range(count))
 
 
 def held(seconds, *torque, in_space=False):
@@ -203,6 +249,26 @@ def bodies():
                     (1.0, 1.0 + part, 1.0 + 2 * part), FREE_RATES, 1000.0)
     yield Scene(group, 'near-sphere 1e-9, full tensor',
                 *turned((1.0 - 1e-9, 1.0, 1.0 + 1e-9), FREE_RATES), 1000.0)
+    yield from under_torque(group)
+
+
+def under_torque(group):
+    thin, across = (20.0, 3.0, 1.0), (1e-5, 0.5, 0.5)
+    rod, wide, ruler, plate = (turned(moments, rates) for moments, rates in (
+        (ROD, (40.0, 1.0, 1.0)), ((1e-4, 1.0, 1.00005), thin), ((1e-6, 1.0, 1.000001), thin),
+        (PLATE, (1.0, 2.0, 3.0))))
+    yield Scene(group, 'rod 1e-6, full tensor, body torques', *rod, torques=gusts(4, 1.0, across),
+                amplifies=True)
+    yield Scene(group, 'the same, linear between them', *rod, torques=gusts(4, 1.0, across),
+                interpolation='linear', amplifies=True)
+    yield Scene(group, 'rod 1e-4, full tensor, space torques', *wide,
+                torques=gusts(4, 1.5, 0.01 * np.ones(3), in_space=True), amplifies=True)
+    yield Scene(group, 'ruler 1e-6, full tensor, cubic body torque', *ruler,
+                torques=gusts(6, 1.2, across), interpolation='cubic', amplifies=True)
+    yield Scene(group, 'plate, full tensor, body torques', *plate,
+                torques=gusts(5, 6.0, np.ones(3)))
+    yield Scene(group, 'plate, full tensor, linear space torque', *plate,
+                torques=gusts(5, 4.0, np.ones(3), in_space=True), interpolation='linear')
 
 
 def sizes():

@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import euler, propagate, RigidBody, so3, State, TorqueLog
 from rigid_body_ros.propagate import SOLVERS
+from rigid_body_ros.tradeoff.problem import Problem, Reference
 from scenes import FIXED_STEP, FULL, FULL_RATES, SCENES
 
 pytestmark = pytest.mark.slow
@@ -49,6 +50,18 @@ def test_motion_is_that_of_fifty_digits(scene):
         assert rates_apart.max() <= scene.bound(solver) * scene.fastest
         worst[solver] = apart.max()
     assert worst['auto'] <= worst.get('taylor', np.inf) + 2e-15
+    if scene.torques:
+        check_estimates(scene)
+
+
+def check_estimates(scene):
+    """Check what a trade estimates; here, because the truth of these scenes takes seconds."""
+    reference = Reference.of(Problem(scene.body, scene.start, scene.log, scene.times_ns))
+    apart, _ = scene.errors(reference.trajectory)
+    assert apart.max() <= 1.5 * reference.floor
+    assert reference.floor <= (scene.growth if scene.amplifies else 10.0 * scene.bar)
+    if scene.amplifies:
+        assert 0.1 * scene.growth < reference.last_digits < 10.0 * scene.growth
 
 
 @free_scenes

@@ -70,7 +70,8 @@ def test_a_thin_body_under_torque_is_right_to_rounding(seed):
     speeds = np.linalg.norm(
         propagate(body, start, log, at=start.time_ns + fine).angular_velocity, axis=1)
     bound = 1e-15 * (10.0 + speeds.mean() * fine[-1] * 1e-9)
-    right = truth.series(body.inertia, start.attitude, start.angular_velocity,
-                         truth.between_samples(log), digits=25)
+    torques = [(span, rows, log.in_space[0]) for span, rows in zip(
+        np.diff(log.times_ns), truth.polynomials(log.times_ns, log.torques, log.interpolation))]
+    right = truth.series(body.inertia, start.attitude, start.angular_velocity, torques, digits=25)
     apart = max(truth.chord(q, p) for (q, _), p in zip(right, motion.attitude))
     assert apart <= max(bound, last_digits(body, start, log, motion.attitude[-1]))

@@ -17,6 +17,7 @@
 from mpmath import mp
 import numpy as np
 import pytest
+from rigid_body_ros import TorqueLog
 import truth
 
 pytestmark = pytest.mark.slow
@@ -80,6 +81,29 @@ def test_momentum_is_what_a_torque_in_space_adds():
     with mp.workdps(70):
         momentum = truth.rotate(q, truth.exact(FULL) @ w)
         assert apart([momentum], [5 * truth.exact(torque)]) < 1e-50
+
+
+@pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
+def test_polynomials_are_those_of_a_log(interpolation):
+    random = np.random.default_rng(3)
+    times = np.cumsum(random.integers(SECOND // 10, SECOND, 7))
+    log = TorqueLog(times, random.normal(size=(7, 3)), interpolation=interpolation)
+    found = truth.polynomials(times, log.torques, interpolation)
+    assert len(found) == len(times)
+    for start, end, rows in zip(times, times[1:], found):
+        at = np.linspace(start, end, 7)[:-1].astype(np.int64)
+        powers = ((at - start) / (end - start))[:, None] ** np.arange(len(rows))
+        np.testing.assert_allclose(powers @ rows.astype(float), log.at(at)[0], atol=1e-14)
+    np.testing.assert_array_equal(found[-1].astype(float), log.torques[-1:])
+
+
+def test_momentum_is_the_integral_of_a_linear_torque_in_space():
+    torques = np.array([[0.02, -0.01, 0.03], [-0.05, 0.03, 0.01]])
+    rise, _ = truth.polynomials([0, 2 * SECOND], torques, 'linear')
+    q, w = truth.series(FULL, START, (0, 0, 0), [(2 * SECOND, rise, True)])[-1]
+    with mp.workdps(70):
+        momentum = truth.rotate(q, truth.exact(FULL) @ w)
+        assert apart([momentum], [sum(truth.exact(torques))]) < 1e-50
 
 
 def test_angle_under_a_torque_along_a_principal_axis():

@@ -22,8 +22,6 @@ space; the continuous lift from the start, not flipped) and the body rates as nu
 mpmath's numbers.
 """
 
-from itertools import pairwise
-
 from mpmath import mp
 import numpy as np
 
@@ -77,25 +75,46 @@ def series(tensor, attitude, rates, torques, digits=50):
         return states
 
 
-def between_samples(log, digits=50):
+def polynomials(times_ns, torques, interpolation):
     """
-    Return the torques of a log from sample to sample, as `series` takes them.
+    Return the torque between samples, and after the last, as `series` takes it, exactly.
 
-    Cubic: Hermite's polynomials, with the slopes of polynomials through the five nearest samples.
+    Parameters
+    ----------
+    times_ns : array of int, shape (n,)
+        Ascending.
+    torques : array, shape (n, 3), N m
+        The samples.
+    interpolation : str
+        'hold', 'linear' or 'cubic', as for `TorqueLog`.
+
     """
-    with mp.workdps(digits + GUARD):
-        times, values = [exact(time) for time in log.times_ns.tolist()], exact(log.torques)
-        pieces = []
-        for k, (start, end) in enumerate(pairwise(times)):
-            here, rise, span = values[k], values[k + 1] - values[k], end - start
-            rows = [here]
-            if log.interpolation == 'linear':
-                rows = [here, rise]
-            elif log.interpolation == 'cubic':
-                first, last = (_slope(times, values, node) * span for node in (k, k + 1))
-                rows = [here, first, 3 * rise - 2 * first - last, first + last - 2 * rise]
-            pieces.append((int(span), np.array(rows), bool(log.in_space[k])))
-        return pieces
+    with mp.workdps(60):
+        times, values = [_seconds(time_ns) for time_ns in times_ns], exact(torques)
+        found = []
+        for i, (span, rise) in enumerate(zip(np.diff(times), np.diff(values, axis=0))):
+            if interpolation == 'cubic':
+                a, b = (span * _slope(times, values, k) for k in (i, i + 1))
+                rows = [a, 3 * rise - 2 * a - b, a + b - 2 * rise]
+            else:
+                rows = [rise] if interpolation == 'linear' else []
+            found.append(np.array([values[i], *rows]))
+        return [*found, values[-1:]]
+
+
+def _slope(times, values, i):
+    # Of the polynomial through the five nearest samples, at one of them (barycentric weights).
+    count = min(5, len(times))
+    first = min(max(i - count // 2, 0), len(times) - count)
+    near = [k for k in range(first, first + count) if k != i]
+    total = np.array([mp.zero] * 3)
+    for j in near:
+        weight = 1 / (times[j] - times[i])
+        for k in near:
+            if k != j:
+                weight *= (times[i] - times[k]) / (times[j] - times[k])
+        total += weight * (values[j] - values[i])
+    return total
 
 
 def free(tensor, attitude, rates, time_ns, digits=50):
@@ -129,16 +148,6 @@ def rotate(q, v):
     return _times(_times(q, _pure(v)), _conjugate(q))[:3]
 
 
-def _slope(times, values, node):
-    # The derivative of Lagrange's polynomial through the five nearest samples.
-    count = min(5, len(times))
-    first = min(max(node - count // 2, 0), len(times) - count)
-    others = [k for k in range(first, first + count) if k != node]
-    return sum((values[k] - values[node]) / (times[k] - times[node])
-               * mp.fprod((times[node] - times[m]) / (times[k] - times[m])
-                          for m in others if m != k) for k in others)
-
-
 def _step(q, w, h, tensor, inverse, torque, in_space):
     # With h as the unit of time and the size of the tensor as that of inertia every number is
     # about one: integers in units of 2^-bits serve, ten times as fast as mpmath's floats.
@@ -164,11 +173,11 @@ def _sums(q, w, m, torque, in_space, inverse, bits):
     for k in range(orders):
         past = ws[k::-1]
         push = sum(ts[i, k - i] for i in range(min(k + 1, len(ts))))
-        ms[k + 1] = ((np.cross(ms[:k + 1], past).sum(axis=0) >> bits) + push) // (k + 1)
+        ms[k + 1] = ((_cross(ms[:k + 1], past).sum(axis=0) >> bits) + push) // (k + 1)
         ws[k + 1] = inverse @ ms[k + 1] >> bits
         qs[k + 1] = (_times(qs[:k + 1], _pure(past)).sum(axis=0) >> bits) // (2 * (k + 1))
-        for turning in ts if in_space else ():
-            turning[k + 1] = (np.cross(turning[:k + 1], past).sum(axis=0) >> bits) // (k + 1)
+        if in_space:
+            ts[:, k + 1] = (_cross(ts[:, :k + 1], past).sum(axis=1) >> bits) // (k + 1)
         # From rest only every (degree + 2)nd term is not zero.
         last = slice(max(0, k + 1 - len(ts)), k + 2)
         if k >= len(ts) and max(abs(qs[last]).max(), abs(ws[last]).max()) < negligible:
@@ -244,8 +253,13 @@ def _turn(w, seconds):
 
 def _times(p, q):
     u, a, v, b = p[..., :3], p[..., 3:], q[..., :3], q[..., 3:]
-    return np.concatenate([a * v + b * u + np.cross(u, v),
+    return np.concatenate([a * v + b * u + _cross(u, v),
                            a * b - (u * v).sum(axis=-1, keepdims=True)], axis=-1)
+
+
+def _cross(u, v):
+    # For objects np.cross takes twice as long.
+    return u[..., [1, 2, 0]] * v[..., [2, 0, 1]] - u[..., [2, 0, 1]] * v[..., [1, 2, 0]]
 
 
 def _pure(v):
