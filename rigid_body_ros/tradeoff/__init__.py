@@ -143,8 +143,7 @@ class Tradeoff:
         That the body turns by over the stretch, rad.
     runs : tuple of Run
     floor, last_digits : float
-        Rounding on the stretch, and what the last digits of what is given move it by, rad; see
-        `Reference`.
+        Rounding on the stretch, and the effect of the last digits there, rad; see `Reference`.
     readings : tuple of Reading
     target : float, rad
     choice : Choice or None
@@ -236,8 +235,8 @@ def recommend(runs: Sequence[Run], target: float, floor: float, growth: float,
     runs : sequence of Run
         On a stretch from the start: one that misses the target there misses it on the whole log.
     target, floor : float, rad
-        The floor counts as an error of the setting: the larger of what rounding and what the last
-        digits of what is given do.
+        The floor counts as an error of the setting. It is that of `Reference.certain`: rounding,
+        or the effect of the last digits where that is larger.
     growth : float
         How much longer the whole log is.
     judge : callable

@@ -132,7 +132,8 @@ class Reference:
         Largest difference between this motion and others that round otherwise: the series with
         other steps and in principal axes, and, without torque, the closed form.
     last_digits : float, rad
-        What the last digits of inertia, torques and start move it by, see `last_digit_effect`.
+        How far a change of the last digits of inertia, torques and start moves it; see
+        `last_digit_effect`.
 
     """
 

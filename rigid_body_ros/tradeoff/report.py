@@ -154,7 +154,7 @@ def _better(result: Tradeoff, ours: Reading) -> str:
 
 
 def _dominant(result: Tradeoff) -> str:
-    return {'rounding': 'rounding, as far as other steps show it: a tighter setting gains nothing',
+    return {'rounding': 'rounding: a tighter setting gains nothing',
             'last digits': 'the last digits of inertia, torque and start: a tighter setting gains '
                            'nothing',
             'solver': 'the solver: a tighter setting is nearer',
