@@ -31,10 +31,10 @@ Quaternion = Four
 State = tuple[Vector, Quaternion, Vector, Quaternion]
 #: Torque, N m: coefficients of a cubic in the fraction of a span of time.
 Polynomial = tuple[Vector, Vector, Vector, Vector]
+Columns = tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector]
 #: Euler's equations, dw/dt by the products of w and by the torque: as `tensor.euler_coefficients`
 #: has them, a vector a column, and what rounding took from them. The last two are the diagonals
 #: of the first three and of the last three.
-Columns = tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector]
 Coefficients = tuple[Columns, Columns, Vector, Vector]
 #: Principal moments and axes, and what rounding took from both, as `tensor.principal` does.
 Frame = tuple[Vector, Vector, tuple[Vector, Vector, Vector], tuple[Vector, Vector, Vector]]

@@ -65,7 +65,8 @@ _TORQUE_QOS = {scene.REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPol
                LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
 #: s; how long a clean end may take.
 _PATIENCE = 0.8
-#: s; a slice of work takes longer, so that the next one is due, unless torques wait for a clock.
+#: s; period of the worker. A slice of work takes longer, so slices follow each other at once; the
+#: worker rests only while all torques wait for the clock.
 _WORK_EVERY = 0.001
 #: s; how often to look for signals.
 _HEED_EVERY = 0.1

@@ -85,7 +85,7 @@ class Motion:
         #: The torque of the first of them, once it is read, and whether it is applied.
         self._torque: Torque | None = None
         self._is_applied = False
-        #: When the state was asked for while torques waited, ns; 0: it was not.
+        #: Time, ns, of the state to publish as soon as no torque waits; 0 if there is none.
         self._owed_ns = 0
         #: States that are final, to be committed.
         self._settled: list[State] = []
@@ -194,8 +194,8 @@ class Motion:
         """
         Publish the state at a time, if a slice of work is enough to compute it.
 
-        While torques wait for the motion, what is known is not yet the state: then the last one
-        that was asked for is published after them.
+        While torques wait for the motion, the state is not known yet. Then the state at the last
+        time asked for is published after them.
         """
         self._owed_ns = time_ns if self._inbox else 0
         if self._owed_ns:

@@ -47,7 +47,7 @@ from rigid_body_ros.scene import ARRIVAL, REBASE, RESET
 _OTHER_CLOCK_NS = 3600 * 10 ** 9
 _ADVICE = ('; torques of a bag? Play it with --clock and set use_sim_time, or set '
            'time_source:=arrival')
-#: s; how much later than a torque the message of /clock may come that was sent before it.
+#: s; how long a torque waits for a message of /clock that was sent before it.
 _CLOCK_DELAY = 0.5
 #: A clock that leaps ahead by more is worth a word.
 _LEAP_NS = 10 ** 9

@@ -38,8 +38,8 @@ def last_digit_effect(body: RigidBody, start: State, log: TorqueLog | None = Non
     The inertia alone, the torques alone, and both together with the start are changed, each of
     them twice: every entry by one unit in the last place, up or down at random, the same in every
     call. Zeros stay, and the tensor stays symmetric. Rounding within the solver, `auto`, adds to
-    the result. A changed tensor that is not that of a body, or spins it beyond 1e9 rad/s, is left
-    out.
+    the result. A change is left out if its tensor is not that of a body, or if the body then spins
+    faster than 1e9 rad/s.
 
     Parameters
     ----------
