@@ -197,3 +197,11 @@ class Reference:
 def chord(p, q):
     """Return the angle, rad, between attitudes, where q and -q are far apart."""
     return 2.0 * np.linalg.norm(so3.normalize(p) - q, axis=-1)
+
+
+@pytest.fixture
+def fifty_digits():
+    """Let mpmath compute with fifty digits."""
+    from mpmath import mp
+    with mp.workdps(50):
+        yield

@@ -21,12 +21,14 @@ import platform
 import subprocess
 import sys
 
+from kernels import callable_
 import mpmath
 from mpmath import mp, mpf
-import numba
 import numpy as np
 import pytest
 from rigid_body_ros import digits, elementary
+
+pytestmark = pytest.mark.usefixtures('fifty_digits')
 
 #: Arguments of each function; 10 million take five minutes.
 EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '20000'))
@@ -61,17 +63,6 @@ print(hashlib.sha256(b''.join(map(np.ndarray.tobytes, results))).hexdigest()[:16
 """
 #: What the script prints: another number means that results have changed.
 DIGEST = '47dd80c0e92a05ad'
-
-
-@pytest.fixture(autouse=True)
-def _fifty_digits():
-    with mp.workdps(50):
-        yield
-
-
-def callable_(part):
-    """Return a part of kernels as a function that Python can call."""
-    return numba.njit(error_model='numpy')(lambda *arguments: part(*arguments))
 
 
 def joined(pair):

@@ -14,29 +14,20 @@
 
 """Elliptic functions and integrals, and numbers of 32 digits, against mpmath."""
 
+from kernels import callable_
 import mpmath
-from mpmath import mp, mpf
-import numba
+from mpmath import mpf
 import numpy as np
 import pytest
 from rigid_body_ros import double_double as dd
 from rigid_body_ros import elliptic
 from scipy import special
 
+pytestmark = pytest.mark.usefixtures('fifty_digits')
+
 RANDOM = np.random.default_rng(17)
 #: Complementary parameters from far away from the separatrix to where `free_motion` gives up.
 COMPLEMENTS = [*(10.0 ** RANDOM.uniform(-24, 0, 60)), 1.0, 0.5, 1e-10, 1e-24]
-
-
-@pytest.fixture(autouse=True)
-def _fifty_digits():
-    with mp.workdps(50):
-        yield
-
-
-def callable_(part):
-    """Return a part of kernels as a function that Python can call."""
-    return numba.njit(error_model='numpy')(lambda *arguments: part(*arguments))
 
 
 def split(value):
