@@ -21,7 +21,7 @@ operations that IEEE 754 defines to the last bit: + - * /, square root and the f
 A function is evaluated twice, as CORE-MATH does (Sibidanov, Zimmermann and Glondu, "The CORE-MATH
 project", 2022). A quick evaluation with about 65 bits decides how nearly all results round. Where
 it does not (Ziv, "Fast evaluation of elementary mathematical functions with correctly rounded last
-bit", 1991), about one in a thousand, a careful one with an error below 1e-31 is rounded. It rounds
+bit", 1991), which is rare, a careful one with an error below 1e-31 is rounded. It rounds
 to the wrong neighbour only if the true value is that close to the middle between two doubles,
 which is expected for about one argument in 10^15.
 
