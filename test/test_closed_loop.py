@@ -31,7 +31,8 @@ import numpy as np
 from pid_controller import Pid, STEP
 import pytest
 from rigid_body_ros import messages, Propagator, scene, State
-from rigid_body_ros.node.chain import Answers
+from rigid_body_ros.node import chain
+from rigid_body_ros.node.chain import Answers, Offers
 from rigid_body_ros.node.epoch import Torque
 
 pytestmark = pytest.mark.ros
@@ -219,6 +220,35 @@ def test_a_controller_slower_than_every_patience_gets_one_answer_for_each_state(
             controller.append(stamp_ns + 1)
     assert taken == [*range(len(taken))]
     assert len(taken) > 20
+
+
+def test_a_new_controller_that_reads_before_it_is_heard_gets_the_state_once(monkeypatch):
+    now, connected = 0.0, (1, 1)  # one that was killed, and stays connected
+    monkeypatch.setattr(chain.time, 'monotonic', lambda: now)
+    offers, published = Offers(lambda: connected), []
+    offers.published(is_repeated=False)
+    for now in np.arange(0.0, 20.0, 0.125).tolist():
+        connected = (1, 1) if now < 6.375 else (1, 2) if now < 6.75 else (2, 2)
+        if offers.is_due():
+            published.append(now)
+            offers.published(is_repeated=True)
+    # To the first: when it came, and 2 s later. To the second: when it was heard, and 2 s and 4 s
+    # later, as it does not answer, either.
+    assert published == [0.5, 2.5, 7.25, 9.25, 13.25]
+
+
+def test_an_observer_is_no_reason_to_repeat_a_state(monkeypatch):
+    now, connected = 0.0, (1, 1)
+    monkeypatch.setattr(chain.time, 'monotonic', lambda: now)
+    offers, repeated = Offers(lambda: connected), []
+    for now in np.arange(0.0, 20.0, 0.125).tolist():
+        connected = (1, 1) if now < 10.0 else (1, 2)
+        if now % 1.5 == 0.0:  # a slow controller
+            offers.published(is_repeated=False)
+        if offers.is_due():
+            repeated.append(now)
+            offers.published(is_repeated=True)
+    assert repeated == [0.5]  # when the controller came
 
 
 def test_a_lost_answer_is_asked_for_again(domain):

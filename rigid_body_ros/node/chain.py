@@ -132,7 +132,8 @@ class Offers:
 
     While nobody publishes torques: ten times a second. To a new controller: once, when both sides
     have had time to find each other. After that only after long silence, because a controller
-    that still works on a state would receive it twice.
+    that still works on a state would receive it twice. Never just after a connection: a controller
+    that reads already may not be heard yet.
 
     Parameters
     ----------
@@ -160,13 +161,15 @@ class Offers:
         self._published_at = time.monotonic()
         self._patience = min(2.0 * self._patience, _LONGEST_PATIENCE) \
             if is_repeated and self._is_told else _PATIENCE
-        self._is_told = self._published_at - self._changed_at >= _SETTLED
+        self._is_told |= self._published_at - self._changed_at >= _SETTLED
 
     def is_due(self) -> bool:
         """Return whether to publish the latest state again now; call it regularly."""
         now, (publishers, readers) = time.monotonic(), self._count()
-        if publishers > self._connected[0] or (not publishers and readers > self._connected[1]):
-            self._changed_at, self._is_told = now, False
+        if publishers > self._connected[0] or readers > self._connected[1]:
+            self._changed_at = now
+        if publishers > self._connected[0]:  # a reader alone may be an observer
+            self._is_told = False
         self._connected = publishers, readers
         if now - self._changed_at < _SETTLED:
             return False
