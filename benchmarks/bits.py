@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 from rigid_body_ros import propagate, Propagator, RigidBody, so3, State, TorqueLog
-from rigid_body_ros.propagate import Run
+from rigid_body_ros.propagation import Run
 
 SEED, COUNT = 20260101, 200
 SECOND = 10 ** 9

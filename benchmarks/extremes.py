@@ -26,7 +26,7 @@ import sys
 
 import numpy as np
 from rigid_body_ros import propagate, RigidBody, State, TorqueLog
-from rigid_body_ros.propagate import SOLVERS
+from rigid_body_ros.propagation import SOLVERS
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / 'test'))
 from known import KNOWN, lost_momentum, ODE_LOSSES  # noqa: E402, I100

@@ -28,7 +28,7 @@ from mcap_ros2.reader import read_ros2_messages
 from mcap_ros2.writer import Writer
 import numpy as np
 from rigid_body_ros import messages, propagate, scene, TorqueLog
-from rigid_body_ros.propagate import warm_up
+from rigid_body_ros.propagation import warm_up
 
 
 def read(path):

@@ -36,14 +36,7 @@ from typing import NamedTuple
 import numpy as np
 import psutil
 from rigid_body_ros import messages
-from rigid_body_ros.node.health import (
-    APPLIED,
-    FORCE,
-    LOST,
-    OVERFLOW,
-    RECEIVED,
-    REPLACED,
-)
+from rigid_body_ros.node.health import APPLIED, FORCE, LOST, OVERFLOW, RECEIVED, REPLACED
 from rigid_body_ros.node.inputs import (
     CAUSES,
     FRAME,

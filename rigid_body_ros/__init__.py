@@ -15,7 +15,7 @@
 """Turn torques into attitude: the rotation of one rigid body, exact to rounding."""
 
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.propagate import propagate, Propagator, Trajectory, warm_up
+from rigid_body_ros.propagation import propagate, Propagator, Trajectory, warm_up
 from rigid_body_ros.torque import TorqueLog
 
 __all__ = ['Propagator', 'RigidBody', 'State', 'TorqueLog', 'Trajectory', 'propagate', 'warm_up']

@@ -28,9 +28,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 from rigid_body_ros import so3, urdf
-from rigid_body_ros import tensor as constants
-from rigid_body_ros.so3 import Floats
-from rigid_body_ros.times import instant
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import instant
+from rigid_body_ros.kernels import tensor as constants
 
 Result = TypeVar('Result')
 

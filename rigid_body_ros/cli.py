@@ -24,9 +24,9 @@ import signal
 import sys
 from typing import Any, TYPE_CHECKING
 
-from rigid_body_ros import files, interrupts
-from rigid_body_ros.errors import shortened
-from rigid_body_ros.scene import InputError, load, Scene
+from rigid_body_ros.common.errors import InputError, shortened
+from rigid_body_ros.runtime import files, interrupts
+from rigid_body_ros.scene import load, Scene
 
 if TYPE_CHECKING:
     from rigid_body_ros.tradeoff import Tradeoff
@@ -218,14 +218,14 @@ def _measured(options: argparse.Namespace) -> Tradeoff:
 
 
 def _plot_tradeoff(path: str, result: Tradeoff, title: str) -> None:
-    from rigid_body_ros import plots
+    from rigid_body_ros.report import figures
     from rigid_body_ros.tradeoff import report
     lines = {'rounding floor': result.floor, 'last digits': result.last_digits,
              'target': result.target}
     if result.reading:
         lines[f'{result.reading.interpolation} between samples'] = result.reading.estimate
     with files.whole(path, '.png') as part:
-        plots.work_precision(part, report.curves(result), title, lines)
+        figures.work_precision(part, report.curves(result), title, lines)
 
 
 def _print(text: str, end: str = '\n') -> None:

@@ -33,10 +33,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros import euler_kernels as kernels
-from rigid_body_ros._jit import njit
-from rigid_body_ros.elementary import sines_cosines
-from rigid_body_ros.so3 import Floats
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import euler_angles as kernels
+from rigid_body_ros.kernels.elementary import sines_cosines
+from rigid_body_ros.kernels.jit import njit
 
 #: sin(theta), or cos(theta) for three different axes, below which the outer two angles are
 #: reported as not determined apart.

@@ -33,8 +33,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.body import State
-from rigid_body_ros.errors import quoted
-from rigid_body_ros.so3 import Floats
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import quoted
 
 #: The last nanosecond that a ROS stamp can name, in January 2038.
 LAST_NS = 2 ** 31 * 10 ** 9 - 1

@@ -31,10 +31,10 @@ from typing import Any, NamedTuple
 
 from rigid_body_ros import euler
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.errors import InputError as InputError  # handed on
-from rigid_body_ros.errors import listed, quoted, shortened
-from rigid_body_ros.propagate import LONGEST, Options, SOLVERS, TOLERANCES
-from rigid_body_ros.reading import read_yaml
+from rigid_body_ros.common.errors import InputError as InputError  # handed on
+from rigid_body_ros.common.errors import listed, quoted, shortened
+from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
+from rigid_body_ros.runtime.reading import read_yaml
 from rigid_body_ros.torque import INTERPOLATIONS
 import yaml
 

@@ -24,9 +24,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from rigid_body_ros import elementary
-
-Floats = elementary.Floats
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import elementary
 
 
 def multiply(p: ArrayLike, q: ArrayLike) -> Floats:

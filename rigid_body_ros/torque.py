@@ -21,11 +21,11 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros import double_double as dd
-from rigid_body_ros._jit import njit, part
-from rigid_body_ros.double_double import Double
-from rigid_body_ros.so3 import Floats
-from rigid_body_ros.times import instants, NEVER_NS
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import instants, NEVER_NS
+from rigid_body_ros.kernels import double_double as dd
+from rigid_body_ros.kernels.double_double import Double
+from rigid_body_ros.kernels.jit import njit, part
 
 FRAMES = ('body', 'space')
 INTERPOLATIONS = ('hold', 'linear', 'cubic')

@@ -28,8 +28,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 from rigid_body_ros import euler, so3
-from rigid_body_ros.errors import listed, quoted, shortened
-from rigid_body_ros.so3 import Floats
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import listed, quoted, shortened
 
 #: Attributes of <inertia>, row by row.
 _ENTRIES = ('ixx', 'ixy', 'ixz', 'ixy', 'iyy', 'iyz', 'ixz', 'iyz', 'izz')

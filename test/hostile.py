@@ -21,7 +21,7 @@ import signal
 from conftest import CONFIG, memory_limit, RECORDINGS
 import pytest
 from rigid_body_ros import cli, recording, scene
-from rigid_body_ros.errors import LONGEST
+from rigid_body_ros.common.errors import LONGEST
 
 TUMBLER = CONFIG / 'tumbler.yaml'
 # Compiles what reads messages, which is not to be measured.

@@ -26,7 +26,7 @@ from functools import cached_property
 from mpmath import mp
 import numpy as np
 from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
-from rigid_body_ros.propagate import SOLVERS
+from rigid_body_ros.propagation import SOLVERS
 import truth
 
 SECOND = 10 ** 9

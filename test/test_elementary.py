@@ -26,7 +26,8 @@ import mpmath
 from mpmath import mp, mpf
 import numpy as np
 import pytest
-from rigid_body_ros import digits, elementary
+from rigid_body_ros.kernels import elementary
+from rigid_body_ros.kernels import elementary_tables as tables
 
 pytestmark = pytest.mark.usefixtures('fifty_digits')
 
@@ -213,18 +214,18 @@ def test_sines_and_arctangents_are_odd():
 
 
 def test_tables_hold_32_digits():
-    step = mp.pi / digits.STEPS
-    for table, function, count in ((digits.SINES, lambda k: mpmath.sin(k * step), 256),
-                                   (digits.ARCTANGENTS, lambda k: mpmath.atan(mpf(k) / 128), 129)):
+    step = mp.pi / tables.STEPS
+    for table, function, count in ((tables.SINES, lambda k: mpmath.sin(k * step), 256),
+                                   (tables.ARCTANGENTS, lambda k: mpmath.atan(mpf(k) / 128), 129)):
         assert len(table) == count
         for k, pair in enumerate(table):
             assert abs(joined(pair) - function(k)) < 1e-32
-    for pair, right in ((digits.PI, mp.pi), (digits.LN_2, mpmath.ln2),
-                        (digits.LOG10_2, mpmath.log10(2)), (digits.LOG10_E, 1 / mpmath.ln10)):
+    for pair, right in ((tables.PI, mp.pi), (tables.LN_2, mpmath.ln2),
+                        (tables.LOG10_2, mpmath.log10(2)), (tables.LOG10_E, 1 / mpmath.ln10)):
         assert abs(joined(pair) / right - 1) < 1e-32
-    assert abs(sum(map(mpf, digits.STEP)) / step - 1) < 1e-48
+    assert abs(sum(map(mpf, tables.STEP)) / step - 1) < 1e-48
     with mp.workdps(400):
-        found = sum(mpf(part) / mpf(2) ** (24 * k) for k, part in enumerate(digits.TURN_PARTS))
+        found = sum(mpf(part) / mpf(2) ** (24 * k) for k, part in enumerate(tables.TURN_PARTS))
         assert 0 < 128 / mp.pi - found < mpf(2) ** (-24 * 51)
 
 

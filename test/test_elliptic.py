@@ -19,8 +19,8 @@ import mpmath
 from mpmath import mpf
 import numpy as np
 import pytest
-from rigid_body_ros import double_double as dd
-from rigid_body_ros import elliptic
+from rigid_body_ros.kernels import double_double as dd
+from rigid_body_ros.kernels import elliptic
 from scipy import special
 
 pytestmark = pytest.mark.usefixtures('fifty_digits')

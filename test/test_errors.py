@@ -15,7 +15,7 @@
 """Error lines: one line of bounded length, whatever they quote."""
 
 import pytest
-from rigid_body_ros.errors import InputError, listed, LONGEST, quoted, reason, shortened
+from rigid_body_ros.common.errors import InputError, listed, LONGEST, quoted, reason, shortened
 
 
 def test_an_error_is_one_line_of_bounded_length():

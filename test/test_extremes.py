@@ -21,7 +21,7 @@ from known import escape, KNOWN
 import numpy as np
 import pytest
 from rigid_body_ros import euler, propagate, RigidBody, so3, State, TorqueLog
-from rigid_body_ros.propagate import SOLVERS
+from rigid_body_ros.propagation import SOLVERS
 from rigid_body_ros.tradeoff.problem import Problem, Reference
 from scenes import FIXED_STEP, FULL, FULL_RATES, SCENES
 

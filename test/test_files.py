@@ -20,7 +20,7 @@ import stat
 
 from conftest import files_up_to
 import pytest
-from rigid_body_ros import files
+from rigid_body_ros.runtime import files
 from rigid_body_ros.scene import InputError
 
 

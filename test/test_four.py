@@ -19,7 +19,8 @@ from fractions import Fraction
 import numba
 import numpy as np
 import pytest
-from rigid_body_ros import four, so3, vector
+from rigid_body_ros import so3
+from rigid_body_ros.kernels import four, vector
 
 A, B, C = np.random.default_rng(4).normal(size=(3, 4))
 

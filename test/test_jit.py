@@ -24,7 +24,8 @@ from zipfile import ZipFile, ZipInfo
 from conftest import PACKAGE
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, RigidBody, State, TorqueLog, vector
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros.kernels import vector
 
 SCRIPT = """
 import sys

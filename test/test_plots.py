@@ -17,25 +17,26 @@
 from conftest import EPOCH_NS
 import numpy as np
 import pytest
-from rigid_body_ros import plots, propagate, RigidBody, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros.report import figures
 
 
 @pytest.fixture
 def panels(tmp_path, monkeypatch):
     """Return what draws a motion and returns the panels of the figure."""
-    figures = []
+    drawn = []
 
-    class Kept(plots.Figure):
+    class Kept(figures.Figure):
 
         def __init__(self, *arguments, **options):
             super().__init__(*arguments, **options)
-            figures.append(self)
+            drawn.append(self)
 
-    monkeypatch.setattr(plots, 'Figure', Kept)
+    monkeypatch.setattr(figures, 'Figure', Kept)
 
     def draw(trajectory, log):
-        plots.motion(tmp_path / 'motion.png', trajectory, log, 'ZXZ', 'title')
-        return figures[-1].axes
+        figures.motion(tmp_path / 'motion.png', trajectory, log, 'ZXZ', 'title')
+        return drawn[-1].axes
     return draw
 
 

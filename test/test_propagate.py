@@ -21,7 +21,7 @@ from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, Propagator, RigidBody, so3, State, TorqueLog
-from rigid_body_ros.propagate import loop, warm_up
+from rigid_body_ros.propagation import loop, warm_up
 import rigid_body_ros.torque as torque_module
 import truth
 

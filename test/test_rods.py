@@ -23,7 +23,7 @@ import os
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
-from rigid_body_ros.propagate.sensitivity import last_digit_effect
+from rigid_body_ros.propagation.sensitivity import last_digit_effect
 import truth
 
 pytestmark = pytest.mark.slow

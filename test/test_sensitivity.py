@@ -17,7 +17,7 @@
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
-from rigid_body_ros.propagate.sensitivity import last_digit_effect
+from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from scenes import ROD, SECOND, turned
 
 RATES = (0.5, -0.7, 0.9)

@@ -20,7 +20,7 @@ from conftest import CONFIG, EPOCH_NS, RECORDINGS, SECOND
 import numpy as np
 import pytest
 from rigid_body_ros import messages, propagate, recording, RigidBody, scene, State, TorqueLog
-from rigid_body_ros.propagate import Run
+from rigid_body_ros.propagation import Run
 from rigid_body_ros.recording import torques, writer
 from rigid_body_ros.replay import replay, stretches
 from rigid_body_ros.replay.report import summary

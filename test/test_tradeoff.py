@@ -25,16 +25,7 @@ from conftest import Reference as Known
 import matplotlib.image
 import numpy as np
 import pytest
-from rigid_body_ros import (
-    cli,
-    messages,
-    propagate,
-    recording,
-    RigidBody,
-    so3,
-    State,
-    TorqueLog,
-)
+from rigid_body_ros import cli, messages, propagate, recording, RigidBody, so3, State, TorqueLog
 from rigid_body_ros.tradeoff import Error, measure, recommend, report, Run, Setting
 from rigid_body_ros.tradeoff.problem import Problem, Reference
 from test_reference import NAMES

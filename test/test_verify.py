@@ -25,9 +25,9 @@ from conftest import CONFIG, RECORDINGS
 import numpy as np
 import pytest
 from rigid_body_ros import cli, messages, propagate, recording, scene, State, TorqueLog
-from rigid_body_ros.fingerprint import fingerprint, processor
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.verify import verify
+from rigid_body_ros.runtime.fingerprint import fingerprint, processor
 from rosbags.highlevel import AnyReader
 import yaml
 
@@ -98,7 +98,7 @@ def test_an_old_recording_that_names_another_processor_is_reported(tmp_path, mad
 
 
 def test_kernels_that_are_not_compiled_have_a_fingerprint_of_their_own():
-    program = 'from rigid_body_ros.fingerprint import fingerprint; print(fingerprint())'
+    program = 'from rigid_body_ros.runtime.fingerprint import fingerprint; print(fingerprint())'
     printed = subprocess.run([sys.executable, '-c', program], check=True, capture_output=True,
                              env={**os.environ, 'NUMBA_DISABLE_JIT': '1'}, text=True).stdout
     assert ast.literal_eval(printed) == {**fingerprint(), 'numba': 'none', 'llvmlite': 'none'}

@@ -21,9 +21,9 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from rigid_body_ros.body import State
-from rigid_body_ros.propagate import Propagator
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.propagation import Propagator
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.so3 import Floats
 
 
 class Torque(NamedTuple):

@@ -24,7 +24,7 @@ from rigid_body_ros import messages
 from rigid_body_ros.body import State
 from rigid_body_ros.node.arrivals import Sender
 from rigid_body_ros.node.epoch import Torque
-from rigid_body_ros.propagate.options import FASTEST
+from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.scene import Scene
 
 #: rad/s^2. A torque held at this turns any body by a radian a nanosecond within a second.

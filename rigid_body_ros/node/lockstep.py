@@ -28,6 +28,7 @@ from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from rigid_body_ros import messages
 from rigid_body_ros.body import State
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.node.arrivals import Sender
 from rigid_body_ros.node.chain import Answers, Offers
 from rigid_body_ros.node.clocks import ClockWatch
@@ -37,7 +38,6 @@ from rigid_body_ros.node.inputs import ANSWERED, Arrival, FUTURE, Inputs, Refuse
 from rigid_body_ros.node.motion import Motion
 from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import Parameters
-from rigid_body_ros.scene import InputError
 from rosgraph_msgs.msg import Clock
 
 #: s; between two looks at whether the state is to be published again.

@@ -30,9 +30,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rigid_body_ros import euler, messages
 from rigid_body_ros.body import State
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.node.epoch import Torque
 from rigid_body_ros.node.health import Health, UNSENT
-from rigid_body_ros.scene import InputError, Scene
+from rigid_body_ros.scene import Scene
 from sensor_msgs.msg import Imu
 
 try:

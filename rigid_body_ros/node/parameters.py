@@ -32,7 +32,8 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rigid_body_ros import scene
 from rigid_body_ros.body import State
-from rigid_body_ros.scene import InputError, Scene
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.scene import Scene
 
 _RATE = 'publish_rate'
 _QOS = 'qos_overrides.'

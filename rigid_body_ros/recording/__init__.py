@@ -21,16 +21,16 @@ the files it is made of, `unpack` what is compressed in them, `csv_columns` the 
 writes MCAP files, `container` their bytes, and `folder` what rosbag2 wants beside them.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterable
-from pathlib import Path
-from typing import Any
-
-from rigid_body_ros import messages
-from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.folder import FolderWriter
-from rigid_body_ros.recording.source import joined, Messages, Source, TIME_SOURCES
+from rigid_body_ros.recording.source import (
+    joined,
+    Messages,
+    read,
+    Source,
+    TIME_SOURCES,
+    TORQUES,
+    Track,
+)
 from rigid_body_ros.recording.torques import (
     new_logs,
     NotInOrderError,
@@ -43,38 +43,3 @@ from rigid_body_ros.recording.writer import Column, Writer
 __all__ = ['TIME_SOURCES', 'TORQUES', 'Column', 'FolderWriter', 'Messages', 'NotInOrderError',
            'Piece', 'Source', 'Track', 'Writer', 'joined', 'new_logs', 'read', 'torque_log',
            'torque_pieces']
-
-#: Wraps an iterable of blocks of messages, so many in all, to show progress.
-Track = Callable[[Iterable[Any], int], Iterable[Any]]
-
-#: What torques come as.
-TORQUES = (messages.WRENCH, messages.BARE_WRENCH)
-
-
-def read(path: str | Path, topic: str | None = None, kind: MessageType | None = None,
-         track: Track = lambda items, total: items, time_source: str = 'header') -> Messages:
-    """
-    Read the messages of a topic.
-
-    Parameters
-    ----------
-    path : str or Path
-        A recording, see `Source`.
-    topic : str, optional
-        May be left out where only one topic has the type.
-    kind : MessageType, optional
-        Torques are looked for otherwise.
-    track : callable, optional
-        Wraps the iteration over blocks of messages, to show progress.
-    time_source : str
-        Where stamps are taken from: 'header', 'log' or 'publish'.
-
-    Raises
-    ------
-    InputError
-        The recording cannot be read, has no such topic, one of another type, or several that
-        are meant, or a message is not what its type says.
-
-    """
-    with Source(path, topic, TORQUES if kind is None else (kind,), time_source) as source:
-        return joined(source.topic, source.kind, list(track(source, source.count)), source.damage)

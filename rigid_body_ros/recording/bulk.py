@@ -26,9 +26,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros._jit import inlined, njit
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels.jit import inlined, njit
 from rigid_body_ros.messages import MessageType
-from rigid_body_ros.so3 import Floats
 
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]

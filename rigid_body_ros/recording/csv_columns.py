@@ -21,7 +21,7 @@ from decimal import Decimal
 import re
 from typing import NamedTuple
 
-from rigid_body_ros.errors import InputError, quoted
+from rigid_body_ros.common.errors import InputError, quoted
 
 _NEEDED = ('time', 'tx', 'ty', 'tz')
 #: Names without a unit; a path of ROS or PlotJuggler may come first: /arm/wrench/torque/x.

@@ -25,11 +25,11 @@ from pathlib import Path
 
 import numpy as np
 from rigid_body_ros import messages
-from rigid_body_ros.errors import InputError, quoted, reason
-from rigid_body_ros.reading import open_file
+from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.csv_columns import Columns, columns
 from rigid_body_ros.recording.file import File
+from rigid_body_ros.runtime.reading import open_file
 
 #: The name of its only topic.
 _TOPIC = '/torque'

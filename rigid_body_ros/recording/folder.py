@@ -19,8 +19,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rigid_body_ros.files import FOLDER, Part
 from rigid_body_ros.recording.writer import Writer
+from rigid_body_ros.runtime.files import FOLDER, Part
 import yaml
 
 #: Of metadata.yaml: the newest that Humble reads.

@@ -33,12 +33,12 @@ from mcap.stream_reader import MAGIC_SIZE, read_magic, StreamReader
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 import numpy as np
-from rigid_body_ros.errors import InputError, listed, quoted, reason
-from rigid_body_ros.reading import open_file
+from rigid_body_ros.common.errors import InputError, listed, quoted, reason
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Ints, Raw
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.unpack import LARGEST, unpack
+from rigid_body_ros.runtime.reading import open_file
 import zstandard
 
 #: Bytes of messages outside of chunks that make a block.

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 import os
@@ -25,9 +25,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.errors import InputError, listed, quoted, reason, shortened
+from rigid_body_ros import messages
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError, listed, quoted, reason, shortened
 from rigid_body_ros.messages import MessageType
-from rigid_body_ros.reading import read_yaml
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.csv_file import CsvFile
@@ -36,13 +37,17 @@ from rigid_body_ros.recording.mcap_file import McapFile
 from rigid_body_ros.recording.sqlite_file import SqliteFile
 from rigid_body_ros.recording.unpack import LARGEST, temporary, unpack, unpack_file
 from rigid_body_ros.recording.writer import Writer
-from rigid_body_ros.so3 import Floats
+from rigid_body_ros.runtime.reading import read_yaml
 import yaml
 from yaml.constructor import BaseConstructor
 import zstandard
 
 #: Where the time of a message is taken from.
 TIME_SOURCES = ('header', 'log', 'publish')
+#: What torques come as.
+TORQUES = (messages.WRENCH, messages.BARE_WRENCH)
+#: Wraps an iterable of blocks of messages, so many in all, to show progress.
+Track = Callable[[Iterable[Any], int], Iterable[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +215,35 @@ class Source:
 
     def _refusal(self, error: bulk.BadMessageError, topic: str, number: int) -> InputError:
         return InputError(f'{self._path}: {topic}: message {number + error.row + 1}: {error}')
+
+
+def read(path: str | Path, topic: str | None = None, kind: MessageType | None = None,
+         track: Track = lambda items, total: items, time_source: str = 'header') -> Messages:
+    """
+    Read the messages of a topic.
+
+    Parameters
+    ----------
+    path : str or Path
+        A recording, see `Source`.
+    topic : str, optional
+        May be left out where only one topic has the type.
+    kind : MessageType, optional
+        Torques are looked for otherwise.
+    track : callable, optional
+        Wraps the iteration over blocks of messages, to show progress.
+    time_source : str
+        Where stamps are taken from: 'header', 'log' or 'publish'.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read, has no such topic, one of another type, or several that
+        are meant, or a message is not what its type says.
+
+    """
+    with Source(path, topic, TORQUES if kind is None else (kind,), time_source) as source:
+        return joined(source.topic, source.kind, list(track(source, source.count)), source.damage)
 
 
 def joined(topic: str, kind: MessageType, blocks: list[Messages], damage: str) -> Messages:

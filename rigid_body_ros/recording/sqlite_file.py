@@ -24,11 +24,11 @@ from pathlib import Path
 import sqlite3
 
 import numpy as np
-from rigid_body_ros.errors import InputError, quoted, reason, shortened
-from rigid_body_ros.reading import open_file
+from rigid_body_ros.common.errors import InputError, quoted, reason, shortened
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.unpack import copy_file, temporary
+from rigid_body_ros.runtime.reading import open_file
 
 #: Messages of a block, and bytes of their data.
 _BLOCK, _BYTES = 8192, 2 ** 24

@@ -23,9 +23,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages
-from rigid_body_ros.errors import InputError
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.recording.source import Messages
-from rigid_body_ros.so3 import Floats
 from rigid_body_ros.torque import frame_names, TorqueLog
 
 #: Ten years, more than a simulation lasts and less than the wall clock shows.

@@ -23,8 +23,8 @@ import shutil
 import tempfile
 from typing import BinaryIO
 
-from rigid_body_ros.errors import InputError, reason
-from rigid_body_ros.reading import open_file
+from rigid_body_ros.common.errors import InputError, reason
+from rigid_body_ros.runtime.reading import open_file
 import zstandard
 
 #: Bytes that a chunk may hold, or the messages of a block; rosbag2 and mcap write about 1 MB.

@@ -27,12 +27,12 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.files import Part, reported
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.container import Container, Indexed
-from rigid_body_ros.scene import InputError
-from rigid_body_ros.so3 import Floats
+from rigid_body_ros.runtime.files import Part, reported
 
 #: Bytes of messages that make a chunk.
 _CHUNK = 2 ** 20

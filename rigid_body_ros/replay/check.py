@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import so3
 from rigid_body_ros.body import State
-from rigid_body_ros.propagate import propagate, Trajectory
-from rigid_body_ros.propagate.sensitivity import last_digit_effect
+from rigid_body_ros.propagation import propagate, Trajectory
+from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.torque import TorqueLog
 

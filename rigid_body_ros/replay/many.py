@@ -29,9 +29,10 @@ import re
 import threading
 from typing import Any
 
-from rigid_body_ros import files, interrupts
-from rigid_body_ros.replay import bar, replay
-from rigid_body_ros.scene import InputError, Scene
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.replay.single import bar, replay
+from rigid_body_ros.runtime import files, interrupts
+from rigid_body_ros.scene import Scene
 from tqdm import tqdm
 
 #: s; how often to look for signals.

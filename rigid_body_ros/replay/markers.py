@@ -19,9 +19,9 @@ from __future__ import annotations
 import numpy as np
 from rigid_body_ros import messages, so3
 from rigid_body_ros.body import RigidBody
-from rigid_body_ros.propagate import Trajectory
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.propagation import Trajectory
 from rigid_body_ros.recording import Column
-from rigid_body_ros.so3 import Floats
 
 BODY, ANGULAR_MOMENTUM, ANGULAR_VELOCITY = '/marker/body', '/marker/angular_momentum', \
     '/marker/angular_velocity'

@@ -17,9 +17,9 @@
 from __future__ import annotations
 
 from rigid_body_ros import euler
-from rigid_body_ros.replay import Replay
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.replay.check import LastDigits
-from rigid_body_ros.so3 import Floats
+from rigid_body_ros.replay.single import Replay
 
 #: The effect of the last digits is reported where it is so many times that of rounding.
 _WORTH_A_LINE = 10.0

@@ -26,10 +26,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages, so3
-from rigid_body_ros.propagate import Run, Trajectory
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.propagation import Run, Trajectory
 from rigid_body_ros.recording import NotInOrderError, Piece
-from rigid_body_ros.scene import InputError, Scene
-from rigid_body_ros.so3 import Floats
+from rigid_body_ros.scene import Scene
 from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
 
 #: Outputs of a stretch.

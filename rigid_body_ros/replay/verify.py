@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages, recording, so3
 from rigid_body_ros.body import State
-from rigid_body_ros.errors import shortened
-from rigid_body_ros.fingerprint import fingerprint, NAME, PROCESSOR, processor
-from rigid_body_ros.propagate import propagate
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError, shortened
+from rigid_body_ros.propagation import propagate
 from rigid_body_ros.recording import Source
-from rigid_body_ros.replay import read
-from rigid_body_ros.scene import InputError, Scene
-from rigid_body_ros.so3 import Floats
+from rigid_body_ros.replay.single import read
+from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, PROCESSOR, processor
+from rigid_body_ros.scene import Scene
 from rigid_body_ros.torque import TorqueLog
 
 #: Where a node records its states, and a replay its attitude.

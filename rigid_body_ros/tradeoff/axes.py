@@ -24,11 +24,12 @@ from __future__ import annotations
 from fractions import Fraction
 
 import numpy as np
-from rigid_body_ros import double_double as dd
-from rigid_body_ros import so3, tensor
-from rigid_body_ros._jit import njit
+from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.so3 import Floats
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import double_double as dd
+from rigid_body_ros.kernels import tensor
+from rigid_body_ros.kernels.jit import njit
 from rigid_body_ros.torque import TorqueLog
 
 #: A coefficient too small to change a motion. It makes the kernels use the arithmetic of full

@@ -29,10 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.propagate import LONGEST, propagate, Trajectory
-from rigid_body_ros.propagate.sensitivity import last_digit_effect
-from rigid_body_ros.so3 import Floats
-from rigid_body_ros.times import instant
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import instant
+from rigid_body_ros.propagation import LONGEST, propagate, Trajectory
+from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.torque import TorqueLog
 from rigid_body_ros.tradeoff.axes import PrincipalAxes
 

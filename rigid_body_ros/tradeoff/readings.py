@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import so3
-from rigid_body_ros.propagate import Trajectory
+from rigid_body_ros.propagation import Trajectory
 from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
 from rigid_body_ros.tradeoff.problem import Problem
 

@@ -20,8 +20,8 @@ from importlib import metadata
 import platform
 from typing import Any
 
-from rigid_body_ros.tradeoff import Run, Tradeoff
 from rigid_body_ros.tradeoff.readings import Reading, READING_ORDERS
+from rigid_body_ros.tradeoff.trade import Run, Tradeoff
 
 _WIDTH = 18
 _FLOOR = ('largest difference between runs of the series with other steps and in principal axes,',

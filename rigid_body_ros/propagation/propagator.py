@@ -25,11 +25,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.propagate import loop
-from rigid_body_ros.propagate.loop import Origin
-from rigid_body_ros.propagate.options import duration_ns, Options
-from rigid_body_ros.so3 import Floats
-from rigid_body_ros.times import instant, NEVER_NS
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import instant, NEVER_NS
+from rigid_body_ros.propagation import loop
+from rigid_body_ros.propagation.loop import Origin
+from rigid_body_ros.propagation.options import duration_ns, Options
 from rigid_body_ros.torque import FRAMES
 
 _NO_TORQUE = np.zeros((1, 3))

@@ -29,7 +29,7 @@ import stat
 from types import MappingProxyType
 import weakref
 
-from rigid_body_ros.scene import InputError
+from rigid_body_ros.common.errors import InputError
 
 #: In place of the suffix of a file: the output is a folder.
 FOLDER = ''

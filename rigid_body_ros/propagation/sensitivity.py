@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.propagate import propagate
-from rigid_body_ros.so3 import Floats
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.propagation.integration import propagate
 from rigid_body_ros.torque import TorqueLog
 
 #: How often each kind of change is tried.

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 
 from rigid_body_ros.body import RigidBody
-from rigid_body_ros.so3 import Floats
+from rigid_body_ros.common.arrays import Floats
 
 SOLVERS = ('auto', 'taylor', 'exact', 'rk4', 'strang', 'explicit_euler')
 AUTO, TAYLOR, EXACT, RK4, STRANG, EXPLICIT_EULER = range(len(SOLVERS))

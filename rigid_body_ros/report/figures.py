@@ -25,8 +25,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.propagate import Trajectory
-from rigid_body_ros.so3 import Floats
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.propagation import Trajectory
 from rigid_body_ros.torque import TorqueLog
 
 #: Okabe and Ito's colours, which the colour-blind tell apart; the styles do so in greyscale.

@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.body import RigidBody
-from rigid_body_ros.propagate.loop import LONG_COAST
-from rigid_body_ros.propagate.options import Options
+from rigid_body_ros.propagation.loop import LONG_COAST
+from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.torque import TorqueLog
 
 

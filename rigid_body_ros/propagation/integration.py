@@ -12,28 +12,20 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-The time loop: from a start state and a torque log to the motion.
-
-A *segment* runs from one torque change to the next; consecutive samples of zero torque make one
-segment, a *coast*. Inside a segment steps end on a grid that begins with the segment and depends
-only on the state there and the torque. The motion at any other time is one more step from the
-last grid point before it, and nothing later is built on that. So what a caller asks for, and in
-which order, changes no number, and `propagate` and `Propagator` agree bit for bit.
-"""
+"""Integration of a motion: all at once, or piece by piece as its log comes."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros import euler, so3
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.propagate.loop import (
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import instants, NEVER_NS
+from rigid_body_ros.propagation.loop import (
     BUDGET,
     IN_FORCE,
     IN_ORDER,
@@ -42,63 +34,13 @@ from rigid_body_ros.propagate.loop import (
     run,
     working_states,
 )
-from rigid_body_ros.propagate.models import Answers, Model
-from rigid_body_ros.propagate.options import LONGEST, Options, SOLVERS, TOLERANCES
-from rigid_body_ros.propagate.propagator import Propagator
-from rigid_body_ros.so3 import Floats
-from rigid_body_ros.times import instants, NEVER_NS
+from rigid_body_ros.propagation.models import Answers
+from rigid_body_ros.propagation.options import Options
+from rigid_body_ros.propagation.propagator import Propagator
+from rigid_body_ros.propagation.trajectory import Trajectory
 from rigid_body_ros.torque import TorqueLog
 
-__all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Model', 'Options', 'Propagator', 'Run',
-           'Trajectory', 'propagate', 'warm_up']
-
 _NO_LOG = TorqueLog([], [])
-
-
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """
-    The motion at the times that were asked for.
-
-    Attributes
-    ----------
-    body : RigidBody
-    times_ns : array of int64, shape (m,)
-    attitude : array, shape (m, 4)
-        x y z w, body to space; the continuous lift from the start, never flipped.
-    angular_velocity : array, shape (m, 3), rad/s, body axes
-
-    """
-
-    body: RigidBody
-    times_ns: NDArray[np.int64]
-    attitude: Floats
-    angular_velocity: Floats
-    _answers: Answers
-
-    def euler_angles(self, sequence: str = 'ZXZ', continuous: bool = False) -> Floats:
-        """Return Euler angles, rad, shape (m, 3); see `euler.from_quaternion`, `euler.unwrap`."""
-        angles = euler.from_quaternion(self.attitude, sequence)
-        return euler.unwrap(angles, sequence) if continuous else angles
-
-    def degenerate(self, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
-        """Return where two of the Euler angles are not determined apart, shape (m,)."""
-        return euler.degenerate(euler.from_quaternion(self.attitude, sequence), sequence)
-
-    @cached_property
-    def models(self) -> tuple[Model, ...]:
-        """Which solver answered, over which spans, and why."""
-        return self._answers.models()
-
-    @cached_property
-    def angular_momentum_space(self) -> Floats:
-        """Angular momentum in space axes, N m s, shape (m, 3)."""
-        return so3.rotate(self.attitude, self.body.angular_momentum(self.angular_velocity))
-
-    @cached_property
-    def kinetic_energy(self) -> Floats:
-        """Kinetic energy, J, shape (m,)."""
-        return self.body.kinetic_energy(self.angular_velocity)
 
 
 def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at: ArrayLike,

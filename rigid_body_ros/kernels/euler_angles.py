@@ -24,10 +24,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from rigid_body_ros import double_double as dd
-from rigid_body_ros._jit import njit, part
-from rigid_body_ros.double_double import Double
-from rigid_body_ros.elementary import arctangent_pair, Floats, sine_cosine_pairs
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import double_double as dd
+from rigid_body_ros.kernels.double_double import Double
+from rigid_body_ros.kernels.elementary import arctangent_pair, sine_cosine_pairs
+from rigid_body_ros.kernels.jit import njit, part
 
 #: The least and the greatest double in the domain of the outer two angles.
 _PROPER = 0.0, math.nextafter(2.0 * math.pi, 0.0)

@@ -46,11 +46,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from rigid_body_ros import double_double as dd
-from rigid_body_ros import elementary, elliptic, four
-from rigid_body_ros._jit import part
-from rigid_body_ros.double_double import Double
-from rigid_body_ros.vector import (
+from rigid_body_ros.kernels import double_double as dd
+from rigid_body_ros.kernels import elementary, elliptic, four
+from rigid_body_ros.kernels.double_double import Double
+from rigid_body_ros.kernels.jit import part
+from rigid_body_ros.kernels.vector import (
     add,
     add_scaled,
     combine,

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.so3 import Floats
+from rigid_body_ros.common.arrays import Floats
 
 #: Digits of the principal axes: twice those of a double, and as many again for cancellation.
 _DIGITS = 64

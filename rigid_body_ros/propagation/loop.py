@@ -28,18 +28,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import body as bodies
-from rigid_body_ros import four, free_motion, steppers, taylor, vector
-from rigid_body_ros._jit import inlined, njit, part
-from rigid_body_ros.propagate.options import (
-    EXACT,
-    EXPLICIT_EULER,
-    FASTEST,
-    RK4,
-    STRANG,
-    TAYLOR,
-)
-from rigid_body_ros.so3 import Floats
-from rigid_body_ros.times import NEVER_NS
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.kernels import four, free_motion, steppers, taylor, vector
+from rigid_body_ros.kernels.jit import inlined, njit, part
+from rigid_body_ros.propagation.options import EXACT, EXPLICIT_EULER, FASTEST, RK4, STRANG, TAYLOR
 
 #: For `rows` of `run`: the times ascend.
 IN_ORDER = np.empty(0, np.intp)

@@ -21,9 +21,9 @@ arrays.
 
 from __future__ import annotations
 
-from rigid_body_ros import four
-from rigid_body_ros._jit import inlined
-from rigid_body_ros.four import Four
+from rigid_body_ros.kernels import four
+from rigid_body_ros.kernels.four import Four
+from rigid_body_ros.kernels.jit import inlined
 
 Vector = Four
 Quaternion = Four

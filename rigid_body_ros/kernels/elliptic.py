@@ -23,10 +23,10 @@ from __future__ import annotations
 
 import math
 
-from rigid_body_ros import double_double as dd
-from rigid_body_ros import elementary
-from rigid_body_ros._jit import part
-from rigid_body_ros.double_double import Double
+from rigid_body_ros.kernels import double_double as dd
+from rigid_body_ros.kernels import elementary
+from rigid_body_ros.kernels.double_double import Double
+from rigid_body_ros.kernels.jit import part
 
 #: Landen's transformation squares the difference each time: from m_c = 1e-300 in 13.
 _MOST = 16

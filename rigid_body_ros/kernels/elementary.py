@@ -35,9 +35,21 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros._jit import fma, inlined, njit, part
-from rigid_body_ros.digits import (
+from numpy.typing import ArrayLike
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels.double_double import (
+    add,
+    divide,
+    Double,
+    multiply,
+    negative,
+    PI,
+    quick_sum,
+    subtract,
+    two_product,
+    two_sum,
+)
+from rigid_body_ros.kernels.elementary_tables import (
     ARCTANGENT_SERIES,
     ARCTANGENTS,
     COSINE_SERIES,
@@ -53,20 +65,7 @@ from rigid_body_ros.digits import (
     STEPS,
     TURN_PARTS,
 )
-from rigid_body_ros.double_double import (
-    add,
-    divide,
-    Double,
-    multiply,
-    negative,
-    PI,
-    quick_sum,
-    subtract,
-    two_product,
-    two_sum,
-)
-
-Floats = NDArray[np.float64]
+from rigid_body_ros.kernels.jit import fma, inlined, njit, part
 
 #: Bounds on the relative error of the quick evaluations.
 _SINE_ERROR, _ANGLE_ERROR = 2.0 ** -65, 2.0 ** -66

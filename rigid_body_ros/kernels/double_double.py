@@ -23,13 +23,13 @@ from __future__ import annotations
 
 import math
 
-from rigid_body_ros import digits
-from rigid_body_ros._jit import fma, part
+from rigid_body_ros.kernels import elementary_tables as tables
+from rigid_body_ros.kernels.jit import fma, part
 
 #: The larger part, and what is missing in it.
 Double = tuple[float, float]
 
-PI = digits.PI
+PI = tables.PI
 
 
 @part

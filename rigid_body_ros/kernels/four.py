@@ -28,9 +28,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import _jit
+from rigid_body_ros.kernels import jit
 
-if _jit.COMPILES:
+if jit.COMPILES:
     from llvmlite import ir
     from numba.core import types
     from numba.core.cgutils import get_or_insert_function
@@ -70,7 +70,7 @@ Four = tuple[float, float, float, float]
 def _operation(plain: Callable[..., Any], kinds: str,
                generate: Callable[..., Any]) -> Callable[..., Four]:
     # An operation of the kernels: in Python, the kinds of its arguments, and in instructions.
-    if not _jit.COMPILES:
+    if not jit.COMPILES:
         return plain
     arguments = [_TYPES[kind] for kind in kinds.split()]
     found = (_TYPES['four'](*arguments),
@@ -121,7 +121,7 @@ multiply = _operation(_each(operator.mul), 'four four', lambda builder, a, b: bu
 negative = _operation(_each(operator.neg), 'four', lambda builder, a: builder.fneg(a))
 absolute = _operation(_each(abs), 'four', lambda builder, a: _called(builder, 'llvm.fabs', a))
 #: a b + c, rounded once.
-fma = _operation(_each(_jit.fma), 'four four four',
+fma = _operation(_each(jit.fma), 'four four four',
                  lambda builder, *values: _called(builder, 'llvm.fma', *values))
 #: y z x and z x y of a vector.
 yzx, zxy = _permuted('yzxw'), _permuted('zxyw')
@@ -139,7 +139,7 @@ def _plain_store(values: NDArray[np.float64], start: int, four: Four) -> None:
     values[start:start + 4] = four
 
 
-if _jit.COMPILES:
+if jit.COMPILES:
     def _pointer(context: Any, builder: Any, kind: Any, array: Any, start: Any) -> Any:
         data = context.make_array(kind)(context, builder, array).data
         return builder.bitcast(builder.gep(data, [start]), _REGISTER.as_pointer())
@@ -159,6 +159,6 @@ if _jit.COMPILES:
         return types.void(values, types.intp, four), generate
 
 #: Four successive elements of a contiguous array, shape (n,): read, and set, from a place on.
-load: Callable[[NDArray[np.float64], int], Four] = _load if _jit.COMPILES else _plain_load
+load: Callable[[NDArray[np.float64], int], Four] = _load if jit.COMPILES else _plain_load
 store: Callable[[NDArray[np.float64], int, Four], None] = \
-    _store if _jit.COMPILES else _plain_store
+    _store if jit.COMPILES else _plain_store

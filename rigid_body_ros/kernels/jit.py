@@ -106,7 +106,7 @@ def _warn_uncached() -> None:
 @cache
 def _sources_hash() -> str:
     digest = hashlib.sha256()
-    for source in _sources(resources.files(__package__)):
+    for source in _sources(resources.files('rigid_body_ros')):
         digest.update(source.read_bytes())
     return digest.hexdigest()
 

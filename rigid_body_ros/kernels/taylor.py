@@ -36,10 +36,10 @@ from __future__ import annotations
 
 import math
 
-from rigid_body_ros import elementary, four
-from rigid_body_ros._jit import fma, inlined, part
-from rigid_body_ros.so3 import Floats
-from rigid_body_ros.vector import (
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import elementary, four
+from rigid_body_ros.kernels.jit import fma, inlined, part
+from rigid_body_ros.kernels.vector import (
     accumulate,
     add,
     add_scaled,

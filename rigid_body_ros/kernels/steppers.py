@@ -23,9 +23,9 @@ from __future__ import annotations
 
 import math
 
-from rigid_body_ros import elementary, four
-from rigid_body_ros._jit import part
-from rigid_body_ros.vector import (
+from rigid_body_ros.kernels import elementary, four
+from rigid_body_ros.kernels.jit import part
+from rigid_body_ros.kernels.vector import (
     add,
     add_scaled,
     Coefficients,

@@ -22,7 +22,7 @@ import re
 import stat
 from typing import BinaryIO
 
-from rigid_body_ros.errors import InputError, reason
+from rigid_body_ros.common.errors import InputError, reason
 import yaml
 from yaml.composer import Composer
 from yaml.resolver import BaseResolver

@@ -1,0 +1,249 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""`AttitudeNode`, and the process that runs one."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from copy import copy
+import os
+from pathlib import Path
+import signal
+import sys
+import time
+from typing import Any
+
+from geometry_msgs.msg import WrenchStamped
+from nav_msgs.msg import Odometry
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+from rclpy.utilities import remove_ros_args
+from rigid_body_ros import scene
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.node.arrivals import Arrivals, Sender
+from rigid_body_ros.node.health import Health, RECEIVED, STATES
+from rigid_body_ros.node.inputs import Inputs, RefusedError
+from rigid_body_ros.node.lockstep import Lockstep
+from rigid_body_ros.node.outputs import Outputs
+from rigid_body_ros.node.parameters import check_qos_overrides, Parameters
+from rigid_body_ros.node.realtime import Realtime
+from rigid_body_ros.propagation import warm_up
+from rigid_body_ros.runtime import interrupts
+from rigid_body_ros.scene import LOCKSTEP
+from std_srvs.srv import Trigger
+
+try:
+    from rclpy.event_handler import SubscriptionEventCallbacks
+except ModuleNotFoundError:  # Humble
+    from rclpy.qos_event import SubscriptionEventCallbacks
+
+#: Best effort hears any publisher; in lockstep a torque that is lost stops everybody.
+_TORQUE_QOS = {scene.REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),
+               LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
+#: s; how long a clean end may take.
+_PATIENCE = 0.8
+#: s; period of the worker. A slice of work takes longer, so slices follow each other at once; the
+#: worker rests only while all torques wait for the clock.
+_WORK_EVERY = 0.001
+#: s; how often to look for signals.
+_HEED_EVERY = 0.1
+
+
+class AttitudeNode(Node):
+    """
+    Publish the attitude of a body that the torques of a topic turn.
+
+    Raises
+    ------
+    InputError
+        The parameters are no valid scene.
+
+    """
+
+    def __init__(self) -> None:
+        super().__init__(scene.NODE, automatically_declare_parameters_from_overrides=True)
+        parameters = Parameters(self, lambda rate: self._mode.set_rate(rate))
+        self._scene = parameters.scene
+        warm_up()
+        self._announce()
+        try:
+            self._health = Health(self)
+            self._inputs = Inputs(self._scene, self._health.force)
+            self._outputs = Outputs(self, self._scene, self._health)
+            mode = Lockstep if self._scene.values['mode'] == LOCKSTEP else Realtime
+            self._mode = mode(self, parameters, self._inputs, self._outputs, self._health)
+            self._subscribe()
+            self._mode.connect(self._torques)
+            check_qos_overrides(self, (self._torques, self._states), self._outputs.publishers)
+        except (RuntimeError, AssertionError) as error:  # such as a QoS override that is none
+            raise InputError(' '.join(str(error).split())) from error
+        self.create_service(Trigger, '~/reset', self._on_reset)
+        parameters.guard()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self._diagnose, clock=steady)
+        #: Runs while torques wait: a slice of work in each turn of the executor.
+        self._worker = self.create_timer(_WORK_EVERY, self._work, clock=steady)
+        self._worker.cancel()
+
+    def finish(self, until: float) -> None:
+        """Publish what is pending by a time of the monotonic clock, and the last diagnosis."""
+        motion = self._mode.motion
+        half_time = 0.5 * (time.monotonic() + until)  # the rest is for the states held back
+        while not motion.work() and time.monotonic() < half_time:
+            pass
+        motion.end(until)
+        self._report([])
+        self._outputs.deliver(until)
+
+    def _announce(self) -> None:
+        body = self._scene.body
+        self.get_logger().info(
+            f'{body.symmetry}, principal moments {body.principal_moments.tolist()} kg m^2')
+        for doubt in self._scene.doubts:
+            self.get_logger().warning(doubt)
+
+    def _subscribe(self) -> None:
+        def subscription(kind: type, topic: str, callback: Callable[..., None],
+                         qos: QoSProfile, events: SubscriptionEventCallbacks) -> Subscription:
+            return self.create_subscription(
+                kind, topic, callback, copy(qos), raw=True, event_callbacks=events,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        arrivals = Arrivals(self._on_torque, self._begin_work, self._health.missing)
+        self._torques = arrivals.subscription = subscription(
+            WrenchStamped, 'torque', arrivals, _TORQUE_QOS[self._scene.values['mode']],
+            SubscriptionEventCallbacks(message_lost=self._on_lost, use_default_callbacks=False))
+        self._states = subscription(
+            Odometry, 'initial_state', self._on_state,
+            QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE),
+            SubscriptionEventCallbacks(use_default_callbacks=False))
+
+    def _on_torque(self, data: bytes, sender: Sender) -> None:
+        self._health.count(RECEIVED)
+        try:
+            self._mode.take(data, sender)
+        except RefusedError as refused:
+            self._health.refuse(refused)
+
+    def _begin_work(self) -> None:
+        if self._worker.is_canceled():  # or it goes on in its turn
+            self._work()
+
+    def _work(self) -> None:
+        if self._mode.motion.work():
+            self._worker.cancel()
+        elif self._worker.is_canceled():
+            self._worker.reset()
+
+    def _on_state(self, data: bytes) -> None:
+        try:
+            self._mode.set_state(self._inputs.state(data))
+            self._health.count(STATES)
+        except RefusedError as refused:
+            self._health.refuse_state(refused)
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            response.message = self._mode.reset()
+            response.success = True
+        except RefusedError as refused:
+            response.message = str(refused)
+        return response
+
+    def _on_lost(self, event: Any) -> None:
+        self._health.lost(event.total_count_change)
+
+    def _diagnose(self) -> None:
+        problems = self._mode.check() + self._health.inspect(
+            self._torques, (self._torques, self._states), self._outputs.publishers,
+            self._mode.several_publishers)
+        self._report(problems)
+
+    def _report(self, problems: list[str]) -> None:
+        motion = self._mode.motion
+        epoch = 'waiting for the start' if motion.epoch is None else \
+            f'epoch from {motion.epoch.start.time_ns} ns'
+        self._health.publish(problems, motion.waiting, epoch, self._mode.stamp())
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """
+    Run the node until SIGINT or SIGTERM.
+
+    Raises
+    ------
+    InputError
+        The arguments or parameters are not valid.
+
+    """
+    stop: list[int] = []
+    try:
+        _initialize(sys.argv if arguments is None else ['attitude_node', *arguments])
+        node = AttitudeNode()
+        executor = _executor()
+        executor.add_node(node)
+        # From here on a signal does not cut a callback short.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda number, frame: stop.append(number))
+        interrupts.heed()
+        while not stop:
+            # With a timeout, to hear signals; without one the executor of events may hang.
+            executor.spin_once(timeout_sec=_HEED_EVERY)
+        node.finish(time.monotonic() + _PATIENCE)
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+
+
+def _executor() -> Executor:
+    try:  # a message costs it half of what it costs the other
+        from rclpy.experimental import EventsExecutor
+    except ImportError:  # before Jazzy
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def _initialize(command_line: Sequence[str]) -> None:
+    try:
+        others = remove_ros_args(command_line)[1:]
+        argparse.ArgumentParser(
+            'attitude_node',
+            description='Turn the torques of a topic into attitude.',
+            epilog='The scene comes as ROS parameters: --ros-args --params-file FILE',
+        ).parse_args(others)
+        # The handlers of rclpy would shut ROS down before the last states are published.
+        rclpy.init(args=[*command_line, *_without_log_file()],
+                   signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        raise InputError(' '.join(str(error).split())) from error
+
+
+def _without_log_file() -> list[str]:
+    """Return the arguments that keep rcl from its log file where there is no place for it."""
+    home = Path(os.environ.get('ROS_HOME') or '~/.ros')
+    folder = Path(os.environ.get('ROS_LOG_DIR') or home / 'log').expanduser()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        writable = False
+    else:
+        writable = os.access(folder, os.W_OK)
+    return [] if writable else ['--ros-args', '--disable-external-lib-logs', '--']

@@ -1,0 +1,32 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The time loop: from a start state and a torque log to the motion.
+
+A *segment* runs from one torque change to the next; consecutive samples of zero torque make one
+segment, a *coast*. Inside a segment steps end on a grid that begins with the segment and depends
+only on the state there and the torque. The motion at any other time is one more step from the
+last grid point before it, and nothing later is built on that. So what a caller asks for, and in
+which order, changes no number, and `propagate` and `Propagator` agree bit for bit.
+"""
+
+from rigid_body_ros.propagation.integration import propagate, Run, warm_up
+from rigid_body_ros.propagation.models import Model
+from rigid_body_ros.propagation.options import LONGEST, Options, SOLVERS, TOLERANCES
+from rigid_body_ros.propagation.propagator import Propagator
+from rigid_body_ros.propagation.trajectory import Trajectory
+
+__all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Model', 'Options', 'Propagator', 'Run',
+           'Trajectory', 'propagate', 'warm_up']

@@ -1,0 +1,73 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The motion at the times that were asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros import euler, so3
+from rigid_body_ros.body import RigidBody
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.propagation.models import Answers, Model
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """
+    The motion at the times that were asked for.
+
+    Attributes
+    ----------
+    body : RigidBody
+    times_ns : array of int64, shape (m,)
+    attitude : array, shape (m, 4)
+        x y z w, body to space; the continuous lift from the start, never flipped.
+    angular_velocity : array, shape (m, 3), rad/s, body axes
+
+    """
+
+    body: RigidBody
+    times_ns: NDArray[np.int64]
+    attitude: Floats
+    angular_velocity: Floats
+    _answers: Answers
+
+    def euler_angles(self, sequence: str = 'ZXZ', continuous: bool = False) -> Floats:
+        """Return Euler angles, rad, shape (m, 3); see `euler.from_quaternion`, `euler.unwrap`."""
+        angles = euler.from_quaternion(self.attitude, sequence)
+        return euler.unwrap(angles, sequence) if continuous else angles
+
+    def degenerate(self, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
+        """Return where two of the Euler angles are not determined apart, shape (m,)."""
+        return euler.degenerate(euler.from_quaternion(self.attitude, sequence), sequence)
+
+    @cached_property
+    def models(self) -> tuple[Model, ...]:
+        """Which solver answered, over which spans, and why."""
+        return self._answers.models()
+
+    @cached_property
+    def angular_momentum_space(self) -> Floats:
+        """Angular momentum in space axes, N m s, shape (m, 3)."""
+        return so3.rotate(self.attitude, self.body.angular_momentum(self.angular_velocity))
+
+    @cached_property
+    def kinetic_energy(self) -> Floats:
+        """Kinetic energy, J, shape (m,)."""
+        return self.body.kinetic_energy(self.angular_velocity)
