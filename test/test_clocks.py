@@ -50,6 +50,10 @@ def stamps(live):
     return [message.stamp_ns for message in decoded(live, ATTITUDE, messages.QUATERNION)]
 
 
+def accepted(live):
+    return [message.stamp_ns for message in decoded(live, ACCEPTED, messages.WRENCH)]
+
+
 def wobble(now_ns):
     return [0.01 * np.sin(now_ns * 1e-9), 0.02, 0.01]
 
@@ -197,6 +201,35 @@ def test_a_torque_that_the_clock_does_not_reach_is_refused(domain):
         assert live.stop() == 0
     assert (values['received'], values['refused: future'], values['waiting']) == (4, 3, 0)
     assert len(live.received[ACCEPTED]) == 1
+
+
+@pytest.mark.parametrize('ahead_ns', [2 * SECOND, 7200 * SECOND])
+def test_a_torque_may_overtake_a_clock_that_jumps_back(tmp_path, domain, ahead_ns):
+    begin_ns, torque = 100 * SECOND, [0.0, 0.0, 0.01]
+    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+        run_clock(live, begin_ns + ahead_ns - SECOND, begin_ns + ahead_ns, wobble)
+        settle(live, begin_ns + ahead_ns)
+        live.publish(begin_ns, '', torque)
+        live.spin(0.1)
+        run_clock(live, begin_ns, begin_ns + SECOND // 2)
+        settle(live, begin_ns + SECOND // 2)
+        live.wait_until(lambda: begin_ns in accepted(live), 'the first torque of the next round')
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    np.testing.assert_array_equal(run.committed, run.replay)
+
+
+def test_a_torque_that_is_late_is_refused_where_the_clock_goes_on(domain):
+    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+        run_clock(live, 5 * SECOND, 8 * SECOND, wobble)
+        for _ in range(3):
+            live.publish(5 * SECOND + 1, '', [1.0, 0.0, 0.0])
+        run_clock(live, 8 * SECOND, 9 * SECOND, wobble)
+        settle(live, 9 * SECOND)
+        live.wait_until(lambda: live.diagnosis('torques')[0]['refused: late'] == 3, 'a diagnosis')
+        assert live.stop() == 0
+    assert 5 * SECOND + 1 not in accepted(live)
 
 
 def test_a_torque_ahead_of_a_clock_that_jumps_back(domain):

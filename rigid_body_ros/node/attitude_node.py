@@ -100,9 +100,10 @@ class AttitudeNode(Node):
         parameters.guard()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self._diagnose, clock=steady)
-        #: Runs while torques wait: a slice of work in each turn of the executor.
+        #: Runs while torques or a state wait: a slice of work in each turn of the executor.
         self._worker = self.create_timer(_WORK_EVERY, self._work, clock=steady)
         self._worker.cancel()
+        self._mode.motion.wake = self._worker.reset
 
     def finish(self, until: float) -> None:
         """Publish what is pending by a time of the monotonic clock, and the last diagnosis."""

@@ -55,7 +55,7 @@ class RefusedError(ValueError):
 
 
 class EarlyError(RefusedError):
-    """A torque that is ahead of the clock, which may reach it in a moment."""
+    """A torque that may have overtaken the message of /clock that was sent before it."""
 
 
 class Inputs:

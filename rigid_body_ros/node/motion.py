@@ -80,20 +80,22 @@ class Motion:
         #: Whether the log has torques of an epoch before.
         self._is_logged = False
         self._inbox: deque[Arrival] = deque()
-        #: Those that wait for the clock; others pass them.
-        self._early: deque[Arrival] = deque()
+        #: Those that wait for the clock, by what they are otherwise refused for; others pass them.
+        self._early: dict[str, deque[Arrival]] = {FUTURE: deque(), LATE: deque()}
         #: The torque of the first of them, once it is read, and whether it is applied.
         self._torque: Torque | None = None
         self._is_applied = False
-        #: Time, ns, of the state to publish as soon as no torque waits; 0 if there is none.
+        #: Time, ns, of the state to publish as soon as it is known; 0 if there is none.
         self._owed_ns = 0
+        #: Is called when there is work that no message announces.
+        self.wake: Callable[[], None] = lambda: None
         #: States that are final, to be committed.
         self._settled: list[State] = []
 
     @property
     def waiting(self) -> int:
         """How many torques wait, for the motion or for the clock."""
-        return len(self._inbox) + len(self._early)
+        return len(self._inbox) + sum(map(len, self._early.values()))
 
     @property
     def waiting_time(self) -> float:
@@ -138,13 +140,15 @@ class Motion:
         """
         End the epoch, if there is one; torques that still wait are rejected.
 
+        But those that are too old for it may be for the next one.
+
         Its states are committed by `until`, a time of the monotonic clock, or soon.
         """
         if self._is_applied:  # but the answer takes too long
             self._log(self._torque)
             self._inbox.popleft()
         for line, cause, what in ((self._inbox, OVERLOAD, 'motion'),
-                                  (self._early, FUTURE, 'clock')):
+                                  (self._early[FUTURE], FUTURE, 'clock')):
             for _ in line:
                 self._health.refuse(RefusedError(
                     cause, f'the epoch ended before the {what} got to a torque'))
@@ -172,6 +176,15 @@ class Motion:
                                f'for {waited:.3g} s')
         inbox.append(Arrival(data, sender, time_ns, now))
 
+    def sort_out(self) -> None:
+        """Find those in line that wait for the clock, before the clock ends the epoch."""
+        arrivals = list(self._inbox)
+        self._inbox.clear()
+        for place, arrival in enumerate(arrivals):
+            is_read = place == 0 and self._torque is not None
+            cause = None if is_read else self._early_cause(arrival)
+            (self._inbox if cause is None else self._early[cause]).append(arrival)
+
     def work(self) -> bool:
         """Take torques that wait, for a slice of time; return whether none is left."""
         until = time.monotonic() + _BUDGET
@@ -188,14 +201,15 @@ class Motion:
                 self.publish(self._owed_ns)
         except TimeoutError as error:
             self._too_slow(error)
-        return not self.waiting
+        return not (self.waiting or self._owed_ns)
 
     def publish(self, time_ns: int) -> None:
         """
-        Publish the state at a time, if a slice of work is enough to compute it.
+        Publish the state at a time, now if a slice of work is enough to compute it.
 
-        While torques wait for the motion, the state is not known yet. Then the state at the last
-        time asked for is published after them.
+        While torques wait for the motion, or if it takes longer, the state is not known yet. Then
+        `work` publishes the one at the last time asked for: simulated time may stand still, so
+        that nobody asks again.
         """
         self._owed_ns = time_ns if self._inbox else 0
         if self._owed_ns:
@@ -204,6 +218,8 @@ class Motion:
             state = self.state(time_ns, time.monotonic() + _BUDGET)
         except TimeoutError as error:
             self._too_slow(error)
+            self._owed_ns = time_ns
+            self.wake()
             return
         if state is not None:
             self._outputs.publish(state)
@@ -235,22 +251,29 @@ class Motion:
     def _readable(self, arrival: Arrival) -> Torque | None:
         try:
             return self._read(arrival)
-        except EarlyError:
-            self._early.append(arrival)
+        except EarlyError as early:
+            self._early[early.cause].append(arrival)
         except RefusedError as refused:
             self._health.refuse(refused)
         return None
 
     def _readmit(self) -> None:
-        """Put early torques back in line that the clock has reached, or that waited too long."""
-        while self._early:
-            try:
-                self._read(self._early[0])
-            except EarlyError:
-                return
-            except RefusedError:
-                pass  # counted in its turn
-            self._inbox.append(self._early.popleft())
+        """Put torques that waited for the clock long enough before those that came later."""
+        place = int(self._torque is not None)
+        for line in self._early.values():
+            while line and self._early_cause(line[0]) is None:
+                self._inbox.insert(place, line.popleft())
+                place += 1
+
+    def _early_cause(self, arrival: Arrival) -> str | None:
+        """Return what a torque that waits for the clock is refused for otherwise, or None."""
+        try:
+            self._read(arrival)
+        except EarlyError as early:
+            return early.cause
+        except RefusedError:
+            pass  # counted in its turn
+        return None
 
     def _proceed(self, torque: Torque, until: float) -> None:
         # Apply, answer, log: whoever waits for the answer comes first.
@@ -282,18 +305,25 @@ class Motion:
             self._health.event(SLOW, f'{len(self.epoch.due(2 ** 63))} states could not be '
                                f'computed before the end of their epoch: {error}')
 
+    def check_age(self, stamp_ns: int) -> None:
+        """Raise RefusedError if a torque is too old for the epoch."""
+        newest_ns, history_ns = self.epoch.newest_ns, self.epoch.history_ns
+        if newest_ns is not None and newest_ns - stamp_ns >= history_ns:
+            raise RefusedError(
+                LATE, f'a torque is older than the newest stamp, {newest_ns} ns, by '
+                f'{(newest_ns - stamp_ns) * 1e-9:.9g} s, expected less than history '
+                f'({history_ns * 1e-9:g} s)')
+
     def _apply(self, torque: Torque) -> bool:
         repeated = self.epoch.holds(torque.stamp_ns)
         try:
-            taken = self.epoch.take(torque)
+            self.check_age(torque.stamp_ns)
+            self.epoch.take(torque)
+        except RefusedError as refused:
+            self._health.refuse(refused)
+            return False
         except ValueError as error:  # the motion before it is beyond what can be worked out
             self._health.refuse(RefusedError(NO_STATE, str(error)))
-            return False
-        if not taken:
-            self._health.refuse(RefusedError(
-                LATE, f'a torque is older than the newest stamp, {self.epoch.newest_ns} ns, by '
-                f'{(self.epoch.newest_ns - torque.stamp_ns) * 1e-9:.9g} s, expected less than '
-                f'history ({self.epoch.history_ns * 1e-9:g} s)'))
             return False
         self._health.count(APPLIED)
         if repeated:

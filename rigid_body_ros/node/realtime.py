@@ -147,21 +147,25 @@ class Realtime:
         torque = self._inputs.torque(arrival.data)
         if not torque.stamp_ns or self._values['time_source'] == ARRIVAL:
             torque = torque._replace(stamp_ns=arrival.time_ns)
-        try:
+        if self._simulated:
+            self._check_early(torque.stamp_ns, arrival)
+        else:
             self._check_stamp(torque.stamp_ns, arrival.time_ns)
-        except RefusedError as refused:
-            self._check_again(torque.stamp_ns, arrival, refused)
         return torque
 
-    def _check_again(self, stamp_ns: int, arrival: Arrival, refused: RefusedError) -> None:
-        # A torque may overtake the message of /clock that was sent before it.
-        if not self._simulated or refused.cause != FUTURE:
-            raise refused
+    def _check_early(self, stamp_ns: int, arrival: Arrival) -> None:
+        # A torque may overtake the message of /clock that was sent before it: it is ahead of the
+        # clock, or, where that message sets the clock back, of the epoch before.
         now_ns = self._node.get_clock().now().nanoseconds
-        if _OTHER_CLOCK_NS > stamp_ns - now_ns > self._max_future_ns \
-                and time.monotonic() - arrival.since < _CLOCK_DELAY:
-            raise EarlyError(FUTURE, str(refused))
-        self._check_stamp(stamp_ns, now_ns)
+        try:
+            self._check_stamp(stamp_ns, now_ns)
+            self.motion.check_age(stamp_ns)
+        except RefusedError as refused:
+            is_other = stamp_ns - now_ns >= _OTHER_CLOCK_NS
+            if is_other or time.monotonic() - arrival.since >= _CLOCK_DELAY:
+                raise
+            raise EarlyError(refused.cause, str(refused)) from refused
+
 
     def _publish(self) -> None:
         now_ns = self._now_ns()
@@ -195,6 +199,7 @@ class Realtime:
 
     def _jump_back(self, latest_ns: int, now_ns: int) -> None:
         action = self._values['on_time_jump']
+        self.motion.sort_out()
         self._health.event(TIME_JUMP, f'the clock jumped back by {(latest_ns - now_ns) * 1e-9:.9g}'
                            f' s to {now_ns} ns; on_time_jump: {action}')
         if action == REBASE and self._rebase(latest_ns, now_ns):
