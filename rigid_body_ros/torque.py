@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import instants, NEVER_NS
 from rigid_body_ros.kernels import double_double as dd
-from rigid_body_ros.kernels.double_double import Double
-from rigid_body_ros.kernels.jit import njit, part
+from rigid_body_ros.kernels.double_double import DoubleDouble
+from rigid_body_ros.kernels.jit import internal, njit
 
 FRAMES = ('body', 'space')
 INTERPOLATIONS = ('hold', 'linear', 'cubic')
@@ -267,12 +267,12 @@ def _hermite(times_ns: NDArray[np.int64], values: Floats, first: int, stop: int)
             end[axis, 0], end[axis, 1] = slope
             if node > first:
                 _fill(result[node - 1 - first, :, axis], values[node - 1, axis],
-                      values[at, axis], dd.whole(times_ns[at] - times_ns[node - 1]),
+                      values[at, axis], dd.from_int(times_ns[at] - times_ns[node - 1]),
                       (start[axis, 0], start[axis, 1]), slope)
     return result
 
 
-@part
+@internal
 def _weigh(times_ns: NDArray[np.int64], node: int, begin: int, count: int, weights: Floats,
            spacing: NDArray[np.int64]) -> None:
     # What the rise from a node to each of the samples counts for in the slope, 1/ns: derivatives
@@ -285,17 +285,17 @@ def _weigh(times_ns: NDArray[np.int64], node: int, begin: int, count: int, weigh
     if same:
         return
     for k in range(count):
-        above, below = (1.0, 0.0), dd.whole(spacing[k])
+        above, below = (1.0, 0.0), dd.from_int(spacing[k])
         for m in range(count):
             if spacing[m] != 0 and m != k:
-                above = dd.multiply(above, dd.whole(-spacing[m]))
-                below = dd.multiply(below, dd.whole(spacing[k] - spacing[m]))
+                above = dd.multiply(above, dd.from_int(-spacing[m]))
+                below = dd.multiply(below, dd.from_int(spacing[k] - spacing[m]))
         weights[k, 0], weights[k, 1] = dd.divide(above, below) if spacing[k] != 0 else (0.0, 0.0)
 
 
-@part
-def _fill(row: Floats, here: float, following: float, span: Double, start: Double,
-          end: Double) -> None:
+@internal
+def _fill(row: Floats, here: float, following: float, span: DoubleDouble,
+          start: DoubleDouble, end: DoubleDouble) -> None:
     # The coefficients on one axis, from the values and the slopes, 1/ns, at both ends.
     rise = dd.two_sum(following, -here)
     start, end = dd.multiply(start, span), dd.multiply(end, span)
