@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import euler_angles as kernels
-from rigid_body_ros.kernels.elementary import sines_cosines
+from rigid_body_ros.kernels.elementary_arrays import sines_cosines
 from rigid_body_ros.kernels.jit import njit
 
 #: sin(theta), or cos(theta) for three different axes, below which angles count as degenerate:

@@ -30,7 +30,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import elementary
+from rigid_body_ros.kernels.elementary_arrays import arctangents, sines_cosines
 
 
 def multiply(p: ArrayLike, q: ArrayLike) -> Floats:
@@ -142,7 +142,7 @@ def exp(rotation_vector: ArrayLike) -> Floats:
     """
     rotation_vector = np.asarray(rotation_vector, float)
     half = 0.5 * np.linalg.norm(rotation_vector, axis=-1, keepdims=True)
-    sine, cosine = elementary.sines_cosines(half)
+    sine, cosine = sines_cosines(half)
     sinc = np.divide(sine, half, out=np.ones_like(half), where=half > 0.0)
     imaginary = 0.5 * sinc * rotation_vector
     return np.concatenate([imaginary, cosine], axis=-1)
@@ -167,7 +167,7 @@ def log(q: ArrayLike) -> Floats:
     q = np.asarray(q, float)
     q = np.where(q[..., 3:] < 0.0, -q, q)
     sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
-    angle = 2.0 * elementary.arctangents(sine, q[..., 3:])
+    angle = 2.0 * arctangents(sine, q[..., 3:])
     factor = np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0.0)
     return factor * q[..., :3]
 
@@ -193,5 +193,5 @@ def angle_between(p: ArrayLike, q: ArrayLike) -> Floats:
     p, q = np.asarray(p, float), np.asarray(q, float)
     chord = np.linalg.norm(p - q, axis=-1)
     antipodal = np.linalg.norm(p + q, axis=-1)
-    return np.asarray(4.0 * elementary.arctangents(np.minimum(chord, antipodal),
-                                                   np.maximum(chord, antipodal)))
+    return np.asarray(4.0 * arctangents(np.minimum(chord, antipodal),
+                                        np.maximum(chord, antipodal)))

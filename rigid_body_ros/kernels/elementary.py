@@ -35,7 +35,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels.double_double import (
     add,
@@ -65,7 +64,7 @@ from rigid_body_ros.kernels.elementary_tables import (
     STEPS,
     TURN_PARTS,
 )
-from rigid_body_ros.kernels.jit import fma, inlined, internal, njit
+from rigid_body_ros.kernels.jit import fma, inlined, internal
 
 #: Bounds on the relative error of the quick evaluations.
 _SINE_ERROR, _ANGLE_ERROR = 2.0 ** -65, 2.0 ** -66
@@ -173,58 +172,6 @@ def tanh_sech(x: float) -> tuple[float, float]:
     above = add(growth, multiply(growth, inverse))  # e^x - e^-x without cancellation
     below = add(add(_ONE, growth), inverse)
     return math.copysign(divide(above, below)[0], x), divide(_TWO, below)[0]
-
-
-def sines_cosines(angles: ArrayLike) -> tuple[Floats, Floats]:
-    """
-    Return sines and cosines, correctly rounded; NaN for infinities and NaN.
-
-    Parameters
-    ----------
-    angles : array, shape (...)
-        In rad.
-
-    Returns
-    -------
-    sines, cosines : array, shape (...)
-
-    """
-    flat = np.array(angles, float, order='C')
-    sines, cosines = np.empty(flat.shape), np.empty(flat.shape)
-    _fill_sines_cosines(flat.reshape(-1), sines.reshape(-1), cosines.reshape(-1))
-    return sines, cosines
-
-
-def arctangents(y: ArrayLike, x: ArrayLike) -> Floats:
-    """
-    Return the angles of the points (x, y), correctly rounded; see `arctangent`.
-
-    Parameters
-    ----------
-    y, x : array, shape (...)
-        Broadcast against each other.
-
-    Returns
-    -------
-    array, shape (...), rad
-
-    """
-    points = np.array(np.broadcast_arrays(y, x), float)
-    angles = np.empty(points.shape[1:])
-    _fill_arctangents(points.reshape(2, -1), angles.reshape(-1))
-    return angles
-
-
-@njit
-def _fill_sines_cosines(angles: Floats, sines: Floats, cosines: Floats) -> None:
-    for row in range(len(angles)):
-        sines[row], cosines[row] = sine_cosine(float(angles[row]))
-
-
-@njit
-def _fill_arctangents(points: Floats, angles: Floats) -> None:
-    for row in range(len(angles)):
-        angles[row] = arctangent(float(points[0, row]), float(points[1, row]))
 
 
 @inlined

@@ -64,8 +64,8 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: Rounding error of numbers of 32 digits, and the relative error of m_c that is accepted: near
-#: the separatrix m_c is a difference of such numbers. With more, the series is more accurate.
+#: Relative rounding error of numbers of 32 digits, and largest accepted relative error of m_c,
+#: which near the separatrix is a difference of such numbers. Above, the series is more accurate.
 _ROUNDING, _ACCEPTED = 1e-31, 1e-12
 #: Delta_1 or Delta_3 below which a body turns about a principal axis.
 _NEGLIGIBLE = 1e-70
@@ -213,12 +213,14 @@ def _renamed(body: _Principal, invariants: _Invariants) -> tuple[_Principal, _In
     # Name the axes such that m stays in the half space around axis 3.
     w, m, e, i, axes, scale, sign = body
     if invariants.delta_2[0] < 0.0:  # axes 3, -2, 1: all differences change their signs
-        i, m = (i[2], i[1], i[0]), (m[2], dd.negative(m[1]), m[0])
+        i, e = (i[2], i[1], i[0]), (e[2], e[1], e[0])
+        m, w = (m[2], dd.negative(m[1]), m[0]), (w[2], dd.negative(w[1]), w[0])
         axes, sign = (axes[2], four.negative(axes[1]), axes[0]), -1.0
         i21, i31, i32, delta_1, delta_2, delta_3 = invariants
         invariants = _Invariants(i32, i31, i21, delta_3, dd.negative(delta_2), delta_1)
     if m[2][0] < 0.0:
         m = (dd.negative(m[0]), m[1], dd.negative(m[2]))
+        w = (dd.negative(w[0]), w[1], dd.negative(w[2]))
         axes = (four.negative(axes[0]), axes[1], four.negative(axes[2]))
     return _Principal(w, m, e, i, axes, scale, sign), invariants
 
