@@ -52,7 +52,7 @@ setup(
     ]},
     python_requires='>=3.10',
     # The kernels build on numba's internals: only the tested range.
-    install_requires=['PyYAML', 'lz4', 'matplotlib>=3.5', 'mcap>=1.0', 'numba>=0.58,<0.69',
+    install_requires=['PyYAML', 'lz4', 'matplotlib>=3.5', 'mcap>=1.0', 'numba>=0.55,<0.69',
                       'numpy', 'scipy', 'tqdm', 'zstandard'],
     extras_require={
         # ROS 2 with Fast DDS, as wheels: Kilted, or Jazzy in an environment of its own.
