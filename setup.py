@@ -51,15 +51,16 @@ setup(
         f'attitude_tradeoff = {NAME}.cli:attitude_tradeoff',
     ]},
     python_requires='>=3.10',
-    install_requires=['PyYAML', 'lz4', 'matplotlib>=3.5', 'mcap>=1.0', 'numba', 'numpy', 'tqdm',
-                      'zstandard'],
+    # The kernels build on numba's internals: only the tested range.
+    install_requires=['PyYAML', 'lz4', 'matplotlib>=3.5', 'mcap>=1.0', 'numba>=0.55,<0.69',
+                      'numpy', 'scipy', 'tqdm', 'zstandard'],
     extras_require={
         # ROS 2 with Fast DDS, as wheels: Kilted, or Jazzy in an environment of its own.
         'ros': [f'ros-{package}' for package in ROS_PACKAGES],
         'jazzy': [f'ros-jazzy-{package}' for package in ROS_PACKAGES],
         'test': ['colcon-bash', 'colcon-core', 'colcon-recursive-crawl', 'colcon-ros',
                  'colcon-test-result', 'hypothesis', 'import-linter', 'mcap-ros2-support',
-                 'mpmath', 'mypy', 'psutil', 'pytest', 'pytest-xdist', 'rosbags', 'ruff', 'scipy',
+                 'mpmath', 'mypy', 'psutil', 'pytest', 'pytest-xdist', 'rosbags', 'ruff',
                  'setuptools>=70', 'types-PyYAML', 'types-tqdm',
                  # The linters of ROS that PyPI has, and what they run.
                  'ros-ament-flake8', 'ros-ament-pep257', 'flake8', 'flake8-blind-except',
@@ -68,7 +69,7 @@ setup(
                  'pydocstyle'],
         'docs': ['myst-parser', 'sphinx', 'sphinx-rtd-theme'],
         'bench': ['bsk', 'cyrk', 'drake', 'heyoka', 'mcap-ros2-support', 'mpmath', 'mujoco',
-                  'psutil', 'scipy'],
+                  'psutil'],
     },
     zip_safe=False,
 )

@@ -175,11 +175,9 @@ def streamed(motion, solver, number):
     reached, dropped, front = motion.start.time_ns - 1, 0, 0
     for cut in [*cuts, None]:
         rows = slice(front, None if cut is None else cut + 1 + _BESIDE)
-        frames = np.where(log.in_space[rows], 'space', 'body').tolist()
-        piece = TorqueLog(log.times_ns[rows], log.torques[rows], frames, log.interpolation)
         end = int(at[-1] if cut is None else log.times_ns[cut])
         asked = at[(at > reached) & (at <= end)]
-        trajectory = run.advance(piece, asked, dropped=dropped,
+        trajectory = run.advance(log.rows(rows), asked, dropped=dropped,
                                  stop=None if cut is None else cut - front)
         yield trajectory.attitude
         yield trajectory.angular_velocity

@@ -64,12 +64,12 @@ def plain(motion: bits.Motion, kind: str, number: int = 0, solvers: dict | None 
 
 def motion_of(values: dict) -> bits.Motion:
     """Return the motion that `plain` wrote."""
-    frames = np.where(np.array(values['in_space'], bool), 'space', 'body').tolist()
+    in_space = np.array(values['in_space'], bool)
     torques = np.array(values['torques'], float).reshape(-1, 3)
     return bits.Motion(
         RigidBody(values['inertia']),
         State(values['time_ns'], values['attitude'], values['rates']),
-        TorqueLog(values['times_ns'], torques, frames or 'body', values['interpolation']),
+        TorqueLog(values['times_ns'], torques, in_space, values['interpolation']),
         np.array(values['at'], np.int64), values['options'], values['max_step'])
 
 

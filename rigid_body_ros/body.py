@@ -15,32 +15,36 @@
 """
 The rigid body, its state, and the relations between torque, momentum and rotation.
 
-Body axes unless a name says `_space`. Formulas as in Goldstein, Classical Mechanics, chapters
-4 and 5.
+Vectors are in body axes unless their name ends in `_space`. Formulas as in Goldstein, Classical
+Mechanics, chapters 4 and 5.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 from rigid_body_ros import so3, urdf
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, written
+from rigid_body_ros.common.errors import quoted
 from rigid_body_ros.common.times import instant
 from rigid_body_ros.kernels import tensor as constants
 
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
 Result = TypeVar('Result')
 
-#: Relative size of what rounding may do to a tensor that was rotated or put together in doubles.
+#: Relative rounding error that is accepted in a tensor that was rotated or summed in doubles.
 ROUNDING = 1e-12
-#: Largest `triangle_excess` that is taken. Published tensors are rounded to two or three digits,
-#: which puts thin plates beyond what a distribution of mass can have; the motion is well defined.
+#: Largest accepted `triangle_excess`. Published tensors are rounded to two or three digits, so
+#: those of thin plates may be slightly unphysical; their motion is well defined.
 TRIANGLE_EXCESS = 0.03
-#: Bound on the relative rounding error of a weighted sum over up to a million point masses, where
-#: numpy adds in pairs.
+#: Bound on the relative rounding error of a weighted sum over up to a million point masses with
+#: numpy's pairwise summation.
 _SUMMED = 40.0 * np.finfo(float).eps
 
 
@@ -51,19 +55,19 @@ class RigidBody:
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
-        Inertia about the centre of mass in body axes; the entries of the matrix itself, so that
-        the products of inertia stand with the sign they have there (as in URDF).
+        Inertia about the centre of mass, body axes. The products of inertia are the entries of
+        the matrix itself, with their sign there (as in URDF).
 
     Attributes
     ----------
-    inertia : array, shape (3, 3), kg m^2
+    inertia : array, shape (3, 3), kg m^2, body axes
     principal_moments : array, shape (3,), kg m^2
         In ascending order.
     principal_axes : array, shape (3, 3)
-        The axes of those moments as columns, in body axes, right-handed.
+        The axes of these moments as columns, in body axes, right-handed.
     triangle_excess : float
-        By how much, relatively, the largest principal moment exceeds the sum of the other two:
-        zero for any real body, up to `TRIANGLE_EXCESS` where published digits were rounded.
+        Excess of the largest principal moment over the sum of the other two, relative to the
+        sum: zero for any real body, up to `TRIANGLE_EXCESS` for a tensor with rounded digits.
     symmetry : str
         'sphere', 'symmetric top' or 'asymmetric top': how many moments agree within rounding.
 
@@ -71,26 +75,34 @@ class RigidBody:
     ------
     ValueError
         The tensor is not 3 by 3, finite, symmetric and positive definite, or its largest
-        principal moment exceeds the sum of the others by more than rounded digits explain.
+        principal moment exceeds the sum of the others by more than `TRIANGLE_EXCESS`.
 
     """
 
     def __init__(self, tensor: ArrayLike) -> None:
         self.inertia = _checked_tensor(tensor)
-        #: Principal moments (2, 3) and axes (2, 3, 3), each with what rounding took from them.
-        self._principal = _worked_out(constants.principal, self.inertia)
+        #: Principal moments (2, 3) and axes (2, 3, 3), each with the low-order parts.
+        self._principal = _computed(constants.principal, self.inertia)
         self.principal_moments, self.principal_axes = (high.copy() for high, _ in self._principal)
         self.triangle_excess = _checked_excess(self.principal_moments)
         self.symmetry = _symmetry(self.principal_moments)
         #: Euler's equations (2, 3, 9), and all that the kernels need to know.
-        self._coefficients = _worked_out(constants.euler_coefficients, self.inertia)
+        self._coefficients = _computed(constants.euler_coefficients, self.inertia)
         self._constants = constants.packed(self._coefficients, *self._principal)
         self.inertia.flags.writeable = False
 
     @classmethod
     def from_moments(cls, ixx: float, iyy: float, izz: float,
                      ixy: float = 0.0, ixz: float = 0.0, iyz: float = 0.0) -> RigidBody:
-        """Build a body from the six entries of its tensor, kg m^2; errors as for the class."""
+        """
+        Build a body from the six entries of its inertia tensor; errors as for the class.
+
+        Parameters
+        ----------
+        ixx, iyy, izz, ixy, ixz, iyz : float, kg m^2
+            About the centre of mass, body axes; the entries of the matrix itself (as in URDF).
+
+        """
         return cls([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
 
     @classmethod
@@ -103,13 +115,17 @@ class RigidBody:
         masses : array, shape (n,), kg
             Each greater than zero.
         positions : array, shape (n, 3), m
-            In body axes; any origin: the tensor is taken about the common centre of mass.
+            In body axes, from any origin: the tensor is about the common centre of mass.
+
+        Returns
+        -------
+        RigidBody
 
         Raises
         ------
         ValueError
-            A mass is not positive and finite, the shapes do not agree, or the masses lie on one
-            line within rounding: nearer to it than about 1e-7 of its length, or 1e-14 of the
+            A mass is not positive and finite, the shapes do not match, or the masses lie on one
+            line within rounding: closer to it than about 1e-7 of its length, or 1e-14 of the
             distance from the origin.
 
         """
@@ -119,7 +135,7 @@ class RigidBody:
                              f'found {masses.shape} and {positions.shape}')
         if not (masses.size and np.all(masses > 0.0) and np.isfinite(masses).all()):
             raise ValueError(f'expected finite masses greater than zero, found {masses.tolist()}')
-        columns = np.ascontiguousarray(positions.T)  # numpy adds in pairs along rows only
+        columns = np.ascontiguousarray(positions.T)  # numpy sums in pairs along rows only
         arms = columns - (masses * columns).sum(axis=1)[:, None] / masses.sum()
         squares = ((masses * arms)[:, None] * arms).sum(axis=2)
         tensor = _checked_tensor(np.trace(squares) * np.eye(3) - squares)
@@ -129,44 +145,52 @@ class RigidBody:
     @classmethod
     def from_urdf(cls, text: str, link: str = '') -> RigidBody:
         """
-        Build a body from the <inertial> of a URDF link; body axes are those of the link.
+        Build a body from the <inertial> of a URDF link; the body axes are those of the link.
 
-        The rotation rpy of its <origin> turns the tensor. The shift xyz does not change it: it is
-        about the centre of mass, wherever that lies. Links fixed to this one are not added.
+        The rotation rpy of <origin> is applied to the tensor. The position xyz is not: the tensor
+        is about the centre of mass. Links that are fixed to this one are not added.
 
         Parameters
         ----------
         text : str
-            The file itself (such as ROS's robot_description), after xacro.
+            Contents of the file (such as ROS's robot_description), after xacro.
         link : str
-            May be empty where only one link has an <inertial>.
+            Name of the link; may be empty if only one link has an <inertial>.
+
+        Returns
+        -------
+        RigidBody
 
         Raises
         ------
         ValueError
-            As `urdf.inertia` has it, or the tensor is none, as for the class.
+            As `urdf.inertia`, or the tensor is not that of a body; see the class.
 
         """
         return cls(urdf.inertia(text, link))
 
+    def __repr__(self) -> str:
+        return (f'RigidBody({self.symmetry}, principal moments '
+                f'{written(self.principal_moments)} kg m^2)')
+
     def moment_about(self, axis: ArrayLike) -> float:
-        """Return the moment of inertia n J n, kg m^2, about an axis through the centre of mass."""
+        """Return the moment of inertia n . J n, kg m^2, about an axis, shape (3,), any length."""
         direction = so3.normalize(axis)
         return float(np.sum(direction * self.angular_momentum(direction)))
 
     def angular_momentum(self, angular_velocity: ArrayLike) -> Floats:
-        """Return L = J w, N m s, body axes, shape (..., 3)."""
+        """Return the angular momentum J w, N m s, body axes, shape (..., 3), of w in rad/s."""
         return _combined(np.asarray(angular_velocity, float), self.inertia)
 
     def kinetic_energy(self, angular_velocity: ArrayLike) -> Floats:
-        """Return w J w / 2, J, shape (...)."""
+        """Return the kinetic energy w . J w / 2, J, shape (...), of w in rad/s, (..., 3)."""
         w = np.asarray(angular_velocity, float)
         return 0.5 * np.sum(w * self.angular_momentum(w), axis=-1)
 
     def angular_acceleration(self, angular_velocity: ArrayLike,
                              torque: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
         """
-        Return dw/dt, rad/s^2, from Euler's equations J dw/dt = (J w) x w + tau.
+        Return the angular acceleration from Euler's equations J dw/dt = (J w) x w + tau.
 
         Parameters
         ----------
@@ -177,7 +201,7 @@ class RigidBody:
 
         Returns
         -------
-        array, shape (..., 3)
+        array, shape (..., 3), rad/s^2, body axes
 
         """
         w, torque = np.broadcast_arrays(np.asarray(angular_velocity, float), torque)
@@ -185,13 +209,25 @@ class RigidBody:
         return _combined(products, self._coefficients[0].T)
 
     def torque(self, angular_velocity: ArrayLike, angular_acceleration: ArrayLike) -> Floats:
-        """Return the body torque tau = (dL/dt)_space in body axes, N m, shape (..., 3)."""
+        """
+        Return the torque tau = (dL/dt)_space that causes an angular acceleration.
+
+        Parameters
+        ----------
+        angular_velocity, angular_acceleration : array, shape (..., 3), body axes
+            In rad/s and rad/s^2; broadcast against each other.
+
+        Returns
+        -------
+        array, shape (..., 3), N m, body axes
+
+        """
         change = self.angular_momentum(angular_acceleration)
         return rate_in_space(change, angular_velocity, self.angular_momentum(angular_velocity))
 
 
 def _combined(factors: Floats, rows: Floats) -> Floats:
-    # The product factors @ rows, added up in order: that of BLAS depends on the processor.
+    # The product factors @ rows, summed in order: the order of BLAS depends on the processor.
     total = factors[..., :1] * rows[0]
     for k in range(1, len(rows)):
         total = total + factors[..., k:k + 1] * rows[k]
@@ -208,14 +244,14 @@ def rate_in_space(rate_in_body: ArrayLike, angular_velocity: ArrayLike,
     rate_in_body : array, shape (..., 3)
         Time derivative of the body components of A.
     angular_velocity : array, shape (..., 3), rad/s, body axes
-        Of the body, w: that of its axes against those of space.
-    vector : array, shape (..., 3)
-        A, body axes.
+        Angular velocity w of the body relative to space.
+    vector : array, shape (..., 3), body axes
+        The vector A.
 
     Returns
     -------
-    array, shape (..., 3)
-        In body axes.
+    array, shape (..., 3), body axes
+        Per second, in the units of A.
 
     """
     w, a = np.asarray(angular_velocity, float), np.asarray(vector, float)
@@ -233,16 +269,17 @@ class State:
 
     Parameters
     ----------
-    time_ns : int
-    attitude : array, shape (4,)
-        x y z w, maps body vectors to space vectors. Normalised, unless it is of unit length
-        within 4 eps already.
+    time_ns : int, ns
+    attitude : array, shape (4,), or scipy.spatial.transform.Rotation
+        Quaternion x y z w that maps body vectors to space vectors. It is normalised, unless its
+        norm is 1 within 4 eps.
     angular_velocity : array, shape (3,), rad/s, body axes
 
     Raises
     ------
     ValueError
-        A component is not finite, the quaternion is zero, or the time does not fit int64.
+        A shape does not match, a component is not finite, the quaternion is zero, or the time
+        does not fit int64.
     TypeError
         The time is not an integer.
 
@@ -268,11 +305,14 @@ class State:
             object.__setattr__(state, name, value)
         return state
 
-    def __init__(self, time_ns: int = 0, attitude: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+    def __init__(self, time_ns: int = 0,
+                 attitude: ArrayLike | Rotation = (0.0, 0.0, 0.0, 1.0),
                  angular_velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        if hasattr(attitude, 'as_quat'):  # a SciPy Rotation: SciPy itself takes long to import
+            attitude = attitude.as_quat()
         q = _checked_vector(attitude, 4, 'attitude quaternion (x, y, z, w)')
         if not q.any():
-            raise ValueError('attitude quaternion (x, y, z, w): expected a rotation, '
+            raise ValueError('attitude quaternion (x, y, z, w): expected a non-zero quaternion, '
                              f'found {q.tolist()}')
         if abs(np.sqrt(np.sum(q * q)) - 1.0) > 4.0 * np.finfo(float).eps:
             q = so3.normalize(q)
@@ -280,11 +320,16 @@ class State:
         packed = np.concatenate([w, [0.0], q, np.zeros(8)])
         self.__dict__.update(self._as_computed(instant(time_ns), packed).__dict__)
 
+    def __repr__(self) -> str:
+        return (f'State(time {self.time_ns} ns, attitude xyzw {written(self.attitude)}, '
+                f'angular velocity {written(self.angular_velocity)} rad/s)')
+
 
 def _checked_vector(values: ArrayLike, size: int, what: str) -> Floats:
     vector = np.array(values, float)
     if vector.shape != (size,) or not np.all(np.isfinite(vector)):
-        raise ValueError(f'{what}: expected {size} finite numbers, found {vector.tolist()}')
+        raise ValueError(f'{what}: expected {size} finite numbers, '
+                         f'found {quoted(vector.tolist())}')
     return vector
 
 
@@ -298,24 +343,24 @@ def _checked_tensor(values: ArrayLike) -> Floats:
 
 
 def _check_thickness(tensor: Floats, mass: float, distance: float) -> None:
-    """Raise ValueError if rounding alone may make the smallest moment of point masses."""
+    """Raise ValueError if the smallest moment of point masses may be a rounding error."""
     moments = np.linalg.eigvalsh(tensor)
-    # That of the sums, and that of the positions and of the centre of mass.
+    # Rounding errors of the sums, and of the positions and the centre of mass.
     rounding = _SUMMED * moments[2] + mass * (_SUMMED * distance) ** 2
     if moments[0] <= rounding:
-        raise ValueError('inertia: expected a positive definite tensor, found masses that lie on '
+        raise ValueError('inertia: expected a positive definite tensor, found masses that are on '
                          f'one line within rounding: principal moments {moments.tolist()} kg m^2')
 
 
 def _checked_excess(moments: Floats) -> float:
     smallest, middle, largest = moments
-    found = f'found principal moments {smallest:.17g}, {middle:.17g}, {largest:.17g} kg m^2'
+    found = f'principal moments {smallest:.17g}, {middle:.17g}, {largest:.17g} kg m^2'
     if smallest <= 0.0:
-        raise ValueError(f'inertia: expected a positive definite tensor, {found}')
+        raise ValueError(f'inertia: expected a positive definite tensor, found {found}')
     excess = float(largest / (smallest + middle) - 1.0)
     if excess > TRIANGLE_EXCESS:
-        raise ValueError(f'inertia: {found}; in no rigid body does the largest exceed the sum '
-                         'of the other two')
+        raise ValueError(f'inertia: not physical, {found}: the largest exceeds the sum of the '
+                         f'other two by {100 * excess:.3g} % (limit {100 * TRIANGLE_EXCESS:g} %)')
     return excess if excess > ROUNDING else 0.0
 
 
@@ -324,9 +369,9 @@ def _symmetry(moments: Floats) -> str:
     return ('asymmetric top', 'symmetric top', 'sphere')[int(close.sum())]
 
 
-def _worked_out(constant: Callable[[Floats], Result], tensor: Floats) -> Result:
+def _computed(constant: Callable[[Floats], Result], tensor: Floats) -> Result:
     try:
         return constant(tensor)
     except ArithmeticError:
-        raise ValueError('inertia: expected moments that are, and whose inverse is, a finite '
-                         f'number, found {tensor.tolist()}') from None
+        raise ValueError('inertia: expected moments whose values and inverses fit a double, '
+                         f'found {tensor.tolist()}') from None

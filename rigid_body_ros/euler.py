@@ -13,17 +13,17 @@
 # limitations under the License.
 
 """
-Euler angles: the twelve sequences, as data.
+Euler angles, in any of the twelve sequences.
 
 A sequence is named as in SciPy: three axes, upper case for intrinsic rotations (each about an
-axis of the turned body), lower case for extrinsic ones (about the axes fixed in space). 'ZXZ' is
-3-1-3: phi about space Z, theta about the line of nodes, psi about body z. All angles are active,
-in rad: they take vectors from body to space components.
+axis of the rotated body), lower case for extrinsic ones (about axes fixed in space). 'ZXZ' is
+3-1-3: phi about space Z, theta about the line of nodes, psi about body z. All angles are in rad
+and active: the rotation maps body vectors to space vectors.
 
-Attitude and angles are converted with 65 bits or more and rounded once: there and back they differ
-by less than 1e-15 rad, at the poles as anywhere. Rounding itself, half the 4.4e-16 to 8.9e-16
-between neighbouring doubles, is nearly all of that. All results have the same bits on every
-machine.
+Conversions are computed with at least 65 bits and rounded once. A conversion to angles and back
+changes an attitude by less than 1e-15 rad, at the poles too. Nearly all of that is the rounding
+of the angles: neighbouring doubles are 4.4e-16 to 8.9e-16 apart. All results have the same bits on
+every machine.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import euler_angles as kernels
-from rigid_body_ros.kernels.elementary import sines_cosines
+from rigid_body_ros.kernels.elementary_arrays import sines_cosines
 from rigid_body_ros.kernels.jit import njit
 
-#: sin(theta), or cos(theta) for three different axes, below which the outer two angles are
-#: reported as not determined apart.
+#: sin(theta), or cos(theta) for three different axes, below which angles count as degenerate:
+#: only the sum or the difference of the first and third angle is determined.
 DEGENERATE = 1e-7
 _TURN = 2.0 * np.pi
-#: Divided by less, a rate would overflow.
+#: Below, a rate divided by it may overflow.
 _VANISHING = 1e-290
-#: The same within rounding: the attitude says nothing of one of their combinations.
+#: The same within rounding: the sum or the difference is not determined at all.
 _UNDETERMINED = 1e-15
 
 
@@ -55,9 +55,9 @@ class _Axes(NamedTuple):
     j: int
     k: int
     proper: bool
-    #: +1 where i, j and the third axis are right-handed, else -1.
+    #: 1 if i, j and the third axis are right-handed, else -1.
     parity: int
-    #: Whether the angles stand in reverse order: extrinsic x y z is intrinsic z y x.
+    #: Whether the angles are in reverse order: extrinsic x y z is intrinsic z y x.
     extrinsic: bool
 
 
@@ -66,15 +66,15 @@ def _axes(sequence: str) -> _Axes:
     letters = [*sequence.lower()] if sequence in (sequence.lower(), sequence.upper()) else []
     if (len(letters) != 3 or not set(letters) <= set('xyz') or letters[0] == letters[1]
             or letters[1] == letters[2]):
-        raise ValueError("Euler sequence: expected three of X, Y, Z such as 'ZXZ' (intrinsic) or "
-                         f"'xyz' (extrinsic), no two neighbours alike, found {sequence!r}")
+        raise ValueError("Euler sequence: expected three axes such as 'ZXZ' (intrinsic) or 'xyz' "
+                         f'(extrinsic), with different neighbours, found {sequence!r}')
     extrinsic = sequence.islower()
     i, j, k = ('xyz'.index(letter) for letter in (reversed(letters) if extrinsic else letters))
     return _Axes(i, j, k, i == k, 1 if (j - i) % 3 == 1 else -1, extrinsic)
 
 
 def check_sequence(sequence: str) -> None:
-    """Raise ValueError if a sequence is none of the twelve."""
+    """Raise ValueError if a sequence is not one of the twelve."""
     _axes(sequence)
 
 
@@ -85,9 +85,9 @@ def to_quaternion(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     Parameters
     ----------
     angles : array, shape (..., 3), rad
-        In the order of the sequence, of any size: one turn more of one of them gives -q.
+        In the order of the sequence, of any size: adding 2 pi to one of them gives -q.
     sequence : str
-        Three axes, no two neighbours alike: upper case intrinsic, lower case extrinsic.
+        Three axes, with different neighbours: upper case intrinsic, lower case extrinsic.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def to_quaternion(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     Raises
     ------
     ValueError
-        The sequence is none of the twelve.
+        The sequence is not one of the twelve.
 
     """
     axes = _axes(sequence)
@@ -112,31 +112,31 @@ def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
     Return the Euler angles of an attitude.
 
-    Half-sum and half-difference of the outer angles come from one arctangent each, without
-    thresholds (Bernardes and Viollet, "Quaternion to Euler angles conversion", PLoS ONE 2022;
-    for 'ZXZ': `theta = 2 atan2(|x, y|, |w, z|)`, (phi + psi) / 2 = atan2(z, w), (phi - psi) / 2
-    = atan2(y, x)). Where only one of the two is determined, it is kept exact and split evenly.
-    The rounded first and third turn have nearly one axis near a pole, where their errors would
-    add up: so the third takes back as much of the first one's as lies along its own axis.
+    Half the sum and half the difference of the first and third angle come from one arctangent
+    each, without thresholds (Bernardes and Viollet, "Quaternion to Euler angles conversion", PLoS
+    ONE 2022; for 'ZXZ': `theta = 2 atan2(|x, y|, |w, z|)`, (phi + psi) / 2 = atan2(z, w),
+    (phi - psi) / 2 = atan2(y, x)). If only one of the two is determined, it is kept exact and
+    split evenly. Near a pole the first and third rotation have nearly the same axis, so their
+    rounding errors would add up: the third angle corrects the component of the first one's error
+    along its own axis.
 
     Parameters
     ----------
     attitude : array, shape (..., 4)
-        x y z w, body to space; unit norm is not needed. If it is zero or not finite, the angles
-        are NaN.
+        x y z w, body to space, of any norm. If it is zero or not finite, the angles are NaN.
     sequence : str
         As for `to_quaternion`.
 
     Returns
     -------
     array, shape (..., 3), rad
-        In the order of the sequence. First and last axis alike: [0, 2 pi), [0, pi], [0, 2 pi).
-        All different: (-pi, pi], [-pi/2, pi/2], (-pi, pi].
+        In the order of the sequence. If the first and third axis are the same: [0, 2 pi),
+        [0, pi], [0, 2 pi). If all axes differ: (-pi, pi], [-pi/2, pi/2], (-pi, pi].
 
     Raises
     ------
     ValueError
-        The sequence is none of the twelve.
+        The sequence is not one of the twelve.
 
     """
     axes = _axes(sequence)
@@ -149,19 +149,19 @@ def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
 def degenerate(angles: ArrayLike, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
     """
-    Return where only the sum or the difference of the outer two angles is determined.
+    Return where only the sum or the difference of the first and third angle is determined.
 
     Parameters
     ----------
     angles : array, shape (..., 3), rad
-        In the order of the sequence. Only the middle one tells.
+        In the order of the sequence. Only the middle one matters.
     sequence : str
-        As for `to_quaternion`. Where all axes differ the poles are at +-pi/2, else at 0 and pi.
+        As for `to_quaternion`. The poles are at +-pi/2 if all axes differ, else at 0 and pi.
 
     Returns
     -------
     array of bool, shape (...)
-        Whether the line of nodes is shorter than `DEGENERATE`.
+        Whether the sine (cosine, if all axes differ) of the middle angle is below `DEGENERATE`.
 
     """
     middle = np.asarray(angles, float)[..., 1]
@@ -171,10 +171,10 @@ def degenerate(angles: ArrayLike, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
 
 def rotation_axes(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
-    Return the unit axes that the three angles turn about, in body components.
+    Return the unit axes of the three rotations, in body components.
 
     For 'ZXZ' they are space Z, the line of nodes n and body z. The middle one is perpendicular
-    to both others, which lie along one line where the angles are degenerate.
+    to the others, which are parallel if the angles are degenerate.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def rotation_axes(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     Returns
     -------
     array, shape (..., 3, 3)
-        One axis a row, in the order of the sequence.
+        One axis per row, in the order of the sequence.
 
     """
     axes = _axes(sequence)
@@ -198,7 +198,7 @@ def rotation_axes(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
 def angular_velocity(angles: ArrayLike, rates: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
-    Return the body angular velocity of Euler rates: each rate about its axis, summed.
+    Return the angular velocity of Euler rates: the sum of each rate times its axis.
 
     For 'ZXZ' (Goldstein, equation 4.87):
     w1 = phi' sin theta sin psi + theta' cos psi,
@@ -223,13 +223,13 @@ def angular_velocity(angles: ArrayLike, rates: ArrayLike, sequence: str = 'ZXZ')
 
 def rates(angles: ArrayLike, angular_velocity: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
-    Return the Euler rates of a body angular velocity.
+    Return the Euler rates of an angular velocity.
 
     For 'ZXZ': phi' = (w1 sin psi + w2 cos psi) / sin theta, theta' = w1 cos psi - w2 sin psi,
-    psi' = w3 - phi' cos theta. Near the poles phi' and psi' grow without bound, their sum (at
-    theta = 0) or difference (at pi) does not; `degenerate` tells where. Where the line of nodes
-    vanishes altogether, that sum or difference is returned, split evenly, and the part of the
-    angular velocity that no finite rates give is left out.
+    psi' = w3 - phi' cos theta. Near the poles (see `degenerate`) phi' and psi' grow without bound,
+    but their sum (at theta = 0) or difference (at theta = pi) does not. At a pole, that sum or
+    difference is returned, split evenly; the component of the angular velocity that no finite
+    rates produce is ignored.
 
     Parameters
     ----------
@@ -260,20 +260,22 @@ def rates(angles: ArrayLike, angular_velocity: ArrayLike, sequence: str = 'ZXZ')
 
 def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     """
-    Return a trajectory's angles without jumps.
+    Return the angles of a trajectory without jumps.
 
-    Of all triples that name the same attitude, (a, b, c) + 2 pi k and (a + pi, -b, c + pi) +
-    2 pi k (with pi - b for three different axes), each sample takes the one nearest to the
-    sample before. So the middle angle may leave its domain: where theta passes through zero it
-    goes on to negative values while phi stays. Exactly at a pole, what the attitude leaves open
-    is taken from the sample before (from the one after, at the beginning).
+    Several triples describe the same attitude: (a, b, c) + 2 pi k and (a + pi, -b, c + pi) +
+    2 pi k (with pi - b for three different axes). For each sample, the one closest to the
+    previous sample is chosen. So the middle angle may leave its range: where theta passes through
+    zero, it becomes negative and phi does not jump. Exactly at a pole, the combination of angles
+    that the attitude does not determine is copied from the previous sample (at the beginning,
+    from the next one).
 
     Parameters
     ----------
     angles : array, shape (m, 3), rad
-        Close enough in time for the nearest triple to be the right one.
+        In the order of the sequence, from samples so close in time that the closest triple is
+        the right one.
     sequence : str
-        Of these angles: it tells which triples name the same attitude.
+        Sequence of the angles, as for `to_quaternion`.
 
     Returns
     -------
@@ -290,7 +292,7 @@ def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
 @njit
 def _chain(angles: Floats, anchor: int, poles: Floats, proper: bool) -> None:
-    # Rows after the anchor follow the one before them, rows before it the one after them.
+    # Each row follows its neighbour on the side of the anchor.
     for row in range(anchor + 1, len(angles)):
         _follow(angles[row], angles[row - 1], poles[row], proper)
     for row in range(anchor - 1, -1, -1):
@@ -300,7 +302,7 @@ def _chain(angles: Floats, anchor: int, poles: Floats, proper: bool) -> None:
 @njit
 def _follow(triple: Floats, last: Floats, pole: float, proper: bool) -> None:
     a, b, c = triple
-    if pole != 0.0:  # a + pole c is determined, a - pole c is free to stay as it was
+    if pole != 0.0:  # a + pole c is determined; a - pole c is not, and stays as it was
         free = last[0] - pole * last[2]
         determined = _nearest(a + pole * c, last[0] + pole * last[2])
         triple[0] = 0.5 * (determined + free)
@@ -331,8 +333,8 @@ def _intrinsic(angles: ArrayLike, axes: _Axes) -> Floats:
 
 
 def _triad(angles: ArrayLike, axes: _Axes) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    # Body axis of the last turn, line of nodes, and the unit vector across: right-handed or
-    # left-handed, such that the first axis is cosine * outer + sine * across.
+    # Body axis of the last rotation, line of nodes, and the unit vector perpendicular to both, of
+    # the sign for which the first axis is cosine * outer + sine * across.
     _, middle, last = np.moveaxis(_intrinsic(angles, axes), -1, 0)
     unit = np.eye(3)
     sine, cosine = _sine_cosine(middle, axes)
@@ -344,6 +346,6 @@ def _triad(angles: ArrayLike, axes: _Axes) -> tuple[Floats, Floats, Floats, Floa
 
 
 def _sine_cosine(middle: Floats, axes: _Axes) -> tuple[Floats, Floats]:
-    # Of the angle between the first and the last axis.
+    # Sine and cosine of the angle between the first and the last axis.
     sine, cosine = sines_cosines(middle)
     return (sine, cosine) if axes.proper else (cosine, axes.parity * sine)

@@ -148,6 +148,10 @@ class Scene:
     values: Mapping[str, Any]
     path: Path | None = None
 
+    def __repr__(self) -> str:
+        source = self.path.name if self.path else 'no file'
+        return f"Scene({source}: {self.body}, {self.start}, solver '{self.values['solver']}')"
+
     @property
     def options(self) -> dict[str, Any]:
         """Return the keyword arguments of `propagate`."""

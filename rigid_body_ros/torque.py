@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Recorded torques, and what lies between the samples."""
+"""Torque logs: recorded samples, and how to interpolate between them."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import instants, NEVER_NS
 from rigid_body_ros.kernels import double_double as dd
-from rigid_body_ros.kernels.double_double import Double
-from rigid_body_ros.kernels.jit import njit, part
+from rigid_body_ros.kernels.double_double import DoubleDouble
+from rigid_body_ros.kernels.jit import internal, njit
 
 FRAMES = ('body', 'space')
 INTERPOLATIONS = ('hold', 'linear', 'cubic')
-#: Samples that a slope of the cubic is taken from.
+#: Number of samples that determine a slope of the cubic interpolation.
 _NEAREST = 5
-#: Samples beyond a part of a log that its cubics depend on.
-_BESIDE = 4
-#: Samples whose polynomials are worked out at a time.
+#: Number of samples before and after a span of time that its cubics depend on.
+_MARGIN = 4
+#: Number of samples whose polynomials are computed at a time.
 _CHUNK = 65536
 
 
@@ -41,39 +41,50 @@ class TorqueLog:
     """
     A torque as a function of time, given by stamped samples.
 
-    Before the first sample the torque is zero; from the last one on it is held.
+    Before the first sample the torque is zero. After the last one it is held.
 
     Parameters
     ----------
-    times_ns : array of int, shape (n,)
-        In any order; of equal stamps the later sample in the arrays replaces the earlier.
+    times_ns : array of int, shape (n,), ns
+        In any order. Of samples with equal stamps, the last one in the arrays counts.
     torques : array, shape (n, 3), N m
         About the centre of mass.
-    frame : str or sequence of n str
-        'body' or 'space': the axes that the components are given in.
+    frame : str, sequence of n str, or array of bool, shape (n,)
+        The axes of the components: 'body' or 'space', for all samples or for each. An array of
+        bool states for each sample whether it is in space axes.
     interpolation : str
         'hold' (zero order), 'linear', or 'cubic': piecewise Hermite polynomials whose slopes
         come from the five nearest samples, of any spacing (fourth order).
 
+    Attributes
+    ----------
+    times_ns : array of int64, shape (n,), ns
+        Strictly ascending.
+    torques : array, shape (n, 3), N m
+    in_space : array of bool, shape (n,)
+        Whether each torque is in space axes.
+    interpolation : str
+
     Raises
     ------
     ValueError
-        Shapes disagree, a time is not an integer that fits int64, the times span 292 years or
-        more, a torque is not finite, a name is unknown, or samples of different frames are to be
-        interpolated.
+        The shapes do not match, a time is not an integer that fits int64, the times span 292
+        years or more, a torque is not finite, a name is unknown, or samples in different frames
+        are to be interpolated.
 
     """
 
     def __init__(self, times_ns: ArrayLike, torques: ArrayLike,
-                 frame: str | Sequence[str] = 'body', interpolation: str = 'hold') -> None:
+                 frame: str | Sequence[str] | NDArray[np.bool_] = 'body',
+                 interpolation: str = 'hold') -> None:
         times, values = _checked_samples(times_ns, torques)
         in_space = _checked_frames(frame, len(times))
         if interpolation not in INTERPOLATIONS:
             raise ValueError(f'interpolation: expected one of {", ".join(INTERPOLATIONS)}, '
                              f'found {interpolation!r}')
         if interpolation != 'hold' and np.unique(in_space).size > 1:
-            raise ValueError(f'interpolation {interpolation}: expected torques of one frame, '
-                             'found body and space torques in one log')
+            raise ValueError(f'interpolation {interpolation}: expected torques in one frame, '
+                             'found torques in body axes and in space axes')
         if not np.all(times[1:] > times[:-1]):
             order = np.argsort(times, kind='stable')
             chosen = order[np.append(np.diff(times[order]) != 0, True)]
@@ -88,31 +99,58 @@ class TorqueLog:
     def __len__(self) -> int:
         return len(self.times_ns)
 
-    def with_torques(self, torques: ArrayLike) -> TorqueLog:
-        """Return a log of other torques, N m, shape (n, 3), at the same times; errors as above."""
-        return TorqueLog(self.times_ns, torques, frame_names(self.in_space), self.interpolation)
+    def __repr__(self) -> str:
+        if not len(self):
+            return 'TorqueLog(no samples)'
+        seconds = (int(self.times_ns[-1]) - int(self.times_ns[0])) / 1e9
+        axes = 'space' if self.in_space.all() else 'mixed' if self.in_space.any() else 'body'
+        largest = np.linalg.norm(self.torques, axis=1).max()
+        samples = '1 sample' if len(self) == 1 else f'{len(self)} samples'
+        return (f'TorqueLog({samples} over {seconds:g} s, {axes} axes, '
+                f'{self.interpolation}, up to {largest:.3g} N m)')
 
-    def part(self, begin_ns: int, end_ns: int) -> TorqueLog:
-        """Return the samples that the torque from one time to another depends on."""
-        first = max(int(np.searchsorted(self.times_ns, begin_ns, 'right')) - _BESIDE, 0)
-        rows = slice(first, int(np.searchsorted(self.times_ns, end_ns, 'right')) + _BESIDE)
-        return TorqueLog(self.times_ns[rows], self.torques[rows],
-                         frame_names(self.in_space[rows]), self.interpolation)
+    def with_torques(self, torques: ArrayLike) -> TorqueLog:
+        """
+        Return a log with other torques at the same times.
+
+        Parameters
+        ----------
+        torques : array, shape (n, 3), N m
+            In the same axes.
+
+        Raises
+        ------
+        ValueError
+            The shape does not match, or a torque is not finite.
+
+        """
+        return TorqueLog(self.times_ns, torques, self.in_space, self.interpolation)
+
+    def rows(self, chosen: slice | NDArray[np.intp]) -> TorqueLog:
+        """Return a log of some of the samples, chosen by a slice or an array of indices."""
+        return TorqueLog(self.times_ns[chosen], self.torques[chosen], self.in_space[chosen],
+                         self.interpolation)
+
+    def between(self, begin_ns: int, end_ns: int) -> TorqueLog:
+        """Return a log of the samples that determine the torque between two times, ns."""
+        first = max(int(np.searchsorted(self.times_ns, begin_ns, 'right')) - _MARGIN, 0)
+        return self.rows(slice(
+            first, int(np.searchsorted(self.times_ns, end_ns, 'right')) + _MARGIN))
 
     def segments(self, timeout_ns: int = 0) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
         """
-        Return when the rule for the torque changes, and which sample rules from then on.
+        Return the times from which each sample is in force, or none is.
 
         Parameters
         ----------
         timeout_ns : int
-            If positive, the torque is zero from this long after a sample to the next one.
+            If positive, the torque is zero from this long after a sample until the next one.
 
         Returns
         -------
-        starts_ns : array of int64, shape (m,)
+        starts_ns : array of int64, shape (m,), ns
         samples : array of int, shape (m,)
-            Index of the sample, or -1 where the torque is zero because none came in time.
+            Index of the sample in force from then on, or -1 after a timeout.
 
         """
         samples = np.arange(len(self))
@@ -125,21 +163,27 @@ class TorqueLog:
         return starts[order], np.concatenate([samples, np.full(silent.sum(), -1)])[order]
 
     def in_force(self, time_ns: int, timeout_ns: int = 0) -> tuple[int, bool]:
-        """Return the sample (-1: none yet) that rules at a time, and whether it timed out."""
+        """Return the index of the latest sample at a time, or -1, and whether it timed out."""
         sample = bisect.bisect_right(self.times_ns, time_ns) - 1
         return sample, sample >= 0 and 0 < timeout_ns <= time_ns - int(self.times_ns[sample])
 
     def polynomials(self, first: int) -> Iterable[tuple[int, int, Floats]]:
         """
-        Return what lies between the samples, from a sample on, a chunk at a time.
+        Return the polynomials between the samples, in chunks.
+
+        Parameters
+        ----------
+        first : int
+            Index of the sample to begin with; -1 for the time before the first sample.
 
         Returns
         -------
         iterable of (start, stop, coefficients)
-            The samples of the chunk, and the polynomials in the fraction of the time from a sample
-            to the next: array, shape (stop - start + 1, 2 degree + 1, 3), N m; one row more than
-            the chunk has, unless it is the last. After the degree + 1 coefficients comes what
-            rounding took from all but the first, which is the sample itself.
+            Range of samples in the chunk, and coefficients of the polynomials in the fraction of
+            the time from one sample to the next: array, shape (stop - start + 1, 2 degree + 1,
+            3), N m, with one row more than the chunk has samples, unless it is the last. Each row
+            has degree + 1 coefficients, then the low-order parts of all but the first
+            coefficient, which is the sample itself.
 
         """
         count = len(self)
@@ -151,16 +195,16 @@ class TorqueLog:
         for start in range(max(first, 0), len(self), _CHUNK):
             stop = min(start + _CHUNK, len(self))
             coefficients = self._polynomials(start, min(stop + 1, len(self)))
-            coefficients.flags.writeable = False  # as those of `hold`: one type for the kernels
+            coefficients.flags.writeable = False  # as for `hold`: one type for the kernels
             yield start, stop, coefficients
 
     def at(self, times_ns: ArrayLike, timeout_ns: int = 0) -> tuple[Floats, NDArray[np.bool_]]:
         """
-        Return the torque at times, on the side of what follows where it jumps.
+        Return the torque at given times; at a jump, the value after it.
 
         Parameters
         ----------
-        times_ns : array of int, shape (m,)
+        times_ns : array of int, shape (m,), ns
             In any order. Before the first sample the torque is zero.
         timeout_ns : int
             As for `segments`.
@@ -169,7 +213,7 @@ class TorqueLog:
         -------
         torques : array, shape (m, 3), N m
         in_space : array of bool, shape (m,)
-            Whether the torque is given in space axes.
+            Whether each torque is in space axes.
 
         Raises
         ------
@@ -205,40 +249,36 @@ class TorqueLog:
         if self.interpolation == 'linear':
             following = self.torques[first + 1:stop + 1]
             following = np.concatenate([following, here[len(following):]])
-            rise = following - here
-            back = rise - following
-            lost = (following - (rise - back)) - (here + back)  # Knuth's exact sum
-            return np.stack([here, rise, lost], axis=1)
+            slope = following - here
+            rounded = slope - following
+            low = (following - (slope - rounded)) - (here + rounded)  # Knuth's exact sum
+            return np.stack([here, slope, low], axis=1)
         return _hermite(self.times_ns, self.torques, first, stop)
-
-
-def frame_names(in_space: NDArray[np.bool_]) -> str | list[str]:
-    """Return the frame of samples as `TorqueLog` takes it: one name where one will do."""
-    if not in_space.any():
-        return 'body'
-    return 'space' if in_space.all() else np.where(in_space, 'space', 'body').tolist()
 
 
 def _checked_samples(times_ns: ArrayLike, torques: ArrayLike) -> tuple[NDArray[np.int64], Floats]:
     times = instants(times_ns)
     if times.size and int(times.max()) - int(times.min()) >= NEVER_NS:
         raise ValueError('times_ns: expected times within 292 years of each other, '
-                         f'found {times.min()} and {times.max()}')
+                         f'found {times.min()} ns and {times.max()} ns')
     values = np.array(torques, float).reshape(-1, 3) if np.size(torques) == 0 \
         else np.array(torques, float, order='C')
     if values.shape != (times.size, 3):
         raise ValueError(f'torques: expected shape ({times.size}, 3), found {values.shape}')
-    if not np.isfinite(values).all():  # by rows it takes ten times as long
+    if not np.isfinite(values).all():  # row by row this takes ten times as long
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
         raise ValueError(f'torque {bad[0]} at {times[bad[0]]} ns: expected finite numbers, '
                          f'found {values[bad[0]].tolist()}')
     return times, values
 
 
-def _checked_frames(frame: str | Sequence[str], count: int) -> NDArray[np.bool_]:
+def _checked_frames(frame: str | Sequence[str] | NDArray[np.bool_],
+                    count: int) -> NDArray[np.bool_]:
     names = np.asarray(frame)
     if names.shape not in ((), (count,)):
         raise ValueError(f'frame: expected one name or {count}, found {names.size}')
+    if names.shape and names.dtype == np.bool_:
+        return names.copy()
     unknown = names[~np.isin(names, FRAMES)]
     if unknown.size:
         raise ValueError(f"frame: expected 'body' or 'space', found {str(unknown[0])!r}")
@@ -247,8 +287,8 @@ def _checked_frames(frame: str | Sequence[str], count: int) -> NDArray[np.bool_]
 
 @njit
 def _hermite(times_ns: NDArray[np.int64], values: Floats, first: int, stop: int) -> Floats:
-    # Cubics through the samples, with the slopes there of polynomials through the nearest ones,
-    # and what rounding takes from them: the torques on a thin rod may cancel but for that.
+    # Cubics through the samples. Their slopes there are those of polynomials through the nearest
+    # samples. The low-order parts matter for a thin rod, where torques may cancel.
     last = len(times_ns) - 1
     count = min(_NEAREST, last + 1)
     result = np.empty((stop - first, 7, 3))
@@ -258,25 +298,25 @@ def _hermite(times_ns: NDArray[np.int64], values: Floats, first: int, stop: int)
         start, end = end, start
         at = min(node, last)
         begin = min(max(at - count // 2, 0), last + 1 - count)
-        _weigh(times_ns, at, begin, count, weights, spacing)
+        _update_weights(times_ns, at, begin, count, weights, spacing)
         for axis in range(3):
             slope = (0.0, 0.0)
             for k in range(count):
-                rise = dd.two_sum(values[begin + k, axis], -values[at, axis])
-                slope = dd.add(slope, dd.multiply((weights[k, 0], weights[k, 1]), rise))
+                delta = dd.two_sum(values[begin + k, axis], -values[at, axis])
+                slope = dd.add(slope, dd.multiply((weights[k, 0], weights[k, 1]), delta))
             end[axis, 0], end[axis, 1] = slope
             if node > first:
-                _fill(result[node - 1 - first, :, axis], values[node - 1, axis],
-                      values[at, axis], dd.whole(times_ns[at] - times_ns[node - 1]),
+                _store_cubic(result[node - 1 - first, :, axis], values[node - 1, axis],
+                      values[at, axis], dd.from_int(times_ns[at] - times_ns[node - 1]),
                       (start[axis, 0], start[axis, 1]), slope)
     return result
 
 
-@part
-def _weigh(times_ns: NDArray[np.int64], node: int, begin: int, count: int, weights: Floats,
-           spacing: NDArray[np.int64]) -> None:
-    # What the rise from a node to each of the samples counts for in the slope, 1/ns: derivatives
-    # of Lagrange's polynomials. Those of the node before hold where the spacing is the same.
+@internal
+def _update_weights(times_ns: NDArray[np.int64], node: int, begin: int, count: int,
+                    weights: Floats, spacing: NDArray[np.int64]) -> None:
+    # Weights, 1/ns, of the differences between the samples and a node in the slope there: the
+    # derivatives of Lagrange polynomials. With the same spacing, those of the last node hold.
     same = True
     for k in range(count):
         span = times_ns[begin + k] - times_ns[node]
@@ -285,22 +325,22 @@ def _weigh(times_ns: NDArray[np.int64], node: int, begin: int, count: int, weigh
     if same:
         return
     for k in range(count):
-        above, below = (1.0, 0.0), dd.whole(spacing[k])
+        above, below = (1.0, 0.0), dd.from_int(spacing[k])
         for m in range(count):
             if spacing[m] != 0 and m != k:
-                above = dd.multiply(above, dd.whole(-spacing[m]))
-                below = dd.multiply(below, dd.whole(spacing[k] - spacing[m]))
+                above = dd.multiply(above, dd.from_int(-spacing[m]))
+                below = dd.multiply(below, dd.from_int(spacing[k] - spacing[m]))
         weights[k, 0], weights[k, 1] = dd.divide(above, below) if spacing[k] != 0 else (0.0, 0.0)
 
 
-@part
-def _fill(row: Floats, here: float, following: float, span: Double, start: Double,
-          end: Double) -> None:
+@internal
+def _store_cubic(row: Floats, here: float, following: float, span: DoubleDouble,
+                 start: DoubleDouble, end: DoubleDouble) -> None:
     # The coefficients on one axis, from the values and the slopes, 1/ns, at both ends.
-    rise = dd.two_sum(following, -here)
+    delta = dd.two_sum(following, -here)
     start, end = dd.multiply(start, span), dd.multiply(end, span)
-    bend = dd.subtract(rise, start)
-    third = dd.subtract(dd.subtract(end, rise), bend)
-    second = dd.subtract(bend, third)
+    curved = dd.subtract(delta, start)
+    third = dd.subtract(dd.subtract(end, delta), curved)
+    second = dd.subtract(curved, third)
     row[0], row[1], row[2], row[3] = here, start[0], second[0], third[0]
     row[4], row[5], row[6] = start[1], second[1], third[1]

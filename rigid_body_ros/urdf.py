@@ -15,8 +15,8 @@
 """
 The inertia of a link in a URDF file.
 
-The format is that of http://wiki.ros.org/urdf/XML/link. What it leaves open is taken as ROS's own
-parser does, urdfdom (`parseInertial` in urdf_parser/src/link.cpp).
+The format is specified in http://wiki.ros.org/urdf/XML/link. Where that leaves a choice, this
+module follows urdfdom, the parser of ROS (`parseInertial` in urdf_parser/src/link.cpp).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from rigid_body_ros.common.errors import listed, quoted, shortened
 
 #: Attributes of <inertia>, row by row.
 _ENTRIES = ('ixx', 'ixy', 'ixz', 'ixy', 'iyy', 'iyz', 'ixz', 'iyz', 'izz')
-#: What `float` takes besides (1_000, digits of other scripts) is no number to urdfdom.
+#: Numbers as urdfdom reads them; `float` also accepts 1_000 and digits of other scripts.
 _NUMBER = re.compile(r'[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?')
 #: Bound on the rounding error of a rotated tensor, relative to its largest moment.
 _ROTATED = 16.0 * np.finfo(float).eps
@@ -43,31 +43,32 @@ def inertia(text: str, link: str = '') -> Floats:
     """
     Return the inertia of a link about its centre of mass, in the axes of the link.
 
-    R I R^T, where I are the entries of <inertia> and R turns by the roll, pitch and yaw of
-    <origin> about the fixed x, y, z: without a rotation the numbers are those of the file. A
-    rotation rounds by some 1e-16 of the largest moment. The shift xyz says where the centre of
-    mass is, which does not change the tensor about it; it is only checked. The mass is not read.
+    This is R I R^T, where I has the entries of <inertia>, and R is the rotation by the roll, pitch
+    and yaw of <origin> about the fixed axes x, y, z. Without a rotation, the entries are
+    those of the file; a rotation rounds them by about 1e-16 of the largest moment. The position
+    xyz of the centre of mass does not change the tensor: it is only checked. The mass is ignored.
 
     Parameters
     ----------
     text : str
-        The file itself, after xacro. Neither the specification nor urdfdom has defaults for the
-        six entries of <inertia> (only the schema beside urdfdom has zeros, in doubt about them):
-        all are required. <origin>, its xyz and its rpy may be missing and are then zero.
+        Contents of the file, after xacro. All six entries of <inertia> are required: neither the
+        specification nor urdfdom has defaults for them. <origin>, its xyz and its rpy default to
+        zero.
     link : str
-        May be empty where only one link has an <inertial>.
+        Name of the link; may be empty if only one link has an <inertial>.
 
     Returns
     -------
-    array, shape (3, 3), kg m^2
-        Symmetric, after a rotation within rounding.
+    array, shape (3, 3), kg m^2, axes of the link
+        Symmetric; after a rotation, within rounding.
 
     Raises
     ------
     ValueError
-        The text is not URDF, or still xacro; the link is not there or not the only one, or has no
-        <inertial>; an attribute is missing or not the finite numbers that it should be; the
-        rotation is a quaternion (URDF 1.1); a moment is zero within the rounding of the rotation.
+        The text is not URDF, or has not been through xacro; the link does not exist, is not
+        unique, or has no <inertial>; an attribute is missing or is not a list of finite numbers
+        of the expected length; the rotation is a quaternion (URDF 1.1); a moment is zero within
+        the rounding error of the rotation.
 
     """
     name, inertial = _chosen(_robot(text), link)
@@ -85,7 +86,7 @@ def inertia(text: str, link: str = '') -> Floats:
 
 
 def _check_thickness(tensor: Floats, where: str) -> None:
-    """Raise ValueError if a rotation would make a moment of rounding alone."""
+    """Raise ValueError if the smallest moment may be a rounding error after a rotation."""
     moments = np.linalg.eigvalsh(tensor)
     if abs(moments[0]) <= _ROTATED * moments[2]:
         raise ValueError(f'{where}: inertia: expected a positive definite tensor, found principal '
@@ -100,22 +101,22 @@ def _robot(text: str) -> Element:
     for element in robot.iter():
         namespace, _, name = element.tag.rpartition('}')
         if 'xacro' in namespace:
-            raise ValueError(f'URDF: expected what xacro makes of it, '
-                             f'found <xacro:{shortened(name, 60)}>')
+            raise ValueError('URDF: expected the output of xacro, '
+                             f'found <xacro:{shortened(name, 60)}>; run xacro first')
     root = robot.tag.rpartition('}')[2]
     if root != 'robot':
-        raise ValueError(f'URDF: expected <robot> around everything, '
+        raise ValueError(f'URDF: expected the root element <robot>, '
                          f'found <{shortened(root, 60)}>')
     return robot
 
 
 def _chosen(robot: Element, link: str) -> tuple[str, Element]:
-    # {*}: urdfdom's own example has a default namespace, which its parser does not look at.
+    # {*}: an example of urdfdom has a default namespace, which its parser ignores.
     links = [(element.get('name', ''), element.find('{*}inertial'))
              for element in robot.findall('{*}link')]
     heavy = [name for name, inertial in links if inertial is not None]
     if not link and len(heavy) != 1:
-        raise ValueError('URDF: expected the name of a link, or only one with <inertial>, '
+        raise ValueError('URDF: expected the name of a link, or a single link with <inertial>, '
                          f'found {_listed(heavy)}')
     name = link or heavy[0]
     found = [inertial for other, inertial in links if other == name]
@@ -124,7 +125,7 @@ def _chosen(robot: Element, link: str) -> tuple[str, Element]:
                          f'found {_listed([other for other, _ in links])}')
     if found[0] is None:
         raise ValueError(f'URDF link {quoted(name)}: expected an <inertial>, found none; '
-                         f'links that have one: {_listed(heavy)}')
+                         f'links with <inertial>: {_listed(heavy)}')
     return name, found[0]
 
 
@@ -145,6 +146,6 @@ def _numbers(element: Element, name: str, count: int, where: str,
     if not len(numbers) == len(words) == count or not all(map(math.isfinite, numbers)):
         expected = 'a finite number' if count == 1 else f'{count} finite numbers'
         found = 'nothing' if text is None else quoted(text)
-        hint = ', which xacro should have replaced' if '${' in (text or '') else ''
+        hint = '; run xacro first' if '${' in (text or '') else ''
         raise ValueError(f'{where}: {name}: expected {expected}, found {found}{hint}')
     return numbers

@@ -17,6 +17,6 @@
 import numba
 
 
-def callable_(part):
-    """Return a part of kernels as a function that Python can call."""
-    return numba.njit(error_model='numpy')(lambda *arguments: part(*arguments))
+def callable_(internal):
+    """Return an internal function of the kernels as one that Python can call."""
+    return numba.njit(error_model='numpy')(lambda *arguments: internal(*arguments))

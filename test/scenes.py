@@ -92,8 +92,7 @@ class Scene:
             return None
         durations, torques, in_space = zip(*self.torques)
         return TorqueLog(np.cumsum((0, *durations[:-1])), torques,
-                         ['space' if space else 'body' for space in in_space],
-                         self.interpolation)
+                         np.array(in_space), self.interpolation)
 
     @cached_property
     def solvers(self):

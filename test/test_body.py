@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import RigidBody, so3, State
 from rigid_body_ros.body import rate_in_space
+from scipy.spatial.transform import Rotation
 
 RANDOM = np.random.default_rng(11)
 MASSES, POSITIONS = RANDOM.uniform(0.5, 2.0, 6), RANDOM.normal(size=(6, 3))
@@ -100,8 +101,8 @@ def test_torque_and_acceleration_undo_each_other():
     ([[np.nan, 0, 0], [0, 1, 0], [0, 0, 1]], 'found .*nan'),
     ([[1, 0.1, 0], [0.2, 1, 0], [0, 0, 1]], 'symmetric tensor, found .*0.2'),
     (np.diag([1.0, -2.0, 1.5]), 'positive definite.* -2, 1, 1.5'),
-    (np.diag([1.0, 1.0, 3.0]), 'moments 1, 1, 3 kg m.*sum of the other two'),
-    (np.eye(3) * 1e-310, 'whose inverse is, a finite number'),
+    (np.diag([1.0, 1.0, 3.0]), 'not physical, .* 1, 1, 3 kg m.*other two by 50 % .limit 3 %'),
+    (np.eye(3) * 1e-310, 'whose values and inverses fit a double'),
     (np.zeros((3, 3)), 'positive definite')])
 def test_impossible_tensors_are_refused_with_their_numbers(tensor, message):
     with pytest.raises(ValueError, match=message):
@@ -155,13 +156,34 @@ def test_a_thin_rod_of_point_masses_is_a_body(count, thickness, offset):
 
 
 @pytest.mark.parametrize(('attitude', 'velocity', 'message'), [
-    ((0, 0, 0, 0), (0, 0, 0), 'attitude quaternion .*expected a rotation'),
+    ((0, 0, 0, 0), (0, 0, 0), 'attitude quaternion .*expected a non-zero'),
     ((0, 0, np.nan, 1), (0, 0, 0), 'attitude quaternion .*nan'),
     ((0, 0, 1), (0, 0, 0), 'attitude quaternion .*expected 4'),
     ((0, 0, 0, 1), (0, np.inf, 0), 'angular velocity: .*inf')])
 def test_impossible_states_are_refused(attitude, velocity, message):
     with pytest.raises(ValueError, match=message):
         State(0, attitude, velocity)
+
+
+@pytest.mark.parametrize('attitude', [so3.normalize([0.1, -0.3, 0.2, 0.9]), (0.0, 0.0, 0.6, -0.8)])
+def test_an_attitude_may_be_a_scipy_rotation(attitude):
+    state = State(5, Rotation.from_quat(attitude), W)
+    np.testing.assert_array_equal(state.attitude, Rotation.from_quat(attitude).as_quat())
+    np.testing.assert_allclose(state.attitude, attitude, atol=2e-16)
+    np.testing.assert_array_equal(state.angular_velocity, W)
+
+
+def test_several_rotations_are_refused():
+    with pytest.raises(ValueError, match='attitude quaternion .*expected 4 finite numbers'):
+        State(0, Rotation.from_quat(np.eye(4)[:3]))
+
+
+def test_a_body_and_a_state_are_printed_with_units():
+    assert repr(RigidBody.from_moments(0.5, 1.0, 1.25)) \
+        == 'RigidBody(asymmetric top, principal moments (0.5, 1, 1.25) kg m^2)'
+    assert repr(State(7, (0, 0, 1, 0), (1e-6, 0.1234567, -2))) == (
+        'State(time 7 ns, attitude xyzw (0, 0, 1, 0), '
+        'angular velocity (1e-06, 0.123457, -2) rad/s)')
 
 
 def test_a_time_in_seconds_is_refused():

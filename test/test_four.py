@@ -43,13 +43,14 @@ def applied(operation):
     (lambda a, b, c: four.multiply(a, b), A * B),
     (lambda a, b, c: four.negative(a), -A),
     (lambda a, b, c: four.absolute(a), np.abs(A)),
-    (lambda a, b, c: four.every(a[2]), np.full(4, A[2])),
+    (lambda a, b, c: four.broadcast(a[2]), np.full(4, A[2])),
     (lambda a, b, c: four.of(c[3], b[2], a[1], c[0]), [C[3], B[2], A[1], C[0]]),
     (lambda a, b, c: four.fma(a, b, c),
      [float(Fraction(x) * Fraction(y) + Fraction(z)) for x, y, z in zip(A, B, C)]),
     (lambda a, b, c: four.yzx(a), A[[1, 2, 0, 3]]),
     (lambda a, b, c: four.zxy(a), A[[2, 0, 1, 3]]),
-], ids=['add', 'subtract', 'multiply', 'negative', 'absolute', 'every', 'of', 'fma', 'yzx', 'zxy'])
+], ids=['add', 'subtract', 'multiply', 'negative', 'absolute', 'broadcast', 'of', 'fma', 'yzx',
+        'zxy'])
 def test_each_of_the_four_is_worked_out_alone(operation, expected):
     np.testing.assert_array_equal(applied(operation), expected)
 
@@ -67,5 +68,5 @@ def test_products_of_vectors_and_quaternions_are_those_of_arrays():
     *product, rest = applied(lambda a, b, c: vector.cross(a, b))
     np.testing.assert_allclose(product, np.cross(A[:3], B[:3]), rtol=0, atol=1e-15)
     assert abs(rest) < 1e-16
-    np.testing.assert_allclose(applied(lambda a, b, c: four.every(vector.dot(a, b))),
+    np.testing.assert_allclose(applied(lambda a, b, c: four.broadcast(vector.dot(a, b))),
                                np.full(4, A @ B), rtol=0, atol=1e-15)

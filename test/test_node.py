@@ -269,7 +269,7 @@ def run_node(domain, *arguments):
 @pytest.mark.parametrize(('arguments', 'message'), [
     ((), 'inertia.ixx: missing; expected a number (kg m^2)'),
     (('-p', 'inertia.ixx:=1', '-p', 'inertia.iyy:=1', '-p', 'inertia.izz:=5'),
-     'found principal moments 1, 1, 5 kg m^2'),
+     'not physical, principal moments 1, 1, 5 kg m^2'),
     (('--params-file', str(TUMBLER), '-p', 'intertia.ixx:=1.0'),
      'intertia.ixx: unknown key; did you mean inertia.ixx?'),
     (('--params-file', str(TUMBLER), '-p', 'tolerance:=tight'),

@@ -85,6 +85,13 @@ def test_the_version_is_that_of_package_xml(installed):
     assert f'\n{version} (' in (ROOT / 'CHANGELOG.rst').read_text()
 
 
+def test_package_xml_and_setup_py_require_the_same_numba():
+    depend, = (found for found in ElementTree.parse(ROOT / 'package.xml').getroot()
+               if found.text == 'python3-numba')
+    expected = f"'numba>={depend.get('version_gte')},<{depend.get('version_lt')}'"
+    assert expected in (ROOT / 'setup.py').read_text()
+
+
 def test_every_source_file_begins_with_the_license():
     if not (ROOT / '.git').exists():
         pytest.skip('not a clone: only git tells which files are ours')
@@ -133,6 +140,13 @@ def test_the_library_and_the_offline_commands_need_no_ros(module):
     result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
                             check=True)
     assert result.stdout.strip() == '[]'
+
+
+def test_scipy_is_not_imported_with_the_library():
+    script = "import sys; import rigid_body_ros; print('scipy.spatial' in sys.modules)"
+    result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                            check=True)
+    assert result.stdout.strip() == 'False'
 
 
 @pytest.mark.slow

@@ -242,8 +242,8 @@ def bad_input(name, tmp_path):
     ('infinite', 'infinite.mcap: /torque: message 1 at'),
     ('overflow', 'overflow.mcap: /torque: at '),
     ('frame', "frame.mcap: /torque: message 1: frame_id: expected 'base_link'"),
-    ('quaternion', 'scene.yaml: attitude quaternion (x, y, z, w): expected a rotation'),
-    ('inertia', 'scene.yaml: inertia: found principal moments'),
+    ('quaternion', 'scene.yaml: attitude quaternion (x, y, z, w): expected a non-zero quaternion'),
+    ('inertia', 'scene.yaml: inertia: not physical, principal moments'),
     ('key', 'scene.yaml: inertias.ixx: unknown key; did you mean inertia.ixx?'),
     ('no scene', 'none.yaml: cannot read the scene: No such file or directory')])
 def test_a_mistake_is_answered_by_one_line(name, message, tmp_path, output, capsys):

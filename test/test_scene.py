@@ -94,6 +94,14 @@ def test_the_scenes_of_the_package_load(name):
     assert scene.load(CONFIG / f'{name}.yaml').body.symmetry == 'asymmetric top'
 
 
+def test_a_scene_is_printed_with_units(tmp_path):
+    body = 'RigidBody(asymmetric top, principal moments (1, 2, 2.5) kg m^2)'
+    start = 'State(time 0 ns, attitude xyzw (0, 0, 0, 1), angular velocity (0, 0, 0) rad/s)'
+    text = f"{body}, {start}, solver 'auto')"
+    assert repr(load(tmp_path, parameters(''))) == f'Scene(scene.yaml: {text}'
+    assert repr(Scene.from_values(INERTIA)) == f'Scene(no file: {text}'
+
+
 @pytest.mark.parametrize(('change', 'message'), [
     ({'inertia.ixx': '1.0'}, r"inertia.ixx: expected a number \(kg m\^2\), found '1.0'; leave out "
                              'the quotes'),
@@ -108,7 +116,7 @@ def test_the_scenes_of_the_package_load(name):
     ({'inertia.ixy': 3.0}, 'positive definite'),
     ({'inertia.ixz_': 3.0}, 'inertia.ixz_: unknown key; did you mean inertia.ixz?'),
     ({'gravity': 3.0}, 'gravity: unknown key; expected one of inertia.ixx, '),
-    ({'initial_attitude.w': 0.0}, 'attitude quaternion .*expected a rotation'),
+    ({'initial_attitude.w': 0.0}, 'attitude quaternion .*expected a non-zero'),
     ({'initial_angular_velocity.x': float('inf')}, 'initial_angular_velocity.x: .*rad/s.*inf'),
     ({'start_time': 0.5}, r'start_time: expected an integer \(ns\), found 0.5'),
     ({'solver': 'rk5'}, "solver: expected one of auto, taylor, exact, .* found 'rk5'"),

@@ -192,5 +192,5 @@ def test_frames_that_change_late_are_refused_between_samples_as_well(tmp_path, m
     loaded = scene.load(CONFIG / 'tumbler.yaml')
     result = replay(path, loaded, tmp_path / 'motion.mcap')
     assert result.readings == {}
-    with pytest.raises(InputError, match='interpolation linear: expected torques of one frame'):
+    with pytest.raises(InputError, match='interpolation linear: expected torques in one frame'):
         replay(path, loaded, tmp_path / 'motion.mcap', interpolation='linear')

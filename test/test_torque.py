@@ -110,6 +110,43 @@ def test_frames_may_differ_from_sample_to_sample():
     assert log.in_space.tolist() == [False, True]
 
 
+@pytest.mark.parametrize('frame', ['body', 'space', ['space', 'body', 'space']])
+def test_rows_of_a_log_keep_their_frames(frame):
+    log = TorqueLog([9, 4, 6], np.eye(3), frame)
+    for rows in (slice(1, None), np.array([0, 2]), slice(0, 0)):
+        cut = log.rows(rows)
+        np.testing.assert_array_equal(cut.times_ns, log.times_ns[rows])
+        np.testing.assert_array_equal(cut.torques, log.torques[rows])
+        np.testing.assert_array_equal(cut.in_space, log.in_space[rows])
+    other = log.with_torques(2.0 * log.torques)
+    np.testing.assert_array_equal(other.in_space, log.in_space)
+    np.testing.assert_array_equal(other.torques, 2.0 * log.torques)
+    flagged = TorqueLog(log.times_ns, log.torques, log.in_space)
+    np.testing.assert_array_equal(flagged.in_space, log.in_space)
+    assert not np.shares_memory(flagged.in_space, log.in_space)
+
+
+@pytest.mark.parametrize('interpolation', INTERPOLATIONS)
+def test_the_samples_between_two_times_determine_the_torque_there(interpolation):
+    log = TorqueLog(TIMES, TORQUES, 'space', interpolation)
+    begin_ns, end_ns = int(TIMES[11]) + 7, int(TIMES[19]) - 7
+    piece = log.between(begin_ns, end_ns)
+    assert len(piece) < len(log)
+    assert piece.in_space.all()
+    times = np.linspace(0, end_ns - begin_ns, 101).astype(np.int64) + begin_ns
+    np.testing.assert_array_equal(piece.at(times)[0], log.at(times)[0])
+
+
+@pytest.mark.parametrize(('log', 'text'), [
+    (TorqueLog([], []), 'TorqueLog(no samples)'),
+    (TorqueLog([0, SECOND // 2], [[0.03, 0, 0.04], [0, 0, 0]], ['body', 'space']),
+     'TorqueLog(2 samples over 0.5 s, mixed axes, hold, up to 0.05 N m)'),
+    (TorqueLog([3], [[0, 1.23456, 0]], 'space', 'cubic'),
+     'TorqueLog(1 sample over 0 s, space axes, cubic, up to 1.23 N m)')])
+def test_a_log_is_printed_with_units(log, text):
+    assert repr(log) == text
+
+
 @pytest.mark.parametrize(('arguments', 'message'), [
     (([0, 1], [[1, 2, 3]]), r'torques: expected shape \(2, 3\), found \(1, 3\)'),
     (([0.5], [[1, 2, 3]]), 'times_ns: expected integer nanoseconds'),
@@ -122,8 +159,10 @@ def test_frames_may_differ_from_sample_to_sample():
     (([3], [[1, 2, 3]], 'base_link'), "frame: expected 'body' or 'space', found 'base_link'"),
     (([3, 4], np.ones((2, 3)), ['body', 'x']), "frame: expected 'body' or 'space', found 'x'"),
     (([3, 4], np.ones((2, 3)), ['body']), 'frame: expected one name or 2, found 1'),
+    (([3, 4], np.ones((2, 3)), True), "frame: expected 'body' or 'space', found 'True'"),
+    (([3, 4], np.ones((2, 3)), [True]), 'frame: expected one name or 2, found 1'),
     (([3], [[1, 2, 3]], 'body', 'spline'), "interpolation: expected .*cubic, found 'spline'"),
-    (([3, 4], np.ones((2, 3)), ['body', 'space'], 'linear'), 'expected torques of one frame')])
+    (([3, 4], np.ones((2, 3)), ['body', 'space'], 'linear'), 'expected torques in one frame')])
 def test_impossible_logs_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         TorqueLog(*arguments)

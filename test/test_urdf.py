@@ -137,22 +137,22 @@ XACRO = FULL.replace('<joint', '<xacro:include filename="arm.xacro"/><joint')
     ('my_robot.urdf', '',
      "URDF: expected XML, found 'my_robot.urdf' (syntax error: line 1, column 0)"),
     ('', '', "URDF: expected XML, found '' (no element found: line 1, column 0)"),
-    ('<sdf/>', '', 'URDF: expected <robot> around everything, found <sdf>'),
-    (XACRO, 'body', 'URDF: expected what xacro makes of it, found <xacro:include>'),
+    ('<sdf/>', '', 'URDF: expected the root element <robot>, found <sdf>'),
+    (XACRO, 'body', 'URDF: expected the output of xacro, found <xacro:include>; run xacro first'),
     ('<xacro:macro xmlns:xacro="http://ros.org/wiki/xacro"/>', '',
-     'URDF: expected what xacro makes of it, found <xacro:macro>'),
+     'URDF: expected the output of xacro, found <xacro:macro>; run xacro first'),
     (FULL, 'bodi', "URDF: expected one link 'bodi', found 'base_link', 'body'"),
     ('<robot/>', 'body', "URDF: expected one link 'body', found none"),
     (FULL.replace('base_link', 'body'), 'body',
      "URDF: expected one link 'body', found 'body', 'body'"),
     (FULL, 'base_link',
-     "URDF link 'base_link': expected an <inertial>, found none; links that have one: 'body'"),
+     "URDF link 'base_link': expected an <inertial>, found none; links with <inertial>: 'body'"),
     (robot(base_link=''), 'base_link',
-     "URDF link 'base_link': expected an <inertial>, found none; links that have one: none"),
+     "URDF link 'base_link': expected an <inertial>, found none; links with <inertial>: none"),
     (robot(base_link=''), '',
-     'URDF: expected the name of a link, or only one with <inertial>, found none'),
+     'URDF: expected the name of a link, or a single link with <inertial>, found none'),
     (robot(base_link='', a=inertial(), b=inertial()), '',
-     "URDF: expected the name of a link, or only one with <inertial>, found 'a', 'b'")])
+     "URDF: expected the name of a link, or a single link with <inertial>, found 'a', 'b'")])
 def test_what_is_no_link_with_an_inertia_is_refused(text, link, message):
     with pytest.raises(ValueError, match=f'^{re.escape(message)}$'):
         RigidBody.from_urdf(text, link)
@@ -179,7 +179,7 @@ def test_what_is_no_link_with_an_inertia_is_refused(text, link, message):
     (inertial('<origin xyz=""/>'), "xyz: expected 3 finite numbers, found ''"),
     (inertial('<origin xyz="0 0 x"/>'), "xyz: expected 3 finite numbers, found '0 0 x'"),
     (inertial('<origin rpy="0 0 ${pi}"/>'), "rpy: expected 3 finite numbers, found '0 0 ${pi}'"
-     ', which xacro should have replaced'),
+     '; run xacro first'),
     (inertial('<origin quat_xyzw="0 0 0 1"/>'), 'expected the rotation as rpy, found quat_xyzw')])
 def test_what_is_no_inertia_is_refused_in_one_line_with_its_link(text, link, message):
     message = f"URDF link 'body': {message}"

@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What every floor uses: errors, times and array types."""
+"""Errors, times and array types for all other packages."""

@@ -12,9 +12,14 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Types of arrays."""
+"""Array types and how to write arrays for a reader."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+
+
+def written(values: Floats) -> str:
+    """Return a short array as text, each number with six digits: '(0.5, 1e-06, 2)'."""
+    return f"({', '.join(f'{value:.6g}' for value in values)})"

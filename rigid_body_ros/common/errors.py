@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Errors that a user reads: one line of bounded length, whatever a file holds."""
+"""Error messages for users: one line of bounded length, whatever a file contains."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from collections.abc import Collection
 from itertools import islice
 from reprlib import Repr
 
-#: Characters of an error line.
+#: Maximum length of an error line, in characters.
 LONGEST = 500
-#: Characters of a reason that another library gives, and of a name in a list of names.
+#: Maximum length of a reason from another library, and of a name in a list of names.
 _REASON, _NAME = 200, 60
-#: Names that a list shows.
+#: Maximum number of names in a list.
 _NAMES = 6
 _CUT = ' ... '
 
@@ -34,7 +34,7 @@ _repr.maxlevel, _repr.maxdict = 3, 4
 
 
 class InputError(ValueError):
-    """A user's mistake: one line that names where, what was found and what was expected."""
+    """A user's mistake: one line that names the place, what was expected and what was found."""
 
     def __init__(self, message: str) -> None:
         super().__init__(shortened(message))
@@ -50,12 +50,12 @@ def shortened(text: str, longest: int = LONGEST) -> str:
 
 
 def quoted(value: object) -> str:
-    """Return the repr of a value that was found in a file, at most about 80 characters of it."""
+    """Return the repr of a value from a file, cut to about 80 characters."""
     return _repr.repr(value)
 
 
 def listed(names: Collection[str]) -> str:
-    """Return the first few names of a collection and the number of the others, or 'none'."""
+    """Return the first names of a collection and the number of the others, or 'none'."""
     shown = ', '.join(shortened(name, _NAME) for name in islice(names, _NAMES))
     return (f'{shown} and {len(names) - _NAMES} more' if len(names) > _NAMES else shown) or 'none'
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Times in integer nanoseconds, checked where a caller gives them."""
+"""Validation of times in integer nanoseconds."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ import operator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-#: Later than any time that can be given.
+#: ns; later than any valid time.
 NEVER_NS = 2 ** 63 - 1
 
 
@@ -29,12 +29,23 @@ def instant(time_ns: int, name: str = 'time_ns') -> int:
     """
     Return a time as an int.
 
+    Parameters
+    ----------
+    time_ns : int, ns
+        Of any integer type.
+    name : str
+        Name of the value in error messages.
+
+    Returns
+    -------
+    int, ns
+
     Raises
     ------
     ValueError
         The time does not fit int64.
     TypeError
-        The time is not an integer. A bool is not one.
+        The time is not an integer. A bool does not count as one.
 
     """
     if isinstance(time_ns, (bool, np.bool_)):
@@ -47,12 +58,23 @@ def instant(time_ns: int, name: str = 'time_ns') -> int:
 
 def instants(times_ns: ArrayLike, name: str = 'times_ns') -> NDArray[np.int64]:
     """
-    Return times as a new array of int64, shape (n,).
+    Return times as a new array.
+
+    Parameters
+    ----------
+    times_ns : array of int, shape (n,)
+        In ns.
+    name : str
+        Name of the value in error messages.
+
+    Returns
+    -------
+    array of int64, shape (n,), ns
 
     Raises
     ------
     ValueError
-        The times are not integers of shape (n,), do not fit int64.
+        The times are not integers of shape (n,), or do not fit int64.
 
     """
     times = np.asarray(times_ns)

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Arithmetic with about 32 digits for the compiled kernels: a number is a sum of two doubles.
+Double-double arithmetic for the compiled kernels: a number is the sum of two doubles.
 
-Algorithms as in Hida, Li and Bailey, "Algorithms for quad-double precision floating point
-arithmetic", 2001, with fused products.
+This gives about 32 digits. Algorithms as in Hida, Li and Bailey, "Algorithms for quad-double
+precision floating point arithmetic", 2001, with fused products.
 """
 
 from __future__ import annotations
@@ -24,92 +24,92 @@ from __future__ import annotations
 import math
 
 from rigid_body_ros.kernels import elementary_tables as tables
-from rigid_body_ros.kernels.jit import fma, part
+from rigid_body_ros.kernels.jit import fma, internal
 
-#: The larger part, and what is missing in it.
-Double = tuple[float, float]
+#: High-order and low-order part: the number rounded to a double, and the rest.
+DoubleDouble = tuple[float, float]
 
 PI = tables.PI
 
 
-@part
-def quick_sum(a: float, b: float) -> Double:
-    """Return the exact sum of two doubles, the first not the smaller one unless zero."""
+@internal
+def quick_two_sum(a: float, b: float) -> DoubleDouble:
+    """Return the exact sum of two doubles; |a| >= |b|, or a is zero."""
     total = a + b
     return total, b - (total - a)
 
 
-@part
-def two_sum(a: float, b: float) -> Double:
+@internal
+def two_sum(a: float, b: float) -> DoubleDouble:
     """Return the exact sum of two doubles."""
     total = a + b
-    part = total - a
-    return total, (a - (total - part)) + (b - part)
+    b_rounded = total - a
+    return total, (a - (total - b_rounded)) + (b - b_rounded)
 
 
-@part
-def two_product(a: float, b: float) -> Double:
+@internal
+def two_product(a: float, b: float) -> DoubleDouble:
     """Return the exact product of two doubles."""
     product = a * b
     return product, fma(a, b, -product)
 
 
-@part
-def add(a: Double, b: Double) -> Double:
+@internal
+def add(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
     """Return a + b."""
     high, low = two_sum(a[0], b[0])
     more, rest = two_sum(a[1], b[1])
-    high, low = quick_sum(high, low + more)
-    return quick_sum(high, low + rest)
+    high, low = quick_two_sum(high, low + more)
+    return quick_two_sum(high, low + rest)
 
 
-@part
-def subtract(a: Double, b: Double) -> Double:
+@internal
+def subtract(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
     """Return a - b."""
     return add(a, (-b[0], -b[1]))
 
 
-@part
-def negative(a: Double) -> Double:
+@internal
+def negative(a: DoubleDouble) -> DoubleDouble:
     """Return -a."""
     return -a[0], -a[1]
 
 
-@part
-def multiply(a: Double, b: Double) -> Double:
+@internal
+def multiply(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
     """Return a b."""
     high, low = two_product(a[0], b[0])
-    return quick_sum(high, low + fma(a[0], b[1], a[1] * b[0]))
+    return quick_two_sum(high, low + fma(a[0], b[1], a[1] * b[0]))
 
 
-@part
-def divide(a: Double, b: Double) -> Double:
+@internal
+def divide(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
     """Return a / b."""
     first = a[0] / b[0]
     rest = subtract(a, multiply((first, 0.0), b))
     second = rest[0] / b[0]
     rest = subtract(rest, multiply((second, 0.0), b))
-    high, low = quick_sum(first, second)
+    high, low = quick_two_sum(first, second)
     return add((high, low), (rest[0] / b[0], 0.0))
 
 
-@part
-def root(a: Double) -> Double:
-    """Return the square root of a number that is not negative (Karp's trick)."""
+@internal
+def sqrt(a: DoubleDouble) -> DoubleDouble:
+    """Return the square root (Karp's trick); zero for a negative number."""
     if a[0] <= 0.0:
         return 0.0, 0.0
     high = math.sqrt(a[0])
     rest = subtract(a, two_product(high, high))
-    return quick_sum(high, rest[0] / (2.0 * high))
+    return quick_two_sum(high, rest[0] / (2.0 * high))
 
 
-@part
-def whole(number: int) -> Double:
-    """Return an integer of 64 bits."""
+@internal
+def from_int(number: int) -> DoubleDouble:
+    """Return a 64-bit integer as a double-double number."""
     return two_sum(float(number >> 32) * 4294967296.0, float(number & 0xFFFFFFFF))
 
 
-@part
-def seconds(span_ns: int) -> Double:
-    """Return a number of nanoseconds in seconds."""
-    return divide(whole(span_ns), (1e9, 0.0))
+@internal
+def seconds(span_ns: int) -> DoubleDouble:
+    """Return a time span, ns, in s."""
+    return divide(from_int(span_ns), (1e9, 0.0))

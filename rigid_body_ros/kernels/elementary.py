@@ -13,21 +13,21 @@
 # limitations under the License.
 
 """
-Elementary functions for the compiled kernels: the same bits on every machine.
+Elementary functions for the compiled kernels, with the same bits on every machine.
 
-The functions of C libraries differ between machines in the last bit. These use nothing but the
-operations that IEEE 754 defines to the last bit: + - * /, square root and the fused product.
+The functions of C libraries differ between machines in the last bit. These use only operations
+whose results IEEE 754 defines to the last bit: + - * /, square root and fused multiply-add.
 
-A function is evaluated twice, as CORE-MATH does (Sibidanov, Zimmermann and Glondu, "The CORE-MATH
-project", 2022). A quick evaluation with about 65 bits decides how nearly all results round. Where
-it does not (Ziv, "Fast evaluation of elementary mathematical functions with correctly rounded last
-bit", 1991), which is rare, a careful one with an error below 1e-31 is rounded. It rounds
-to the wrong neighbour only if the true value is that close to the middle between two doubles,
-which is expected for about one argument in 10^15.
+A function is evaluated in two phases, as in CORE-MATH (Sibidanov, Zimmermann and Glondu, "The
+CORE-MATH project", 2022). A quick evaluation with about 65 bits decides how nearly all results
+round. The few that it leaves open (Ziv, "Fast evaluation of elementary mathematical functions
+with correctly rounded last bit", 1991) come from a careful one with an error below 1e-31. That
+rounds to the wrong neighbour only if the true value is as close to the middle between two
+doubles, which is expected for about one argument in 10^15.
 
-Angles are reduced to the nearest multiple of pi / 128, and ratios to that of 1 / 128, whose
-functions come from tables (Gal and Bachelis, "An accurate elementary mathematical library for the
-IEEE floating point standard", 1991).
+Angles are reduced by the nearest multiple of pi / 128, and ratios by that of 1 / 128. Tables hold
+the functions of these multiples (Gal and Bachelis, "An accurate elementary mathematical library
+for the IEEE floating point standard", 1991).
 """
 
 from __future__ import annotations
@@ -35,16 +35,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels.double_double import (
     add,
     divide,
-    Double,
+    DoubleDouble,
     multiply,
     negative,
     PI,
-    quick_sum,
+    quick_two_sum,
     subtract,
     two_product,
     two_sum,
@@ -65,17 +64,17 @@ from rigid_body_ros.kernels.elementary_tables import (
     STEPS,
     TURN_PARTS,
 )
-from rigid_body_ros.kernels.jit import fma, inlined, njit, part
+from rigid_body_ros.kernels.jit import fma, inlined, internal
 
 #: Bounds on the relative error of the quick evaluations.
 _SINE_ERROR, _ANGLE_ERROR = 2.0 ** -65, 2.0 ** -66
-#: Up to here a sine is its angle, and a cosine 1; a smaller ratio is its own arctangent.
+#: Below, a sine rounds to its angle and a cosine to 1; an arctangent to its ratio.
 _TINY_ANGLE, _TINY_RATIO = 2.0 ** -27, 2.0 ** -60
-#: Above, the reduction of an angle needs more bits of pi than `STEP` has.
+#: Above, the reduction of an angle takes more bits of pi than `STEP` has.
 _LARGE_ANGLE = 2.0 ** 20
-#: Parts of `TURN_PARTS` that reduce one angle: what follows is 2^-179 of a step.
+#: Elements of `TURN_PARTS` that reduce one angle: the rest is 2^-179 of a step.
 _PARTS = 11
-#: Numbers whose squares, times 2^-60, are far within the range of doubles.
+#: Between these, the square of a number, times 2^-60, is far inside the range of doubles.
 _SMALL, _LARGE = 2.0 ** -400, 2.0 ** 400
 _SCALE = 2.0 ** 600
 _STEPS_OF_RADIAN = STEPS / math.pi
@@ -83,34 +82,34 @@ _HALF_PI = 0.5 * PI[0], 0.5 * PI[1]
 _ONE, _TWO = (1.0, 0.0), (2.0, 0.0)
 
 
-@part
+@internal
 def sine_cosine(angle: float) -> tuple[float, float]:
     """Return sine and cosine, correctly rounded; NaN for infinities and NaN."""
     if abs(angle) < _TINY_ANGLE:
         return angle, 1.0
     sine, cosine = sine_cosine_pairs(angle)
-    if not (_is_settled(sine, _SINE_ERROR) and _is_settled(cosine, _SINE_ERROR)):
+    if not (_rounds_uniquely(sine, _SINE_ERROR) and _rounds_uniquely(cosine, _SINE_ERROR)):
         sine, cosine = _careful_sine_cosine(angle)
     return sine[0], cosine[0]
 
 
-@part
-def sine_cosine_pairs(angle: float) -> tuple[Double, Double]:
-    """Return sine and cosine with 65 bits."""
+@internal
+def sine_cosine_pairs(angle: float) -> tuple[DoubleDouble, DoubleDouble]:
+    """Return sine and cosine with 65 bits, as double-doubles."""
     if abs(angle) < 0.5 * STEP[0]:
         return _of_small_angle(angle)
-    count, rest = _near(angle) if abs(angle) < _LARGE_ANGLE else _far(angle)
+    count, rest = _reduce(angle) if abs(angle) < _LARGE_ANGLE else _reduce_large(angle)
     sine, cosine = _of_step(count), _of_step(count + STEPS // 2)
     return (_sine_of_sum(sine, cosine, rest),
             _sine_of_sum(cosine, negative(sine), rest))
 
 
-@part
+@internal
 def arctangent(y: float, x: float) -> float:
     """
     Return the angle, rad, of the point (x, y), correctly rounded.
 
-    Zeros, infinities and signs as for C's atan2.
+    Zeros, infinities and signs are treated as in C's atan2.
     """
     if y != y or x != x:
         return y + x
@@ -125,26 +124,26 @@ def arctangent(y: float, x: float) -> float:
         a, b = a / _SCALE, b / _SCALE
     elif b < _SMALL:
         a, b = a * _SCALE, b * _SCALE
-    angle = _placed(_quick_arctangent((a, 0.0), (b, 0.0)), steep, leftward)
-    if not _is_settled(angle, _ANGLE_ERROR):
-        angle = _placed(_careful_arctangent((a, 0.0), (b, 0.0)), steep, leftward)
+    angle = _to_half_plane(_quick_arctangent((a, 0.0), (b, 0.0)), steep, leftward)
+    if not _rounds_uniquely(angle, _ANGLE_ERROR):
+        angle = _to_half_plane(_careful_arctangent((a, 0.0), (b, 0.0)), steep, leftward)
     return math.copysign(angle[0], y)
 
 
-@part
-def arctangent_pair(y: Double, x: Double) -> Double:
-    """Return the angle, rad, of the point (x, y) with 65 bits; zeros have no sign."""
+@internal
+def arctangent_pair(y: DoubleDouble, x: DoubleDouble) -> DoubleDouble:
+    """Return the angle, rad, of the point (x, y) with 65 bits; signs of zeros are ignored."""
     a, b = (negative(y) if y[0] < 0.0 else y), (negative(x) if x[0] < 0.0 else x)
     steep = a[0] > b[0]
     if steep:
         a, b = b, a
     angle = _quick_arctangent(a, b) if b[0] > 0.0 else (0.0, 0.0)
-    angle = _placed(angle, steep, x[0] < 0.0)
+    angle = _to_half_plane(angle, steep, x[0] < 0.0)
     return negative(angle) if y[0] < 0.0 else angle
 
 
-@part
-def logarithm_10(x: float) -> float:
+@internal
+def log10(x: float) -> float:
     """Return the decimal logarithm of a positive normal number, correctly rounded."""
     fraction, exponent = math.frexp(x)
     if fraction < 0.7:
@@ -156,87 +155,35 @@ def logarithm_10(x: float) -> float:
     return add(multiply((float(exponent), 0.0), LOG10_2), multiply(LOG10_E, natural))[0]
 
 
-@part
-def hyperbolic(x: float) -> tuple[float, float]:
+@internal
+def tanh_sech(x: float) -> tuple[float, float]:
     """
     Return hyperbolic tangent and secant, correctly rounded.
 
-    Where the secant is below 1e-270 it is within a unit of the last digit, and above 709, where
-    it leaves the range of normal doubles, zero.
+    A secant below 1e-270 has an error of up to one unit in the last place. For |x| > 709, where
+    it leaves the range of normal doubles, it is zero.
     """
     if abs(x) < _TINY_ANGLE:
         return x, 1.0
     if abs(x) > 709.0:
         return math.copysign(1.0, x), 0.0
-    growth = _growth(abs(x))
+    growth = _expm1(abs(x))
     inverse = divide(_ONE, add(_ONE, growth))
     above = add(growth, multiply(growth, inverse))  # e^x - e^-x without cancellation
     below = add(add(_ONE, growth), inverse)
     return math.copysign(divide(above, below)[0], x), divide(_TWO, below)[0]
 
 
-def sines_cosines(angles: ArrayLike) -> tuple[Floats, Floats]:
-    """
-    Return sines and cosines, as `sine_cosine` does.
-
-    Parameters
-    ----------
-    angles : array, shape (...)
-        In rad.
-
-    Returns
-    -------
-    sines, cosines : array, shape (...)
-
-    """
-    flat = np.array(angles, float, order='C')
-    sines, cosines = np.empty(flat.shape), np.empty(flat.shape)
-    _fill_sines_cosines(flat.reshape(-1), sines.reshape(-1), cosines.reshape(-1))
-    return sines, cosines
-
-
-def arctangents(y: ArrayLike, x: ArrayLike) -> Floats:
-    """
-    Return the angles, rad, of points, as `arctangent` does.
-
-    Parameters
-    ----------
-    y, x : array, shape (...)
-        Broadcast against each other.
-
-    Returns
-    -------
-    array, shape (...)
-
-    """
-    points = np.array(np.broadcast_arrays(y, x), float)
-    angles = np.empty(points.shape[1:])
-    _fill_arctangents(points.reshape(2, -1), angles.reshape(-1))
-    return angles
-
-
-@njit
-def _fill_sines_cosines(angles: Floats, sines: Floats, cosines: Floats) -> None:
-    for row in range(len(angles)):
-        sines[row], cosines[row] = sine_cosine(float(angles[row]))
-
-
-@njit
-def _fill_arctangents(points: Floats, angles: Floats) -> None:
-    for row in range(len(angles)):
-        angles[row] = arctangent(float(points[0, row]), float(points[1, row]))
-
-
 @inlined
-def _is_settled(value: Double, error: float) -> bool:
-    # Whether all that is as near as the error rounds to the same double.
+def _rounds_uniquely(value: DoubleDouble, error: float) -> bool:
+    # Whether all numbers within this relative error round to the same double.
     high, low = value
     margin = error * abs(high)
     return high + (low - margin) == high + (low + margin)
 
 
-@part
-def _polynomial(coefficients: Floats, x: Double) -> Double:
+@internal
+def _polynomial(coefficients: Floats, x: DoubleDouble) -> DoubleDouble:
     total = (0.0, 0.0)
     for k in range(len(coefficients) - 1, -1, -1):
         total = add(multiply(total, x), (float(coefficients[k, 0]), float(coefficients[k, 1])))
@@ -244,27 +191,27 @@ def _polynomial(coefficients: Floats, x: Double) -> Double:
 
 
 @inlined
-def _near(angle: float) -> tuple[int, Double]:
-    # The nearest step, and what is left. The first product and difference are exact: bits of
-    # the angle below those of the step are there only if few steps are taken off.
+def _reduce(angle: float) -> tuple[int, DoubleDouble]:
+    # The nearest step, and the rest. The first product and difference are exact: the angle has
+    # bits below those of the step only if there are few steps.
     count = round(angle * _STEPS_OF_RADIAN)
     steps = float(count)
     product, rest = two_product(steps, STEP[1])
     high, low = two_sum(fma(-steps, STEP[0], angle), -product)
-    return count, quick_sum(high, low - fma(steps, STEP[2], rest))
+    return count, quick_two_sum(high, low - fma(steps, STEP[2], rest))
 
 
-@part
-def _far(angle: float) -> tuple[int, Double]:
-    # The same, of any angle, with 100 bits (Payne and Hanek, "Radian reduction for trigonometric
-    # functions", 1983): steps are counted modulo a whole turn, exactly.
+@internal
+def _reduce_large(angle: float) -> tuple[int, DoubleDouble]:
+    # The same for any angle, with 100 bits (Payne and Hanek, "Radian reduction for trigonometric
+    # functions", 1983). Steps are counted modulo a whole turn, exactly.
     if not abs(angle) < math.inf:
         return 0, (math.nan, math.nan)
     fraction, exponent = math.frexp(abs(angle))
     upper = math.floor(fraction * 2.0 ** 27)
     lower = (fraction * 2.0 ** 27 - upper) * 2.0 ** 26
     exponent -= 53
-    first = max(0, (exponent - 8) // PART_BITS + 1)  # those before make whole turns
+    first = max(0, (exponent - 8) // PART_BITS + 1)  # the parts before make whole turns
     a = b = c = d = 0.0
     for k in range(first, first + _PARTS):
         for half, place in ((float(upper), exponent + 26), (lower, exponent)):
@@ -279,29 +226,29 @@ def _far(angle: float) -> tuple[int, Double]:
     b, c = two_sum(b, c)
     high, b = two_sum(a - float(count), b)
     b, c = two_sum(b, c)
-    rest = multiply(quick_sum(high, b), (STEP[0], STEP[1]))
+    rest = multiply(quick_two_sum(high, b), (STEP[0], STEP[1]))
     return (-count, negative(rest)) if angle < 0.0 else (count, rest)
 
 
 @inlined
-def _of_step(count: int) -> Double:
+def _of_step(count: int) -> DoubleDouble:
     row = count & (2 * STEPS - 1)
     return float(SINES[row, 0]), float(SINES[row, 1])
 
 
 @inlined
-def _of_small_angle(x: float) -> tuple[Double, Double]:
+def _of_small_angle(x: float) -> tuple[DoubleDouble, DoubleDouble]:
     square, more = two_product(x, x)
-    high, low = quick_sum(1.0, -0.5 * square)
-    return (quick_sum(x, x * square * fma(square, fma(square, fma(
+    high, low = quick_two_sum(1.0, -0.5 * square)
+    return (quick_two_sum(x, x * square * fma(square, fma(square, fma(
                 square, 1 / 362880, -1 / 5040), 1 / 120), -1 / 6)),
-            quick_sum(high, low + fma(square * square, fma(square, fma(
+            quick_two_sum(high, low + fma(square * square, fma(square, fma(
                 square, 1 / 40320, -1 / 720), 1 / 24), -0.5 * more)))
 
 
 @inlined
-def _sine_of_sum(sine: Double, cosine: Double, rest: Double) -> Double:
-    # Of a table's angle and a rest of at most half a step.
+def _sine_of_sum(sine: DoubleDouble, cosine: DoubleDouble, rest: DoubleDouble) -> DoubleDouble:
+    # The sine of the sum of a table's angle and a rest of at most half a step.
     x, low = rest
     square, more = two_product(x, x)
     half = 0.5 * square
@@ -311,15 +258,16 @@ def _sine_of_sum(sine: Double, cosine: Double, rest: Double) -> Double:
                -fma(x, low, 0.5 * more))
     first, first_rest = two_product(cosine[0], x)
     second, second_rest = two_product(sine[0], -half)
-    high, high_rest = quick_sum(sine[0], first)
+    high, high_rest = quick_two_sum(sine[0], first)
     high, second = two_sum(high, second)
     small = fma(cosine[0], low, fma(cosine[1], x, sine[1] + first_rest + second_rest))
-    return quick_sum(high, fma(cosine[0], odd, fma(sine[0], even, small)) + (high_rest + second))
+    small = fma(cosine[0], odd, fma(sine[0], even, small))
+    return quick_two_sum(high, small + (high_rest + second))
 
 
-@part
-def _careful_sine_cosine(angle: float) -> tuple[Double, Double]:
-    count, rest = _far(angle)
+@internal
+def _careful_sine_cosine(angle: float) -> tuple[DoubleDouble, DoubleDouble]:
+    count, rest = _reduce_large(angle)
     minus_square = negative(multiply(rest, rest))
     odd = multiply(rest, _polynomial(SINE_SERIES, minus_square))
     even = multiply(minus_square, _polynomial(COSINE_SERIES, minus_square))
@@ -328,10 +276,10 @@ def _careful_sine_cosine(angle: float) -> tuple[Double, Double]:
             add(cosine, subtract(multiply(cosine, even), multiply(sine, odd))))
 
 
-@part
+@internal
 def _ratio(a: float, b: float) -> float:
-    # The arctangent of a tiny ratio: the ratio itself. If its subnormal lies half way between its
-    # neighbours, the lower one, because the arctangent is smaller.
+    # The arctangent of a tiny ratio: the ratio itself. If it is half way between two subnormal
+    # doubles, the lower one, because the arctangent is smaller.
     if a == 0.0:
         return 0.0
     ratio = a / b
@@ -344,8 +292,8 @@ def _ratio(a: float, b: float) -> float:
 
 
 @inlined
-def _placed(angle: Double, steep: bool, leftward: bool) -> Double:
-    # From the lower half of the first quadrant to the upper half plane.
+def _to_half_plane(angle: DoubleDouble, steep: bool, leftward: bool) -> DoubleDouble:
+    # Map an angle in the lower half of the first quadrant to the upper half plane.
     if steep:
         return add(_HALF_PI, angle if leftward else negative(angle))
     return subtract(PI, angle) if leftward else angle
@@ -357,26 +305,26 @@ def _nearest_ratio(a: float, b: float) -> int:
 
 
 @inlined
-def _quick_arctangent(a: Double, b: Double) -> Double:
-    # Of a / b, from 0 to 1: that of the nearest ratio in the table, and of what is left,
-    # (a - b ratio) / (b + a ratio), where the first difference is exact.
+def _quick_arctangent(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
+    # The arctangent of a / b, 0 to 1: that of the nearest ratio in the table, plus that of
+    # (a - b ratio) / (b + a ratio), whose numerator is exact.
     row = _nearest_ratio(a[0], b[0])
     ratio = float(row) / STEPS
     above, above_rest = fma(-ratio, b[0], a[0]), fma(-ratio, b[1], a[1])
     product, product_rest = two_product(ratio, a[0])
-    below, below_rest = quick_sum(b[0], product)
+    below, below_rest = quick_two_sum(b[0], product)
     below_rest += fma(ratio, a[1], b[1] + product_rest)
     inverse = 1.0 / below
     x = above * inverse
     low = fma(-x, below_rest, fma(-x, below, above) + above_rest) * inverse
     square = x * x
     odd = x * square * fma(square, fma(square, fma(square, 1 / 9, -1 / 7), 1 / 5), -1 / 3)
-    high, rest = quick_sum(float(ARCTANGENTS[row, 0]), x)
-    return quick_sum(high, odd + (low + (float(ARCTANGENTS[row, 1]) + rest)))
+    high, rest = quick_two_sum(float(ARCTANGENTS[row, 0]), x)
+    return quick_two_sum(high, odd + (low + (float(ARCTANGENTS[row, 1]) + rest)))
 
 
-@part
-def _careful_arctangent(a: Double, b: Double) -> Double:
+@internal
+def _careful_arctangent(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
     row = _nearest_ratio(a[0], b[0])
     ratio = (float(row) / STEPS, 0.0)
     x = divide(subtract(a, multiply(ratio, b)), add(b, multiply(ratio, a)))
@@ -384,10 +332,10 @@ def _careful_arctangent(a: Double, b: Double) -> Double:
     return add((float(ARCTANGENTS[row, 0]), float(ARCTANGENTS[row, 1])), multiply(x, series))
 
 
-@part
-def _growth(x: float) -> Double:
-    # exp(x) - 1, for x from 0 to 709: that of a 64th of what is left of x after whole powers of
-    # 2, and then six times the square of 1 + growth.
+@internal
+def _expm1(x: float) -> DoubleDouble:
+    # exp(x) - 1 for x from 0 to 709: powers of 2 are split off, the series gives exp - 1 of a
+    # 64th of the rest, and 1 + growth is squared six times.
     power = float(round(x / LN_2[0]))
     rest = subtract(subtract((x, 0.0), two_product(power, LN_2[0])),
                     two_product(power, LN_2[1]))

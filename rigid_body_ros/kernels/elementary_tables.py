@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Constants of the elementary functions, computed in integers at import.
+Constants of the elementary functions, computed in integer arithmetic at import.
 
-A number is an integer multiple of a power of two, and the tables hold it as a sum of two doubles,
-both correctly rounded. Python's integers are exact, so the tables are the same on every machine.
+A number is an integer multiple of a power of two. The tables hold it as a sum of two doubles, both
+correctly rounded. Python's integers are exact, so the tables are the same on every machine.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 Pair = tuple[float, float]
 
-#: Steps in half a turn of the table of sines, and from 0 to 1 of the table of arctangents.
+#: Steps per half turn in the table of sines, and from 0 to 1 in the table of arctangents.
 STEPS = 128
 #: Bits in each of `TURN_PARTS`: a product with half of a double's bits is exact.
 PART_BITS = 24
@@ -41,7 +41,7 @@ _ONE, _FINE = 1 << 200, 1 << PART_BITS * (_PARTS + 2)
 
 
 def _split(value: int) -> Pair:
-    """Return value / _ONE as a double and what rounding took from it."""
+    """Return value / _ONE as a double and its low-order part."""
     high = value / _ONE  # Python rounds the quotient of integers correctly
     above, below = high.as_integer_ratio()
     return high, (value - above * _ONE // below) / _ONE
@@ -55,7 +55,7 @@ def _thrice(value: int) -> tuple[float, float, float]:
 
 
 def _inverse_tangent(above: int, below: int, one: int, sign: int) -> int:
-    """Return the arctangent (sign -1) or its hyperbolic twin (1) of a fraction, by its series."""
+    """Return the arctangent (sign -1) or area tangent (1) of a fraction, by its series."""
     power, total, odd = one * above // below, 0, 1
     while power:
         total += power // odd
@@ -81,7 +81,7 @@ def _half_turn(one: int) -> int:
 
 
 def _sines() -> list[Pair]:
-    """Return the sines of a whole turn, with the symmetries that they have."""
+    """Return the sines of a whole turn, exactly symmetric."""
     quarter = [_split(_sine(_PI * k // STEPS)) for k in range(STEPS // 2)]
     half = [*quarter, (1.0, 0.0), *quarter[:0:-1]]
     return half + [(-high, -low) for high, low in half]
@@ -89,8 +89,9 @@ def _sines() -> list[Pair]:
 
 def _arctangents() -> list[Pair]:
     # atan(k + 1) - atan(k) in steps is the arctangent of one step over 1 + k (k + 1) steps^2.
-    rises = (_inverse_tangent(STEPS, STEPS * STEPS + k * (k + 1), _ONE, -1) for k in range(STEPS))
-    return [_split(angle) for angle in accumulate(rises, initial=0)]
+    increments = (_inverse_tangent(STEPS, STEPS * STEPS + k * (k + 1), _ONE, -1)
+                  for k in range(STEPS))
+    return [_split(angle) for angle in accumulate(increments, initial=0)]
 
 
 def _turn_parts() -> list[float]:
@@ -115,8 +116,8 @@ PI = _split(_PI)
 STEP = _thrice(_PI // STEPS)
 LN_2 = _split(_LN_2)
 LOG10_2, LOG10_E = _split(_LN_2 * _ONE // _LN_10), _split(_ONE * _ONE // _LN_10)
-#: sin(k pi / STEPS), for a whole turn, and atan(k / STEPS); shape (n, 2), the second column is
-#: what rounding took from the first.
+#: sin(k pi / STEPS) for a whole turn, and atan(k / STEPS); shape (n, 2), the second column is the
+#: low-order part of the first.
 SINES, ARCTANGENTS = np.array(_sines()), np.array(_arctangents())
 #: Coefficients of power series, likewise: sin x / x and (1 - cos x) / x^2 in -x^2, (e^x - 1) / x,
 #: arctan x / x in -x^2, and artanh x / x in x^2. They reach 100 bits for |x| up to half a step,

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Kernels that convert between attitudes and Euler angles with 65 bits, and round once.
+Kernels that convert between attitudes and Euler angles with 65 bits and round once.
 
 A sequence is given as intrinsic rotations about body axes i, j, k: the first two axes, whether it
-is proper (k = i), and the parity, 1 if i, j and the third axis are right-handed, else -1.
+is proper (k = i), and the parity, which is 1 if i, j and the third axis are right-handed, else -1.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ import math
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import double_double as dd
-from rigid_body_ros.kernels.double_double import Double
+from rigid_body_ros.kernels.double_double import DoubleDouble
 from rigid_body_ros.kernels.elementary import arctangent_pair, sine_cosine_pairs
-from rigid_body_ros.kernels.jit import njit, part
+from rigid_body_ros.kernels.jit import internal, njit
 
-#: The least and the greatest double in the domain of the outer two angles.
+#: Smallest and largest double in the range of the first and third angle.
 _PROPER = 0.0, math.nextafter(2.0 * math.pi, 0.0)
 _TAIT_BRYAN = math.nextafter(-math.pi, 0.0), math.pi
-#: The square of a number between these is far within the range of doubles.
+#: Between these, the square of a number is far inside the range of doubles.
 _SMALL, _LARGE = 2.0 ** -400, 2.0 ** 400
 _SCALE = 2.0 ** 600
 
@@ -42,14 +42,14 @@ _SCALE = 2.0 ** 600
 def fill_attitudes(angles: Floats, attitudes: Floats, i: int, j: int, proper: bool,
                    parity: float) -> None:
     """
-    Fill the attitudes of Euler angles.
+    Compute the attitudes of Euler angles.
 
     Parameters
     ----------
     angles : float64 (m, 3), rad
         In the order of the intrinsic rotations.
     attitudes : float64 (m, 4)
-        Filled with x y z w.
+        Output: x y z w, body to space.
     i, j, proper, parity : int, int, bool, float
         The sequence.
 
@@ -58,16 +58,16 @@ def fill_attitudes(angles: Floats, attitudes: Floats, i: int, j: int, proper: bo
         s1, c1 = sine_cosine_pairs(0.5 * float(angles[row, 0]))
         s2, c2 = sine_cosine_pairs(0.5 * float(angles[row, 1]))
         s3, c3 = sine_cosine_pairs(0.5 * float(angles[row, 2]))
-        # First and second turn multiplied, then the third; x, y, z are along i, j and i x j.
+        # The first two rotations multiplied, then the third; x, y, z are along i, j and i x j.
         w, x = dd.multiply(c1, c2), dd.multiply(s1, c2)
         y, z = dd.multiply(c1, s2), dd.multiply(s1, s2)
         if proper:
-            w, x = _turned(w, x, s3, c3)
-            z, y = _turned(z, y, s3, c3)
+            w, x = _rotated(w, x, s3, c3)
+            z, y = _rotated(z, y, s3, c3)
         else:
             s3 = (parity * s3[0], parity * s3[1])
-            w, z = _turned(w, z, s3, c3)
-            y, x = _turned(y, x, s3, c3)
+            w, z = _rotated(w, z, s3, c3)
+            y, x = _rotated(y, x, s3, c3)
         # Adding zero turns -0.0 into 0.0.
         attitudes[row, 3], attitudes[row, i] = w[0] + 0.0, x[0] + 0.0
         attitudes[row, j], attitudes[row, 3 - i - j] = y[0] + 0.0, parity * z[0] + 0.0
@@ -77,14 +77,14 @@ def fill_attitudes(angles: Floats, attitudes: Floats, i: int, j: int, proper: bo
 def fill_angles(attitudes: Floats, angles: Floats, i: int, j: int, proper: bool,
                 parity: float) -> None:
     """
-    Fill the Euler angles of attitudes; NaN if an attitude is zero or not finite.
+    Compute the Euler angles of attitudes; NaN if an attitude is zero or not finite.
 
     Parameters
     ----------
     attitudes : float64 (m, 4)
-        x y z w, of any norm.
+        x y z w, body to space, of any norm.
     angles : float64 (m, 3), rad
-        Filled in the order of the intrinsic rotations.
+        Output, in the order of the intrinsic rotations.
     i, j, proper, parity : int, int, bool, float
         The sequence.
 
@@ -108,18 +108,19 @@ def fill_angles(attitudes: Floats, angles: Floats, i: int, j: int, proper: bool,
         angles[row, 2] = _rounded(dd.subtract(third, (change, 0.0)), low, high)
 
 
-@part
-def _turned(a: Double, b: Double, sine: Double, cosine: Double) -> tuple[Double, Double]:
+@internal
+def _rotated(a: DoubleDouble, b: DoubleDouble, sine: DoubleDouble,
+             cosine: DoubleDouble) -> tuple[DoubleDouble, DoubleDouble]:
     return (dd.subtract(dd.multiply(a, cosine), dd.multiply(b, sine)),
             dd.add(dd.multiply(b, cosine), dd.multiply(a, sine)))
 
 
-@part
+@internal
 def _angles(w: float, x: float, y: float, z: float,
-            proper: bool) -> tuple[Double, Double, Double, float]:
-    # Of a proper sequence, and the cosine of the middle one.
+            proper: bool) -> tuple[DoubleDouble, DoubleDouble, DoubleDouble, float]:
+    # The angles of a proper sequence, and the cosine of the middle one.
     a, b, c, d = (w, 0.0), (x, 0.0), (y, 0.0), (z, 0.0)
-    if not proper:  # a quarter turn about the middle axis makes it one
+    if not proper:  # a quarter turn about the middle axis makes it proper
         a, b, c, d = (dd.two_sum(w, -y), dd.two_sum(x, -z), dd.two_sum(w, y), dd.two_sum(x, z))
     half_sum, half_difference = arctangent_pair(b, a), arctangent_pair(d, c)
     along, across = _hypotenuse(a, b), _hypotenuse(c, d)
@@ -130,28 +131,28 @@ def _angles(w: float, x: float, y: float, z: float,
             dd.subtract(half_sum, half_difference), cosine)
 
 
-@part
+@internal
 def _scale(size: float) -> float:
-    # A power of two that brings numbers up to this size to where squares keep their digits.
+    # A power of two that scales numbers of this size to where their squares keep all digits.
     return _SCALE if size < _SMALL else 1.0 / _SCALE if size > _LARGE else 1.0
 
 
-@part
-def _hypotenuse(a: Double, b: Double) -> Double:
+@internal
+def _hypotenuse(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
     scale = _scale(max(abs(a[0]), abs(b[0])))
     a, b = (scale * a[0], scale * a[1]), (scale * b[0], scale * b[1])
-    root = dd.root(dd.add(dd.multiply(a, a), dd.multiply(b, b)))
+    root = dd.sqrt(dd.add(dd.multiply(a, a), dd.multiply(b, b)))
     return root[0] / scale, root[1] / scale
 
 
-@part
-def _rounded(angle: Double, low: float, high: float) -> float:
-    # The nearest double in the domain, give or take whole turns; not -0.0.
+@internal
+def _rounded(angle: DoubleDouble, low: float, high: float) -> float:
+    # The nearest double in the range, modulo whole turns; never -0.0.
     return min(max(_folded(angle, 0.5 * (low + high))[0], low), high) + 0.0
 
 
-@part
-def _folded(angle: Double, centre: float) -> Double:
-    # Whole turns taken off, to within half a turn of the centre.
+@internal
+def _folded(angle: DoubleDouble, centre: float) -> DoubleDouble:
+    # The angle less whole turns, within half a turn of the centre.
     turns = 2.0 * float(round((angle[0] - centre) / (2.0 * dd.PI[0])))
     return dd.subtract(angle, (turns * dd.PI[0], turns * dd.PI[1]))

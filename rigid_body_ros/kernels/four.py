@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Four doubles in one register, for the compiled kernels: a quaternion, or a vector and a zero.
+Four doubles in one SIMD register, for the compiled kernels: a quaternion, or a vector and a zero.
 
-What is done to one is done to each, and rounded as for a single double, so that results do not
-depend on how many of them a machine's registers hold. Kernels read one of the four as a[0] to
-a[3]. Without numba, four doubles are a tuple.
+Operations work on each of the four and round as for a single double, so results do not depend on
+the size of a machine's registers. Kernels read the elements as a[0] to a[3]. Without numba, four
+doubles are a tuple.
 """
 
 from __future__ import annotations
@@ -69,14 +69,15 @@ Four = tuple[float, float, float, float]
 
 def _operation(plain: Callable[..., Any], kinds: str,
                generate: Callable[..., Any]) -> Callable[..., Four]:
-    # An operation of the kernels: in Python, the kinds of its arguments, and in instructions.
+    # An operation of the kernels, from its Python form, the types of its arguments, and a function
+    # that generates its LLVM instructions.
     if not jit.COMPILES:
         return plain
     arguments = [_TYPES[kind] for kind in kinds.split()]
-    found = (_TYPES['four'](*arguments),
+    typed = (_TYPES['four'](*arguments),
              lambda _, builder, __, values: generate(builder, *values))
-    by_count = (lambda _, a: found, lambda _, a, b: found, lambda _, a, b, c: found,
-                lambda _, a, b, c, d: found)
+    by_count = (lambda _, a: typed, lambda _, a, b: typed, lambda _, a, b, c: typed,
+                lambda _, a, b, c, d: typed)
     return intrinsic(by_count[len(arguments) - 1])
 
 
@@ -111,21 +112,21 @@ def _permuted(order: str, signs: str = '++++') -> Callable[[Four], Four]:
         generate)
 
 
-#: Four floats, and one float four times.
+#: Four floats; one float four times.
 of = _operation(lambda *values: values, 'float float float float', _gathered)
-every = _operation(lambda value: (value,) * 4, 'float',
+broadcast = _operation(lambda value: (value,) * 4, 'float',
                    lambda builder, value: _gathered(builder, *[value] * 4))
 add = _operation(_each(operator.add), 'four four', lambda builder, a, b: builder.fadd(a, b))
 subtract = _operation(_each(operator.sub), 'four four', lambda builder, a, b: builder.fsub(a, b))
 multiply = _operation(_each(operator.mul), 'four four', lambda builder, a, b: builder.fmul(a, b))
 negative = _operation(_each(operator.neg), 'four', lambda builder, a: builder.fneg(a))
 absolute = _operation(_each(abs), 'four', lambda builder, a: _called(builder, 'llvm.fabs', a))
-#: a b + c, rounded once.
+#: a b + c of each, rounded once.
 fma = _operation(_each(jit.fma), 'four four four',
                  lambda builder, *values: _called(builder, 'llvm.fma', *values))
-#: y z x and z x y of a vector.
+#: The components of a vector in the order y, z, x and z, x, y.
 yzx, zxy = _permuted('yzxw'), _permuted('zxyw')
-#: The quaternion times i, j and k.
+#: Hamilton's product of a quaternion and i, j or k.
 times_i, times_j, times_k = (_permuted('wzyx', '++--'), _permuted('zwxy', '-++-'),
                              _permuted('yxwz', '+-+-'))
 
@@ -158,7 +159,7 @@ if jit.COMPILES:
             return context.get_dummy_value()
         return types.void(values, types.intp, four), generate
 
-#: Four successive elements of a contiguous array, shape (n,): read, and set, from a place on.
+#: Read or write four successive elements of a contiguous array, shape (n,), from an index on.
 load: Callable[[NDArray[np.float64], int], Four] = _load if jit.COMPILES else _plain_load
 store: Callable[[NDArray[np.float64], int, Four], None] = \
     _store if jit.COMPILES else _plain_store

@@ -29,16 +29,16 @@ space around axis 3: that of the largest moment, or, beyond the separatrix, that
 With G = |m|, n = -I3 (I2 - I1) / (I1 (I3 - I2)) and C = G (I3 - I1) / (lambda I1 I3),
 
     psi = (G / I3) t + [C Pi(n; u) + atan2(sqrt(1 - n) sn u, cn u)] from u0 to u,
-    Pi(n; u) = u + n sn^3 R_J(cn^2, dn^2, 1, 1 - n sn^2) / 3                   where n >= -1,
+    Pi(n; u) = u + n sn^3 R_J(cn^2, dn^2, 1, 1 - n sn^2) / 3                   if n >= -1,
     Pi(n; u) = atan2(g sn u, cn u dn u) / g
                - m sn^3 R_J(cn^2, dn^2, 1, 1 - m sn^2 / n) / (3 n),
-               g^2 = (1 - n) (1 - m / n)                                       where n < -1,
+               g^2 = (1 - n) (1 - m / n)                                       if n < -1,
 
 with Carlson's symmetric integrals (DLMF 19.21.12 leads from one line to the other). In the first
 case C u and (G / I3) t together make (G / I1) t.
 
-What grows with time is the number of half periods and the angle in each. These constants are
-worked out with 32 digits, so that the error does not grow with time.
+The error must not grow with time. What multiplies the time is the number of half periods and the
+angle of each, so these constants are computed to 32 digits.
 """
 
 from __future__ import annotations
@@ -48,167 +48,239 @@ from typing import NamedTuple
 
 from rigid_body_ros.kernels import double_double as dd
 from rigid_body_ros.kernels import elementary, elliptic, four
-from rigid_body_ros.kernels.double_double import Double
-from rigid_body_ros.kernels.jit import part
+from rigid_body_ros.kernels.double_double import DoubleDouble
+from rigid_body_ros.kernels.jit import internal
 from rigid_body_ros.kernels.vector import (
     add,
     add_scaled,
     combine,
     dot,
-    Frame,
+    KernelState,
     multiply,
     of,
+    PrincipalFrame,
     Quaternion,
     scale,
-    State,
     Vector,
 )
 
-#: What rounding does to numbers of 32 digits, and how much of m_c, which near the separatrix is a
-#: difference of such numbers, may be in doubt: a step by step solution would be further off.
-_ROUNDING, _DOUBT = 1e-31, 1e-12
-#: Of the energy, the part of the other two axes, below which a body turns about one.
-_NOTHING = 1e-70
-#: The second half of 32 digits leaves the range of doubles below.
+#: Relative rounding error of numbers of 32 digits, and largest accepted relative error of m_c,
+#: which near the separatrix is a difference of such numbers. Above, the series is more accurate.
+_ROUNDING, _ACCEPTED = 1e-31, 1e-12
+#: Delta_1 or Delta_3 below which a body turns about a principal axis.
+_NEGLIGIBLE = 1e-70
+#: Below, the low-order part of a double-double leaves the range of doubles.
 _UNDERFLOW = 1e-250
 
-LOST, STEADY, PERIODIC, SEPARATRIX = range(4)
+NEAR_SEPARATRIX, STEADY, PERIODIC, SEPARATRIX = range(4)
 _ZERO = (0.0, 0.0)
 _ONE = (1.0, 0.0)
 
-Doubles = tuple[Double, Double, Double]
+Triple = tuple[DoubleDouble, DoubleDouble, DoubleDouble]
 
 
 class Motion(NamedTuple):
-    """A torque-free motion: what does not change with time. Canonical axes, scaled units."""
+    """Constants of a torque-free motion, along canonical axes, in scaled units."""
 
     kind: int
-    start: State
-    #: Of all rates here, 1/s: a power of two.
+    start: KernelState
+    #: Unit of all rates here, 1/s: a power of two.
     scale: float
-    #: The canonical axes in body components, as rows.
+    #: The canonical axes as rows, in body axes.
     axes: tuple[Vector, Vector, Vector]
     #: Amplitudes of the angular velocity, and of the unit vector along m.
     rates: Vector
     directions: Vector
+    #: m_c; the characteristic n; C.
     complement: float
     n: float
     factor: float
+    #: u0, and whether cn is negative at the start: u is counted from the nearest zero of sn.
     phase: float
     odd: bool
-    #: lambda; 2 K; the linear part of psi; what each half period adds: rad, and rad over time.
-    speed: Double
-    half_period: Double
-    drift: Double
-    gain: Double
+    #: lambda; 2 K; rate of the linear part of psi; increment of psi per half period, rad.
+    speed: DoubleDouble
+    half_period: DoubleDouble
+    drift: DoubleDouble
+    gain: DoubleDouble
 
 
-@part
-def prepare(state: State, frame: Frame) -> Motion:
+class _Principal(NamedTuple):
+    """The rotation of a body along three orthogonal principal axes, in scaled units."""
+
+    rates: Triple
+    momentum: Triple
+    #: I w^2 along each axis: twice the kinetic energy.
+    energies: Triple
+    moments: Triple
+    #: The axes as rows, in body axes.
+    axes: tuple[Vector, Vector, Vector]
+    #: Unit of the rates, 1/s.
+    scale: float
+    #: -1 if the moments descend, else 1.
+    sign: float
+
+
+class _Invariants(NamedTuple):
+    """
+    Constants of a motion, which determine its kind.
+
+    Delta_k = G^2 - 2 T I_k as in the paper, with angular momentum G and kinetic energy T, here
+    from sums in which nothing cancels but the two terms of Delta_2.
+    """
+
+    #: |I2 - I1|, |I3 - I1| and |I3 - I2|.
+    i21: DoubleDouble
+    i31: DoubleDouble
+    i32: DoubleDouble
+    #: |Delta_1|; Delta_2, negative if the axes have to be renamed; |Delta_3|.
+    delta_1: DoubleDouble
+    delta_2: DoubleDouble
+    delta_3: DoubleDouble
+
+
+@internal
+def prepare(state: KernelState, frame: PrincipalFrame) -> Motion:
     """
     Return the torque-free motion from a state on.
 
     Parameters
     ----------
-    state : State
-        From which `at` counts the time.
-    frame : Frame
+    state : KernelState
+        The start, from which `at` counts the time.
+    frame : PrincipalFrame
         Principal moments and axes of the body.
 
     Returns
     -------
     Motion
-        Of kind LOST where the form has lost its digits: so near the separatrix, but not on it,
-        that rounding in the 32nd digit shows.
+        Of kind NEAR_SEPARATRIX if it is too close to the separatrix for the closed form, but not
+        on it: the rounding error of the 32nd digit would show.
 
     """
-    w, m, i, scale = _principal(state, frame)
-    d21, d31, d32 = (dd.subtract(i[1], i[0]), dd.subtract(i[2], i[0]), dd.subtract(i[2], i[1]))
-    if d32[0] * w[1][0] * w[2][0] == d31[0] * w[2][0] * w[0][0] == d21[0] * w[0][0] * w[1][0] == 0:
-        return unchanging(state, STEADY)
-    e = (dd.multiply(m[0], w[0]), dd.multiply(m[1], w[1]), dd.multiply(m[2], w[2]))
-    first = dd.add(dd.multiply(e[1], d21), dd.multiply(e[2], d31))
-    second = dd.subtract(dd.multiply(e[2], d32), dd.multiply(e[0], d21))
-    third = dd.add(dd.multiply(e[0], d31), dd.multiply(e[1], d32))
-    speed = abs(w[0][0]) + abs(w[1][0]) + abs(w[2][0])
-    unsure = near = abs(e[2][0] * d32[0]) + abs(e[0][0] * d21[0])
-    if not _along_body_axes(frame):
-        unsure += speed * (abs(m[2][0] * d32[0]) + abs(m[0][0] * d21[0]))
-    if first[0] < _NOTHING or third[0] < _NOTHING:
-        return unchanging(state, STEADY)
-    if near < _UNDERFLOW or (second[0] != 0.0 and _ROUNDING * unsure > _DOUBT * abs(second[0])):
-        return unchanging(state, LOST)
-    rows = frame[2]
-    if second[0] < 0.0:  # axes 3, -2, 1; all differences change their signs
-        i, m = (i[2], i[1], i[0]), (m[2], dd.negative(m[1]), m[0])
-        rows = (rows[2], four.negative(rows[1]), rows[0])
-        d21, d31, d32 = d32, d31, d21
-        first, second, third = third, dd.negative(second), first
-        sign = -1.0
-    else:
-        sign = 1.0
-    if m[2][0] < 0.0:
-        m = (dd.negative(m[0]), m[1], dd.negative(m[2]))
-        rows = (four.negative(rows[0]), rows[1], four.negative(rows[2]))
-    return _canonical(state, scale, i, m, rows, d21, d31, d32, first, second, third, sign)
+    body = _principal(state, frame)
+    invariants = _invariants(body)
+    if _is_steady(body.rates, invariants):
+        return start_only(state, STEADY)
+    if _is_near_separatrix(body, invariants, frame):
+        return start_only(state, NEAR_SEPARATRIX)
+    body, invariants = _renamed(body, invariants)
+    return _canonical(state, body, invariants)
 
 
-@part
-def _canonical(state: State, scale: float, i: Doubles, m: Doubles,
-               rows: tuple[Vector, Vector, Vector], d21: Double, d31: Double, d32: Double,
-               first: Double, second: Double, third: Double, sign: float) -> Motion:
-    # The differences, and their combinations with the energy, are taken as positive; `sign` is
-    # that of the moments along the canonical axes.
-    complement = dd.divide(dd.multiply(second, d31), dd.multiply(first, d32))
-    kind = PERIODIC if complement[0] > 0.0 else SEPARATRIX
-    momentum = dd.root(dd.add(dd.multiply(m[0], m[0]),
-                              dd.add(dd.multiply(m[1], m[1]), dd.multiply(m[2], m[2]))))
-    product = dd.multiply(dd.multiply(i[0], i[1]), i[2])
-    speed = dd.root(dd.divide(dd.multiply(first, d32), product))
-    speed = (-sign * speed[0], -sign * speed[1])
-    b = (dd.root(dd.divide(dd.multiply(i[0], third), d31)),
-         dd.root(dd.divide(dd.multiply(i[1], third), d32)),
-         dd.root(dd.divide(dd.multiply(i[2], first), d31)))
-    n = dd.negative(dd.divide(dd.multiply(i[2], d21), dd.multiply(i[0], d32)))
-    factor = dd.divide(dd.multiply(momentum, (sign * d31[0], sign * d31[1])),
-                       dd.multiply(speed, dd.multiply(i[0], i[2])))
-    half_period, gain = _ZERO, _ZERO
-    if kind == PERIODIC:
-        half_period = _double(elliptic.complete(complement, _ONE, _ONE, _ONE))
-        p = dd.subtract(_ONE, n)
-        if n[0] >= -1.0:
-            gain = dd.multiply(n, elliptic.complete(complement, p, _ZERO, _ONE))
-        else:
-            gain = elliptic.complete(complement, p, _ONE, _ONE)
-        gain = dd.add(_double(dd.multiply(factor, gain)), dd.PI)
-    odd = m[0][0] < 0.0
-    sine, cosine = -m[1][0] / b[1][0], abs(m[0][0]) / b[0][0]
-    norm = dd.root(dd.add(dd.two_product(sine, sine), dd.two_product(cosine, cosine)))[0]
-    sine, cosine = (-sine / norm if odd else sine / norm), cosine / norm
-    phase = sine * elliptic.carlson_f(cosine * cosine, cosine * cosine
-                                      + complement[0] * sine * sine, 1.0)
-    return Motion(
-        kind, state, scale, rows,
-        of(b[0][0] / i[0][0], b[1][0] / i[1][0], b[2][0] / i[2][0]),
-        of(b[0][0] / momentum[0], b[1][0] / momentum[0], b[2][0] / momentum[0]),
-        complement[0], n[0], factor[0], phase, odd, speed, half_period,
-        dd.divide(momentum, i[0] if n[0] >= -1.0 else i[2]), gain)
-
-
-@part
-def unchanging(state: State, kind: int) -> Motion:
-    """Return a motion of kind STEADY or LOST: it says no more than its start."""
+@internal
+def start_only(state: KernelState, kind: int) -> Motion:
+    """Return a motion of kind STEADY or NEAR_SEPARATRIX, which holds its start only."""
     unit = (of(1.0, 0.0, 0.0), of(0.0, 1.0, 0.0), of(0.0, 0.0, 1.0))
-    none = of(0.0, 0.0, 0.0)
-    return Motion(kind, state, 1.0, unit, none, none, 0.0, 0.0, 0.0, 0.0, False, _ZERO, _ZERO,
+    zero = of(0.0, 0.0, 0.0)
+    return Motion(kind, state, 1.0, unit, zero, zero, 0.0, 0.0, 0.0, 0.0, False, _ZERO, _ZERO,
                   _ZERO, _ZERO)
 
 
-@part
-def at(motion: Motion, span_ns: int) -> State:
-    """Return the state a number of nanoseconds after the start; the motion must not be LOST."""
+@internal
+def _invariants(body: _Principal) -> _Invariants:
+    i, e = body.moments, body.energies
+    i21, i31, i32 = dd.subtract(i[1], i[0]), dd.subtract(i[2], i[0]), dd.subtract(i[2], i[1])
+    return _Invariants(i21, i31, i32,
+                       dd.add(dd.multiply(e[1], i21), dd.multiply(e[2], i31)),
+                       dd.subtract(dd.multiply(e[2], i32), dd.multiply(e[0], i21)),
+                       dd.add(dd.multiply(e[0], i31), dd.multiply(e[1], i32)))
+
+
+@internal
+def _is_steady(w: Triple, invariants: _Invariants) -> bool:
+    # Whether the body turns about a principal axis.
+    i21, i31, i32 = invariants.i21[0], invariants.i31[0], invariants.i32[0]
+    return (i32 * w[1][0] * w[2][0] == i31 * w[2][0] * w[0][0] == i21 * w[0][0] * w[1][0] == 0
+            or invariants.delta_1[0] < _NEGLIGIBLE or invariants.delta_3[0] < _NEGLIGIBLE)
+
+
+@internal
+def _is_near_separatrix(body: _Principal, invariants: _Invariants, frame: PrincipalFrame) -> bool:
+    # Whether rounding may change too much of Delta_2, which is a difference of two terms.
+    w, m, e = body.rates, body.momentum, body.energies
+    i21, i32, delta_2 = invariants.i21[0], invariants.i32[0], invariants.delta_2[0]
+    uncertain = terms = abs(e[2][0] * i32) + abs(e[0][0] * i21)
+    if not _along_body_axes(frame):
+        speed = abs(w[0][0]) + abs(w[1][0]) + abs(w[2][0])
+        uncertain += speed * (abs(m[2][0] * i32) + abs(m[0][0] * i21))
+    return terms < _UNDERFLOW or (
+        delta_2 != 0.0 and _ROUNDING * uncertain > _ACCEPTED * abs(delta_2))
+
+
+@internal
+def _renamed(body: _Principal, invariants: _Invariants) -> tuple[_Principal, _Invariants]:
+    # Name the axes such that m stays in the half space around axis 3.
+    w, m, e, i, axes, scale, sign = body
+    if invariants.delta_2[0] < 0.0:  # axes 3, -2, 1: all differences change their signs
+        i, e = (i[2], i[1], i[0]), (e[2], e[1], e[0])
+        m, w = (m[2], dd.negative(m[1]), m[0]), (w[2], dd.negative(w[1]), w[0])
+        axes, sign = (axes[2], four.negative(axes[1]), axes[0]), -1.0
+        i21, i31, i32, delta_1, delta_2, delta_3 = invariants
+        invariants = _Invariants(i32, i31, i21, delta_3, dd.negative(delta_2), delta_1)
+    if m[2][0] < 0.0:
+        m = (dd.negative(m[0]), m[1], dd.negative(m[2]))
+        w = (dd.negative(w[0]), w[1], dd.negative(w[2]))
+        axes = (four.negative(axes[0]), axes[1], four.negative(axes[2]))
+    return _Principal(w, m, e, i, axes, scale, sign), invariants
+
+
+@internal
+def _canonical(state: KernelState, body: _Principal, invariants: _Invariants) -> Motion:
+    i, m, sign = body.moments, body.momentum, body.sign
+    _, i31, i32, delta_1, delta_2, delta_3 = invariants
+    complement = dd.divide(dd.multiply(delta_2, i31), dd.multiply(delta_1, i32))
+    kind = PERIODIC if complement[0] > 0.0 else SEPARATRIX
+    momentum = dd.sqrt(dd.add(dd.multiply(m[0], m[0]),
+                              dd.add(dd.multiply(m[1], m[1]), dd.multiply(m[2], m[2]))))
+    speed = dd.sqrt(dd.divide(dd.multiply(delta_1, i32),
+                              dd.multiply(dd.multiply(i[0], i[1]), i[2])))
+    speed = (-sign * speed[0], -sign * speed[1])
+    b = (dd.sqrt(dd.divide(dd.multiply(i[0], delta_3), i31)),
+         dd.sqrt(dd.divide(dd.multiply(i[1], delta_3), i32)),
+         dd.sqrt(dd.divide(dd.multiply(i[2], delta_1), i31)))
+    n = dd.negative(dd.divide(dd.multiply(i[2], invariants.i21), dd.multiply(i[0], i32)))
+    factor = dd.divide(dd.multiply(momentum, (sign * i31[0], sign * i31[1])),
+                       dd.multiply(speed, dd.multiply(i[0], i[2])))
+    half_period, gain = _ZERO, _ZERO
+    if kind == PERIODIC:
+        half_period = _doubled(elliptic.complete(complement, _ONE, _ONE, _ONE))
+        gain = _gain(complement, n, factor)
+    odd = m[0][0] < 0.0
+    return Motion(
+        kind, state, body.scale, body.axes,
+        of(b[0][0] / i[0][0], b[1][0] / i[1][0], b[2][0] / i[2][0]),
+        of(b[0][0] / momentum[0], b[1][0] / momentum[0], b[2][0] / momentum[0]),
+        complement[0], n[0], factor[0],
+        _phase(-m[1][0] / b[1][0], abs(m[0][0]) / b[0][0], odd, complement[0]), odd, speed,
+        half_period, dd.divide(momentum, i[0] if n[0] >= -1.0 else i[2]), gain)
+
+
+@internal
+def _gain(complement: DoubleDouble, n: DoubleDouble, factor: DoubleDouble) -> DoubleDouble:
+    # What a half period adds to psi.
+    p = dd.subtract(_ONE, n)
+    if n[0] >= -1.0:
+        gain = dd.multiply(n, elliptic.complete(complement, p, _ZERO, _ONE))
+    else:
+        gain = elliptic.complete(complement, p, _ONE, _ONE)
+    return dd.add(_doubled(dd.multiply(factor, gain)), dd.PI)
+
+
+@internal
+def _phase(sine: float, cosine: float, odd: bool, complement: float) -> float:
+    # u0, from sn and |cn| there, which rounding has brought a little off the unit circle.
+    norm = dd.sqrt(dd.add(dd.two_product(sine, sine), dd.two_product(cosine, cosine)))[0]
+    sine, cosine = (-sine / norm if odd else sine / norm), cosine / norm
+    return sine * elliptic.carlson_f(cosine * cosine, cosine * cosine
+                                     + complement * sine * sine, 1.0)
+
+
+@internal
+def at(motion: Motion, span_ns: int) -> KernelState:
+    """Return the state a number of nanoseconds after the start; not for NEAR_SEPARATRIX."""
     if motion.kind == STEADY:
-        return _turned(motion, span_ns)
+        return _steady_rotation(motion, span_ns)
     t = dd.seconds(span_ns)
     t = (motion.scale * t[0], motion.scale * t[1])
     u = dd.add(dd.multiply(motion.speed, t), (motion.phase, 0.0))
@@ -217,19 +289,19 @@ def at(motion: Motion, span_ns: int) -> State:
         count = float(round(u[0] / motion.half_period[0]))
         u = dd.subtract(u, dd.multiply((count, 0.0), motion.half_period))
     psi = dd.add(dd.multiply(motion.drift, t), dd.multiply((count, 0.0), motion.gain))
-    before, first, _ = _reduced(motion, motion.phase, motion.odd)
-    after, last, rates = _reduced(motion, u[0], motion.odd != (count % 2.0 != 0.0))
+    before, first, _ = _periodic_part(motion, motion.phase, motion.odd)
+    after, last, rates = _periodic_part(motion, u[0], motion.odd != (count % 2.0 != 0.0))
     half = 0.5 * dd.add(_modulo(psi), dd.two_sum(after, -before))[0]
     sine, cosine = elementary.sine_cosine(half)
-    turn = multiply(multiply(four.of(-first[0], -first[1], -first[2], first[3]),
-                             four.of(0.0, 0.0, sine, cosine)), last)
-    x = combine(motion.axes, turn)
-    return _state(motion, combine(motion.axes, rates), four.of(x[0], x[1], x[2], turn[3]))
+    rotation = multiply(multiply(four.of(-first[0], -first[1], -first[2], first[3]),
+                                 four.of(0.0, 0.0, sine, cosine)), last)
+    x = combine(motion.axes, rotation)
+    return _state(motion, combine(motion.axes, rates), four.of(x[0], x[1], x[2], rotation[3]))
 
 
-@part
-def _reduced(motion: Motion, u: float, odd: bool) -> tuple[float, Quaternion, Vector]:
-    # The periodic part of psi, P, and the angular velocity, for |u| <= K.
+@internal
+def _periodic_part(motion: Motion, u: float, odd: bool) -> tuple[float, Quaternion, Vector]:
+    # The periodic part of psi, the quaternion P and the angular velocity, for |u| <= K.
     sn, cn, dn = elliptic.jacobi(u, motion.complement)
     n, m, cube = motion.n, 1.0 - motion.complement, sn * sn * sn
     if motion.kind == SEPARATRIX:
@@ -252,13 +324,13 @@ def _reduced(motion: Motion, u: float, odd: bool) -> tuple[float, Quaternion, Ve
     return psi, tilt, four.multiply(scale(motion.scale, motion.rates), of(cn, -sn, dn))
 
 
-@part
-def _turned(motion: Motion, span_ns: int) -> State:
+@internal
+def _steady_rotation(motion: Motion, span_ns: int) -> KernelState:
     w, low = motion.start[0], motion.start[2]
     square = _ZERO
     for k in range(3):
         square = dd.add(square, dd.multiply((w[k], low[k]), (w[k], low[k])))
-    speed = dd.root(square)
+    speed = dd.sqrt(square)
     if speed[0] == 0.0:
         return motion.start
     half = 0.5 * _modulo(dd.multiply(speed, dd.seconds(span_ns)))[0]
@@ -266,59 +338,62 @@ def _turned(motion: Motion, span_ns: int) -> State:
     return _state(motion, w, add(scale(sine / speed[0], w), four.of(0.0, 0.0, 0.0, cosine)))
 
 
-@part
-def _state(motion: Motion, w: Vector, turn: Quaternion) -> State:
+@internal
+def _state(motion: Motion, w: Vector, rotation: Quaternion) -> KernelState:
+    # The state with these rates, rotated since the start.
     _, q, _, low = motion.start
-    q = add(multiply(q, turn), multiply(low, turn))
-    return w, add_scaled(q, -0.5 * (dot(q, q) - 1.0), q), four.every(0.0), four.every(0.0)
+    q = add(multiply(q, rotation), multiply(low, rotation))
+    return w, add_scaled(q, -0.5 * (dot(q, q) - 1.0), q), four.broadcast(0.0), four.broadcast(0.0)
 
 
-@part
-def _principal(state: State, frame: Frame) -> tuple[Doubles, Doubles, Doubles, float]:
-    # Angular velocity, angular momentum and moments along the principal axes, all about 1, and
-    # the scale of the rates: neither fourth powers nor products of moments leave the range then.
+@internal
+def _principal(state: KernelState, frame: PrincipalFrame) -> _Principal:
+    # Rates and moments are scaled to about 1, so that neither fourth powers of rates nor products
+    # of moments leave the range of doubles.
     w, low = state[0], state[2]
-    high, low_moments, axes, rest = frame
+    high, low_moments, axes, low_axes = frame
     scale = _power_of_two(max(abs(w[0]), abs(w[1]), abs(w[2])))
     size = _power_of_two(high[2])
     v = ((w[0] / scale, low[0] / scale), (w[1] / scale, low[1] / scale),
          (w[2] / scale, low[2] / scale))
-    moments = ((high[0] / size, low_moments[0] / size), (high[1] / size, low_moments[1] / size),
-               (high[2] / size, low_moments[2] / size))
-    rates = (_along(v, axes[0], rest[0]), _along(v, axes[1], rest[1]), _along(v, axes[2], rest[2]))
-    return rates, (dd.multiply(moments[0], rates[0]), dd.multiply(moments[1], rates[1]),
-                   dd.multiply(moments[2], rates[2])), moments, scale
+    i = ((high[0] / size, low_moments[0] / size), (high[1] / size, low_moments[1] / size),
+         (high[2] / size, low_moments[2] / size))
+    rates = (_along(v, axes[0], low_axes[0]), _along(v, axes[1], low_axes[1]),
+             _along(v, axes[2], low_axes[2]))
+    m = (dd.multiply(i[0], rates[0]), dd.multiply(i[1], rates[1]), dd.multiply(i[2], rates[2]))
+    e = (dd.multiply(m[0], rates[0]), dd.multiply(m[1], rates[1]), dd.multiply(m[2], rates[2]))
+    return _Principal(rates, m, e, i, axes, scale, 1.0)
 
 
-@part
+@internal
 def _power_of_two(value: float) -> float:
-    # No larger than a value, and at least half of it; within the range where nothing is lost.
+    # The largest power of two that does not exceed a value, at least 2^-1000; 1 for zero.
     return math.ldexp(1.0, max(math.frexp(value)[1] - 1, -1000)) if value > 0.0 else 1.0
 
 
-@part
-def _along(v: Doubles, axis: Vector, rest: Vector) -> Double:
-    total = dd.multiply((axis[0], rest[0]), v[0])
-    total = dd.add(total, dd.multiply((axis[1], rest[1]), v[1]))
-    return dd.add(total, dd.multiply((axis[2], rest[2]), v[2]))
+@internal
+def _along(v: Triple, axis: Vector, low: Vector) -> DoubleDouble:
+    total = dd.multiply((axis[0], low[0]), v[0])
+    total = dd.add(total, dd.multiply((axis[1], low[1]), v[1]))
+    return dd.add(total, dd.multiply((axis[2], low[2]), v[2]))
 
 
-@part
-def _along_body_axes(frame: Frame) -> bool:
-    # Products with noughts and ones are exact.
+@internal
+def _along_body_axes(frame: PrincipalFrame) -> bool:
+    # Whether the principal axes are body axes: products with zeros and ones are exact.
     total = 0.0
     for axis in frame[2]:
         total += abs(axis[0]) + abs(axis[1]) + abs(axis[2])
     return total == 3.0
 
 
-@part
-def _modulo(angle: Double) -> Double:
-    # 4 pi is the period of a quaternion.
+@internal
+def _modulo(angle: DoubleDouble) -> DoubleDouble:
+    # The angle less a multiple of 4 pi, the period of a quaternion.
     turns = float(round(angle[0] / (4.0 * dd.PI[0])))
     return dd.subtract(angle, dd.multiply((4.0 * turns, 0.0), dd.PI))
 
 
-@part
-def _double(a: Double) -> Double:
+@internal
+def _doubled(a: DoubleDouble) -> DoubleDouble:
     return 2.0 * a[0], 2.0 * a[1]

@@ -12,7 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compile the numeric kernels with numba where it is installed, and keep what was compiled."""
+"""
+Compilation of the numeric kernels with numba, cached on disk.
+
+Without numba the kernels run as plain Python: the same bits, hundreds of times slower.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +35,7 @@ try:
 except ImportError:
     numba = None
 
-#: Whether kernels are compiled; NUMBA_DISABLE_JIT keeps numba from it.
+#: Whether kernels are compiled: numba is installed, and NUMBA_DISABLE_JIT is not set.
 COMPILES = numba is not None and not numba.config.DISABLE_JIT
 
 Kernel = TypeVar('Kernel', bound=Callable[..., Any])
@@ -39,14 +43,13 @@ Kernel = TypeVar('Kernel', bound=Callable[..., Any])
 
 def njit(kernel: Kernel) -> Kernel:
     """
-    Compile a kernel that Python calls on its first call, and cache the result on disk.
+    Compile a kernel that Python calls, on its first call, and cache the result on disk.
 
-    While it runs, other threads of Python do. IEEE arithmetic is kept (no fast-math), so a
-    kernel gives the same bits wherever it is inlined. What is cached is used as long as the
-    sources of the package have the same hash. Without numba the plain function is returned: the
-    same bits, hundreds of times slower. If no cache folder can be written, as
-    in a read-only install without a home, every process compiles the kernels again and logs one
-    warning.
+    The kernel releases the GIL. Arithmetic follows IEEE 754 (no fast-math), so a kernel returns
+    the same bits wherever it is inlined. The cached code is valid as long as the hash of the
+    package's sources stays the same. If no cache folder is writable, as in a read-only install
+    without a home folder, every process compiles the kernels again and issues one warning.
+    Without numba the plain function is returned.
     """
     if not COMPILES:
         return kernel
@@ -56,47 +59,48 @@ def njit(kernel: Kernel) -> Kernel:
     except RuntimeError:
         _warn_uncached()
         return numba.njit(**options)(kernel)
-    # numba compares time and size of the kernel's own file, not of those that it inlines from, and
-    # a copy may keep the time of what it replaces.
+    # numba compares time and size of the kernel's own file only, not of the files it inlines
+    # from. And a copied file may have the time of the file it replaces.
     compiled._cache._cache_file._source_stamp = _sources_hash()
     return compiled
 
 
-def part(kernel: Kernel) -> Kernel:
-    """Compile a part of kernels, which Python cannot call; it is cached with what calls it."""
-    return _part(kernel)
+def internal(kernel: Kernel) -> Kernel:
+    """Compile an internal function of kernels: only they can call it, and they cache it."""
+    return _internal(kernel)
 
 
 def inlined(kernel: Kernel) -> Kernel:
     """
-    Compile a part of kernels into each that calls it.
+    Compile an internal function of kernels into each caller.
 
-    A call hands tuples over in memory, which costs a short step as much as its arithmetic.
+    A call passes tuples in memory, which takes as long as the arithmetic of a short step.
     """
-    return _part(kernel, forceinline=True)
+    return _internal(kernel, forceinline=True)
 
 
-def _part(kernel: Kernel, **options: bool) -> Kernel:
-    # The wrappers for calls from elsewhere take as long to compile as the parts themselves.
+def _internal(kernel: Kernel, **options: bool) -> Kernel:
+    # Wrappers for calls from Python and C take as long to compile as the function itself.
     if not COMPILES:
         return kernel
     compiled = numba.njit(error_model='numpy', no_cpython_wrapper=True, no_cfunc_wrapper=True,
                           **options)(kernel)
-    compiled.__class__ = _part_type()
+    compiled.__class__ = _internal_type()
     return compiled
 
 
 @cache
-def _part_type() -> Any:
-    def refuse(self: Any, *_: Any) -> None:  # a call without a wrapper ends the interpreter
-        raise TypeError(f'{self.py_func.__name__} is a part of kernels: Python cannot call it')
-    return type('Part', (type(numba.njit(refuse)),), {'__call__': refuse})
+def _internal_type() -> Any:
+    def reject(self: Any, *_: Any) -> None:  # a call without a wrapper crashes the interpreter
+        raise TypeError(f'{self.py_func.__name__} is internal to the kernels: '
+                        'it cannot be called from Python')
+    return type('Internal', (type(numba.njit(reject)),), {'__call__': reject})
 
 
 def _warn_uncached() -> None:
-    # A constant text at a constant place: Python's own filter shows it once a process.
+    # With a constant text and place, Python's own filter shows it once per process.
     warnings.warn(
-        'no folder for compiled kernels can be written: every start compiles them again; '
+        'no writable cache folder: every start compiles the kernels again; '
         'set NUMBA_CACHE_DIR to a writable folder',
         RuntimeWarning,
         stacklevel=1,
@@ -106,13 +110,13 @@ def _warn_uncached() -> None:
 @cache
 def _sources_hash() -> str:
     digest = hashlib.sha256()
-    for source in _sources(resources.files('rigid_body_ros')):
+    for source in _sources(resources.files(__name__.partition('.')[0])):
         digest.update(source.read_bytes())
     return digest.hexdigest()
 
 
 def _sources(folder: Any) -> Iterator[Any]:
-    """Yield the sources in a folder, which may lie in a zip file, and below it, in order."""
+    """Yield the sources in a folder and its subfolders, sorted; it may lie in a zip file."""
     for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
         if entry.name.endswith('.py'):
             yield entry
@@ -132,8 +136,8 @@ def _generate_fma(_context: Any, a: Any, b: Any, c: Any) -> Any:
     return numba.float64(numba.float64, numba.float64, numba.float64), generate
 
 
-#: fma(a, b, c) is a b + c, rounded once: half the work of a product and a sum, and what makes
-#: the rounding error of a product available, fma(a, b, -(a * b)). It is asked for by name, and
-#: not left to the compiler, which may fuse the same formula here and not there.
+#: fma(a, b, c) returns a b + c, rounded once. It takes half the time of a product and a sum, and
+#: fma(a, b, -(a * b)) is the rounding error of a product. Kernels call it by name instead of
+#: leaving it to the compiler, which may fuse the same formula in one place and not in another.
 fma: Callable[[float, float, float], float] = \
     intrinsic(_generate_fma) if COMPILES else _exact_fma

@@ -24,37 +24,37 @@ from __future__ import annotations
 import math
 
 from rigid_body_ros.kernels import elementary, four
-from rigid_body_ros.kernels.jit import part
+from rigid_body_ros.kernels.jit import internal
 from rigid_body_ros.kernels.vector import (
     add,
     add_scaled,
     Coefficients,
     combine,
     dot,
-    Frame,
+    KernelState,
     multiply,
     of,
     Polynomial,
+    PrincipalFrame,
     Quaternion,
     scale,
-    State,
     to_body,
     Vector,
 )
 
 
-@part
-def explicit_euler(state: State, seconds: float, equations: Coefficients, drive: Polynomial,
-                   in_space: bool) -> State:
+@internal
+def explicit_euler(state: KernelState, seconds: float, equations: Coefficients, drive: Polynomial,
+                   in_space: bool) -> KernelState:
     """Return the state after a step of Euler's method, order 1; conserves the norm of q only."""
     w, q = state[0], state[1]
     a, v = _derivative(w, q, 0.0, equations, drive, in_space)
     return _state(add_scaled(w, seconds, a), add_scaled(q, seconds, v))
 
 
-@part
-def rk4(state: State, seconds: float, equations: Coefficients, drive: Polynomial,
-        in_space: bool) -> State:
+@internal
+def rk4(state: KernelState, seconds: float, equations: Coefficients, drive: Polynomial,
+        in_space: bool) -> KernelState:
     """
     Return the state after a step of the classical Runge-Kutta method, order 4.
 
@@ -74,9 +74,9 @@ def rk4(state: State, seconds: float, equations: Coefficients, drive: Polynomial
     return _state(add_scaled(w, seconds / 6.0, a), add_scaled(q, seconds / 6.0, v))
 
 
-@part
-def strang(state: State, seconds: float, equations: Coefficients, frame: Frame,
-           drive: Polynomial, in_space: bool) -> State:
+@internal
+def strang(state: KernelState, seconds: float, equations: Coefficients, frame: PrincipalFrame,
+           drive: Polynomial, in_space: bool) -> KernelState:
     """
     Return the state after a symmetric splitting into rotations about principal axes, order 2.
 
@@ -102,7 +102,7 @@ def strang(state: State, seconds: float, equations: Coefficients, frame: Frame,
     return _state(add_scaled(w, half, _push(q, 1.0, equations, drive, in_space)), q)
 
 
-@part
+@internal
 def _derivative(w: Vector, q: Quaternion, fraction: float, equations: Coefficients,
                 drive: Polynomial, in_space: bool) -> tuple[Vector, Quaternion]:
     columns = equations[0]
@@ -112,7 +112,7 @@ def _derivative(w: Vector, q: Quaternion, fraction: float, equations: Coefficien
     return rate, multiply(q, scale(0.5, w))
 
 
-@part
+@internal
 def _push(q: Quaternion, fraction: float, equations: Coefficients, drive: Polynomial,
           in_space: bool) -> Vector:
     # The angular acceleration by the torque.
@@ -121,17 +121,17 @@ def _push(q: Quaternion, fraction: float, equations: Coefficients, drive: Polyno
     return combine(equations[0][6:], to_body(_unit(q), value)) if in_space else value
 
 
-@part
+@internal
 def _unit(q: Quaternion) -> Quaternion:
     return scale(1.0 / math.sqrt(dot(q, q)), q)
 
 
-@part
-def _state(w: Vector, q: Quaternion) -> State:
-    return w, _unit(q), four.every(0.0), four.every(0.0)
+@internal
+def _state(w: Vector, q: Quaternion) -> KernelState:
+    return w, _unit(q), four.broadcast(0.0), four.broadcast(0.0)
 
 
-@part
+@internal
 def _about_1(m: Vector, turn: Quaternion, step: float) -> tuple[Vector, Quaternion]:
     # The flow of the energy m1^2 / 2 I1: a rotation of the body about that axis.
     sine, cosine, s, c = _half_and_full(step * m[0])
@@ -139,21 +139,21 @@ def _about_1(m: Vector, turn: Quaternion, step: float) -> tuple[Vector, Quaterni
             multiply(turn, four.of(sine, 0.0, 0.0, cosine)))
 
 
-@part
+@internal
 def _about_2(m: Vector, turn: Quaternion, step: float) -> tuple[Vector, Quaternion]:
     sine, cosine, s, c = _half_and_full(step * m[1])
     return (of(c * m[0] - s * m[2], m[1], c * m[2] + s * m[0]),
             multiply(turn, four.of(0.0, sine, 0.0, cosine)))
 
 
-@part
+@internal
 def _about_3(m: Vector, turn: Quaternion, step: float) -> tuple[Vector, Quaternion]:
     sine, cosine, s, c = _half_and_full(step * m[2])
     return (of(c * m[0] + s * m[1], c * m[1] - s * m[0], m[2]),
             multiply(turn, four.of(0.0, 0.0, sine, cosine)))
 
 
-@part
+@internal
 def _half_and_full(angle: float) -> tuple[float, float, float, float]:
     sine, cosine = elementary.sine_cosine(0.5 * angle)
     return sine, cosine, 2.0 * sine * cosine, 1.0 - 2.0 * sine * sine

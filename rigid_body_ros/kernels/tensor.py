@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Constants of an inertia tensor, worked out beyond double precision and rounded once.
+Constants of an inertia tensor, computed beyond double precision and rounded once.
 
-A long run multiplies the error of a constant by the angle turned, and a thin rod's by the ratio
-of its moments: (J w) x w of a rod is a difference of terms a million times its size.
+A long run multiplies the error of a constant by the angle turned, and for a thin rod by the ratio
+of its moments: (J w) x w of a rod is a difference of terms a million times larger.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from rigid_body_ros.common.arrays import Floats
 #: Digits of the principal axes: twice those of a double, and as many again for cancellation.
 _DIGITS = 64
 _SWEEPS = 20
-#: Of the smaller moment: a rotation that takes out less changes no digit that counts.
+#: Off-diagonal entry, relative to the smaller moment, below which a rotation changes no digit.
 _NEGLIGIBLE = Decimal(1).scaleb(10 - _DIGITS)
 
 
@@ -46,13 +46,14 @@ def euler_coefficients(tensor: NDArray[Any]) -> Floats:
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
-        About the centre of mass, body axes; symmetric. Doubles, or sums of them as Fractions.
+        About the centre of mass, body axes; symmetric. Doubles, or Fractions that are sums of
+        doubles.
 
     Returns
     -------
     array, shape (2, 3, 9)
-        The coefficients, correctly rounded, and what rounding took from them: for a full tensor
-        that would make the energy drift.
+        The coefficients, correctly rounded, and their low-order parts: without these the energy
+        of a body with a full tensor would drift.
 
     Raises
     ------
@@ -60,8 +61,8 @@ def euler_coefficients(tensor: NDArray[Any]) -> Floats:
         An entry is too large for a double.
 
     """
-    # Doubles are integers over a power of two. Integers need no fractions to be brought to lowest
-    # terms, which takes several times as long, and Python rounds their quotients correctly.
+    # Doubles are integers over a power of two. Integer arithmetic takes a fraction of the time of
+    # Fractions in lowest terms, and Python rounds quotients of integers correctly.
     ratios = [[entry.as_integer_ratio() for entry in row] for row in tensor.tolist()]
     scale = max(below for row in ratios for _, below in row)
     j = [[above * (scale // below) for above, below in row] for row in ratios]
@@ -83,14 +84,14 @@ def euler_coefficients(tensor: NDArray[Any]) -> Floats:
 
 
 def _rest(dividend: int, divisor: int, quotient: float) -> float:
-    # What rounding took from a quotient.
+    # The rounding error of a quotient.
     above, below = quotient.as_integer_ratio()
     return (dividend * below - above * divisor) / (divisor * below)
 
 
 def principal(tensor: Floats) -> tuple[Floats, Floats]:
     """
-    Return principal moments and axes by Jacobi's rotations, each as a sum of two doubles.
+    Return principal moments and axes by Jacobi rotations, each as a sum of two doubles.
 
     Parameters
     ----------
@@ -100,9 +101,9 @@ def principal(tensor: Floats) -> tuple[Floats, Floats]:
     Returns
     -------
     moments : array, shape (2, 3), kg m^2
-        In ascending order: the moments, and what rounding took from them.
+        The moments in ascending order, and their low-order parts.
     axes : array, shape (2, 3, 3)
-        The axes as columns, right-handed, in body axes: likewise.
+        The axes as columns, in body axes, right-handed, and their low-order parts.
 
     """
     with localcontext() as context:

@@ -15,8 +15,8 @@
 """
 Vectors and quaternions for the compiled kernels: four floats in a register, see `four`.
 
-The fourth of a vector is zero. Quaternions are stored and composed as in `so3`, which is for
-arrays.
+The fourth component of a vector is zero. Quaternions are stored and multiplied as in `so3`, which
+is for arrays.
 """
 
 from __future__ import annotations
@@ -27,17 +27,20 @@ from rigid_body_ros.kernels.jit import inlined
 
 Vector = Four
 Quaternion = Four
-#: Angular velocity and attitude, and what rounding took from them.
-State = tuple[Vector, Quaternion, Vector, Quaternion]
+#: State of a body in the kernels: angular velocity (rad/s, body axes) and attitude, then the
+#: low-order parts of both, which compensated summation carries along.
+KernelState = tuple[Vector, Quaternion, Vector, Quaternion]
 #: Torque, N m: coefficients of a cubic in the fraction of a span of time.
 Polynomial = tuple[Vector, Vector, Vector, Vector]
 Columns = tuple[Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector]
-#: Euler's equations, dw/dt by the products of w and by the torque: as `tensor.euler_coefficients`
-#: has them, a vector a column, and what rounding took from them. The last two are the diagonals
-#: of the first three and of the last three.
+#: Euler's equations solved for dw/dt, linear in the products of w and in the torque: the columns
+#: that `tensor.euler_coefficients` returns, their low-order parts, and the diagonals of the first
+#: three columns and of the last three.
 Coefficients = tuple[Columns, Columns, Vector, Vector]
-#: Principal moments and axes, and what rounding took from both, as `tensor.principal` does.
-Frame = tuple[Vector, Vector, tuple[Vector, Vector, Vector], tuple[Vector, Vector, Vector]]
+#: Principal moments (kg m^2), their low-order parts, the principal axes and their low-order parts,
+#: as `tensor.principal` returns them.
+PrincipalFrame = tuple[Vector, Vector, tuple[Vector, Vector, Vector],
+                       tuple[Vector, Vector, Vector]]
 
 add = four.add
 
@@ -51,13 +54,13 @@ def of(x: float, y: float, z: float) -> Vector:
 @inlined
 def scale(factor: float, a: Four) -> Four:
     """Return factor a."""
-    return four.multiply(four.every(factor), a)
+    return four.multiply(four.broadcast(factor), a)
 
 
 @inlined
 def add_scaled(a: Four, factor: float, b: Four) -> Four:
     """Return a + factor b."""
-    return four.fma(four.every(factor), b, a)
+    return four.fma(four.broadcast(factor), b, a)
 
 
 @inlined
@@ -86,18 +89,19 @@ def combine(axes: tuple[Vector, Vector, Vector], a: Vector) -> Vector:
 
 
 @inlined
-def combine_exactly(axes: tuple[Vector, Vector, Vector], rests: tuple[Vector, Vector, Vector],
-                    a: Vector) -> tuple[Vector, Vector]:
+def combine_compensated(axes: tuple[Vector, Vector, Vector],
+                        low_axes: tuple[Vector, Vector, Vector],
+                        a: Vector) -> tuple[Vector, Vector]:
     """
-    Return what `combine` does of axes and their rests, and what rounding took from it.
+    Return `combine` of axes and their low-order parts, and its low-order part.
 
     In twice the working precision (Ogita, Rump and Oishi, "Accurate sum and dot product", 2005).
     """
-    x, y, z = four.every(a[0]), four.every(a[1]), four.every(a[2])
+    x, y, z = four.broadcast(a[0]), four.broadcast(a[1]), four.broadcast(a[2])
     i, j, k = four.multiply(x, axes[0]), four.multiply(y, axes[1]), four.multiply(z, axes[2])
     rest = add(four.fma(x, axes[0], four.negative(i)), add(
         four.fma(y, axes[1], four.negative(j)), four.fma(z, axes[2], four.negative(k))))
-    rest = add(rest, combine(rests, a))
+    rest = add(rest, combine(low_axes, a))
     first, lost = two_sum(i, j)
     both, more = two_sum(first, k)
     return both, add(add(lost, more), rest)
@@ -105,10 +109,10 @@ def combine_exactly(axes: tuple[Vector, Vector, Vector], rests: tuple[Vector, Ve
 
 @inlined
 def two_sum(a: Four, b: Four) -> tuple[Four, Four]:
-    """Return the sum, and what rounding took from it (Knuth)."""
+    """Return the sum and its rounding error (Knuth)."""
     new = add(a, b)
-    part = four.subtract(new, a)
-    return new, add(four.subtract(a, four.subtract(new, part)), four.subtract(b, part))
+    b_rounded = four.subtract(new, a)
+    return new, add(four.subtract(a, four.subtract(new, b_rounded)), four.subtract(b, b_rounded))
 
 
 @inlined
@@ -130,11 +134,22 @@ def to_body(q: Quaternion, vector: Vector) -> Vector:
 @inlined
 def accumulate(total: Four, carry: Four, increment: Four) -> tuple[Four, Four]:
     """
-    Return total + increment, and what rounding took from it.
+    Return total + increment and its rounding error (Kahan).
 
-    Kahan's form: exact where the increment is the smaller, and where it is not, no worse than
-    the rounding of the increment itself.
+    The error is exact if the increment is the smaller of the two. Otherwise it is off by no more
+    than the rounding error of the increment itself.
     """
     increment = four.add(increment, carry)
     new = four.add(total, increment)
     return new, four.subtract(increment, four.subtract(new, total))
+
+
+@inlined
+def advance(state: KernelState, delta_omega: Vector, delta_q: Quaternion) -> KernelState:
+    """Return the state with w + delta_omega and q (1 + delta_q), and the norm of q corrected."""
+    w, q, low_w, low_q = state
+    excess = dot(q, add_scaled(low_q, 0.5, q)) - 0.5
+    change = add_scaled(multiply(q, delta_q), -excess, q)
+    w, low_w = accumulate(w, low_w, delta_omega)
+    q, low_q = accumulate(q, low_q, change)
+    return w, q, low_w, low_q

@@ -30,8 +30,16 @@ from numpy.typing import NDArray
 from rigid_body_ros import body as bodies
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.kernels import four, free_motion, steppers, taylor, vector
-from rigid_body_ros.kernels.jit import inlined, njit, part
+from rigid_body_ros.kernels import (
+    euler_equations,
+    four,
+    free_motion,
+    short_step,
+    steppers,
+    taylor,
+    vector,
+)
+from rigid_body_ros.kernels.jit import inlined, internal, njit
 from rigid_body_ros.propagation.options import EXACT, EXPLICIT_EULER, FASTEST, RK4, STRANG, TAYLOR
 
 #: For `rows` of `run`: the times ascend.
@@ -150,7 +158,7 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
     equations, frame = _equations(constants), _frame(constants)
     form, angle = _form(equations, frame), taylor.step_angle(tolerance)
     table = np.empty(taylor.WORKSPACE)
-    free, prepared = free_motion.unchanging(begin, free_motion.LOST), False
+    free, prepared = free_motion.start_only(begin, free_motion.NEAR_SEPARATRIX), False
     out = state
     degree = torques.shape[1] // 2
     while sample < stop and done < len(at_ns) and budget > 0:
@@ -169,11 +177,11 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
         if asked or not goes_on:
             time_ns = at_ns[row] if asked else end_ns
             rest_ns, seconds = time_ns - grid_ns, (time_ns - grid_ns) / 1e9
-            push = taylor.response(equations, form, torque[0])
+            push = euler_equations.acceleration_from_torque(equations, form, torque[0])
             formula = coasts and _is_long(solver, begin, time_ns - begin_ns)
             if formula and not prepared:
                 free, prepared = free_motion.prepare(begin, frame), True
-            if formula and free.kind != free_motion.LOST:
+            if formula and free.kind != free_motion.NEAR_SEPARATRIX:
                 out = free_motion.at(free, time_ns - begin_ns)
                 closed[sample + 1] = True
                 budget -= _FULL
@@ -181,7 +189,7 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
                 out = state
             elif (grid_ns == begin_ns and rest_ns < max_step_ns and solver <= EXACT
                   and (coasts or (degree == 0 and not space))
-                  and taylor.is_short(state, seconds, push, tolerance)):
+                  and short_step.is_accurate(state, seconds, push, tolerance)):
                 if not asked and not coasts and not falls_silent:
                     last = min(sample + budget, len(stamps_ns) - 1)
                     budget += sample
@@ -191,12 +199,13 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
                     begin, begin_ns, prepared = state, grid_ns, False
                     budget -= sample
                     continue
-                out = taylor.short_step(state, seconds, equations, form, push, tolerance)
+                out = short_step.step(state, seconds, equations, form, push, tolerance)
             else:
                 origin_ns, span = _span(stamps_ns, sample)
                 drive = torque
                 if not space and not coasts:
-                    drive = taylor.responses(equations, form, torque, _rests(torques, index))
+                    drive = euler_equations.acceleration_polynomial(
+                        equations, form, torque, _rests(torques, index))
                 state, grid_ns, out, reached, budget = _move(
                     state, grid_ns, time_ns, drive, 0 if coasts else degree,
                     space and not coasts, origin_ns, span, equations, form, frame, solver,
@@ -217,12 +226,12 @@ def run(states: Floats, grid_ns: int, begin_ns: int, sample: int, silent: bool, 
     return grid_ns, begin_ns, sample, silent, done, _is_too_fast(out)
 
 
-@part
-def _stream(state: vector.State, grid_ns: int, sample: int, last: int, done: int,
+@internal
+def _stream(state: vector.KernelState, grid_ns: int, sample: int, last: int, done: int,
             at_ns: NDArray[np.int64], rows: NDArray[np.intp], motion: Floats,
             stamps_ns: NDArray[np.int64], torques: Floats, in_space: NDArray[np.bool_],
             timeout_ns: int, equations: vector.Coefficients, form: int, tolerance: float,
-            max_step_ns: int) -> tuple[vector.State, int, int, int]:
+            max_step_ns: int) -> tuple[vector.KernelState, int, int, int]:
     # Go from stamp to stamp, at most to that of the sample `last`, under held body torques for as
     # long as one short step each will do, and nothing is asked for in between. Apart from `run`:
     # in a loop with nothing else in it the compiler keeps the state in registers. Returns state,
@@ -234,20 +243,21 @@ def _stream(state: vector.State, grid_ns: int, sample: int, last: int, done: int
             _fill(state, row, motion)
             done += 1
             continue
-        push, span_ns = taylor.response(equations, form, torque), next_ns - grid_ns
+        push = euler_equations.acceleration_from_torque(equations, form, torque)
+        span_ns = next_ns - grid_ns
         seconds = span_ns / 1e9
         if (at_ns[row] < next_ns or span_ns >= max_step_ns or in_space[sample]
                 or _is_nothing(torque) or 0 < timeout_ns < next_ns - stamps_ns[sample]
-                or not taylor.is_short(state, seconds, push, tolerance)):
+                or not short_step.is_accurate(state, seconds, push, tolerance)):
             break
-        state = taylor.short_step(state, seconds, equations, form, push, tolerance)
+        state = short_step.step(state, seconds, equations, form, push, tolerance)
         grid_ns = next_ns
         sample += 1
     return state, grid_ns, sample, done
 
 
 @inlined
-def _fill(state: vector.State, row: int, motion: Floats) -> None:
+def _fill(state: vector.KernelState, row: int, motion: Floats) -> None:
     w, place = state[0], len(motion) // 7 * 4 + 3 * row
     four.store(motion, 4 * row, state[1])
     motion[place], motion[place + 1], motion[place + 2] = w[0], w[1], w[2]
@@ -256,7 +266,7 @@ def _fill(state: vector.State, row: int, motion: Floats) -> None:
 @inlined
 def _torque(torques: Floats, index: int, idle: bool) -> vector.Polynomial:
     # Inlined: to hand an array over costs half a short step.
-    none = four.every(0.0)
+    none = four.broadcast(0.0)
     if idle:
         return none, none, none, none
     if torques.shape[1] == 1:
@@ -270,7 +280,7 @@ def _torque(torques: Floats, index: int, idle: bool) -> vector.Polynomial:
 @inlined
 def _rests(torques: Floats, index: int) -> vector.Polynomial:
     # What rounding took from the coefficients.
-    none = four.every(0.0)
+    none = four.broadcast(0.0)
     if torques.shape[1] == 1:
         return none, none, none, none
     if torques.shape[1] == 3:
@@ -296,7 +306,7 @@ def _is_nothing(a: vector.Vector) -> bool:
 
 
 @inlined
-def _is_long(solver: int, begin: vector.State, span_ns: int) -> bool:
+def _is_long(solver: int, begin: vector.KernelState, span_ns: int) -> bool:
     # Whether a coast is answered in closed form.
     if span_ns == 0 or solver > EXACT or solver == TAYLOR:
         return False
@@ -306,7 +316,7 @@ def _is_long(solver: int, begin: vector.State, span_ns: int) -> bool:
     return vector.dot(begin[0], begin[0]) > angle * angle
 
 
-@part
+@internal
 def _span(stamps_ns: NDArray[np.int64], sample: int) -> tuple[int, float]:
     # Where the fraction of a polynomial is 0, and the time, s, to where it is 1.
     if sample < 0:
@@ -316,16 +326,16 @@ def _span(stamps_ns: NDArray[np.int64], sample: int) -> tuple[int, float]:
     return stamps_ns[sample], (stamps_ns[sample + 1] - stamps_ns[sample]) / 1e9
 
 
-@part
-def _move(state: vector.State, grid_ns: int, time_ns: int, drive: vector.Polynomial, degree: int,
-          in_space: bool, origin_ns: int, span: float, equations: vector.Coefficients,
-          form: int, frame: vector.Frame, solver: int, tolerance: float, angle: float,
+@internal
+def _move(state: vector.KernelState, grid_ns: int, time_ns: int, drive: vector.Polynomial,
+          degree: int, in_space: bool, origin_ns: int, span: float, equations: vector.Coefficients,
+          form: int, frame: vector.PrincipalFrame, solver: int, tolerance: float, angle: float,
           max_step_ns: int, table: Floats,
-          budget: int) -> tuple[vector.State, int, vector.State, bool, int]:
+          budget: int) -> tuple[vector.KernelState, int, vector.KernelState, bool, int]:
     # Go on to the last grid point before a time, and from there to the time. Returns the state
     # on the grid, when that is, the state at the time, whether it was reached before the budget
     # of steps was used up or the body too fast, and what is left of the budget.
-    bound = taylor.acceleration_bound(drive, in_space, equations)
+    bound = euler_equations.acceleration_bound(drive, in_space, equations)
     out = state
     while grid_ns < time_ns:
         if budget <= 0:
@@ -351,7 +361,7 @@ def _move(state: vector.State, grid_ns: int, time_ns: int, drive: vector.Polynom
 
 
 @inlined
-def _natural_ns(state: vector.State, rest_ns: int, bound: float, solver: int, angle: float,
+def _natural_ns(state: vector.KernelState, rest_ns: int, bound: float, solver: int, angle: float,
                 max_step_ns: int) -> int:
     # Length of the next step on the grid, whatever is left to go, if it is not longer than that.
     if solver >= RK4:
@@ -364,9 +374,9 @@ def _natural_ns(state: vector.State, rest_ns: int, bound: float, solver: int, an
 
 
 @inlined
-def _step(state: vector.State, seconds: float, equations: vector.Coefficients, form: int,
-          frame: vector.Frame, drive: vector.Polynomial, degree: int, in_space: bool,
-          bound: float, solver: int, tolerance: float, table: Floats) -> vector.State:
+def _step(state: vector.KernelState, seconds: float, equations: vector.Coefficients, form: int,
+          frame: vector.PrincipalFrame, drive: vector.Polynomial, degree: int, in_space: bool,
+          bound: float, solver: int, tolerance: float, table: Floats) -> vector.KernelState:
     if solver == RK4:
         return steppers.rk4(state, seconds, equations, drive, in_space)
     if solver == STRANG:
@@ -377,7 +387,7 @@ def _step(state: vector.State, seconds: float, equations: vector.Coefficients, f
                        tolerance, table)
 
 
-@part
+@internal
 def _local(drive: vector.Polynomial, offset: float, ratio: float) -> vector.Polynomial:
     # From p(s) to p(offset + ratio s), by Horner's rule (a Taylor shift).
     a, b, c, d = drive
@@ -388,7 +398,7 @@ def _local(drive: vector.Polynomial, offset: float, ratio: float) -> vector.Poly
     return a, vector.scale(ratio, b), vector.scale(square, c), vector.scale(square * ratio, d)
 
 
-@part
+@internal
 def _equations(constants: Floats) -> vector.Coefficients:
     at = four.load
     c = constants
@@ -399,22 +409,23 @@ def _equations(constants: Floats) -> vector.Coefficients:
             vector.of(c[0], c[5], c[10]), vector.of(c[24], c[29], c[34]))
 
 
-@part
-def _frame(constants: Floats) -> vector.Frame:
+@internal
+def _frame(constants: Floats) -> vector.PrincipalFrame:
     at, c = four.load, constants
     return (at(c, 72), at(c, 76), (at(c, 80), at(c, 84), at(c, 88)),
             (at(c, 92), at(c, 96), at(c, 100)))
 
 
-@part
-def _form(equations: vector.Coefficients, frame: vector.Frame) -> int:
+@internal
+def _form(equations: vector.Coefficients, frame: vector.PrincipalFrame) -> int:
     if _is_along_axes(equations):
-        return taylor.DIAGONAL
+        return euler_equations.DIAGONAL
     moments = frame[0]
-    return taylor.THIN if moments[2] > taylor.THIN_FROM * moments[0] else taylor.FULL
+    thin = moments[2] > euler_equations.THIN_RATIO * moments[0]
+    return euler_equations.THIN if thin else euler_equations.FULL
 
 
-@part
+@internal
 def _is_along_axes(equations: vector.Coefficients) -> bool:
     a, b, c, d, e, f, _, _, _ = equations[0]
     return (a[1] == a[2] == b[0] == b[2] == c[0] == c[1] == 0.0
@@ -422,18 +433,18 @@ def _is_along_axes(equations: vector.Coefficients) -> bool:
 
 
 @inlined
-def _is_too_fast(state: vector.State) -> bool:
+def _is_too_fast(state: vector.KernelState) -> bool:
     return not vector.dot(state[0], state[0]) <= FASTEST * FASTEST  # nor NaN
 
 
-@part
-def _load(packed: Floats, at: int) -> vector.State:
+@internal
+def _load(packed: Floats, at: int) -> vector.KernelState:
     return (four.load(packed, at), four.load(packed, at + 4), four.load(packed, at + 8),
             four.load(packed, at + 12))
 
 
-@part
-def _store(state: vector.State, packed: Floats, at: int) -> None:
+@internal
+def _store(state: vector.KernelState, packed: Floats, at: int) -> None:
     four.store(packed, at, state[0])
     four.store(packed, at + 4, state[1])
     four.store(packed, at + 8, state[2])

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,9 @@ from rigid_body_ros import euler, so3
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.propagation.models import Answers, Model
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +51,20 @@ class Trajectory:
     attitude: Floats
     angular_velocity: Floats
     _answers: Answers
+
+    def __repr__(self) -> str:
+        if not self.times_ns.size:
+            return 'Trajectory(no states)'
+        first_ns, last_ns = int(self.times_ns.min()), int(self.times_ns.max())
+        states = '1 state' if self.times_ns.size == 1 else f'{self.times_ns.size} states'
+        return (f'Trajectory({states} from {first_ns} ns on, '
+                f'over {(last_ns - first_ns) / 1e9:g} s)')
+
+    @cached_property
+    def rotation(self) -> Rotation:
+        """Attitudes as a SciPy Rotation, body to space; it normalises them in the last digit."""
+        from scipy.spatial.transform import Rotation  # takes as long to import as this package
+        return Rotation.from_quat(self.attitude)
 
     def euler_angles(self, sequence: str = 'ZXZ', continuous: bool = False) -> Floats:
         """Return Euler angles, rad, shape (m, 3); see `euler.from_quaternion`, `euler.unwrap`."""

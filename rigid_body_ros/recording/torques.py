@@ -26,7 +26,7 @@ from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.recording.source import Messages
-from rigid_body_ros.torque import frame_names, TorqueLog
+from rigid_body_ros.torque import TorqueLog
 
 #: Ten years, more than a simulation lasts and less than the wall clock shows.
 _SIMULATED_NS = 315_576_000 * 10 ** 9
@@ -134,7 +134,7 @@ class Piece(NamedTuple):
 
     def log(self, interpolation: str) -> TorqueLog:
         """Return the piece as a log; ValueError where frames are mixed and interpolated."""
-        return TorqueLog(self.times_ns, self.torques, frame_names(self.in_space), interpolation)
+        return TorqueLog(self.times_ns, self.torques, self.in_space, interpolation)
 
 
 def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str,

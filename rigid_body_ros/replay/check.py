@@ -83,7 +83,7 @@ def last_digits(scene: Scene, log: TorqueLog, start: State,
         covered_ns = min(covered_ns, int(following[0]) - begin_ns)
     if speed * covered_ns * 1e-9 > _ANGLE:
         covered_ns = int(_ANGLE / speed * 1e9)
-    log = log.part(begin_ns, begin_ns + covered_ns)
+    log = log.between(begin_ns, begin_ns + covered_ns)
     times = np.unique(np.linspace(0, covered_ns, _TIMES + 1)[1:].astype(np.int64))
     try:
         effect = last_digit_effect(scene.body, start, log, at=begin_ns + times,

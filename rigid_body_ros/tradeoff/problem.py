@@ -95,7 +95,7 @@ class Problem:
 
     def until(self, end_ns: int) -> Problem:
         """Return the problem up to an end, with the samples that matter until then."""
-        part = self.log.part(self.start.time_ns, end_ns)
+        part = self.log.between(self.start.time_ns, end_ns)
         return replace(self, log=part, times_ns=_times(part, self.start.time_ns, end_ns))
 
     def stretch(self) -> Problem:

@@ -70,6 +70,5 @@ def _thinned(problem: Problem, interpolation: str, every: int) -> float:
 
 def _read(problem: Problem, interpolation: str, rows: NDArray[np.intp]) -> Trajectory:
     log = problem.log
-    frame = 'space' if log.in_space[0] else 'body'
-    part = TorqueLog(log.times_ns[rows], log.torques[rows], frame, interpolation)
+    part = TorqueLog(log.times_ns[rows], log.torques[rows], log.in_space[rows], interpolation)
     return replace(problem, log=part).run(solver='taylor')

@@ -1,0 +1,146 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Euler's equations for the compiled kernels, solved for the angular acceleration.
+
+    dw/dt = J^-1 ((J w) x w) + J^-1 tau
+
+The first term is linear in the six products of the components of w, the second in the torque
+tau. `tensor.euler_coefficients` computes the coefficients of both.
+"""
+
+from __future__ import annotations
+
+import math
+
+from rigid_body_ros.kernels import four
+from rigid_body_ros.kernels.jit import inlined
+from rigid_body_ros.kernels.vector import (
+    add,
+    add_scaled,
+    Coefficients,
+    combine,
+    combine_compensated,
+    dot,
+    Polynomial,
+    scale,
+    Vector,
+)
+
+#: Products (y z, z x, x y) and (x x, y y, z z) of the components of two vectors, or sums of these.
+Products = tuple[Vector, Vector]
+
+#: Form of the inertia tensor: diagonal; full; full, with a smallest moment so much smaller than
+#: the others that cancellation in J^-1 tau may cost more than a digit.
+DIAGONAL, FULL, THIN = range(3)
+#: Ratio of the largest moment to the smallest above which a full tensor is THIN. A loss of 16 eps
+#: is a tenth of the other rounding errors of a motion.
+THIN_RATIO = 16.0
+
+
+@inlined
+def gyroscopic_acceleration(coefficients: Coefficients, form: int, products: Products) -> Vector:
+    """Return J^-1 ((J w) x w), linear in the products of the components of w."""
+    columns, low, main, _ = coefficients
+    mixed, squares = products
+    if form == DIAGONAL:  # rounding errors of the coefficients average to zero over a period
+        return four.multiply(main, mixed)
+    rest = add(combine(low[:3], mixed), combine(low[3:6], squares))
+    return _add_combined(_add_combined(rest, columns[3:6], squares), columns[:3], mixed)
+
+
+@inlined
+def _add_combined(rest: Vector, columns: tuple[Vector, Vector, Vector], a: Vector) -> Vector:
+    # Round each sum once: with more roundings the energy of a long run drifts.
+    rest = add_scaled(rest, a[2], columns[2])
+    return add_scaled(add_scaled(rest, a[1], columns[1]), a[0], columns[0])
+
+
+@inlined
+def acceleration_from_torque(coefficients: Coefficients, form: int, torque: Vector) -> Vector:
+    """
+    Return J^-1 tau, rad/s^2, of a torque in body axes.
+
+    For a thin rod it may be a difference of terms a million times larger, so the sum is
+    computed in twice the working precision.
+    """
+    columns, low, _, diagonal = coefficients
+    if form == DIAGONAL:
+        return four.multiply(diagonal, torque)
+    if form == FULL:
+        return combine(columns[6:], torque)
+    total, rest = combine_compensated(columns[6:], low[6:], torque)
+    return add(total, rest)
+
+
+@inlined
+def acceleration_polynomial(coefficients: Coefficients, form: int, torque: Polynomial,
+                            low: Polynomial) -> Polynomial:
+    """Return J^-1 tau, rad/s^2, of a torque in body axes and its low-order parts."""
+    a, b, c, d = torque
+    if form != THIN:
+        return (acceleration_from_torque(coefficients, form, a),
+                acceleration_from_torque(coefficients, form, b),
+                acceleration_from_torque(coefficients, form, c),
+                acceleration_from_torque(coefficients, form, d))
+    columns, low_columns = coefficients[0][6:], coefficients[1][6:]
+    return (acceleration_from_torque(coefficients, form, a),
+            _combine_both(columns, low_columns, b, low[1]),
+            _combine_both(columns, low_columns, c, low[2]),
+            _combine_both(columns, low_columns, d, low[3]))
+
+
+@inlined
+def _combine_both(columns: tuple[Vector, Vector, Vector],
+                  low_columns: tuple[Vector, Vector, Vector], torque: Vector,
+                  low: Vector) -> Vector:
+    total, rest = combine_compensated(columns, low_columns, torque)
+    return add(total, add(rest, combine(columns, low)))
+
+
+@inlined
+def acceleration_bound(drive: Polynomial, in_space: bool, coefficients: Coefficients) -> float:
+    """Return a bound on |J^-1 tau|, rad/s^2, over the span of a drive; see `taylor.step`."""
+    if not in_space:
+        bound = 0.0
+        for vector in drive:
+            bound += math.sqrt(dot(vector, vector))
+        return bound
+    norm = size = 0.0  # a torque fixed in space may come to lie along any body axis
+    for column in coefficients[0][6:]:
+        norm += dot(column, column)
+    for vector in drive:
+        size += math.sqrt(dot(vector, vector))
+    return math.sqrt(norm) * size
+
+
+@inlined
+def products(a: Vector, b: Vector) -> Products:
+    """Return the products of the components of two vectors."""
+    return four.multiply(four.yzx(a), four.zxy(b)), four.multiply(a, b)
+
+
+@inlined
+def symmetric_products(a: Vector, b: Vector) -> Products:
+    """Return the products of a and b plus those of b and a."""
+    return (four.fma(four.yzx(a), four.zxy(b), four.multiply(four.zxy(a), four.yzx(b))),
+            scale(2.0, four.multiply(a, b)))
+
+
+@inlined
+def add_symmetric_products(sums: Products, a: Vector, b: Vector) -> Products:
+    """Return the sums plus the products of a and b plus those of b and a."""
+    return (four.fma(four.yzx(a), four.zxy(b), four.fma(four.zxy(a), four.yzx(b), sums[0])),
+            four.fma(scale(2.0, a), b, sums[1]))
