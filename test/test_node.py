@@ -294,7 +294,7 @@ def run_node(domain, *arguments):
     (('--params-file', str(TUMBLER), '-p', 'robot_description:=<robot>'),
      'robot_description: URDF: expected XML'),
     (('--params-file', str(TUMBLER), '-p', 'link:=base_link'),
-     "link: expected a robot_description to find 'base_link' in, found none"),
+     "link: found 'base_link', but robot_description is empty"),
     (('--params-file', 'none.yaml'), 'none.yaml')])
 def test_a_mistake_is_answered_by_one_line(domain, arguments, message):
     result = run_node(domain, '--ros-args', *arguments)
