@@ -231,20 +231,31 @@ def _marker(shape: int, *color: float) -> MessageType:
                        after_doubles=b''.join(after))
 
 
+#: geometry_msgs/msg/WrenchStamped; doubles: force x y z, torque x y z.
 WRENCH = MessageType('geometry_msgs/msg/WrenchStamped', 6)
+#: geometry_msgs/msg/Wrench; doubles: force x y z, torque x y z.
 BARE_WRENCH = MessageType('geometry_msgs/msg/Wrench', 6, has_header=False)
+#: geometry_msgs/msg/QuaternionStamped; doubles: x y z w.
 QUATERNION = MessageType('geometry_msgs/msg/QuaternionStamped', 4)
+#: geometry_msgs/msg/Vector3Stamped; doubles: x y z.
 VECTOR3 = MessageType('geometry_msgs/msg/Vector3Stamped', 3)
+#: sensor_msgs/msg/Imu; 37 doubles: orientation, angular velocity, acceleration, each followed by
+#: its 9 covariances.
 IMU = MessageType('sensor_msgs/msg/Imu', 37)
+#: nav_msgs/msg/Odometry; 85 doubles: position, orientation, 36 covariances, linear and angular
+#: velocity, 36 covariances.
 ODOMETRY = MessageType('nav_msgs/msg/Odometry', 85, has_child_frame=True)
+#: tf2_msgs/msg/TFMessage with one transform; doubles: translation x y z, rotation x y z w.
 TRANSFORM = MessageType('tf2_msgs/msg/TFMessage', 7, has_child_frame=True, is_list=True)
 #: The arrows also differ in lightness, for colour-blind readers.
 BOX = _marker(1, 0.70, 0.75, 0.80, 0.8)
 ORANGE_ARROW, BLUE_ARROW = _marker(0, 0.90, 0.62, 0.0, 1.0), _marker(0, 0.0, 0.27, 0.70, 1.0)
 TYPES = {kind.name: kind for kind in (WRENCH, QUATERNION, VECTOR3, IMU, ODOMETRY, TRANSFORM, BOX)}
 
-#: Orientation and angular velocity among the doubles of Odometry; the others are 0.
-ORIENTATION, ANGULAR_VELOCITY = slice(3, 7), slice(46, 49)
+#: Where the orientation is among the doubles of an Odometry.
+ORIENTATION = slice(3, 7)
+#: Where the angular velocity is among the doubles of an Odometry; all others are 0.
+ANGULAR_VELOCITY = slice(46, 49)
 
 
 def torque(wrench: Stamped) -> Floats:
