@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Errors that a user reads: one printable line of bounded length, whatever a file contains."""
+"""Errors that a user reads: one line of bounded length, whatever a file holds."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from collections.abc import Collection
 from itertools import islice
 from reprlib import Repr
 
-#: Length limit of an error line, in characters.
+#: Characters of an error line.
 LONGEST = 500
-#: Length limits of a reason that another library gives, and of a name in a list of names.
+#: Characters of a reason that another library gives, and of a name in a list of names.
 _REASON, _NAME = 200, 60
-#: Number of names that a list shows.
+#: Names that a list shows.
 _NAMES = 6
 _CUT = ' ... '
 
@@ -34,14 +34,14 @@ _repr.maxlevel, _repr.maxdict = 3, 4
 
 
 class InputError(ValueError):
-    """A mistake in the input: one line with the place, what was expected and what was found."""
+    """A user's mistake: one line that names where, what was found and what was expected."""
 
     def __init__(self, message: str) -> None:
         super().__init__(shortened(message))
 
 
 def shortened(text: str, longest: int = LONGEST) -> str:
-    """Return a text as one line: shortened in the middle, nonprintable characters escaped."""
+    """Return a text as one line: cut in the middle, with nonprintable characters escaped."""
     text = _cut(text, longest)
     if text.isprintable():
         return text
@@ -50,18 +50,18 @@ def shortened(text: str, longest: int = LONGEST) -> str:
 
 
 def quoted(value: object) -> str:
-    """Return the repr of a value from a file, shortened to about 80 characters."""
+    """Return the repr of a value that was found in a file, at most about 80 characters of it."""
     return _repr.repr(value)
 
 
 def listed(names: Collection[str]) -> str:
-    """Return the first few names of a collection and the number of the rest; 'none' if empty."""
+    """Return the first few names of a collection and the number of the others, or 'none'."""
     shown = ', '.join(shortened(name, _NAME) for name in islice(names, _NAMES))
     return (f'{shown} and {len(names) - _NAMES} more' if len(names) > _NAMES else shown) or 'none'
 
 
 def reason(error: Exception) -> str:
-    """Return the message of an error as one line, or its type if the message is empty."""
+    """Return the message of an error as one line, or its type if it has none."""
     text = getattr(error, 'strerror', None) or ' '.join(str(error).split())
     return shortened(text or type(error).__name__, _REASON)
 
