@@ -114,7 +114,7 @@ class McapFile(File):
                 yield Raw(data, *(column[rows] for column in found))
 
     def read_all(self) -> Iterator[tuple[Channel, Schema | None, Raw]]:
-        """Generate the messages of every topic in blocks, one topic at a time."""
+        """Generate blocks of messages of every topic, each with its channel and schema."""
         for data, channels, found in self._blocks():
             for number in np.unique(channels).tolist():
                 channel = self._channels[number]
