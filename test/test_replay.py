@@ -170,7 +170,7 @@ def test_rounded_digits_of_a_tensor_are_told(tmp_path, output, capsys):
                      '    inertia: {ixx: 1.0, iyy: 2.0, izz: 3.05}\n')
     assert cli.attitude_replay([str(RECORDINGS / 'tumbler.mcap'), '--scene', str(plate),
                                 '-o', str(output)]) == 0
-    assert 'exceeds the sum of the others by 0.017 of it' in capsys.readouterr().err
+    assert 'exceeds the sum of the other two by 1.7 %' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
@@ -235,7 +235,7 @@ def bad_input(name, tmp_path):
 @pytest.mark.parametrize(('name', 'message'), [
     ('missing', 'missing.mcap: cannot read the recording: No such file or directory'),
     ('not mcap', 'not.mcap: expected an MCAP file'),
-    ('topic', 'good.mcap: no topic /wrench; found /torque'),
+    ('topic', 'good.mcap: topic /wrench does not exist; found /torque'),
     ('type', '/truth/attitude: expected geometry_msgs/msg/WrenchStamped or geometry_msgs/msg/'),
     ('empty', 'empty.mcap: /torque: expected torques, found no message'),
     ('nan', f'nan.mcap: /torque: message 1 at {EPOCH_NS} ns: expected a finite torque'),

@@ -224,5 +224,5 @@ class Writer:
     def _kept_partial(self) -> str:
         if self._keep_partial and self._container.has_chunks:
             with suppress(OSError):
-                return f'; the part written so far is in {self._part.keep(self._file, ".mcap")}'
+                return f'; what was written so far is in {self._part.keep(self._file, ".mcap")}'
         return ''
