@@ -60,7 +60,7 @@ REMARKS = {
         'step, and stays exact as close to the separatrix as doubles allow.',
     'Where others broke':
         "With MuJoCo's stick, `implicitfast` failed at step 4294 of 1 ms (the rates here are our "
-        "own). Avian clamped the momentum, so that every body ended up turning about its "
+        'own). Avian clamped the momentum, so that every body ended up turning about its '
         "intermediate axis. SciPy's `ellipj` has an error of 2 for a modulus near 1.",
 }
 

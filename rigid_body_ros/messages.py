@@ -225,7 +225,7 @@ def _marker(shape: int, *color: float) -> MessageType:
     no_text, no_list = struct.pack('<I4x', 1), bytes(4)
     texture = bytes(8) + no_text + no_text + no_list
     after = [struct.pack('<4f8xB3x', *color, 0), no_list, no_list, no_text, texture, no_list,
-              no_text, no_text, no_text, no_list, b'\0']
+             no_text, no_text, no_text, no_list, b'\0']
     return MessageType('visualization_msgs/msg/Marker', 10, has_child_frame=True,
                        before_doubles=struct.pack('<3i', 0, shape, 0),
                        after_doubles=b''.join(after))

@@ -38,7 +38,7 @@ _TORQUE_UNIT = re.compile(r'([numkMµμ]?)N[ *.·⋅_-]?m')
 _PREFIXES = {'': 0, 'n': -9, 'u': -6, 'µ': -6, 'μ': -6, 'm': -3, 'k': 3, 'M': 6}
 #: Names that may mean time, torque or frame: such a column is never ignored.
 _AMBIGUOUS = re.compile(r'time|stamp|torque|frame|(?<![a-z])(?:(?:nano)?sec(?:ond)?s?|tau|moments?'
-                       r'|[tm][xyz]?)(?![a-z])')
+                        r'|[tm][xyz]?)(?![a-z])')
 #: Length of a column name up to which it is interpreted, in characters.
 _LONGEST = 200
 _ACCEPTED = ('expected time, t or stamp (s, ms, us, ns) and tx ty tz or torque_x torque_y '
