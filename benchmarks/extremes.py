@@ -38,9 +38,10 @@ MOST_STEPS = 3e6
 REMARKS = {
     'Rods, plates, near-spheres':
         "No ratio of moments makes Euler's equations stiff. But for a rod, `(J w) x w` is the "
-        'difference of terms a million times larger, and so is `J^-1 tau` under a full tensor. '
-        'The solvers compute both from differences of moments that are exact beyond double '
-        'precision, so the differences can be arbitrarily small. Under torque, the *last-digit '
+        'difference of terms a million times larger. It is formed from differences of moments '
+        'that are evaluated beyond double precision, and can be arbitrarily small. The series '
+        'sums `J^-1 tau`, whose terms cancel as much under a full tensor, in twice the working '
+        'precision. Under torque, the *last-digit '
         'effect* is the change of the true motion if every entry of tensor, rates and torques '
         'changes by one unit in the last place. For a rod with a full tensor it is far larger '
         'than the error of `auto`, which takes all digits as exact.',
