@@ -67,7 +67,7 @@ setup(
                  'flake8-builtins', 'flake8-class-newline', 'flake8-comprehensions',
                  'flake8-deprecated', 'flake8-docstrings', 'flake8-import-order', 'flake8-quotes',
                  'pydocstyle'],
-        'docs': ['myst-parser', 'sphinx', 'sphinx-rtd-theme'],
+        'docs': ['latex2mathml', 'myst-parser', 'sphinx', 'sphinx-rtd-theme'],
         'bench': ['bsk', 'cyrk', 'drake', 'heyoka', 'mcap-ros2-support', 'mpmath', 'mujoco',
                   'psutil'],
     },

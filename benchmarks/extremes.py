@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Print what each solver gives at the edges, as it stands in docs/extremes.md.
+Print the error of each solver for extreme bodies and motions, as in docs/extremes.md.
 
     python benchmarks/extremes.py [--page docs/extremes.md]
 
-With --page the tables there are made anew: all that follows the line `MARK`. It takes two minutes.
+With --page, replace everything after the line `MARK` of that page. It takes two minutes.
 """
 
 import argparse
@@ -33,45 +33,46 @@ from known import KNOWN, lost_momentum, ODE_LOSSES  # noqa: E402, I100
 from scenes import FIXED_STEP, SCENES  # noqa: E402
 
 MARK = '<!-- what follows is printed by benchmarks/extremes.py -->'
-#: Of a solver of fixed step; more take too long for a table.
+#: Limit for a fixed-step solver; more steps take too long for a table.
 MOST_STEPS = 3e6
 REMARKS = {
     'Rods, plates, near-spheres':
-        "No ratio of moments makes Euler's equations stiff, but `(J w) x w` of a rod is the "
-        'difference of terms a million times its size. It is formed from differences of moments, '
-        'which are worked out beyond double precision, and they may be as small as they like. '
-        'So is `J^-1 tau`, whose terms cancel as much. Under torque, *a last digit becomes* has '
-        'how far the true motion moves if every entry of tensor, rates and torques changes by '
-        'one unit in the last place: for a rod with a full tensor, far more than the errors of '
-        '`auto`, which takes the digits at face value.',
+        "No ratio of moments makes Euler's equations stiff. But for a rod, `(J w) x w` is the "
+        'difference of terms a million times larger. It is formed from differences of moments '
+        'that are evaluated beyond double precision, and can be arbitrarily small. The series '
+        'sums `J^-1 tau`, whose terms cancel as much under a full tensor, in twice the working '
+        'precision. Under torque, the *last-digit '
+        'effect* is the change of the true motion if every entry of tensor, rates and torques '
+        'changes by one unit in the last place. For a rod with a full tensor it is far larger '
+        'than the error of `auto`, which takes all digits as exact.',
     'Large and small numbers':
-        'Only torque over inertia and rates over time matter. What `taylor` loses of the rates '
-        'to rounding is random, and the attitude adds it up: its error grows with the power 3/2 '
-        'of the angle turned, beyond some 1e4 rad to more than 1e-15 per radian. So does that of '
-        '`auto` where a torque acts for as long.',
+        'Only torque over inertia, and rate times time, matter. `taylor` loses digits of the '
+        'rates at random, and the attitude integrates them: its error grows with the power 3/2 '
+        'of the angle turned, and beyond some 1e4 rad it exceeds 1e-15 per radian. The same holds '
+        'for `auto` while a torque acts.',
     'Short and long times':
-        'Times are integer nanoseconds, so neither a long run nor a late epoch blurs a short '
-        'step. The closed form is evaluated once from the start of a coast, with constants of 32 '
-        'digits: a million turns cost it nothing.',
+        'Times are integer nanoseconds, so a short step loses no digits in a long run or at a '
+        'late epoch. The closed form is evaluated once from the start of a coast, with constants '
+        'of 32 digits, so a million turns cost no accuracy.',
     'Separatrix and intermediate axis':
-        'Here the motion itself magnifies what is lost. *A last digit becomes* has what the true '
-        'motion makes of a change of the rates by 2.2e-16 of their size at the worst of five '
-        'moments: no solver that steps in doubles can promise less. The closed form does not '
-        'step, and is right beyond that, as near to the separatrix as doubles come.',
+        'Here the motion itself magnifies small errors. The *last-digit effect* is the change of '
+        'the true motion if the rates change by 2.2e-16 of their size, at the worst of five '
+        'moments. No solver that steps in doubles can promise less. The closed form does not '
+        'step, and stays exact as close to the separatrix as doubles allow.',
     'Where others broke':
-        "With MuJoCo's stick `implicitfast` gave up at step 4294 of 1 ms (the rates here are "
-        "ours). Avian's clamp of the momentum led every body to turn about its intermediate "
-        "axis in the end. SciPy's `ellipj` is off by 2 for modulus near 1.",
+        "With MuJoCo's stick, `implicitfast` failed at step 4294 of 1 ms (the rates here are our "
+        'own). Avian clamped the momentum, so that every body ended up turning about its '
+        "intermediate axis. SciPy's `ellipj` has an error of 2 for a modulus near 1.",
 }
 
 
 def errors(scene):
-    """Return the error of each solver, rad, in words."""
-    return [told(scene, solver) for solver in SOLVERS]
+    """Return the error of each solver, rad, as text."""
+    return [error_of(scene, solver) for solver in SOLVERS]
 
 
-def told(scene, solver):
-    """Return the largest error of a solver, or why there is none."""
+def error_of(scene, solver):
+    """Return the largest error of a solver, or why there is none, as text."""
     if solver not in scene.solvers:
         return '-'
     if solver in FIXED_STEP and scene.steps > MOST_STEPS:
@@ -79,17 +80,17 @@ def told(scene, solver):
     try:
         apart, _ = scene.errors(scene.propagate(solver))
     except ValueError as error:
-        return refused(error)
+        return rejected(error)
     return number(apart.max())
 
 
-def refused(error):
-    """Return in a few words why."""
-    return 'refused: step too long' if 'may be too long' in str(error) else f'refused: {error}'
+def rejected(error):
+    """Return a short reason."""
+    return f'rejected: {"step too long" if "may be too long" in str(error) else error}'
 
 
 def number(value):
-    """Return it with two digits."""
+    """Return a number with two digits."""
     return f'{value:.1e}' if value > 1e-30 else '0'
 
 
@@ -104,10 +105,10 @@ def header(*cells):
 
 
 def group_lines(group):
-    """Return heading, remark and table of a group of scenes."""
+    """Return heading, remark and table for a group of scenes."""
     scenes = [scene for scene in SCENES if scene.group == group]
     grows = any(scene.amplifies for scene in scenes)
-    more = ('a last digit becomes',) if grows else ()
+    more = ('last-digit effect',) if grows else ()
     lines = [f'## {group}', '', REMARKS[group], '',
              *header('scene', 'turned, rad', *more, *SOLVERS[:3], 'step, s', *FIXED_STEP)]
     for scene in scenes:
@@ -119,11 +120,12 @@ def group_lines(group):
 
 
 def momentum_lines():
-    """Return the table of Gazebo's boxes."""
-    lines = ["## Gazebo's boxes: the momentum lost", '',
-             'The largest change of L over L in 10 s, as published for ODE '
-             '(github.com/scpeters/benchmark, BENCHMARK_boxes_dt.csv) and here. `explicit_euler` '
-             'is 3 % off it because ODE turns the attitude by the rates after the step.', '',
+    """Return the table for Gazebo's boxes."""
+    lines = ["## Gazebo's boxes: loss of momentum", '',
+             'The largest relative change of the angular momentum in 10 s: published for ODE '
+             '(github.com/scpeters/benchmark, BENCHMARK_boxes_dt.csv), and computed here. '
+             '`explicit_euler` differs from ODE by 3 % because ODE rotates the attitude with the '
+             'rates after the step.', '',
              *header('step, s', 'ODE', *reversed(FIXED_STEP), 'auto')]
     for step, published in ODE_LOSSES.items():
         losses = [number(lost_momentum(solver, step)) for solver in (*FIXED_STEP[::-1], 'auto')]
@@ -132,37 +134,39 @@ def momentum_lines():
 
 
 def known_lines():
-    """Return the table of what is known otherwise."""
-    lines = ['## Known in closed form, or published', '',
-             'Computed by `auto`. Periods are 4 K / lambda, measured over a million of them; '
-             'escapes K / lambda, so that they grow as the logarithm of the offset; '
-             "Landau and Zener's sweep of a sphere under constant torque has parabolic cylinder "
-             "functions; Boedewadt's symmetric body under a torque in body axes an integral.",
-             '', *header('what', 'right', 'found', 'off by')]
+    """Return the table of known results."""
+    lines = ['## Known results', '',
+             'Computed by `auto`. Periods are 4 K / lambda, measured over a million periods. '
+             'Escape times are K / lambda, so they grow with the logarithm of the offset. '
+             "The exact result for Landau and Zener's sweep of a sphere under constant torque "
+             "uses parabolic cylinder functions; that for Boedewadt's symmetric body under a "
+             'torque in body axes is an integral.',
+             '', *header('quantity', 'exact', 'computed', 'relative error')]
     for name, (quantity, _) in KNOWN.items():
-        right, found = quantity()
-        lines.append(row(name, f'{right:.15g}', f'{found:.15g}',
-                         number(abs(found - right) / abs(right))))
+        exact, found = quantity()
+        lines.append(row(name, f'{exact:.15g}', f'{found:.15g}',
+                         number(abs(found - exact) / abs(exact))))
     return [*lines, '']
 
 
-def refusals():
-    """Generate what is refused, and how to try it."""
+def rejections():
+    """Generate invalid inputs: a description, and a function that raises the error."""
     def spun_by(torque):
         return propagate(RigidBody.from_moments(1.0, 2.0, 2.5), State(), at=[10 ** 9],
                          log=TorqueLog([0], [torque]))
     yield 'moments 3, 5, 9', lambda: RigidBody.from_moments(3.0, 5.0, 9.0)
     yield 'moments 0, 1, 1', lambda: RigidBody.from_moments(0.0, 1.0, 1.0)
     yield 'ixy = 5 with moments 1, 2, 2.5', lambda: RigidBody.from_moments(1.0, 2.0, 2.5, 5.0)
-    yield 'a rate that is infinite', lambda: State(0, angular_velocity=(0.0, np.inf, 0.0))
+    yield 'an infinite rate', lambda: State(0, angular_velocity=(0.0, np.inf, 0.0))
     yield 'a torque of 1e12 N m on moments 1, 2, 2.5', lambda: spun_by((1e12, 0.0, 0.0))
-    yield 'a torque that is no number', lambda: spun_by((np.nan, 0.0, 0.0))
+    yield 'a torque that is NaN', lambda: spun_by((np.nan, 0.0, 0.0))
 
 
-def refusal_lines():
-    """Return the table of what is refused."""
-    lines = ['## Refused', '', 'Each is a `ValueError`:', '', *header('what', 'message')]
-    for what, attempt in refusals():
+def rejection_lines():
+    """Return the table of invalid inputs."""
+    lines = ['## Invalid input', '', 'Each raises a `ValueError`:', '',
+             *header('input', 'message')]
+    for what, attempt in rejections():
         try:
             attempt()
         except ValueError as error:
@@ -171,12 +175,12 @@ def refusal_lines():
 
 
 def main():
-    """Print, or write into the page."""
+    """Print the tables, or write them into the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
     parser.add_argument('--page', type=Path)
     page = parser.parse_args().page
     lines = [line for group in REMARKS for line in group_lines(group)]
-    tables = '\n'.join([*lines, *momentum_lines(), *known_lines(), *refusal_lines()]) + '\n'
+    tables = '\n'.join([*lines, *momentum_lines(), *known_lines(), *rejection_lines()]) + '\n'
     if page is None:
         print(tables, end='')
     else:

@@ -87,6 +87,9 @@ PAGE = """\
 ros2 run rigid_body_ros attitude_node --ros-args --params-file SCENE
 ```
 
+Without the `ros2` command, as after `pip install '.[ros]'`, type
+`attitude_node --ros-args --params-file SCENE`.
+
 Names without a slash are relative: a namespace goes before them, and `-r torque:=/wrench` connects
 them to others. Quality of service can be overridden (`qos_overrides./torque.subscription.depth`).
 

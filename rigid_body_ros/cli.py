@@ -143,8 +143,8 @@ def _replay_one(options: argparse.Namespace) -> int:
 
 def _scene(options: argparse.Namespace) -> Scene:
     scene = load(options.scene)
-    for doubt in scene.doubts:
-        _report(f'{options.command}: warning: {options.scene}: {doubt}')
+    for warning in scene.warnings:
+        _report(f'{options.command}: warning: {options.scene}: {warning}')
     return scene
 
 

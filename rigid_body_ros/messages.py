@@ -13,13 +13,15 @@
 # limitations under the License.
 
 """
-ROS messages as bytes: the one place that knows fields, CDR and message definitions.
+ROS messages as bytes: the only module that knows message fields, CDR and message definitions.
 
-All types here have one shape: a header, for some a second name, and then doubles. (A TFMessage is
-a list of such; here it always has one entry. A Wrench has no header. A Marker has more around its
-doubles, but here always the same.)
-Encoded by the XCDR1 rules of the DDS-XTypes specification, section 7.4: little-endian when
-written, either when read; doubles are aligned to 8 bytes behind the 4 bytes of encapsulation.
+All types here have one structure: a header, in some types a second name, then doubles. There are
+three exceptions. A Wrench has no header. A TFMessage is a list of transforms, here always of one.
+A Marker has other fields around its doubles, here with constant values.
+
+The encoding is XCDR1 of the DDS-XTypes specification, section 7.4. Messages are written in little
+endian and read in either byte order. Doubles are aligned to 8 bytes, counted from the end of the
+4-byte encapsulation header.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ from rigid_body_ros.body import State
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import quoted
 
-#: The last nanosecond that a ROS stamp can name, in January 2038.
+#: The latest time that a ROS stamp can represent, ns; it is in January 2038.
 LAST_NS = 2 ** 31 * 10 ** 9 - 1
 
 _FIELDS = {
@@ -84,7 +86,6 @@ _FIELDS = {
                                  'bool mesh_use_embedded_materials\n',
 }
 
-
 _HASHES = {name: f'RIHS01_{digits}' for name, digits in {
     'geometry_msgs/msg/Wrench':
         '018e8519d57c16adbe97c9fe1460ef21fec7e31bc541de3d653a35895677ce52',
@@ -103,7 +104,7 @@ _HASHES = {name: f'RIHS01_{digits}' for name, digits in {
 
 
 class Stamped(NamedTuple):
-    """A decoded message: its time, its frame (and second name), its doubles in field order."""
+    """A decoded message: stamp, frame, second name if it has one, doubles in field order."""
 
     stamp_ns: int
     frame_id: str
@@ -113,52 +114,67 @@ class Stamped(NamedTuple):
 
 @dataclass(frozen=True)
 class MessageType:
-    """A message type by its ROS name, such as 'geometry_msgs/msg/WrenchStamped'."""
+    """
+    A ROS message type: its definition, and how its messages are encoded and decoded.
+
+    Attributes
+    ----------
+    name : str
+        The ROS name, such as 'geometry_msgs/msg/WrenchStamped'.
+    doubles : int
+        Number of doubles in a message.
+    has_child_frame : bool
+        Whether a second name follows the frame_id: a child frame or, in a Marker, a namespace.
+    is_list : bool
+        Whether a message is a list with one entry.
+    has_header : bool
+    before_doubles, after_doubles : bytes
+        Constant CDR bytes between the names and the doubles, and after the doubles.
+
+    """
 
     name: str
     doubles: int
-    #: Or, in a Marker, a namespace.
     has_child_frame: bool = False
-    #: Whether it is a list, of one entry.
     is_list: bool = False
     has_header: bool = True
-    #: What lies between the names and the doubles, and behind them, in CDR.
-    between: bytes = b''
-    behind: bytes = b''
+    before_doubles: bytes = b''
+    after_doubles: bytes = b''
 
     @property
     def type_hash(self) -> str:
-        """Return what ROS 2 tells types apart by, from Iron on (REP-2011)."""
+        """Return the hash by which ROS 2 identifies the type since Iron (REP-2011)."""
         return _HASHES[self.name]
 
     @property
     def definition(self) -> str:
-        """Return the complete definition in the form of MCAP's schema encoding 'ros2msg'."""
+        """Return the complete definition in MCAP's schema encoding 'ros2msg'."""
         name = self.name.replace('/msg/', '/')
-        nested = [f'{"=" * 80}\nMSG: {part}\n{_FIELDS[part]}' for part in _parts(name)]
+        nested = [f'{"=" * 80}\nMSG: {part}\n{_FIELDS[part]}' for part in _nested(name)]
         return ''.join([_FIELDS[name], *nested])
 
     def encode(self, stamp_ns: int, frame_id: str, values: ArrayLike,
                child_frame_id: str = '') -> bytes:
-        """Return the message as CDR; values in field order, shape (doubles,)."""
-        before, after = _around_stamp(self, frame_id, child_frame_id)
+        """Return a message as CDR bytes; values in field order, shape (doubles,)."""
+        head, names = _around_stamp(self, frame_id, child_frame_id)
         stamp = struct.pack('<iI', *divmod(stamp_ns, 10 ** 9))
-        return before + stamp + after + np.asarray(values, '<f8').tobytes() + self.behind
+        doubles = np.asarray(values, '<f8').tobytes()
+        return head + stamp + names + doubles + self.after_doubles
 
     def layout(self, frame_id: str, child_frame_id: str = '') -> np.dtype[np.void]:
-        """Return where the fields of a message lie, for arrays of messages that `fill` fills."""
-        before, after = _around_stamp(self, frame_id, child_frame_id)
-        return np.dtype([('before', f'V{len(before)}'), ('sec', '<i4'), ('nanosec', '<u4'),
-                         ('after', f'V{len(after)}'), ('values', '<f8', (self.doubles,)),
-                         ('behind', f'V{len(self.behind)}')])
+        """Return the dtype of an array of messages with the same names; `fill` sets its values."""
+        head, names = _around_stamp(self, frame_id, child_frame_id)
+        return np.dtype([('head', f'V{len(head)}'), ('sec', '<i4'), ('nanosec', '<u4'),
+                         ('names', f'V{len(names)}'), ('doubles', '<f8', (self.doubles,)),
+                         ('after', f'V{len(self.after_doubles)}')])
 
     def fill(self, rows: NDArray[np.void], stamps_ns: NDArray[np.int64], values: Floats,
              frame_id: str, child_frame_id: str = '') -> None:
-        """Set messages of that layout, shape (n,); values in field order, shape (n, doubles)."""
-        before, after = _around_stamp(self, frame_id, child_frame_id)
-        rows['before'], rows['after'] = np.void(before), np.void(after)
+        """Set messages of this layout, shape (n,); values in field order, shape (n, doubles)."""
+        head, names = _around_stamp(self, frame_id, child_frame_id)
+        rows['head'], rows['names'] = np.void(head), np.void(names)
         rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, 10 ** 9)
-        rows['values'], rows['behind'] = values, np.void(self.behind)
+        rows['doubles'], rows['after'] = values, np.void(self.after_doubles)
 
     def decode(self, data: bytes) -> Stamped:
         """
@@ -167,14 +183,14 @@ class MessageType:
         Raises
         ------
         ValueError
-            The bytes are no message of this type.
+            The bytes are not a message of this type.
 
         """
         try:
             return self._decode(data)
         except (struct.error, UnicodeDecodeError, ValueError, IndexError) as error:
-            raise ValueError(f'expected a {self.name} in CDR, found {len(data)} bytes that are '
-                             f'none ({error})') from error
+            raise ValueError(f'expected a {self.name} in CDR, found {len(data)} bytes that '
+                             f'cannot be decoded ({error})') from error
 
     def _decode(self, data: bytes) -> Stamped:
         if data[0] != 0 or data[1] not in (0, 1):
@@ -185,7 +201,7 @@ class MessageType:
         if self.is_list:
             entries, = struct.unpack_from(order + 'I', body)
             if entries != 1:
-                raise ValueError(f'a list of {entries}')
+                raise ValueError(f'a list of {entries} entries')
             offset = 4
         if not self.has_header:
             return Stamped(0, '', '', self._doubles(body, offset, order))
@@ -196,7 +212,7 @@ class MessageType:
         child_frame_id = ''
         if self.has_child_frame:
             child_frame_id, offset = _string(body, offset, order)
-        offset += -offset % 4 + len(self.between)
+        offset += -offset % 4 + len(self.before_doubles)
         return Stamped(seconds * 10 ** 9 + nanoseconds, frame_id, child_frame_id,
                        self._doubles(body, offset, order))
 
@@ -205,29 +221,41 @@ class MessageType:
 
 
 def _marker(shape: int, *color: float) -> MessageType:
-    """Return a Marker of a shape and color (r, g, b, a); its doubles are pose and scale."""
+    """Return a Marker type with a shape and color (r, g, b, a); its doubles are pose and scale."""
     no_text, no_list = struct.pack('<I4x', 1), bytes(4)
     texture = bytes(8) + no_text + no_text + no_list
-    behind = [struct.pack('<4f8xB3x', *color, 0), no_list, no_list, no_text, texture, no_list,
-              no_text, no_text, no_text, no_list, b'\0']
+    after = [struct.pack('<4f8xB3x', *color, 0), no_list, no_list, no_text, texture, no_list,
+             no_text, no_text, no_text, no_list, b'\0']
     return MessageType('visualization_msgs/msg/Marker', 10, has_child_frame=True,
-                       between=struct.pack('<3i', 0, shape, 0), behind=b''.join(behind))
+                       before_doubles=struct.pack('<3i', 0, shape, 0),
+                       after_doubles=b''.join(after))
 
 
+#: geometry_msgs/msg/WrenchStamped; doubles: force x y z, torque x y z.
 WRENCH = MessageType('geometry_msgs/msg/WrenchStamped', 6)
+#: geometry_msgs/msg/Wrench; doubles: force x y z, torque x y z.
 BARE_WRENCH = MessageType('geometry_msgs/msg/Wrench', 6, has_header=False)
+#: geometry_msgs/msg/QuaternionStamped; doubles: x y z w.
 QUATERNION = MessageType('geometry_msgs/msg/QuaternionStamped', 4)
+#: geometry_msgs/msg/Vector3Stamped; doubles: x y z.
 VECTOR3 = MessageType('geometry_msgs/msg/Vector3Stamped', 3)
+#: sensor_msgs/msg/Imu; 37 doubles: orientation, angular velocity, acceleration, each followed by
+#: its 9 covariances.
 IMU = MessageType('sensor_msgs/msg/Imu', 37)
+#: nav_msgs/msg/Odometry; 85 doubles: position, orientation, 36 covariances, linear and angular
+#: velocity, 36 covariances.
 ODOMETRY = MessageType('nav_msgs/msg/Odometry', 85, has_child_frame=True)
+#: tf2_msgs/msg/TFMessage with one transform; doubles: translation x y z, rotation x y z w.
 TRANSFORM = MessageType('tf2_msgs/msg/TFMessage', 7, has_child_frame=True, is_list=True)
-#: The arrows differ in lightness, for those who do not see the colours.
+#: The arrows also differ in lightness, for colour-blind readers.
 BOX = _marker(1, 0.70, 0.75, 0.80, 0.8)
 ORANGE_ARROW, BLUE_ARROW = _marker(0, 0.90, 0.62, 0.0, 1.0), _marker(0, 0.0, 0.27, 0.70, 1.0)
 TYPES = {kind.name: kind for kind in (WRENCH, QUATERNION, VECTOR3, IMU, ODOMETRY, TRANSFORM, BOX)}
 
-#: Where the doubles of Odometry tell of a rotation; position, velocity and covariances are 0.
-ORIENTATION, ANGULAR_VELOCITY = slice(3, 7), slice(46, 49)
+#: Where the orientation is among the doubles of an Odometry.
+ORIENTATION = slice(3, 7)
+#: Where the angular velocity is among the doubles of an Odometry; all others are 0.
+ANGULAR_VELOCITY = slice(46, 49)
 
 
 def torque(wrench: Stamped) -> Floats:
@@ -236,39 +264,40 @@ def torque(wrench: Stamped) -> Floats:
 
 
 def wrench(stamp_ns: int, frame_id: str, torque: Iterable[float]) -> bytes:
-    """Return a WrenchStamped with a torque, N m, shape (3,), and no force."""
+    """Return a WrenchStamped with a torque, N m, shape (3,), and zero force."""
     return WRENCH.encode(stamp_ns, frame_id, [0.0, 0.0, 0.0, *torque])
 
 
 def new_log() -> bytes:
     """
-    Return the torque that begins a log anew: what came before is void.
+    Return the marker that starts a new log: torques before it no longer count.
 
-    It is zero, at time zero and in no frame; other torques of a log name theirs.
+    The marker is a zero torque with stamp 0 and an empty frame_id. The torques of a log name
+    their frame.
     """
     return wrench(0, '', np.zeros(3))
 
 
 def torque_frame(frame_id: str, body_frame: str, space_frame: str) -> str:
     """
-    Return 'body' or 'space', the axes that a WrenchStamped is given in.
+    Return the axes of the torque in a WrenchStamped: 'body' or 'space'.
 
     Raises
     ------
     ValueError
-        The frame_id is neither empty nor one of the two names.
+        The frame_id is neither empty nor one of the two frames.
 
     """
     if frame_id in ('', body_frame):
         return 'body'
     if frame_id == space_frame:
         return 'space'
-    raise ValueError(f"frame_id: expected '{body_frame}' or nothing (body axes) or "
+    raise ValueError(f"frame_id: expected '{body_frame}' or '' (body axes) or "
                      f"'{space_frame}' (space axes), found {quoted(frame_id)}")
 
 
 def odometry(state: State, space_frame: str, body_frame: str) -> bytes:
-    """Return a state as an Odometry at the origin: attitude, and angular velocity in body axes."""
+    """Return an Odometry at the origin with the attitude and the body rates of a state."""
     values = np.zeros(ODOMETRY.doubles)
     values[ORIENTATION] = state.attitude
     values[ANGULAR_VELOCITY] = state.angular_velocity
@@ -276,50 +305,50 @@ def odometry(state: State, space_frame: str, body_frame: str) -> bytes:
 
 
 def imu(state: State, body_frame: str) -> bytes:
-    """Return a state as an Imu that measures no acceleration and does not know its errors."""
+    """Return an Imu with attitude and body rates, no acceleration, and unknown covariances."""
     values = imu_values(state.attitude[None], state.angular_velocity[None])[0]
     return IMU.encode(state.time_ns, body_frame, values)
 
 
 def imu_values(attitude: Floats, angular_velocity: Floats) -> Floats:
-    """Return what Imu messages hold, shape (n, 37), of attitudes (n, 4) and body rates (n, 3)."""
+    """Return the doubles of Imu messages, (n, 37), for attitudes (n, 4) and body rates (n, 3)."""
     values = np.zeros((len(attitude), IMU.doubles))
     values[:, 0:4], values[:, 13:16] = attitude, angular_velocity
-    values[:, 28] = -1.0  # linear_acceleration_covariance[0]: there is no such measurement
+    values[:, 28] = -1.0  # linear_acceleration_covariance[0]: no measurement
     return values
 
 
 def transform(state: State, space_frame: str, body_frame: str) -> bytes:
-    """Return a state as the transform that takes body coordinates to space coordinates."""
+    """Return the transform from body coordinates to space coordinates at a state."""
     return TRANSFORM.encode(state.time_ns, space_frame, transform_values(state.attitude[None])[0],
                             body_frame)
 
 
 def transform_values(attitude: Floats) -> Floats:
-    """Return what transforms hold, shape (n, 7), of attitudes (n, 4)."""
+    """Return the doubles of transforms, (n, 7), for attitudes (n, 4)."""
     return np.pad(attitude, ((0, 0), (3, 0)))
 
 
 @lru_cache
 def _around_stamp(kind: MessageType, frame_id: str, child_frame_id: str) -> tuple[bytes, bytes]:
-    # What of a message comes before its stamp, and between stamp and doubles.
-    before = b'\1\0\0\0' if kind.is_list else b''
-    begin, body = len(before) + 8, b''
+    # The bytes of a message before its stamp, and those between its stamp and its doubles.
+    head = b'\1\0\0\0' if kind.is_list else b''
+    begin, body = len(head) + 8, b''
     for name in (frame_id, child_frame_id)[:1 + kind.has_child_frame]:
         text = name.encode() + b'\0'
         body += bytes(-(begin + len(body)) % 4) + struct.pack('<I', len(text)) + text
-    body += bytes(-(begin + len(body)) % 4) + kind.between
-    return b'\0\1\0\0' + before, body + bytes(-(begin + len(body)) % 8)
+    body += bytes(-(begin + len(body)) % 4) + kind.before_doubles
+    return b'\0\1\0\0' + head, body + bytes(-(begin + len(body)) % 8)
 
 
-def _parts(name: str) -> list[str]:
-    # The types that a definition is made of, each once, nested ones after their parent.
+def _nested(name: str) -> list[str]:
+    # The types that a definition uses, each once, after the type that uses it first.
     found: list[str] = []
     for line in _FIELDS[name].splitlines():
         field = line.split()[0].removesuffix('[]')
         part = field if '/' in field else f'{name.split("/")[0]}/{field}'
         if part in _FIELDS:
-            found += [part, *_parts(part)]
+            found += [part, *_nested(part)]
     return list(dict.fromkeys(found))
 
 

@@ -13,42 +13,42 @@
 # limitations under the License.
 
 """
-The scene: a body, its start and how to treat it, read from a ROS 2 parameter file.
+Scenes: a body, its initial state and the options of a run, read from a ROS 2 parameter file.
 
-The same table of parameters serves the node (declarations, descriptors) and the commands (scene
-files), so that one file means one thing everywhere.
+The node (declarations and descriptors) and the commands (scene files) share one table of
+parameters, so a file means the same to all of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-import difflib
 import math
 from pathlib import Path
-import re
 from typing import Any, NamedTuple
 
 from rigid_body_ros import euler
 from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.common.errors import InputError as InputError  # handed on
-from rigid_body_ros.common.errors import listed, quoted, shortened
+from rigid_body_ros.common.errors import InputError as InputError  # part of the interface
+from rigid_body_ros.common.errors import quoted
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
+from rigid_body_ros.propagation.options import duration_ns
+from rigid_body_ros.runtime.parameter_file import is_number, node_parameters, unknown_parameter
 from rigid_body_ros.runtime.reading import read_yaml
 from rigid_body_ros.torque import INTERPOLATIONS
-import yaml
 
+#: The name of the node whose parameters a scene file has.
 NODE = 'attitude_node'
 
 
 class Parameter(NamedTuple):
-    """One key of a scene; its type is that of the default, or float where there is none."""
+    """A parameter of a scene; one without a default is a required float."""
 
     name: str
     default: bool | int | float | str | None
     unit: str
     description: str
-    #: Closed interval; (lowest, highest) of a number.
+    #: Lowest and highest value of a number, both allowed.
     interval: tuple[float, float] | None = None
     choices: tuple[str, ...] = ()
 
@@ -61,12 +61,12 @@ class Parameter(NamedTuple):
 _BIG = 1e300
 _TINY = 1e-300
 _MOMENT = 'moment of inertia about the centre of mass, body axes'
-_PRODUCT = 'off-diagonal entry of the inertia tensor itself, as in URDF'
+_PRODUCT = 'off-diagonal entry of the inertia tensor, with the sign of the matrix as in URDF'
 _QUATERNION = 'initial attitude quaternion, body to space'
 _VELOCITY = 'initial angular velocity, body axes'
-#: What a unit quaternion may be off, written with three digits.
+#: How far the norm of a unit quaternion is from 1 if it is written with three digits.
 _UNIT = 1e-2
-#: rad/s; above are toy tops and flywheels, and vehicles whose rates are in degrees.
+#: rad/s; a faster body is a toy top, a flywheel, or a vehicle with rates in degrees per second.
 _FAST = 10.0
 MODES = REALTIME, LOCKSTEP = 'realtime', 'lockstep'
 TIME_SOURCES = HEADER, ARRIVAL = 'header', 'arrival'
@@ -77,69 +77,65 @@ PARAMETERS = {parameter.name: parameter for parameter in (
       for name in ('ixx', 'iyy', 'izz')),
     *(Parameter(f'inertia.{name}', 0.0, 'kg m^2', _PRODUCT, (-_BIG, _BIG))
       for name in ('ixy', 'ixz', 'iyz')),
-    Parameter('robot_description', '', '', 'URDF to take the inertia from, instead of numbers'),
-    Parameter('link', '', '', 'link of robot_description; empty: the only one with an inertia'),
+    Parameter('robot_description', '', '', 'URDF text to read the inertia from, instead of '
+              'inertia.*'),
+    Parameter('link', '', '', 'link of robot_description whose inertia is used; empty: the only '
+              'link with an inertia'),
     *(Parameter(f'initial_attitude.{name}', default, '', _QUATERNION, (-_BIG, _BIG))
       for name, default in zip('xyzw', (0.0, 0.0, 0.0, 1.0))),
     *(Parameter(f'initial_angular_velocity.{name}', 0.0, 'rad/s', _VELOCITY, (-1e9, 1e9))
       for name in 'xyz'),
-    Parameter('start_time', 0, 'ns', 'when the initial state holds; 0: the first torque in a '
-              'replay and in lockstep, else the first valid clock reading; a running node reports '
-              'the value in use', (0, 2 ** 31 * 10 ** 9 - 1)),
-    Parameter('mode', REALTIME, '', 'realtime: the clock asks for the motion; lockstep: each '
-              'torque, stamped t, is answered with the state at t + step', choices=MODES),
-    Parameter('step', 0.001, 's', 'how far ahead of a torque lockstep answers', (1e-9, LONGEST)),
-    Parameter('time_source', HEADER, '', 'whether the node takes the time of a torque from its '
-              'header or from its arrival (for bags played without --clock)',
-              choices=TIME_SOURCES),
-    Parameter('solver', 'auto', '', 'how the motion is integrated', choices=SOLVERS),
+    Parameter('start_time', 0, 'ns', 'time of the initial state; 0: the stamp of the first torque '
+              '(replay, lockstep) or the first valid clock reading (realtime); a running node '
+              'reports the value in use', (0, 2 ** 31 * 10 ** 9 - 1)),
+    Parameter('mode', REALTIME, '', 'realtime: publish the motion at publish_rate; lockstep: '
+              'reply to each torque, stamped t, with the state at t + step', choices=MODES),
+    Parameter('step', 0.001, 's', 'lockstep: time from the stamp of a torque to the state that '
+              'replies to it', (1e-9, LONGEST)),
+    Parameter('time_source', HEADER, '', 'when a torque takes effect: at the stamp in its header, '
+              'or on arrival (for bags played without --clock)', choices=TIME_SOURCES),
+    Parameter('solver', 'auto', '', 'integration method', choices=SOLVERS),
     Parameter('tolerance', 1e-15, '', 'bound on the truncation error of the attitude per radian '
               'turned; rounding adds to it', TOLERANCES),
-    Parameter('max_step', 0.0, 's', 'longest step, which the solvers of fixed step take; 0: none',
-              (0.0, _BIG)),
-    Parameter('interpolation', 'hold', '', 'what a torque does between its samples; the node, '
-              'which does not know the next one, holds', choices=INTERPOLATIONS),
-    Parameter('torque_timeout', 0.0, 's', 'the torque is zero from this long after a sample on; '
-              '0: it is held for ever', (0.0, LONGEST)),
-    Parameter('history', 1.0, 's', 'how much older than the newest stamp a torque may be',
-              (0.0, 3600.0)),
-    Parameter('max_future', 0.5, 's', 'a torque stamped further ahead of the clock is refused',
-              (0.0, 3600.0)),
-    Parameter('on_time_jump', RESET, '', 'what a clock that jumps back does: start again, go on '
-              'from the present state, or nothing', choices=TIME_JUMPS),
-    Parameter('publish_clock', False, '', 'lockstep: publish the time of each answer on /clock'),
-    Parameter('publish_tf', False, '', 'publish the attitude on /tf, too (needs tf2_msgs)'),
-    Parameter('publish_rate', 100.0, 'Hz', 'rate of the published attitude; may change while '
-              'running', (1e-3, 2000.0)),
-    Parameter('euler_sequence', 'ZXZ', '', 'axes of the Euler angles, upper case intrinsic, lower '
-              'case extrinsic'),
-    Parameter('space_frame', 'world', '', 'frame_id of the fixed axes'),
+    Parameter('max_step', 0.0, 's', 'longest step; required by the fixed-step solvers; 0: no '
+              'limit', (0.0, _BIG)),
+    Parameter('interpolation', 'hold', '', 'torque between two samples; the node accepts only '
+              'hold, because it does not know the next sample', choices=INTERPOLATIONS),
+    Parameter('torque_timeout', 0.0, 's', 'how long a sample is held; then the torque is zero '
+              'until the next sample; 0: hold for ever', (0.0, LONGEST)),
+    Parameter('history', 1.0, 's', 'how far the stamp of a torque may lie before the newest one; '
+              'older torques are rejected', (0.0, 3600.0)),
+    Parameter('max_future', 0.5, 's', 'how far the stamp of a torque may lie ahead of the clock; '
+              'torques further ahead are rejected', (0.0, 3600.0)),
+    Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps back: reset (start '
+              'again), rebase (go on from the current state) or ignore', choices=TIME_JUMPS),
+    Parameter('publish_clock', False, '', 'lockstep: publish the time of each state on /clock'),
+    Parameter('publish_tf', False, '', 'publish the attitude on /tf as well (needs tf2_msgs)'),
+    Parameter('publish_rate', 100.0, 'Hz', 'rate at which the motion is published; may change '
+              'while the node runs', (1e-3, 2000.0)),
+    Parameter('euler_sequence', 'ZXZ', '', 'axes of the Euler angles; upper case: intrinsic, '
+              'lower case: extrinsic'),
+    Parameter('space_frame', 'world', '', 'frame_id of the space axes'),
     Parameter('body_frame', 'base_link', '', 'frame_id of the body axes'),
 )}
-# What C's strtoll (base 0) and strtod take, which rcl asks.
-_INTEGER = re.compile(r'[+-]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)')
-_FLOAT = re.compile(r'[+-]?([0-9]+(\.[0-9]*)?([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?'
-                    r'|\.?(inf|Inf|INF|nan|NaN|NAN))')
-#: Characters of a full name.
-_LONGEST = 500
-#: What ROS itself declares on every node; a parameter dump has them.
+#: Parameters that ROS declares on every node; a parameter dump contains them.
 _ROS, _QOS = ('use_sim_time', 'start_type_description_service'), 'qos_overrides.'
 
 
 @dataclass(frozen=True)
 class Scene:
     """
-    What a motion depends on besides its torques, checked.
+    Everything but the torques that a motion depends on, validated.
 
     Attributes
     ----------
     body : RigidBody
     start : State
-        Its time is 0 where the scene leaves it to the first torque or clock reading.
+        Initial state. Its time is 0 if the first torque or clock reading sets it.
     values : dict
-        Every parameter by name, given or default.
+        Value of every parameter by full name; defaults included.
     path : Path or None
-        The file that the scene was read from, absolute.
+        Absolute path of the scene file, None if the scene was not read from a file.
 
     """
 
@@ -159,34 +155,34 @@ class Scene:
 
     @property
     def timeout_ns(self) -> int:
-        """Return the torque timeout, ns; 0 where a torque is held for ever."""
-        return round(self.values['torque_timeout'] * 1e9)
+        """Return the torque timeout, ns; 0 if a torque is held for ever."""
+        return duration_ns(self.values['torque_timeout'], 'torque_timeout')
 
     @property
-    def doubts(self) -> list[str]:
-        """Return lines for the user about what is allowed, but rarely meant."""
-        return [*_doubts(self.values, self.body)]
+    def warnings(self) -> list[str]:
+        """Return one line for each value that is allowed but probably a mistake."""
+        return [*_warnings(self.values, self.body)]
 
     @classmethod
     def from_values(cls, given: Mapping[str, Any]) -> Scene:
         """
-        Check the values of a scene as one whole.
+        Return a scene from parameter values, checked one by one and together.
 
         Parameters
         ----------
         given : mapping
-            Values by full name, such as 'inertia.ixx'.
+            Values by full name, such as 'inertia.ixx'; the others take their defaults.
 
         Raises
         ------
         InputError
-            A key is unknown or missing, a value has another type or is out of range, or the
-            values do not fit together.
+            A key is unknown or missing, a value has the wrong type or is out of range, or two
+            values contradict each other.
 
         """
         for name, value in given.items():
             if name not in PARAMETERS and name not in _ROS and not name.startswith(_QOS):
-                raise InputError(_unknown(name, value))
+                raise unknown_parameter(name, value, PARAMETERS)
         given = {**given, **_inertia_of_robot(given)}
         values = {name: checked(parameter, given.get(name, parameter.default))
                   for name, parameter in PARAMETERS.items()}
@@ -205,18 +201,18 @@ def load(path: str | Path) -> Scene:
     """
     Read a scene from a ROS 2 parameter file, such as `ros2 param dump` writes.
 
-    Parameters of `/**` hold for every node, those of `attitude_node` come on top; where neither
-    name is there, a single other node's are taken.
+    Parameters of `/**` apply to every node, and those of `attitude_node` override them. A file
+    without either is taken if it has parameters for one node only.
 
     Raises
     ------
     InputError
-        The file cannot be read, is no parameter file, or the scene is not valid.
+        The file cannot be read, is not a parameter file, or the scene is not valid.
 
     """
     root = read_yaml(path, 'scene')
     try:
-        return replace(Scene.from_values(_parameters(root)), path=Path(path).absolute())
+        return replace(Scene.from_values(node_parameters(root, NODE)), path=Path(path).absolute())
     except InputError as error:
         raise InputError(f'{path}: {error}') from error
 
@@ -227,7 +223,7 @@ def _options(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def checked(parameter: Parameter, given: Any) -> Any:
-    """Return a value of a parameter as its type, or raise InputError."""
+    """Return a value converted to the type of its parameter; raise InputError if it is invalid."""
     name, unit = parameter.name, f' ({parameter.unit})' if parameter.unit else ''
     if given is None:
         raise InputError(f'{name}: missing; expected a number{unit}: {parameter.description}')
@@ -236,10 +232,10 @@ def checked(parameter: Parameter, given: Any) -> Any:
     wrong = (isinstance(value, bool) is not (parameter.value_type is bool)
              or not isinstance(value, parameter.value_type))
     if wrong:
-        kind = {float: 'a number', int: 'an integer', str: 'a text',
+        kind = {float: 'a number', int: 'an integer', str: 'text',
                 bool: 'true or false'}[parameter.value_type]
-        in_quotes = isinstance(value, str) and _FLOAT.fullmatch(value)
-        hint = '; leave out the quotes' if in_quotes else f': {parameter.description}'
+        in_quotes = isinstance(value, str) and is_number(value)
+        hint = '; remove the quotes' if in_quotes else f': {parameter.description}'
         raise InputError(f'{name}: expected {kind}{unit}, found {quoted(value)}{hint}')
     if parameter.choices and value not in parameter.choices:
         choices = ', '.join(parameter.choices)
@@ -250,13 +246,13 @@ def checked(parameter: Parameter, given: Any) -> Any:
 
 
 def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
-    """Return the tensor's entries where a URDF has them; numbers beside it have to agree."""
+    """Return the entries of the tensor if a URDF has them; numbers that are given must agree."""
     text, link = (checked(PARAMETERS[name], given.get(name, ''))
                   for name in ('robot_description', 'link'))
     if not text:
         if link:
-            raise InputError(f'link: expected a robot_description to find {quoted(link)} in, '
-                             'found none')
+            raise InputError(f'link: found {quoted(link)}, but robot_description is empty; set '
+                             'robot_description, or remove link')
         return {}
     try:
         tensor = RigidBody.from_urdf(text, link).inertia
@@ -265,144 +261,59 @@ def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
     entries = {f'inertia.i{"xyz"[i]}{"xyz"[j]}': float(tensor[i, j])
                for i in range(3) for j in range(i, 3)}
     for name, entry in entries.items():
-        # A dump of a running node has both.
+        # A dump of a running node has both, and a product that is not given is zero.
         if given.get(name, 0.0) not in (0.0, entry):
-            raise InputError(f'{name}: expected {entry!r}, as robot_description says, or none, '
-                             f'found {quoted(given[name])}')
+            raise InputError(f'{name}: expected {entry!r} as in robot_description, or no '
+                             f'value, found {quoted(given[name])}')
     return entries
 
 
 def limits(low: float, high: float) -> str:
-    """Return the range of a parameter in words."""
+    """Return the range of a parameter as text."""
     if high < _BIG:
         return f'{low:g} to {high:g}'
-    return 'a finite number' + {-_BIG: '', 0.0: ' from 0 on', _TINY: ' greater than 0'}[low]
+    return 'a finite number' + {-_BIG: '', 0.0: ' not less than 0', _TINY: ' greater than 0'}[low]
 
 
 def _check_together(values: Mapping[str, Any]) -> None:
     euler.check_sequence(values['euler_sequence'])
     for name in ('space_frame', 'body_frame'):
         if not values[name]:
-            raise InputError(f'{name}: expected a name, found none')
+            raise InputError(f'{name}: expected the name of a frame, found an empty text')
         if '\0' in values[name] or values[name].encode(errors='ignore').decode() != values[name]:
-            raise InputError(f'{name}: expected text in UTF-8, found {quoted(values[name])}')
+            raise InputError(f'{name}: expected UTF-8 text without NUL, '
+                             f'found {quoted(values[name])}')
     if values['space_frame'] == values['body_frame']:
         found = quoted(values['body_frame'])
-        raise InputError(f'space_frame, body_frame: expected two names, found {found} twice')
+        raise InputError(f'space_frame, body_frame: expected different names, found {found} twice')
     if values['mode'] == LOCKSTEP and values['time_source'] == ARRIVAL:
-        raise InputError('time_source: expected header in lockstep, which goes by stamps, '
+        raise InputError(f'time_source: expected {HEADER!r}, because lockstep replies to stamps, '
                          f'found {ARRIVAL!r}')
     if values['publish_clock'] and values['mode'] != LOCKSTEP:
-        raise InputError('publish_clock: expected mode lockstep, where torques make the time, '
-                         f'found {values["mode"]!r}')
-    if not round(values['max_future'] * 1e9) < max(round(values['history'] * 1e9), 1):
+        raise InputError(f'publish_clock: expected mode {LOCKSTEP!r}, in which the torques set '
+                         f'the time, found {values["mode"]!r}')
+    ahead_ns, behind_ns = (duration_ns(values[name], name) for name in ('max_future', 'history'))
+    if not ahead_ns < max(behind_ns, 1):
         raise InputError('max_future: expected less than history '
-                         f'({values["history"]} s), found {values["max_future"]}')
+                         f'({values["history"]} s), found {values["max_future"]} s')
 
 
-def _doubts(values: Mapping[str, Any], body: RigidBody) -> Iterator[str]:
+def _warnings(values: Mapping[str, Any], body: RigidBody) -> Iterator[str]:
     if body.triangle_excess:
-        yield ('inertia: the largest principal moment exceeds the sum of the others by '
-               f'{body.triangle_excess:.2g} of it, which no body has: rounded numbers?')
+        yield ('inertia: the largest principal moment exceeds the sum of the other two by '
+               f'{100.0 * body.triangle_excess:.2g} %, which is impossible; are these rounded '
+               'numbers?')
     norm = math.hypot(*_group(values, 'initial_attitude').values())
     if abs(norm - 1.0) > _UNIT:
-        yield ('initial_attitude: expected a unit quaternion x y z w, found one of norm '
-               f'{norm:.3g}, and made it 1: are these angles?')
+        yield ('initial_attitude: expected a unit quaternion x y z w, found norm '
+               f'{norm:.3g}; it is normalised; are these angles?')
     rate = math.hypot(*_group(values, 'initial_angular_velocity').values())
     if rate > _FAST:
-        yield (f'initial_angular_velocity: {rate:.4g} rad/s are {rate / (2.0 * math.pi):.3g} '
-               'turns a second: if these are degrees, multiply by pi / 180 = 0.0174533')
+        yield (f'initial_angular_velocity: {rate:.4g} rad/s is {rate / (2.0 * math.pi):.3g} '
+               'turns per second; if it is in degrees per second, multiply by pi / 180 = '
+               '0.0174533')
 
 
 def _group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     return {name.split('.')[1]: value for name, value in values.items()
             if name.startswith(prefix + '.')}
-
-
-def _unknown(name: str, value: Any) -> str:
-    if parts := [*_group(PARAMETERS, name)]:
-        return f'{name}: expected {", ".join(parts)} below it, found {quoted(value)}'
-    for close in difflib.get_close_matches(name, PARAMETERS, 1):
-        return f'{name}: unknown key; did you mean {close}?'
-    return f'{name}: unknown key; expected one of {listed(PARAMETERS)}'
-
-
-def _parameters(root: yaml.Node | None) -> dict[str, Any]:
-    """Return the flat values that a parameter file has for the node."""
-    nodes = _nodes(root, '')
-    names = {name for name, _ in nodes}
-    ours = {name for name in names if name.split('/')[-1] == NODE}
-    if not ours and '**' not in names:
-        ours = names  # of a renamed node
-    if len(ours) > 1 or not names:
-        found = listed(sorted(names)) if names else 'no node'
-        raise InputError(f'expected parameters of /** or of one {NODE}, found those of {found}')
-    values: dict[str, Any] = {}
-    for name, entry in sorted(nodes, key=lambda node: node[0] != '**'):
-        if name == '**' or name in ours:
-            values.update(_flat(entry, ''))
-    return values
-
-
-def _nodes(node: yaml.Node | None, prefix: str) -> list[tuple[str, yaml.Node]]:
-    """Return the names of the nodes of a parameter file, and what stands below each."""
-    found = []
-    for key, value in _entries(node, prefix or 'the file'):
-        if key == 'ros__parameters' and prefix:
-            found.append((prefix, value))
-        elif prefix and isinstance(value, yaml.ScalarNode):
-            raise InputError(f'{prefix}: expected /**: and ros__parameters: above what is for a '
-                             f'node, found {shortened(f"{key}: {value.value}", 100)}')
-        else:  # a node, or a namespace
-            found += _nodes(value, f'{prefix}/{key.strip("/")}'.strip('/'))
-    return found
-
-
-def _entries(node: yaml.Node | None, what: str) -> list[tuple[str, yaml.Node]]:
-    # Pairs, not a dictionary: of a key that stands twice, rcl merges what is below.
-    if not isinstance(node, yaml.MappingNode):
-        raise InputError(f'{what}: expected keys and values (/**: ros__parameters: inertia: ...)')
-    for key, _ in node.value:
-        if not isinstance(key, yaml.ScalarNode):
-            line = key.start_mark.line + 1
-            raise InputError(f'{what}: expected names as keys, found a group at line {line}')
-        if len(what) + len(key.value) > _LONGEST:
-            raise InputError(f'{shortened(what, 60)}: expected names of at most {_LONGEST} '
-                             f'characters in all, found {quoted(key.value)}')
-    return [(str(key.value), value) for key, value in node.value]
-
-
-def _flat(node: yaml.Node, prefix: str) -> dict[str, Any]:
-    values = {}
-    for key, value in _entries(node, prefix.rstrip('.') or 'ros__parameters'):
-        if isinstance(value, yaml.MappingNode):
-            values.update(_flat(value, f'{prefix}{key}.'))
-        else:
-            values[prefix + key] = _value(value)
-    return values
-
-
-def _value(node: yaml.Node) -> Any:
-    # As rcl_yaml_param_parser reads a scalar, which is not as PyYAML does: 1e-9 is a number.
-    if isinstance(node, yaml.SequenceNode):
-        return [_value(item) for item in node.value]
-    text = str(node.value)
-    if isinstance(node, yaml.ScalarNode) and node.style in ('"', "'"):
-        return text
-    if text in ('y', 'Y', 'yes', 'Yes', 'YES', 'true', 'True', 'TRUE', 'on', 'On', 'ON'):
-        return True
-    if text in ('n', 'N', 'no', 'No', 'NO', 'false', 'False', 'FALSE', 'off', 'Off', 'OFF'):
-        return False
-    if _INTEGER.fullmatch(text) and len(text) < 100:
-        number = _integer(text)
-        if -2 ** 63 <= number < 2 ** 63:
-            return number
-    if _FLOAT.fullmatch(text):
-        return float(text.lower().replace('.inf', 'inf').replace('.nan', 'nan'))
-    return text
-
-
-def _integer(text: str) -> int:
-    digits = text.lstrip('+-')
-    base = 16 if digits[:2] in ('0x', '0X') else 8 if digits[0] == '0' else 10
-    return int(text, base)

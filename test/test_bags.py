@@ -148,7 +148,7 @@ def test_a_second_topic_has_to_be_told_from_the_first(tmp_path, form):
     path = FORMS[form](tmp_path, sorted(both, key=lambda one: one.stamp_ns))
     assert read_whole(path, topic='/left').rows() == ALONE.rows()
     assert read_whole(path, topic='/right').rows() == MIXED.rows()
-    with pytest.raises(InputError, match='--topic; found /left, /right'):
+    with pytest.raises(InputError, match='found /left, /right; choose one with --topic'):
         recording.read(path)
 
 

@@ -90,11 +90,11 @@ def test_columns_of_something_else_are_ignored(tmp_path, extra):
 
 
 @pytest.mark.parametrize(('heading', 'message'), [
-    ('tx,ty,tz', 'no column of time'), ('time,tx,ty', 'no column of tz'),
-    ('a,b,c,d', 'no column of time'), ('time,fx,fy,fz', 'no column of tx'),
-    ('time,tx,tx,ty,tz', "two columns of tx: 'tx' and 'tx'"),
-    ('time,stamp,tx,ty,tz', "two columns of time: 'time' and 'stamp'"),
-    ('time,tx,ty,tz,torque_x', "two columns of tx: 'tx' and 'torque_x'"),
+    ('tx,ty,tz', 'no column for time'), ('time,tx,ty', 'no column for tz'),
+    ('a,b,c,d', 'no column for time'), ('time,fx,fy,fz', 'no column for tx'),
+    ('time,tx,tx,ty,tz', "two columns for tx: 'tx' and 'tx'"),
+    ('time,stamp,tx,ty,tz', "two columns for time: 'time' and 'stamp'"),
+    ('time,tx,ty,tz,torque_x', "two columns for tx: 'tx' and 'torque_x'"),
     ('time_min,tx,ty,tz', "column 'time_min': unknown name or unit"),
     ('%time,tx,ty,tz', "column '%time'"), ('time (h),tx,ty,tz', r"column 'time \(h\)'"),
     ('time (Nm),tx,ty,tz', r"column 'time \(Nm\)'"), ('time,tx (s),ty,tz', r"column 'tx \(s\)'"),

@@ -14,6 +14,7 @@
 
 """The documentation: what it shows runs and gives what it says, and its links lead somewhere."""
 
+import ast
 from contextlib import suppress
 import doctest
 from functools import cache
@@ -34,6 +35,8 @@ _LINK = re.compile(r'\]\(\s*([^)\s]+)[^)]*\)|^\[[^\]]+\]:\s*(\S+)|\b(?:src|href)
                    re.MULTILINE)
 _DOTTED = re.compile(r'`(?!\w+\.py`)(\w+(?:\.\w+)+)\b(?![./])')
 _HEADING = re.compile(r'^#{1,6} +(.*?) *#*$', re.MULTILINE)
+#: Something that a page loads from the network.
+_REMOTE = re.compile(r'<(?:script|link|img)[^>]*(?:src|href)="(?:https?:)?//')
 _EXTERNAL = re.compile(r'[a-z][a-z+.-]*:')
 
 
@@ -104,11 +107,47 @@ def test_the_page_of_nodes_is_what_the_code_declares():
 
 @pytest.mark.slow
 def test_sphinx_builds_the_pages_without_a_warning(tmp_path):
-    pytest.importorskip('myst_parser', reason='the extra "docs" is not installed')
+    for module in ('myst_parser', 'latex2mathml'):
+        pytest.importorskip(module, reason='the extra "docs" is not installed')
     result = subprocess.run([sys.executable, '-m', 'sphinx', '-W', '--keep-going', '-q',
                              ROOT / 'docs', tmp_path], capture_output=True, text=True, check=False)
     assert (result.returncode, result.stderr) == (0, '')
-    assert {page.stem for page in PAGES[1:]} <= {page.stem for page in tmp_path.glob('*.html')}
+    built = {path.stem: path.read_text(encoding='utf-8') for path in tmp_path.glob('*.html')}
+    assert {page.stem for page in PAGES[1:]} <= set(built)
+    # Without a network, too, a reader sees formulas and layout.
+    assert [name for name, text in built.items() if _REMOTE.search(text)] == []
+    assert built['theory'].count('<math') > 100
+    assert '\\frac' not in built['theory']
+
+
+def test_the_python_interface_has_every_public_name_and_those_of_examples():
+    page = (ROOT / 'docs' / 'api.md').read_text(encoding='utf-8')
+    listed = re.findall(r'auto\w+:: (\S+)', page)
+    public = [f'{NAME}.{name}' for name in rigid_body_ros.__all__]
+    assert [name for name in [*public, *names_in_examples()] if not described(name, listed)] == []
+
+
+def names_in_examples():
+    """Return what the examples use of the package, by full name; commands are elsewhere."""
+    found = set()
+    for path in (ROOT / 'examples').glob('*.py'):
+        tree = ast.parse(path.read_text(encoding='utf-8'))
+        imported = {}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and (node.module or '').split('.')[0] == NAME:
+                for alias in node.names:
+                    imported[alias.asname or alias.name] = f'{node.module}.{alias.name}'
+        used = {f'{imported[node.value.id]}.{node.attr}' for node in ast.walk(tree)
+                if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
+                and node.value.id in imported}
+        found |= used | set(imported.values())
+    return sorted(name for name in found if not name.startswith(f'{NAME}.cli'))
+
+
+def described(name, listed):
+    """Return whether a page of names has this one, its module, class, or members of it."""
+    return any(name == other or name.startswith(f'{other}.') or other.startswith(f'{name}.')
+               for other in listed)
 
 
 def exists(name, names):

@@ -164,10 +164,10 @@ def test_without_libyaml_the_same_is_refused(tmp_path):
 @pytest.mark.parametrize(('text', 'message'), [
     ('    tolerance: ' + '1' * 200_000 + 'x',
      r"tolerance: expected a number, found '1+\.\.\.1+x'"),
-    ('    body_frame: ' + '[' * 20 + 'a' + ']' * 20, 'body_frame: expected a text'),
-    ('    ' + 'x' * 600 + ': 1', 'expected names of at most 500 characters'),
+    ('    body_frame: ' + '[' * 20 + 'a' + ']' * 20, 'body_frame: expected text'),
+    ('    ' + 'x' * 600 + ': 1', 'expected full names of at most 500 characters'),
     ('    ? ' + 'x' * 2 ** 20 + '\n    : {' + ','.join(f'a{k}: 1' for k in range(9999)) + '}',
-     'expected names of at most 500'),
+     'expected full names of at most 500'),
     ('    "\\e[2J": 1', re.escape(r'\x1b[2J: unknown key')),
     ('    space_frame: "a\\nb"\n    body_frame: "a\\nb"', r"found 'a\\nb' twice"),
     ('    robot_description: "<' + 'x' * 5000 + '>"', 'URDF: expected XML, found'),
@@ -210,7 +210,7 @@ def test_a_description_that_is_no_file_is_refused(tmp_path, make):
     path = bag(tmp_path)
     (path / 'metadata.yaml').unlink()
     make(path / 'metadata.yaml')
-    assert 'metadata.yaml: cannot read the description' in outcome(path)
+    assert 'metadata.yaml: cannot read the metadata' in outcome(path)
 
 
 @pytest.mark.parametrize('name', ['a.csv', 'a.mcap', 'a.db3', 'a.mcap.zstd', 'a'])
@@ -273,18 +273,19 @@ def test_a_message_may_not_be_larger_than_a_chunk_may(tmp_path, monkeypatch, sto
     path = bag(tmp_path, storage=storage, compression='MESSAGE')
     assert outcome(path) == ''
     data = zstandard.ZstdCompressor().compress(bytes(2 ** 28)) if says_its_size else bomb(2 ** 28)
-    assert '/torque: message 1: cannot unpack: ' in outcome(with_messages(path, ('/torque', data)))
+    found = outcome(with_messages(path, ('/torque', data)))
+    assert '/torque: message 1: cannot decompress: ' in found
 
 
 def test_the_messages_of_a_block_may_not_be_larger_together_than_a_chunk_may(monkeypatch):
     packed = zstandard.ZstdCompressor().compress(bytes(2 ** 20))
     times = np.zeros(9, np.int64)
-    raw = bulk.Raw.of([packed] * 9, times, times)
-    assert source._unpacked_each(raw).sizes.tolist() == [2 ** 20] * 9
+    raw = bulk.Raw.from_bytes([packed] * 9, times, times)
+    assert source._decompress_each(raw).sizes.tolist() == [2 ** 20] * 9
     monkeypatch.setattr(source, 'LARGEST', 2 ** 23)
-    with pytest.raises(bulk.BadMessageError, match='cannot unpack: expected at most 0 bytes') as e:
-        source._unpacked_each(raw)
-    assert e.value.row == 8
+    with pytest.raises(bulk.BadMessageError, match='expected at most 0 bytes') as error:
+        source._decompress_each(raw)
+    assert error.value.row == 8
 
 
 @pytest.mark.parametrize('size', [0, 1, 150, 2 ** 17, 2 ** 20])
@@ -321,7 +322,7 @@ def test_a_compressed_file_may_not_be_many_times_larger(tmp_path, temporary, mon
     monkeypatch.setattr(unpack, 'LARGEST', 2 ** 24)
     path = tmp_path / 'a.mcap.zstd'
     path.write_bytes(bomb(2 ** 28))
-    assert 'a.mcap.zstd: expected at most 16777216 bytes in it, found more' in outcome(path)
+    assert 'a.mcap.zstd: expected at most 16777216 bytes after decompression' in outcome(path)
 
 
 def test_a_compressed_file_may_not_fill_the_temporary_folder(tmp_path, temporary, monkeypatch):
@@ -331,8 +332,8 @@ def test_a_compressed_file_may_not_fill_the_temporary_folder(tmp_path, temporary
     left = iter(range(2 ** 24, 0, -2 ** 20))
     monkeypatch.setattr(shutil, 'disk_usage', lambda folder: usage._replace(free=next(left)))
     found = outcome(path)
-    assert f'a.mcap.zstd: expected room for it in {temporary}, found ' in found
-    assert found.endswith('TMPDIR names another folder')
+    assert f'a.mcap.zstd: too little space in {temporary} for a copy, ' in found
+    assert found.endswith('set TMPDIR to another folder')
 
 
 def test_a_full_temporary_folder_is_named(tmp_path, temporary):
@@ -369,7 +370,7 @@ def test_a_message_that_cannot_be_copied_is_named(tmp_path):
     with redirect_stderr(io.StringIO()) as printed:
         assert cli.attitude_replay(arguments) == 2
     line, = printed.getvalue().splitlines()
-    assert '/other: message 1: cannot unpack: ' in line
+    assert '/other: message 1: cannot decompress: ' in line
     assert not (tmp_path / 'out.mcap').exists()
 
 

@@ -284,9 +284,10 @@ def run_node(domain, *arguments):
     (('--params-file', str(TUMBLER), '-p', 'qos_overrides./torque.subscription.history:=all'),
      'history'),
     (('--params-file', str(TUMBLER), '-p', 'mode:=lockstep', '-p', 'time_source:=arrival'),
-     "time_source: expected header in lockstep, which goes by stamps, found 'arrival'"),
+     "time_source: expected 'header', because lockstep replies to stamps, found 'arrival'"),
     (('--params-file', str(TUMBLER), '-p', 'publish_clock:=true'),
-     "publish_clock: expected mode lockstep, where torques make the time, found 'realtime'"),
+     "publish_clock: expected mode 'lockstep', in which the torques set the time, found "
+     "'realtime'"),
     (('--params-file', str(TUMBLER), '-p', 'publish_clock:=1'),
      'publish_clock: expected true or false, found 1'),
     (('--params-file', str(TUMBLER), '-p', 'mode:=lockstep', '-p', 'publish_clock:=true',
@@ -294,7 +295,7 @@ def run_node(domain, *arguments):
     (('--params-file', str(TUMBLER), '-p', 'robot_description:=<robot>'),
      'robot_description: URDF: expected XML'),
     (('--params-file', str(TUMBLER), '-p', 'link:=base_link'),
-     "link: expected a robot_description to find 'base_link' in, found none"),
+     "link: found 'base_link', but robot_description is empty"),
     (('--params-file', 'none.yaml'), 'none.yaml')])
 def test_a_mistake_is_answered_by_one_line(domain, arguments, message):
     result = run_node(domain, '--ros-args', *arguments)

@@ -198,7 +198,7 @@ def test_the_topic_is_needed_only_where_there_are_several(tmp_path):
         for topic in ('/left', '/right'):
             writer.add_topic(topic, messages.WRENCH)
             writer.write(topic, 1, messages.wrench(1, '', [1.0, 0.0, 0.0]))
-    with pytest.raises(InputError, match='expected one topic of .*--topic; found /left, /right'):
+    with pytest.raises(InputError, match='expected one topic of .*; choose one with --topic'):
         recording.read(path)
     assert recording.read(path, '/right').topic == '/right'
 
@@ -221,7 +221,8 @@ def test_torques_that_cannot_be_used_are_refused_by_number(tmp_path, rows, messa
 
 
 @pytest.mark.parametrize(('topic', 'message'), [
-    ('/none', 'no topic /none; found /torque, /truth/attitude, /truth/angular_velocity'),
+    ('/none', 'topic /none does not exist; found /torque, /truth/attitude, '
+              '/truth/angular_velocity'),
     ('/truth/attitude', '/truth/attitude: expected geometry_msgs/msg/WrenchStamped or '
                         'geometry_msgs/msg/Wrench, found geometry_msgs/msg/QuaternionStamped')])
 def test_a_topic_that_does_not_fit_is_named(topic, message):
@@ -247,7 +248,7 @@ def test_another_encoding_is_refused(tmp_path):
         channel = writer.register_channel('/torque', 'json', schema)
         writer.add_message(channel, 1, b'{}', 1)
         writer.finish()
-    with pytest.raises(InputError, match="encoding cdr, found 'json'"):
+    with pytest.raises(InputError, match="message encoding cdr, found 'json'"):
         recording.read(tmp_path / 'json.mcap')
 
 

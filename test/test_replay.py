@@ -170,7 +170,7 @@ def test_rounded_digits_of_a_tensor_are_told(tmp_path, output, capsys):
                      '    inertia: {ixx: 1.0, iyy: 2.0, izz: 3.05}\n')
     assert cli.attitude_replay([str(RECORDINGS / 'tumbler.mcap'), '--scene', str(plate),
                                 '-o', str(output)]) == 0
-    assert 'exceeds the sum of the others by 0.017 of it' in capsys.readouterr().err
+    assert 'exceeds the sum of the other two by 1.7 %' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
@@ -235,7 +235,7 @@ def bad_input(name, tmp_path):
 @pytest.mark.parametrize(('name', 'message'), [
     ('missing', 'missing.mcap: cannot read the recording: No such file or directory'),
     ('not mcap', 'not.mcap: expected an MCAP file'),
-    ('topic', 'good.mcap: no topic /wrench; found /torque'),
+    ('topic', 'good.mcap: topic /wrench does not exist; found /torque'),
     ('type', '/truth/attitude: expected geometry_msgs/msg/WrenchStamped or geometry_msgs/msg/'),
     ('empty', 'empty.mcap: /torque: expected torques, found no message'),
     ('nan', f'nan.mcap: /torque: message 1 at {EPOCH_NS} ns: expected a finite torque'),
@@ -470,7 +470,7 @@ def test_an_input_with_the_topics_of_the_output_is_not_copied(tmp_path, capsys):
     assert cli.attitude_replay([*ISS, '-o', str(first), '--also', 'input']) == 0
     assert cli.attitude_replay([str(first), *ISS[1:], '-o', str(again), '--also', 'input']) == 2
     line, = capsys.readouterr().err.splitlines()
-    assert 'expected other topics in the recording to copy' in line
+    assert 'cannot copy topics that are also written: ' in line
     assert not again.exists()
 
 
@@ -487,7 +487,7 @@ def test_what_cannot_be_copied_is_told_before_anything_is_worked_out(tmp_path, o
     (tmp_path / 'log.csv').write_text('1,0,0,0\n2,0.1,0,0\n')
     assert cli.attitude_replay([str(tmp_path / 'log.csv'), '--scene', str(CONFIG / 'tumbler.yaml'),
                                 '-o', str(output), '--also', 'input']) == 2
-    assert 'log.csv: expected MCAP to copy messages from' in capsys.readouterr().err
+    assert 'log.csv: expected an MCAP file, because messages' in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ['log.csv']
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Scene files: read as ROS reads them, refused with one line that helps."""
+"""Scene files: read as ROS reads them, rejected with one line that helps."""
 
 from conftest import CONFIG
 import pytest
@@ -43,7 +43,7 @@ def test_numbers_are_read_as_rcl_reads_them(tmp_path, text, value):
 
 
 @pytest.mark.parametrize('text', ['1_0', '0b11', '0o17', '١', '1,5', '1e', '.'])
-def test_what_is_no_number_to_rcl_is_none_here(tmp_path, text):
+def test_text_that_rcl_does_not_read_as_a_number_is_rejected(tmp_path, text):
     with pytest.raises(InputError, match='torque_timeout: expected a number'):
         load(tmp_path, parameters(f'    torque_timeout: {text}'))
 
@@ -103,11 +103,11 @@ def test_a_scene_is_printed_with_units(tmp_path):
 
 
 @pytest.mark.parametrize(('change', 'message'), [
-    ({'inertia.ixx': '1.0'}, r"inertia.ixx: expected a number \(kg m\^2\), found '1.0'; leave out "
+    ({'inertia.ixx': '1.0'}, r"inertia.ixx: expected a number \(kg m\^2\), found '1.0'; remove "
                              'the quotes'),
     ({'inertia.ixx': 'one'}, r"inertia.ixx: .*found 'one': moment of inertia about the centre of"),
-    ({'inertia': [1.0, 2.0]}, r'inertia: expected ixx, iyy, .*iyz below it, found \[1.0, 2.0\]'),
-    ({'initial_angular_velocity': 1.0}, 'velocity: expected x, y, z below it, found 1.0'),
+    ({'inertia': [1.0, 2.0]}, r'inertia: expected a group of ixx, iyy, .*iyz, found \[1.0, 2.0\]'),
+    ({'initial_angular_velocity': 1.0}, 'velocity: expected a group of x, y, z, found 1.0'),
     ({'inertia.ixx': True}, r'inertia.ixx: expected a number \(kg m\^2\), found True'),
     ({'inertia.ixx': [1.0]}, r'inertia.ixx: expected a number \(kg m\^2\), found \[1.0\]'),
     ({'inertia.ixx': -1.0}, r'inertia.ixx: expected a finite number greater than 0 .*found -1.0'),
@@ -127,30 +127,30 @@ def test_a_scene_is_printed_with_units(tmp_path):
     ({'publish_rate': 0}, r'publish_rate: expected 0.001 to 2000 \(Hz\), found 0.0'),
     ({'use_sim_timeX': 3}, 'use_sim_timeX: unknown key'),
     ({'start_time': 2.0 ** 70}, 'start_time: expected an integer'),
-    ({'space_frame': '\ud800'}, 'space_frame: expected text in UTF-8'),
-    ({'body_frame': 'world'}, "space_frame, body_frame: expected two names, found 'world' twice"),
-    ({'max_future': 2.0}, r'max_future: expected less than history \(1.0 s\), found 2.0')])
-def test_impossible_values_are_refused_with_name_and_value(change, message):
+    ({'space_frame': '\ud800'}, 'space_frame: expected UTF-8 text without NUL'),
+    ({'body_frame': 'world'}, "space_frame, body_frame: expected different names,.*'world' twice"),
+    ({'max_future': 2.0}, r'max_future: expected less than history \(1.0 s\), found 2.0 s')])
+def test_invalid_values_are_rejected_with_name_and_value(change, message):
     with pytest.raises(InputError, match=message):
         Scene.from_values({**INERTIA, **change})
 
 
-@pytest.mark.parametrize(('given', 'doubt'), [
-    ({'initial_angular_velocity.x': 90.0}, 'initial_angular_velocity: 90 rad/s are 14.3 turns a '
-     'second: if these are degrees, multiply by pi / 180 = 0.0174533'),
+@pytest.mark.parametrize(('given', 'warning'), [
+    ({'initial_angular_velocity.x': 90.0}, 'initial_angular_velocity: 90 rad/s is 14.3 turns '
+     'per second; if it is in degrees per second, multiply by pi / 180 = 0.0174533'),
     ({'initial_attitude.x': 30.0, 'initial_attitude.y': 40.0}, 'initial_attitude: expected a unit '
-     'quaternion x y z w, found one of norm 50, and made it 1: are these angles?'),
-    ({'inertia.izz': 3.03}, 'inertia: the largest principal moment exceeds the sum of the others '
-     'by 0.01 of it, which no body has: rounded numbers?')])
-def test_what_is_rarely_meant_is_told_and_done(given, doubt):
-    assert Scene.from_values({**INERTIA, **given}).doubts == [doubt]
+     'quaternion x y z w, found norm 50; it is normalised; are these angles?'),
+    ({'inertia.izz': 3.03}, 'inertia: the largest principal moment exceeds the sum of the other '
+     'two by 1 %, which is impossible; are these rounded numbers?')])
+def test_a_value_that_is_probably_a_mistake_gives_a_warning(given, warning):
+    assert Scene.from_values({**INERTIA, **given}).warnings == [warning]
 
 
 @pytest.mark.parametrize('given', [
     {}, {'initial_angular_velocity.z': 9.9},
     {'initial_attitude.x': 0.707, 'initial_attitude.w': 0.707}])  # three digits, as people write
-def test_nothing_is_said_of_an_ordinary_scene(given):
-    assert Scene.from_values({**INERTIA, **given}).doubts == []
+def test_an_ordinary_scene_gives_no_warning(given):
+    assert Scene.from_values({**INERTIA, **given}).warnings == []
 
 
 def test_a_missing_moment_is_named_with_its_unit():
@@ -159,23 +159,23 @@ def test_a_missing_moment_is_named_with_its_unit():
 
 
 @pytest.mark.parametrize(('text', 'message'), [
-    ('', 'the file: expected keys and values'),
-    ('- 1', 'the file: expected keys and values'),
+    ('', r'the file: expected keys and values .*, found nothing'),
+    ('- 1', r'the file: expected keys and values .*, found a list'),
     ('a: [', 'expected YAML'),
-    ('inertia: {ixx: 1.0}', r'inertia: expected /\*\*: and ros__parameters: above what is for a '
-     'node, found ixx: 1.0'),
+    ('inertia: {ixx: 1.0}', r'inertia: expected /\*\*: and ros__parameters: above the '
+     'parameters of a node, found ixx: 1.0'),
     ('a:\n  ros__parameters: {}\nb:\n  ros__parameters: {}',
-     r'expected parameters of /\*\* or of one attitude_node, found those of a, b'),
+     r'expected parameters for /\*\* or for one attitude_node, found parameters for a, b'),
     ('/a/attitude_node:\n  ros__parameters: {}\n/b/attitude_node:\n  ros__parameters: {}',
-     'expected .* of one attitude_node, found those of a/attitude_node, b/attitude_node'),
+     'expected .* for one attitude_node, found .* for a/attitude_node, b/attitude_node'),
     ('/**: {ros__parameters: {inertia: &a {ixx: 1.0}, other: *a}}',
      'expected YAML without aliases'),
     ('[' * 2000, 'expected YAML'),
-    ('/**:\n  ? [1]\n  : 2', r'\*\*: expected names as keys, found a group at line 2'),
-    ('/**: 3', r'\*\*: expected keys and values'),
-    ('/**: {inertia: {}}', r'expected parameters of /\*\* .*found those of no node'),
+    ('/**:\n  ? [1]\n  : 2', r'\*\*: expected names as keys, found a list as a key in line 2'),
+    ('/**: 3', r"\*\*: expected keys and values .*, found '3'"),
+    ('/**: {inertia: {}}', r'expected parameters for /\*\* .*found parameters for no node'),
     ('/**: {ros__parameters: 3}', 'ros__parameters: expected keys and values')])
-def test_files_that_are_no_scene_are_refused_by_name(tmp_path, text, message):
+def test_a_file_that_is_not_a_scene_is_rejected_by_name(tmp_path, text, message):
     with pytest.raises(InputError, match=f'scene.yaml: {message}'):
         load(tmp_path, text)
 

@@ -62,7 +62,7 @@ def test_nothing_is_written_beside_a_bag_that_a_recorder_left(tmp_path, left, wr
         if '-wal' in left:
             assert read(folder / path.name) == (RECORDED.rows(), '')
         else:  # all messages were in the log
-            assert 'bag_0.db3: expected a bag of rosbag2' in outcome(folder / path.name)
+            assert 'bag_0.db3: expected a SQLite file of rosbag2' in outcome(folder / path.name)
     finally:
         folder.chmod(0o755)
     assert content(folder) == before
@@ -83,7 +83,7 @@ def test_a_log_that_cannot_be_used_is_reported(tmp_path):
     (tmp_path / 'other.db3-wal').write_bytes(b'x' * 10_000)
     rows, damage = read(tmp_path / 'other.db3')
     assert rows == RECORDED.rows()
-    assert 'nothing of other.db3-wal could be used' in damage
+    assert 'other.db3-wal is damaged and was not applied' in damage
 
 
 def test_a_journal_beside_the_target_of_a_link_is_used(tmp_path):
@@ -102,7 +102,7 @@ def test_a_rollback_journal_is_reported_and_left_alone(tmp_path):
         shutil.copy(path, folder)
         shutil.copy(f'{path}-journal', folder)
     before = content(folder)
-    assert 'killed and left a -journal; repair it' in outcome(folder / path.name)
+    assert 'killed and left a -journal; apply it' in outcome(folder / path.name)
     assert content(folder) == before
 
 
@@ -146,7 +146,7 @@ def test_messages_before_one_that_is_none_are_used(tmp_path, change):
     assert outcome(path) == ''
     rows, damage = read(path)
     assert rows == RECORDED.rows()[:8]
-    assert 'damaged after 8 messages of /torque (expected a message with an integer' in damage
+    assert 'damaged after 8 messages of /torque (expected messages with an integer' in damage
 
 
 def test_pages_that_refer_to_each_other_come_to_an_end(tmp_path):
@@ -164,7 +164,7 @@ def test_pages_that_refer_to_each_other_come_to_an_end(tmp_path):
     data[(root - 1) * size:root * size] = inner(size, first)
     struct.pack_into('>I', data, 28, len(data) // size)
     path.write_bytes(data)
-    assert 'its pages refer to each other' in outcome(path)
+    assert 'its pages are damaged' in outcome(path)
 
 
 def inner(size, child):
@@ -180,5 +180,5 @@ def test_a_temporary_copy_needs_room(tmp_path, monkeypatch):
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, 'disk_usage', lambda folder: usage._replace(free=1000))
     before = content(tmp_path)
-    assert 'bag_0.db3-wal: expected room for it in ' in outcome(path)
+    assert 'bag_0.db3-wal: too little space in ' in outcome(path)
     assert content(tmp_path) == before

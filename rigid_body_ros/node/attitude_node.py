@@ -119,8 +119,8 @@ class AttitudeNode(Node):
         body = self._scene.body
         self.get_logger().info(
             f'{body.symmetry}, principal moments {body.principal_moments.tolist()} kg m^2')
-        for doubt in self._scene.doubts:
-            self.get_logger().warning(doubt)
+        for warning in self._scene.warnings:
+            self.get_logger().warning(warning)
 
     def _subscribe(self) -> None:
         def subscription(kind: type, topic: str, callback: Callable[..., None],

@@ -13,12 +13,15 @@
 # limitations under the License.
 
 """
-Recordings: torques in, motion out.
+Recordings: read torques and other messages, write motion.
 
-`source` finds a topic in a recording of any kind; `mcap_file`, `sqlite_file` and `csv_file` read
-the files it is made of, `unpack` what is compressed in them, `csv_columns` the first line of text,
-`bulk` what their messages say, and `torques` makes a log of it. `writer`
-writes MCAP files, `container` their bytes, and `folder` what rosbag2 wants beside them.
+Reading: `source` finds a topic in a recording of any format. `mcap_file`, `sqlite_file` and
+`csv_file` read the files of a recording through the interface in `file`; `csv_columns` interprets
+the first line of a CSV file, `unpack` decompresses, and `bulk` decodes messages. `torques` turns
+messages into a torque log.
+
+Writing: `writer` writes MCAP files, with the records of the format in `container`; `folder` adds
+the metadata.yaml of a rosbag2 bag.
 """
 
 from rigid_body_ros.recording.folder import FolderWriter

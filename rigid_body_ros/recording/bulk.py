@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Messages in bulk: the bytes of many at once, to arrays.
+Many messages at once: from bytes to arrays.
 
-A kernel goes from message to message, where a loop in Python would take a hundred times as long.
-What does not look regular to it is left to `MessageType.decode`, which can tell why.
+A compiled loop decodes the messages, a hundred times faster than Python. A message that it cannot
+decode is passed to `MessageType.decode`, which raises an error with the reason.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Ints = NDArray[np.int64]
 
 
 class BadMessageError(ValueError):
-    """A message is not what its type says; `row` is its index."""
+    """A message does not match its type; `row` is its index."""
 
     def __init__(self, row: int, reason: str) -> None:
         super().__init__(reason)
@@ -50,8 +50,9 @@ class Raw(NamedTuple):
     ----------
     data : array of uint8, shape (size,)
     starts, sizes : array of int64, shape (n,)
-        Where each message lies in the data.
+        Position and size of each message in the data.
     log_ns, publish_ns : array of int64, shape (n,)
+        Times at which each message was recorded and published.
 
     """
 
@@ -62,8 +63,9 @@ class Raw(NamedTuple):
     publish_ns: Ints
 
     @classmethod
-    def of(cls, messages: Sequence[bytes], log_ns: Ints, publish_ns: Ints) -> Raw:
-        """Return messages that are apart as one."""
+    def from_bytes(cls, messages: Sequence[bytes], log_ns: Ints,
+                   publish_ns: Ints) -> Raw:
+        """Concatenate separate messages."""
         sizes = np.array([len(message) for message in messages], np.int64)
         return cls(np.frombuffer(b''.join(messages), np.uint8), np.cumsum(sizes) - sizes, sizes,
                    log_ns, publish_ns)
@@ -75,17 +77,18 @@ class Raw(NamedTuple):
 
 class Decoded(NamedTuple):
     """
-    What messages of one topic say.
+    The contents of messages of one topic.
 
     Attributes
     ----------
     stamps_ns : array of int64, shape (n,)
-        Zero where the type has no header.
+        Zero if the type has no header.
     frames : array of int, shape (n,)
-        Indices of `names`.
+        Index into `names` for each message.
     names : list of str
-        The frame_ids.
+        The distinct frame_ids.
     values : array, shape (n, doubles)
+        The doubles of each message in field order.
 
     """
 
@@ -96,12 +99,12 @@ class Decoded(NamedTuple):
 
 
 def decode(kind: MessageType, raw: Raw) -> Decoded:
-    """Return what messages say, or raise BadMessageError."""
+    """Return the contents of messages; raise BadMessageError at the first that is invalid."""
     count = len(raw.starts)
     stamps, bits = np.zeros(count, np.int64), np.empty((count, kind.doubles), np.int64)
     texts, changes = np.zeros((count, 2), np.int64), np.zeros(count, np.bool_)
     done = _decode(raw.data, raw.starts, raw.sizes, kind.has_header, kind.is_list,
-                   kind.has_child_frame, len(kind.between), stamps, bits, texts, changes)
+                   kind.has_child_frame, len(kind.before_doubles), stamps, bits, texts, changes)
     names: dict[str, int] = {}
     codes = np.zeros(count, np.intp)
     rows = np.flatnonzero(changes[:done])
@@ -121,10 +124,11 @@ def decode(kind: MessageType, raw: Raw) -> Decoded:
 
 @njit
 def _decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: bool,
-            has_child_frame: bool, between: int, stamps: Ints, bits: Ints, texts: Ints,
+            has_child_frame: bool, before_doubles: int, stamps: Ints, bits: Ints, texts: Ints,
             changes: NDArray[np.bool_]) -> int:
-    # Fill stamps, the bits of the doubles, where frame_ids lie and whether one differs from the
-    # one before; return how many messages are regular.
+    # Fill the stamps, the bits of the doubles, the start and size of each frame_id in `texts`, and
+    # whether it differs from the one before in `changes`. Return the number of valid messages
+    # before the first invalid one.
     for row in range(len(starts)):
         start, end = starts[row], starts[row] + sizes[row]
         if sizes[row] < 4 or data[start] != 0 or data[start + 1] > 1:
@@ -152,7 +156,7 @@ def _decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: b
                     texts[row, 0], texts[row, 1] = offset + 4, size - 1
                     changes[row] = row == 0 or not _same(data, texts[row - 1], texts[row])
                 offset += 4 + size
-            offset += (body - offset) % 4 + between
+            offset += (body - offset) % 4 + before_doubles
             offset += (body - offset) % 8
         elif row == 0:
             changes[row] = True
@@ -165,7 +169,7 @@ def _decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: b
 
 @inlined
 def _int(data: Bytes, start: int, size: int, little: bool) -> Any:
-    # Eight bytes come with a sign, fewer without.
+    # Little or big endian; eight bytes are signed, fewer are unsigned.
     value = np.int64(0)
     for k in range(size):
         place = size - 1 - k if little else k
@@ -187,24 +191,25 @@ def _same(data: Bytes, one: Ints, other: Ints) -> bool:
 def scan(data: Bytes, position: int, count: int, channels: Ints, log_ns: Ints, publish_ns: Ints,
          starts: Ints, sizes: Ints) -> tuple[int, int]:
     """
-    Find the messages among MCAP records, up to the first record that is none.
+    Find the messages in MCAP records, up to the first record that is not a message.
 
     Parameters
     ----------
-    data : uint8 (size,)
-        Records one after the other: a chunk, unpacked.
+    data : array of uint8, shape (size,)
+        Consecutive records, as in a decompressed chunk.
     position, count : int
-        Where to begin, and how many were found before.
-    channels, log_ns, publish_ns, starts, sizes : int64
-        Filled from `count` on.
+        Where to start in the data, and how many messages were found before.
+    channels, log_ns, publish_ns, starts, sizes : array of int64
+        Outputs, filled from index `count` on.
 
     Returns
     -------
-    position, count
+    position, count : int
+        Where the scan stopped, and how many messages have been found so far.
 
     """
     end = len(data)
-    while position + 31 <= end and data[position] == 5:  # opcode, length, and the fields of one
+    while position + 31 <= end and data[position] == 5:  # a message with all its fields
         length = _int(data, position + 1, 8, True)
         if length < 22 or length > end - position - 9:
             break

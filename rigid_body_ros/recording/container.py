@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The container of an MCAP file, written front to back: chunks, their indexes, the summary."""
+"""The records of an MCAP file, written front to back: chunks, their indexes, the summary."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ import numpy as np
 from numpy.typing import NDArray
 import zstandard
 
-#: Of zstd: twice as fast as level 1, and doubles shrink nearly as much.
+#: zstd level: twice as fast as level 1, and doubles compress nearly as well.
 _LEVEL = -3
 _INDEX = np.dtype([('time', '<u8'), ('offset', '<u8')])
 
 
 class Indexed(NamedTuple):
-    """Where the messages of a channel lie in a chunk, and their times; int64 (n,)."""
+    """Times of the messages of a channel in a chunk, and their offsets there; int64, (n,)."""
 
     channel: int
     times_ns: NDArray[np.int64]
@@ -58,80 +58,80 @@ class Indexed(NamedTuple):
 
 class Container:
     """
-    An MCAP file in the profile of ROS 2.
+    Write an MCAP file with the profile of ROS 2.
 
-    Chunks are packed by a thread beside the caller's; each is in the file, and flushed, before
-    the one after the next is taken.
+    A second thread compresses the chunks. `add_chunk` returns while its chunk is compressed; the
+    next call writes and flushes that chunk first.
 
     Attributes
     ----------
     channels : list of Channel
     counts : dict
-        Messages by the number of a channel.
+        Number of messages by channel id.
 
     """
 
     def __init__(self, stream: IO[bytes], library: str) -> None:
         self._stream = stream
-        self._place = 0
+        self._position = 0
         self._schemas: list[Schema] = []
         self.channels: list[Channel] = []
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
         self.counts: dict[int, int] = {}
         self._first_ns, self._last_ns = 2 ** 63, 0
-        self._packer = ThreadPoolExecutor(1)
-        self._packed: Future[tuple[Chunk, list[Indexed]]] | None = None
+        self._compressor = ThreadPoolExecutor(1)
+        self._compressed: Future[tuple[Chunk, list[Indexed]]] | None = None
         self._write(MCAP0_MAGIC)
         self._write(_record(Header('ros2', library)))
 
     def add_channel(self, topic: str, schema: Schema | None, metadata: dict[str, str],
                     encoding: str = 'cdr') -> int:
-        """Announce a topic, and return its channel; the schema gets a number of its own."""
-        number = 0
+        """Add a topic and return its channel id; the schema gets a new id, too."""
+        schema_id = 0
         if schema:
             content = schema.name, schema.encoding, schema.data
             known = [each.id for each in self._schemas
                      if (each.name, each.encoding, each.data) == content]
-            number = known[0] if known else len(self._schemas) + 1
+            schema_id = known[0] if known else len(self._schemas) + 1
             if not known:
-                self._schemas.append(replace(schema, id=number))
+                self._schemas.append(replace(schema, id=schema_id))
                 self._write(_record(self._schemas[-1]))
         channel = Channel(id=len(self.channels) + 1, topic=topic, message_encoding=encoding,
-                          metadata=metadata, schema_id=number)
+                          metadata=metadata, schema_id=schema_id)
         self.channels.append(channel)
         self.counts[channel.id] = 0
         self._write(_record(channel))
         return channel.id
 
     def type_of(self, channel: Channel) -> str:
-        """Return the type of a channel's messages, '' if it is not told."""
+        """Return the message type of a channel; '' if it has no schema."""
         return self._schemas[channel.schema_id - 1].name if channel.schema_id else ''
 
     def add_chunk(self, data: bytes, indexed: list[Indexed]) -> None:
-        """Append message records, and where in them each message lies."""
+        """Append a chunk of message records, with the index of its messages by channel."""
         for channel, times_ns, _ in indexed:
             self.counts[channel] += len(times_ns)
         self._finish_chunk()
-        self._packed = self._packer.submit(_packed, data, indexed)
+        self._compressed = self._compressor.submit(_compressed, data, indexed)
 
     def add_metadata(self, name: str, content: dict[str, str]) -> None:
-        """Append metadata."""
+        """Append a metadata record."""
         self._finish_chunk()
         record = _record(Metadata(name=name, metadata=content))
-        self._metadata.append(MetadataIndex(offset=self._place, length=len(record), name=name))
+        self._metadata.append(MetadataIndex(offset=self._position, length=len(record), name=name))
         self._write(record)
 
     def finish(self) -> None:
-        """Write what makes the file complete."""
+        """Write the end of the file: index, statistics and footer."""
         self._finish_chunk()
         self._write(_record(DataEnd(data_section_crc=0)))
-        start = self._place
+        start = self._position
         offsets = [self._write_group(opcode, group) for opcode, group in (
             (Opcode.SCHEMA, self._schemas), (Opcode.CHANNEL, self.channels),
             (Opcode.STATISTICS, [self._statistics()]), (Opcode.CHUNK_INDEX, self._chunks),
             (Opcode.METADATA_INDEX, self._metadata)) if group]
-        offset_start = self._place
+        offset_start = self._position
         for offset in offsets:
             self._write(_record(offset))
         self._write(_record(Footer(summary_start=start, summary_offset_start=offset_start,
@@ -140,19 +140,19 @@ class Container:
         self.close()
 
     def close(self) -> None:
-        """End the thread; what was not written is not written any more."""
-        self._packer.shutdown(cancel_futures=True)
+        """Stop the second thread; a chunk that was not written is dropped."""
+        self._compressor.shutdown(cancel_futures=True)
 
     def _finish_chunk(self) -> None:
-        if self._packed is None:
+        if self._compressed is None:
             return
-        chunk, indexed = self._packed.result()
-        self._packed = None
-        # In one piece, so that a file that breaks off rarely does so between them.
-        start, data = self._place, _record(chunk)
-        length, places = len(data), {}
+        chunk, indexed = self._compressed.result()
+        self._compressed = None
+        # Chunk and index in one write, so that a file that breaks off rarely ends between them.
+        start, data = self._position, _record(chunk)
+        length, index_offsets = len(data), {}
         for channel, times_ns, offsets in indexed:
-            places[channel] = start + len(data)
+            index_offsets[channel] = start + len(data)
             entries = np.empty(len(times_ns), _INDEX)
             entries['time'], entries['offset'] = times_ns, offsets
             builder = RecordBuilder()
@@ -166,7 +166,7 @@ class Container:
         self._chunks.append(ChunkIndex(
             chunk_length=length, chunk_start_offset=start, compression=chunk.compression,
             compressed_size=len(chunk.data), message_end_time=chunk.message_end_time,
-            message_index_length=len(data) - length, message_index_offsets=places,
+            message_index_length=len(data) - length, message_index_offsets=index_offsets,
             message_start_time=chunk.message_start_time,
             uncompressed_size=chunk.uncompressed_size))
         self._first_ns = min(self._first_ns, chunk.message_start_time)
@@ -175,12 +175,12 @@ class Container:
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Return the times of the first and the last message."""
+        """Return the earliest and the latest time of a message, ns; zeros without messages."""
         return (self._first_ns, self._last_ns) if self._chunks else (0, 0)
 
     @property
     def has_chunks(self) -> bool:
-        """Whether a chunk is in the file."""
+        """Return whether a chunk was written to the file."""
         return bool(self._chunks)
 
     def _statistics(self) -> Statistics:
@@ -194,18 +194,18 @@ class Container:
             schema_count=len(self._schemas))
 
     def _write_group(self, opcode: int, records: Iterable[McapRecord]) -> SummaryOffset:
-        start = self._place
+        start = self._position
         for record in records:
             self._write(_record(record))
         return SummaryOffset(group_opcode=opcode, group_start=start,
-                             group_length=self._place - start)
+                             group_length=self._position - start)
 
     def _write(self, data: bytes) -> None:
         self._stream.write(data)
-        self._place += len(data)
+        self._position += len(data)
 
 
-def _packed(data: bytes, indexed: list[Indexed]) -> tuple[Chunk, list[Indexed]]:
+def _compressed(data: bytes, indexed: list[Indexed]) -> tuple[Chunk, list[Indexed]]:
     times = np.concatenate([each.times_ns for each in indexed])
     return Chunk(compression='zstd', data=zstandard.ZstdCompressor(_LEVEL).compress(data),
                  message_start_time=int(times.min()), message_end_time=int(times.max()),

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Torques as text: a line for each time and torque."""
+"""Read torques from CSV files: one sample per line."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ from rigid_body_ros.recording.csv_columns import Columns, columns
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.runtime.reading import open_file
 
-#: The name of its only topic.
+#: The only topic of a CSV file.
 _TOPIC = '/torque'
-#: Lines of a block.
+#: Lines in a block.
 _BLOCK = 8192
-#: Characters of a line.
+#: Limit on the length of a line, in characters.
 _LONGEST = 2 ** 16
 
 
 class CsvFile(File):
     """
-    The torques of a text file, as WrenchStamped in body axes.
+    A CSV file of torques, read as WrenchStamped messages in body axes.
 
-    The first line may name the columns; otherwise they are time (s), tx, ty, tz (N m). A wrong
-    line is rejected with InputError when it is read.
+    The first line may name the columns; without names they are time (s), tx, ty, tz (N m).
+    Reading raises InputError at the first invalid line.
     """
 
     def __init__(self, path: Path) -> None:
@@ -52,11 +52,11 @@ class CsvFile(File):
         self.types = {_TOPIC: messages.WRENCH.name}
 
     def count(self, topic: str) -> int:
-        """Return 0: the number of lines is known only when they have been read."""
+        """Return 0: the number of lines is not known before they are read."""
         return 0
 
     def read(self, topic: str) -> Iterator[Raw]:
-        """Generate the torques, in the order of the file."""
+        """Generate the torques in blocks, in the order of the file."""
         try:
             with TextIOWrapper(open_file(self.path, 'recording'), 'utf-8-sig',
                                newline='') as text:
@@ -66,7 +66,7 @@ class CsvFile(File):
         except OSError as error:
             raise InputError(f'{self.path}: cannot read the recording: {reason(error)}') from error
         except (UnicodeDecodeError, csv.Error) as error:
-            raise InputError(f'{self.path}: expected lines of text ({reason(error)})') from error
+            raise InputError(f'{self.path}: expected CSV in UTF-8 ({reason(error)})') from error
 
     def _rows(self, text: TextIOWrapper) -> Iterator[tuple[int, list[float]]]:
         found = None
@@ -101,7 +101,7 @@ def _parsed(where: str, line: list[str], found: Columns) -> tuple[int, list[floa
     except (ValueError, OverflowError, DecimalException):
         pass
     expected = 'time (s), tx, ty, tz (N m)' if found == Columns() else \
-        f'{found.width} columns with the time and torque that the first line names'
+        f'{found.width} columns as in the first line'
     raise InputError(f'{where}: expected {expected}, found {quoted(",".join(line))}')
 
 

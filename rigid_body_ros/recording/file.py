@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What every file of a recording tells, whatever its format."""
+"""The interface of the files of a recording, which is the same for every format."""
 
 from __future__ import annotations
 
@@ -30,37 +30,38 @@ class File(ABC):
     Parameters
     ----------
     path : Path
+        The file that the user named; it appears in messages.
     unpacked : Path, optional
-        Where it lies, if the path is that of a compressed file.
+        The decompressed copy to read, if that file is compressed.
 
     Attributes
     ----------
     path : Path
     types : dict
-        The type of each topic, '' if it is not told.
+        The message type of each topic; '' if the file does not name one.
     damage : str
-        What was lost and where, once the messages were read; '' if nothing.
+        What was lost and where, known after the messages were read; '' if nothing.
 
     Raises
     ------
     InputError
-        The file cannot be read, or is none of its format.
+        The file cannot be read or has another format.
 
     """
 
     def __init__(self, path: Path, unpacked: Path | None = None) -> None:
-        self.path, self._place = path, unpacked or path
+        self.path, self._content = path, unpacked or path
         self.types: dict[str, str] = {}
         self.damage = ''
 
     def metadata(self, name: str) -> dict[str, str]:
-        """Return what the file says under a name, if its format has a place for that."""
+        """Return the metadata record with a name; empty if the format has no such records."""
         return {}
 
     @abstractmethod
     def count(self, topic: str) -> int:
-        """Return how many messages a topic has, as far as the file tells."""
+        """Return the number of messages of a topic; 0 if the file does not state it."""
 
     @abstractmethod
     def read(self, topic: str) -> Iterator[Raw]:
-        """Generate the messages of a topic, in the order of the file."""
+        """Generate the messages of a topic in blocks, in the order of the file."""

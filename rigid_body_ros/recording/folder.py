@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Bags of rosbag2: a folder of an MCAP file and metadata.yaml."""
+"""Write bags of rosbag2: a folder with an MCAP file and metadata.yaml."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from rigid_body_ros.recording.writer import Writer
 from rigid_body_ros.runtime.files import FOLDER, Part
 import yaml
 
-#: Of metadata.yaml: the newest that Humble reads.
+#: Version of metadata.yaml: the newest that Humble reads.
 _VERSION = 5
 
 
@@ -34,7 +34,7 @@ class FolderWriter(Writer):
     Raises
     ------
     InputError
-        The name is taken, or the folder cannot be written.
+        The name exists already, or the folder cannot be written.
 
     """
 

@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""MCAP files, read from front to back: their messages in blocks, up to the end or to damage."""
+"""Read MCAP files from front to back, in blocks of messages, up to the end or to damage."""
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from io import BytesIO
 import os
@@ -41,21 +41,21 @@ from rigid_body_ros.recording.unpack import LARGEST, unpack
 from rigid_body_ros.runtime.reading import open_file
 import zstandard
 
-#: Bytes of messages outside of chunks that make a block.
+#: Size at which records outside of chunks make a block, bytes.
 _BLOCK = 2 ** 20
 _RECORD = struct.Struct('<BQ')
-#: The records that messages are read from.
+#: The records needed to read messages.
 _MESSAGES = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
-#: Bytes of the footer and what follows it.
+#: Size of the footer and the magic bytes after it, bytes.
 _ENDING = 37
 
 
 class DamageError(Exception):
-    """From here on the file cannot be used."""
+    """The rest of the file cannot be read."""
 
 
 class McapFile(File):
-    """An MCAP file."""
+    """An MCAP file. Without a usable summary all of it is scanned to find its topics."""
 
     def __init__(self, path: Path, unpacked: Path | None = None) -> None:
         super().__init__(path, unpacked)
@@ -63,13 +63,13 @@ class McapFile(File):
         self._channels: dict[int, Channel] = {}
         self._counts: dict[int, int] = {}
         try:
-            with open_file(self._place, 'recording') as stream:
+            with open_file(self._content, 'recording') as stream:
                 self._size = os.fstat(stream.fileno()).st_size
                 self._begin(stream)
                 summary = _summary(stream)
         except OSError as error:
             raise InputError(f'{path}: cannot read the recording: {reason(error)}') from error
-        if summary is None:  # what is in it, only all of it tells
+        if summary is None:
             for _ in self._blocks():
                 pass
             if self.damage and not self._channels:
@@ -84,23 +84,23 @@ class McapFile(File):
                       for channel in self._channels.values()}
 
     def metadata(self, name: str) -> dict[str, str]:
-        """Return what the file says under a name, or nothing."""
+        """Return the last metadata record with a name; empty if there is none."""
         found: dict[str, str] = {}
-        with suppress(DamageError), open_file(self._place, 'recording') as stream:
+        with suppress(DamageError), open_file(self._content, 'recording') as stream:
             stream.seek(MAGIC_SIZE)
-            for place, _, record in self._records(stream, (Opcode.METADATA,)):
-                metadata = self._metadata(place, record)
+            for offset, _, record in self._records(stream, (Opcode.METADATA,)):
+                metadata = self._metadata(offset, record)
                 if metadata.name == name:
                     found = metadata.metadata
         return found
 
     def count(self, topic: str) -> int:
-        """Return how many messages a topic has."""
+        """Return the number of messages of a topic."""
         return sum(self._counts.get(number, 0) for number, channel in self._channels.items()
                    if channel.topic == topic)
 
     def read(self, topic: str) -> Iterator[Raw]:
-        """Generate the messages of a topic, in the order of the file."""
+        """Generate the messages of a topic in blocks, in the order of the file."""
         for data, channels, found in self._blocks():
             wanted = [number for number, channel in self._channels.items()
                       if channel.topic == topic]
@@ -108,13 +108,13 @@ class McapFile(File):
             for number in wanted:
                 encoding = self._channels[number].message_encoding
                 if encoding != 'cdr':
-                    raise InputError(f'{self.path}: {topic}: expected the message encoding cdr, '
+                    raise InputError(f'{self.path}: {topic}: expected message encoding cdr, '
                                      f'found {quoted(encoding)}')
             if rows.size:
                 yield Raw(data, *(column[rows] for column in found))
 
     def read_all(self) -> Iterator[tuple[Channel, Schema | None, Raw]]:
-        """Generate the messages of every topic, block by block."""
+        """Generate blocks of messages of every topic, each with its channel and schema."""
         for data, channels, found in self._blocks():
             for number in np.unique(channels).tolist():
                 channel = self._channels[number]
@@ -122,91 +122,92 @@ class McapFile(File):
                 yield channel, self._schemas.get(channel.schema_id), Raw(
                     data, *(column[rows] for column in found))
 
-    def _metadata(self, place: int, record: bytes) -> Metadata:
+    def _metadata(self, offset: int, record: bytes) -> Metadata:
         try:
             return Metadata.read(ReadDataStream(BytesIO(record)))
-        except Exception as error:  # on damaged bytes mcap raises a dozen kinds
-            raise InputError(f'{self.path}: damaged metadata record at byte {place} '
+        except Exception as error:  # mcap raises a dozen types on damaged bytes
+            raise InputError(f'{self.path}: damaged metadata record at byte {offset} '
                              f'({reason(error)})') from error
 
     def _begin(self, stream: IO[bytes]) -> None:
         try:
             read_magic(ReadDataStream(stream))
         except Exception as error:  # too short, or other bytes
-            raise InputError(f'{self.path}: expected an MCAP file, found none '
-                             f'({reason(error)})') from error
+            raise InputError(f'{self.path}: expected an MCAP file, found another '
+                             f'format ({reason(error)})') from error
 
     def _blocks(self) -> Iterator[tuple[bulk.Bytes, Ints, tuple[Ints, Ints, Ints, Ints]]]:
-        # Data, the channel of each message, its place, size and times.
+        # The data of each block; for each message its channel; then its position, size and times.
         self.damage = ''
         self._counts = {}
         messages = 0
         try:
-            with open_file(self._place, 'recording') as stream:
+            with open_file(self._content, 'recording') as stream:
                 stream.seek(MAGIC_SIZE)
-                for begin, data in self._stretches(stream):
-                    channels, found = self._scanned(begin, data)
+                for offset, data in self._record_blocks(stream):
+                    channels, found = self._scan(offset, data)
                     messages += len(channels)
                     yield data, channels, found
                 stream.seek(-MAGIC_SIZE, os.SEEK_END)
                 if stream.read() != MCAP0_MAGIC:
-                    self.damage = 'cut off behind its messages, which are all there'
-        except DamageError as problem:
-            self.damage = f'{problem}; {messages} messages of all topics come before'
+                    self.damage = 'cut off after the last message; no message is lost'
+        except DamageError as error:
+            self.damage = f'{error}; {messages} messages (all topics) before it were read'
         except OSError as error:
             raise InputError(f'{self.path}: cannot read the recording: '
                              f'{reason(error)}') from error
 
-    def _stretches(self, stream: IO[bytes]) -> Iterator[tuple[int, bulk.Bytes]]:
-        # Records as they are in chunks, and those outside of chunks together.
+    def _record_blocks(self, stream: IO[bytes]) -> Iterator[tuple[int, bulk.Bytes]]:
+        # Offset and records of each chunk, and of each run of records outside of chunks.
         loose, begin = bytearray(), 0
-        problem = None
+        damage = None
         try:
-            for place, opcode, record in self._records(stream):
+            for offset, opcode, record in self._records(stream):
                 if opcode == Opcode.CHUNK:
                     if loose:
                         yield begin, np.frombuffer(bytes(loose), np.uint8)
                         loose.clear()
-                    yield place, _unpacked(place, record)
+                    yield offset, _decompressed(offset, record)
                 else:
-                    begin = place if not loose else begin
+                    begin = offset if not loose else begin
                     loose += _RECORD.pack(opcode, len(record)) + record
                     if len(loose) > _BLOCK:
                         yield begin, np.frombuffer(bytes(loose), np.uint8)
                         loose.clear()
         except DamageError as error:
-            problem = error
+            damage = error
         if loose:
             yield begin, np.frombuffer(bytes(loose), np.uint8)
-        if problem:
-            raise problem
+        if damage:
+            raise damage
 
     def _records(self, stream: IO[bytes],
-                 wanted: Container[int] = _MESSAGES) -> Iterator[tuple[int, int, bytes]]:
-        # Place, opcode and content of those that messages are read from, or of others.
-        place = MAGIC_SIZE
+                 wanted: Collection[int] = _MESSAGES) -> Iterator[tuple[int, int, bytes]]:
+        # Offset, opcode and content of the records with the wanted opcodes.
+        offset = MAGIC_SIZE
         while True:
             head = stream.read(_RECORD.size)
             if len(head) < _RECORD.size:
-                raise DamageError(f'cut off at byte {place}')
+                raise DamageError(f'cut off at byte {offset}')
             opcode, length = _RECORD.unpack(head)
             if opcode == Opcode.DATA_END:
                 return
             if opcode == 0:
-                raise DamageError(f'damaged at byte {place}: no record')
-            if length > self._size - place - _RECORD.size:
-                raise DamageError(f'cut off or damaged at byte {place}: a record of {length} '
-                                  f'bytes, of which {self._size - place - _RECORD.size} are there')
+                raise DamageError(f'damaged at byte {offset}: no record starts there')
+            if length > self._size - offset - _RECORD.size:
+                raise DamageError(f'cut off or damaged at byte {offset}: expected a record of '
+                                  f'{length} bytes, found {self._size - offset - _RECORD.size}')
             if opcode in wanted:
                 if length > LARGEST:
-                    raise DamageError(f'damaged at byte {place}: a record of {length} bytes')
-                yield place, opcode, stream.read(length)
+                    raise DamageError(f'damaged at byte {offset}: expected a record of at most '
+                                      f'{LARGEST} bytes, found {length}')
+                yield offset, opcode, stream.read(length)
             else:
                 stream.seek(length, os.SEEK_CUR)
-            place += _RECORD.size + length
+            offset += _RECORD.size + length
 
-    def _scanned(self, begin: int,
-                 data: bulk.Bytes) -> tuple[Ints, tuple[Ints, Ints, Ints, Ints]]:
+    def _scan(self, offset: int,
+              data: bulk.Bytes) -> tuple[Ints, tuple[Ints, Ints, Ints, Ints]]:
         columns = np.empty((5, len(data) // 31 + 1), np.int64)
         channels, starts, sizes, log_ns, publish_ns = columns
         position = count = 0
@@ -214,25 +215,25 @@ class McapFile(File):
             position, count = bulk.scan(data, position, count, channels, log_ns, publish_ns,
                                         starts, sizes)
             if position < len(data):
-                position = self._learned(begin, data, position)
+                position = self._register(offset, data, position)
         channels, starts, sizes, log_ns, publish_ns = columns[:, :count]
         numbers, counts = np.unique(channels, return_counts=True)
         unknown = set(numbers.tolist()) - self._channels.keys()
         if unknown:
-            raise DamageError(f'damaged at byte {begin}: messages of channels that were not '
-                              f'announced: {listed([*map(str, sorted(unknown))])}')
+            raise DamageError(f'damaged at byte {offset}: messages of unknown channels: '
+                              f'{listed([*map(str, sorted(unknown))])}')
         for number, more in zip(numbers.tolist(), counts.tolist()):
             self._counts[number] = self._counts.get(number, 0) + more
         return channels, (starts, sizes, log_ns, publish_ns)
 
-    def _learned(self, begin: int, data: bulk.Bytes, position: int) -> int:
-        # Take a schema or a channel, and return where the next record is.
+    def _register(self, offset: int, data: bulk.Bytes, position: int) -> int:
+        # Store a schema or channel record, and return the position after it.
         if position + _RECORD.size > len(data):
-            raise DamageError(f'damaged at byte {begin}: half a record')
+            raise DamageError(f'damaged at byte {offset}: incomplete record')
         opcode, length = _RECORD.unpack(data[position:position + _RECORD.size].tobytes())
         position += _RECORD.size
         if length > len(data) - position or opcode in (0, Opcode.MESSAGE):
-            raise DamageError(f'damaged at byte {begin}: a record of {length} bytes')
+            raise DamageError(f'damaged at byte {offset}: invalid record of {length} bytes')
         content = ReadDataStream(BytesIO(data[position:position + length].tobytes()))
         try:
             if opcode == Opcode.SCHEMA:
@@ -241,17 +242,17 @@ class McapFile(File):
             elif opcode == Opcode.CHANNEL:
                 channel = Channel.read(content)
                 self._channels[channel.id] = channel
-        except Exception as error:  # on damaged bytes mcap raises a dozen kinds
-            raise DamageError(f'damaged at byte {begin}: {reason(error)}') from error
+        except Exception as error:  # mcap raises a dozen types on damaged bytes
+            raise DamageError(f'damaged at byte {offset}: {reason(error)}') from error
         return position + length
 
 
-def _unpacked(place: int, record: bytes) -> bulk.Bytes:
+def _decompressed(offset: int, record: bytes) -> bulk.Bytes:
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(record)))
         size = chunk.uncompressed_size
         if size > LARGEST:
-            raise ValueError(f'a chunk of {size} bytes')
+            raise ValueError(f'expected at most {LARGEST} bytes, found {size}')
         data = chunk.data
         if chunk.compression == 'zstd':
             data = unpack(data, size, zstandard.ZstdDecompressor())
@@ -260,16 +261,16 @@ def _unpacked(place: int, record: bytes) -> bulk.Bytes:
         elif chunk.compression:
             raise ValueError(f'unknown compression {quoted(chunk.compression)}')
         if len(data) != size:
-            raise ValueError(f'{len(data)} bytes, not {size}')
+            raise ValueError(f'expected {size} bytes, found {len(data)}')
         if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
-            raise ValueError('its checksum is wrong')
+            raise ValueError('wrong checksum')
         return np.frombuffer(data, np.uint8)
-    except Exception as error:  # of mcap, zstandard and lz4
-        raise DamageError(f'damaged chunk at byte {place} ({reason(error)})') from error
+    except Exception as error:  # from mcap, zstandard or lz4
+        raise DamageError(f'damaged chunk at byte {offset} ({reason(error)})') from error
 
 
 def _summary(stream: IO[bytes]) -> Summary | None:
-    # From memory, where mcap cannot be led to take more of it than the file has.
+    # Parsed in memory, so that a wrong length cannot make mcap allocate more than the file has.
     try:
         end = stream.seek(-_ENDING, os.SEEK_END)
         _, _, start, _, _, magic = struct.unpack('<BQQQI8s', stream.read())
@@ -278,7 +279,7 @@ def _summary(stream: IO[bytes]) -> Summary | None:
         stream.seek(start)
         content = BytesIO(stream.read())
         found = Summary()
-        # A chunk would be unpacked, to any size.
+        # With emit_chunks mcap does not decompress chunks, which could have any size.
         for record in StreamReader(content, skip_magic=True, emit_chunks=True).records:
             if isinstance(record, Schema):
                 found.schemas[record.id] = record
@@ -286,6 +287,6 @@ def _summary(stream: IO[bytes]) -> Summary | None:
                 found.channels[record.id] = record
             elif isinstance(record, Statistics):
                 found.statistics = record
-    except Exception:  # cut off or damaged: `McapFile` then reads what there is
+    except Exception:  # cut off or damaged: `McapFile` then scans the file
         return None
     return found if start and found.channels and magic == MCAP0_MAGIC else None

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A topic of a recording of any kind, message by message or block by block."""
+"""Read a topic of a recording in any format, at once or in blocks."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted, reason, shortened
 from rigid_body_ros.messages import MessageType
+from rigid_body_ros.propagation.options import duration_ns
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.csv_file import CsvFile
@@ -42,11 +43,11 @@ import yaml
 from yaml.constructor import BaseConstructor
 import zstandard
 
-#: Where the time of a message is taken from.
+#: Possible sources of the time of a message.
 TIME_SOURCES = ('header', 'log', 'publish')
-#: What torques come as.
+#: The message types that carry a torque.
 TORQUES = (messages.WRENCH, messages.BARE_WRENCH)
-#: Wraps an iterable of blocks of messages, so many in all, to show progress.
+#: A wrapper around an iterable with a known total, to show progress: (items, total) -> items.
 Track = Callable[[Iterable[Any], int], Iterable[Any]]
 
 
@@ -59,11 +60,12 @@ class Messages:
     ----------
     topic : str
     stamps_ns : array of int64, shape (n,)
-        From the headers, unless another source of time was asked for or there are none.
+        Stamps of the headers, or times of the recording if these were requested or the type has
+        no header.
     frames : array of int, shape (n,)
-        Indices of `names`.
+        Index into `names` for each message.
     names : list of str
-        The frame_ids.
+        The distinct frame_ids.
     values : array, shape (n, d)
         The doubles of each message in field order.
     damage : str
@@ -82,7 +84,7 @@ class Messages:
         return len(self.stamps_ns)
 
     def rows(self, chosen: NDArray[np.bool_]) -> Messages:
-        """Return some of the messages."""
+        """Return a selection of the messages."""
         return replace(self, stamps_ns=self.stamps_ns[chosen], frames=self.frames[chosen],
                        values=self.values[chosen])
 
@@ -94,53 +96,57 @@ class Messages:
 
 class Source:
     """
-    A topic of a recording; as a context manager, and iterated for blocks of `Messages`.
+    A topic of a recording: a context manager that is iterated for blocks of `Messages`.
 
     Parameters
     ----------
     path : str or Path
-        An MCAP file, a SQLite file of rosbag2, a folder of either with metadata.yaml, or a CSV
-        file whose first line names time and torques, or of time (s), tx, ty, tz (N m).
+        An MCAP file; a SQLite file of rosbag2; a folder of either with metadata.yaml; or a CSV
+        file of time (s), tx, ty, tz (N m), or of columns with names and units in the first line.
     topic : str, optional
-        May be left out where only one topic has one of the types.
+        Can be omitted if only one topic has one of the types.
     kinds : sequence of MessageType
+        The message types to accept.
     time_source : str
-        'header', 'log' or 'publish'.
+        'header', 'log' (time of recording) or 'publish' (time of publishing).
     skip : float, s
-        Leave out messages from before this long after the first.
+        Skip the messages of the first `skip` seconds of the topic.
 
     Attributes
     ----------
     topic : str
     kind : MessageType
+        The type of the topic.
     types : dict
         The type of each topic of the recording.
     count : int
-        Messages of the topic, as far as the files tell.
+        Number of messages of the topic, as far as the files state it.
     damage : str
-        What was lost and where, once the messages were read; '' if nothing.
+        What was lost and where, known after iteration; '' if nothing.
 
     Raises
     ------
     InputError
-        The recording cannot be read, has no such topic, one of another type, or several that
-        are meant, or, when iterated, a message is not what its type says.
+        The recording cannot be read; the topic does not exist, has another type or is ambiguous;
+        or, during iteration, a message does not match its type.
+    ValueError
+        `skip` is negative or longer than 1e9 s.
 
     """
 
     def __init__(self, path: str | Path, topic: str | None, kinds: Sequence[MessageType],
                  time_source: str = 'header', skip: float = 0.0) -> None:
         self._path = path
-        self._skip_ns = round(skip * 1e9)
+        self._skip_ns = duration_ns(skip, 'skip')
         self._time_source = time_source
         self._stack = ExitStack()
         with ExitStack() as stack:
-            self._files, self._packed, self._lost = _files(Path(path), stack)
+            self._files, self._compressed, self._missing = _files(Path(path), stack)
             self.types = {name: kind for file in self._files for name, kind in file.types.items()}
-            self.topic, self.kind = _chosen(path, self.types, topic, kinds)
+            self.topic, self.kind = _select(path, self.types, topic, kinds)
             self._stack = stack.pop_all()
-        self._holders = [file for file in self._files if self.topic in file.types]
-        self.count = sum(file.count(self.topic) for file in self._holders)
+        self._with_topic = [file for file in self._files if self.topic in file.types]
+        self.count = sum(file.count(self.topic) for file in self._with_topic)
 
     def __enter__(self) -> Source:
         return self
@@ -150,37 +156,38 @@ class Source:
 
     @property
     def damage(self) -> str:
-        """Return what was lost, and where; '' if nothing was."""
+        """Return what was lost and where; '' if nothing."""
         found = [f'{file.path}: {file.damage}' for file in self._files if file.damage]
-        return shortened('; '.join([*found, *filter(None, [self._lost])]))
+        return shortened('; '.join([*found, *filter(None, [self._missing])]))
 
     def metadata(self, name: str) -> dict[str, str]:
-        """Return what the recording says under a name, or nothing."""
+        """Return the metadata record with a name; empty if there is none."""
         return {key: value for file in self._files for key, value in file.metadata(name).items()}
 
     def check_copied(self, topics: Collection[str]) -> None:
-        """Raise InputError where `copy_to` cannot be, into a file that has these topics."""
+        """Raise InputError if `copy_to` cannot copy into a file that has these topics."""
         for file in self._files:
             if not isinstance(file, McapFile):
-                raise InputError(f'{file.path}: expected MCAP to copy messages from')
+                raise InputError(f'{file.path}: expected an MCAP file, because messages can be '
+                                 'copied only from MCAP')
         twice = sorted(self.types.keys() & set(topics))
         if twice:
-            raise InputError(f'{self._path}: expected other topics in the recording to copy than '
-                             f'those written, found {listed(twice)}')
+            raise InputError(f'{self._path}: cannot copy topics that are also written: '
+                             f'{listed(twice)}')
 
     def copy_to(self, writer: Writer) -> None:
-        """Write every message of the recording, byte for byte."""
+        """Copy every message of the recording, byte for byte."""
         numbers: dict[str, int] = {}
         for file in self._files:
-            assert isinstance(file, McapFile)  # checked before
+            assert isinstance(file, McapFile)  # by check_copied
             for channel, schema, raw in file.read_all():
                 number = numbers.get(channel.topic, 0)
-                writer.copy(channel, schema, self._plain(raw, channel.topic, number))
+                writer.copy(channel, schema, self._decompressed(raw, channel.topic, number))
                 numbers[channel.topic] = number + len(raw.starts)
 
     def __iter__(self) -> Iterator[Messages]:
         number, first_ns = 0, None
-        for file in self._holders:
+        for file in self._with_topic:
             for raw in file.read(self.topic):
                 block = self._messages(raw, number)
                 number += len(raw.starts)
@@ -194,11 +201,11 @@ class Source:
                 return
 
     def _messages(self, raw: Raw, number: int) -> Messages:
-        plain = self._plain(raw, self.topic, number)
+        plain = self._decompressed(raw, self.topic, number)
         try:
             decoded = bulk.decode(self.kind, plain)
         except bulk.BadMessageError as error:
-            raise self._refusal(error, self.topic, number) from error
+            raise self._error(error, self.topic, number) from error
         stamps = decoded.stamps_ns
         if self._time_source == 'publish':
             stamps = raw.publish_ns
@@ -206,14 +213,14 @@ class Source:
             stamps = raw.log_ns
         return Messages(self.topic, stamps, decoded.frames, decoded.names, decoded.values)
 
-    def _plain(self, raw: Raw, topic: str, number: int) -> Raw:
-        """Return messages of a topic, of which so many came before, as they were published."""
+    def _decompressed(self, raw: Raw, topic: str, number: int) -> Raw:
+        """Return messages without compression; `number` messages of the topic came before."""
         try:
-            return _unpacked_each(raw) if self._packed else raw
+            return _decompress_each(raw) if self._compressed else raw
         except bulk.BadMessageError as error:
-            raise self._refusal(error, topic, number) from error
+            raise self._error(error, topic, number) from error
 
-    def _refusal(self, error: bulk.BadMessageError, topic: str, number: int) -> InputError:
+    def _error(self, error: bulk.BadMessageError, topic: str, number: int) -> InputError:
         return InputError(f'{self._path}: {topic}: message {number + error.row + 1}: {error}')
 
 
@@ -225,21 +232,26 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
     Parameters
     ----------
     path : str or Path
-        A recording, see `Source`.
+        A recording: an MCAP file; a SQLite file of rosbag2; a folder of either with
+        metadata.yaml; or a CSV file of torques.
     topic : str, optional
-        May be left out where only one topic has the type.
+        Can be omitted if only one topic has the type.
     kind : MessageType, optional
-        Torques are looked for otherwise.
+        The message type, such as `messages.QUATERNION`; by default the two types of torques.
     track : callable, optional
         Wraps the iteration over blocks of messages, to show progress.
     time_source : str
-        Where stamps are taken from: 'header', 'log' or 'publish'.
+        Source of the stamps: 'header', 'log' (time of recording) or 'publish'.
+
+    Returns
+    -------
+    Messages
 
     Raises
     ------
     InputError
-        The recording cannot be read, has no such topic, one of another type, or several that
-        are meant, or a message is not what its type says.
+        The recording cannot be read; the topic does not exist, has another type or is ambiguous;
+        or a message does not match its type.
 
     """
     with Source(path, topic, TORQUES if kind is None else (kind,), time_source) as source:
@@ -247,7 +259,7 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
 
 
 def joined(topic: str, kind: MessageType, blocks: list[Messages], damage: str) -> Messages:
-    """Return the messages of blocks as one."""
+    """Concatenate blocks of messages."""
     names: dict[str, int] = {}
     frames = [np.array([names.setdefault(name, len(names)) for name in block.names],
                        np.intp)[block.frames] for block in blocks]
@@ -259,18 +271,20 @@ def joined(topic: str, kind: MessageType, blocks: list[Messages], damage: str) -
         damage)
 
 
-def _chosen(path: str | Path, types: dict[str, str], topic: str | None,
+def _select(path: str | Path, types: dict[str, str], topic: str | None,
             kinds: Sequence[MessageType]) -> tuple[str, MessageType]:
     by_name = {kind.name: kind for kind in kinds}
     expected = ' or '.join(by_name)
     fitting = [name for name, kind in types.items() if kind in by_name]
     if topic is None:
         if len(fitting) != 1:
-            raise InputError(f'{path}: expected one topic of {expected}, or the name of one '
-                             f'with --topic; found {listed(fitting)}')
+            advice = '; choose one with --topic' if fitting else ''
+            raise InputError(f'{path}: expected one topic of type {expected}, '
+                             f'found {listed(fitting)}{advice}')
         topic = fitting[0]
     if topic not in types:
-        raise InputError(f'{path}: no topic {shortened(topic, 100)}; found {listed(types)}')
+        raise InputError(f'{path}: topic {shortened(topic, 100)} does not exist; '
+                         f'found {listed(types)}')
     if topic not in fitting:
         raise InputError(f'{path}: {shortened(topic, 100)}: expected {expected}, '
                          f'found {shortened(types[topic], 100) or "no type"}')
@@ -278,52 +292,52 @@ def _chosen(path: str | Path, types: dict[str, str], topic: str | None,
 
 
 def _files(path: Path, stack: ExitStack) -> tuple[list[File], bool, str]:
-    # The files, whether each message is compressed by itself, and why the last ones are missing.
-    if not os.path.isdir(path):  # of a Path the question fails where the name is too long
+    # The files, whether each message is compressed on its own, and why later files are missing.
+    if not os.path.isdir(path):  # Path.is_dir raises an error if the name is too long
         return [_file(path, stack)], False, ''
     about = _metadata(path / 'metadata.yaml')
-    packed = str(about.get('compression_mode', '')).lower() == 'message'
+    compressed = str(about.get('compression_mode', '')).lower() == 'message'
     files: list[File] = []
-    for place in _places(path, about.get('relative_file_paths')):
+    for file in _bag_files(path, about.get('relative_file_paths')):
         try:
-            files.append(_file(place, stack))
+            files.append(_file(file, stack))
         except InputError as error:
             if not files:
                 raise
-            return files, packed, f'{error}; the files before it are used'
-    return files, packed, ''
+            return files, compressed, f'{error}; only the files before it were read'
+    return files, compressed, ''
 
 
-def _places(folder: Path, names: object) -> list[Path]:
-    """Return the files of a bag, which lie in its folder."""
+def _bag_files(folder: Path, names: object) -> list[Path]:
+    """Return the paths of the files of a bag; raise InputError unless they are in its folder."""
     where = f'{folder}/metadata.yaml: relative_file_paths'
     if not names or not isinstance(names, list):
-        raise InputError(f'{where}: expected names of files, found {quoted(names)}')
+        raise InputError(f'{where}: expected file names, found {quoted(names)}')
     home = os.path.realpath(folder)
-    places: dict[str, Path] = {}
+    paths: dict[str, Path] = {}
     for name in names:
         if not isinstance(name, str) or '\0' in name or not PurePath(name).name:
-            raise InputError(f'{where}: expected names of files, found {quoted(name)}')
-        path = PurePath(name)
-        if path.name in places:
+            raise InputError(f'{where}: expected file names, found {quoted(name)}')
+        named = PurePath(name)
+        if named.name in paths:
             raise InputError(f'{where}: expected each file once, found {quoted(name)} twice')
-        # Early rosbag2 put the name of the folder before that of the file.
-        place = places[path.name] = folder / path.name
-        if path.is_absolute() or '..' in path.parts \
-                or os.path.dirname(os.path.realpath(place)) != home:
+        # Early versions of rosbag2 wrote the name of the folder before that of the file.
+        path = paths[named.name] = folder / named.name
+        if named.is_absolute() or '..' in named.parts \
+                or os.path.dirname(os.path.realpath(path)) != home:
             raise InputError(f'{where}: expected files in the folder of the bag, '
                              f'found {quoted(name)}')
-    return [*places.values()]
+    return [*paths.values()]
 
 
 def _metadata(path: Path) -> dict[str, Any]:
     if not os.path.lexists(path):
-        raise InputError(f'{path}: not found, and without it a folder is not a recording')
-    root = read_yaml(path, 'description of the recording', aliases=True)
+        raise InputError(f'{path}: file not found; a folder without it is not a recording')
+    root = read_yaml(path, 'metadata of the recording', aliases=True)
     try:
         found = BaseConstructor().construct_document(root) if root else None
-    except yaml.YAMLError as error:  # a group as a key
-        raise InputError(f'{path}: expected names as keys: {reason(error)}') from error
+    except yaml.YAMLError as error:  # a key that is not a name
+        raise InputError(f'{path}: expected names as keys ({reason(error)})') from error
     about = found.get('rosbag2_bagfile_information') if isinstance(found, dict) else None
     if not isinstance(about, dict):
         raise InputError(f'{path}: expected rosbag2_bagfile_information, found none')
@@ -333,18 +347,18 @@ def _metadata(path: Path) -> dict[str, Any]:
 def _file(path: Path, stack: ExitStack) -> File:
     if path.suffix.lower() == '.csv':
         return CsvFile(path)
-    is_packed = path.suffix in ('.zstd', '.zst')
-    unpacked = unpack_file(path, temporary(stack)) if is_packed else path
+    is_compressed = path.suffix in ('.zstd', '.zst')
+    unpacked = unpack_file(path, temporary(stack)) if is_compressed else path
     return SqliteFile(path, unpacked, stack) if unpacked.suffix == '.db3' else \
         McapFile(path, unpacked)
 
 
-def _unpacked_each(raw: Raw) -> Raw:
-    messages, room, unpacker = [], LARGEST, zstandard.ZstdDecompressor()
+def _decompress_each(raw: Raw) -> Raw:
+    decompressed, room, unpacker = [], LARGEST, zstandard.ZstdDecompressor()
     for row in range(len(raw.starts)):
         try:
-            messages.append(unpack(raw.message(row), room, unpacker))
+            decompressed.append(unpack(raw.message(row), room, unpacker))
         except (zstandard.ZstdError, ValueError) as error:
-            raise bulk.BadMessageError(row, f'cannot unpack: {reason(error)}') from error
-        room -= len(messages[-1])
-    return Raw.of(messages, raw.log_ns, raw.publish_ns)
+            raise bulk.BadMessageError(row, f'cannot decompress: {reason(error)}') from error
+        room -= len(decompressed[-1])
+    return Raw.from_bytes(decompressed, raw.log_ns, raw.publish_ns)

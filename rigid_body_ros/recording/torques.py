@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The torques of a recording as a log, whole or piece by piece."""
+"""Turn recorded torques into a torque log, at once or in pieces."""
 
 from __future__ import annotations
 
@@ -28,33 +28,50 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.recording.source import Messages
 from rigid_body_ros.torque import TorqueLog
 
-#: Ten years, more than a simulation lasts and less than the wall clock shows.
+#: Ten years: longer than any simulation, and earlier than any wall-clock time.
 _SIMULATED_NS = 315_576_000 * 10 ** 9
-#: Samples that a piece has, about.
+#: Approximate number of samples in a piece.
 _SAMPLES = 2 ** 16
-#: Samples on each side that a reading between samples looks at: the slopes of the cubic.
-_BESIDE = 2
+#: Samples on each side that interpolation needs, for the slopes of the cubic.
+_NEIGHBOURS = 2
 
 
 def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_frame: str,
                interpolation: str = 'hold') -> TorqueLog:
     """
-    Return the log that WrenchStamped messages make: the last one, where it was begun anew.
+    Return the torque log of WrenchStamped messages: the last one if there are several.
+
+    A node starts a new log with a marker, see `messages.new_log`.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording, for error messages.
+    recorded : Messages
+        Torques, as `read` returns them.
+    body_frame, space_frame : str
+        The frame_ids of torques in body axes (or empty) and in space axes.
+    interpolation : str
+        'hold', 'linear' or 'cubic'.
+
+    Returns
+    -------
+    TorqueLog
 
     Raises
     ------
     InputError
-        There is no message, or one has an unknown frame_id, no stamp or a torque that is not
-        finite; or frames are mixed where torques are interpolated.
+        There is no message; a message has an unknown frame_id, no stamp or a torque that is not
+        finite; or torques of both frames are to be interpolated.
 
     """
     where = f'{path}: {recorded.topic}'
     if not len(recorded.stamps_ns):
         lost = f' ({recorded.damage})' if recorded.damage else ''
-        raise InputError(f'{where}: expected torques, found no message{lost}')
+        raise InputError(f'{where}: expected torques, found no messages{lost}')
     torques = recorded.values[:, 3:]
     axes = _checked(where, recorded, body_frame, space_frame)
-    # After the last mark, or the mark itself, zero torque, where nothing came after it.
+    # From the torque after the last marker; if there is none, from the marker, a zero torque.
     first = min(int(np.append(0, new_logs(recorded) + 1)[-1]), len(torques) - 1)
     _check_stamped(where, recorded.stamps_ns, first)
     frames = axes[0] if len(set(axes)) == 1 else \
@@ -67,7 +84,7 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
 
 def _checked(where: str, recorded: Messages, body_frame: str, space_frame: str,
              before: int = 0) -> list[str]:
-    """Return the axes of each frame, or raise InputError that names a message to refuse."""
+    """Return the axes of each frame; raise InputError that names the first invalid message."""
     torques = recorded.values[:, 3:]
     if not np.isfinite(torques).all():
         row = int(np.flatnonzero(~np.isfinite(torques).all(axis=1))[0])
@@ -84,41 +101,41 @@ def _checked(where: str, recorded: Messages, body_frame: str, space_frame: str,
 
 
 def _check_stamped(where: str, stamps_ns: NDArray[np.int64], first: int) -> None:
-    """Raise InputError where torques, from row `first` on, have no stamp."""
+    """Raise InputError if a torque from row `first` on has no stamp."""
     unstamped = first + np.flatnonzero(stamps_ns[first:] == 0)
-    # Simulated time may begin with 0; it does not reach wall time.
+    # Simulated time may start at 0; it never reaches wall-clock time.
     begins = stamps_ns[first] == 0 < stamps_ns.max() < _SIMULATED_NS
     if unstamped.size and not begins and len(stamps_ns) > 1:
-        raise InputError(f'{where}: message {unstamped[0] + 1}: expected a stamp in its header, '
+        raise InputError(f'{where}: message {unstamped[0] + 1}: expected a stamp in the header, '
                          f'found 0, as in {np.sum(stamps_ns == 0)} of {len(stamps_ns)} messages; '
-                         '--time-source log takes the times of the recording')
+                         'use --time-source log for the times of the recording')
 
 
 def new_logs(recorded: Messages) -> NDArray[np.intp]:
-    """Return the rows where the log of a node begins anew (see `messages.new_log`)."""
-    unnamed = np.array([not name for name in recorded.names], bool)[recorded.frames]
-    begun = (recorded.stamps_ns == 0) & ~recorded.values.any(axis=1) & unnamed
-    return np.flatnonzero(begun[1:]) + 1
+    """Return the rows of the markers that start a new log (see `messages.new_log`)."""
+    without_frame = np.array([not name for name in recorded.names], bool)[recorded.frames]
+    markers = (recorded.stamps_ns == 0) & ~recorded.values.any(axis=1) & without_frame
+    return np.flatnonzero(markers[1:]) + 1
 
 
 class NotInOrderError(Exception):
-    """Only the whole of a recording tells what its log is."""
+    """The log cannot be read in pieces; the whole recording is needed."""
 
 
 class Piece(NamedTuple):
     """
-    Some samples of a log, for `Run.advance`.
+    Consecutive samples of a log, which overlap with those of the next piece.
 
     Attributes
     ----------
     times_ns : array of int64, shape (n,)
     torques : array, shape (n, 3), N m
     in_space : array of bool, shape (n,)
-        Whether the torque is given in space axes.
+        Whether a torque is given in space axes.
     dropped : int
-        How many samples at the front of the piece before this one leaves out.
+        How many samples of the previous piece come before the first one of this piece.
     stop : int, optional
-        The sample that the next piece goes on from; None in the last.
+        Index of the sample at which the next piece continues; None in the last piece.
 
     """
 
@@ -129,43 +146,44 @@ class Piece(NamedTuple):
     stop: int | None = None
 
     def rows(self, chosen: slice | NDArray[np.intp]) -> Piece:
-        """Return some of the samples."""
+        """Return a selection of the samples."""
         return Piece(self.times_ns[chosen], self.torques[chosen], self.in_space[chosen])
 
     def log(self, interpolation: str) -> TorqueLog:
-        """Return the piece as a log; ValueError where frames are mixed and interpolated."""
+        """Return the piece as a log; raise ValueError if it interpolates between frames."""
         return TorqueLog(self.times_ns, self.torques, self.in_space, interpolation)
 
 
 def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str,
                   space_frame: str) -> Iterator[Piece]:
     """
-    Generate the log that blocks of torques make, without holding all of it.
+    Generate the log of blocks of torques in pieces, so that it need not fit in memory.
 
-    Stamps out of order, or twice, are put in order where they lie in one block or two.
+    Samples are sorted by stamp within two neighbouring blocks; of equal stamps the later message
+    replaces the earlier.
 
     Raises
     ------
     InputError
         A message has an unknown frame_id or a torque that is not finite.
     NotInOrderError
-        A message has no stamp, or one from before the block before.
+        A message has no stamp, or a stamp earlier than the previous block.
 
     """
-    held, dropped = _NOTHING, 0
-    for fresh in _in_order(where, blocks, body_frame, space_frame):
-        held = _joined(held, fresh)
-        stop = len(held.times_ns) - 1 - _BESIDE
+    held, dropped = _EMPTY, 0
+    for ordered in _in_order(where, blocks, body_frame, space_frame):
+        held = _concatenated(held, ordered)
+        stop = len(held.times_ns) - 1 - _NEIGHBOURS
         if stop >= _SAMPLES:
             yield held._replace(dropped=dropped, stop=stop)
-            dropped = stop - _BESIDE
+            dropped = stop - _NEIGHBOURS
             held = held.rows(slice(dropped, None))
     yield held._replace(dropped=dropped)
 
 
 def _in_order(where: str, blocks: Iterable[Messages], body_frame: str,
               space_frame: str) -> Iterator[Piece]:
-    waiting, last_ns, number = _NOTHING, -2 ** 63, 0
+    waiting, last_ns, number = _EMPTY, -2 ** 63, 0
     for block in blocks:
         axes = _checked(where, block, body_frame, space_frame, number)
         number += len(block)
@@ -173,7 +191,7 @@ def _in_order(where: str, blocks: Iterable[Messages], body_frame: str,
         first_ns = int(block.stamps_ns.min())
         if first_ns <= last_ns or not block.stamps_ns.all():
             raise NotInOrderError
-        waiting = _sorted(_joined(
+        waiting = _sorted(_concatenated(
             waiting, Piece(block.stamps_ns, block.values[:, 3:], in_space)))
         ready = int(np.searchsorted(waiting.times_ns, first_ns))
         if ready:
@@ -183,14 +201,14 @@ def _in_order(where: str, blocks: Iterable[Messages], body_frame: str,
     yield waiting
 
 
-def _joined(one: Piece, other: Piece) -> Piece:
+def _concatenated(one: Piece, other: Piece) -> Piece:
     return Piece(np.concatenate([one.times_ns, other.times_ns]),
                  np.concatenate([one.torques, other.torques]),
                  np.concatenate([one.in_space, other.in_space]))
 
 
 def _sorted(piece: Piece) -> Piece:
-    # Of equal stamps the later in the recording counts.
+    # Of equal stamps the later message in the recording replaces the earlier.
     if np.all(np.diff(piece.times_ns) > 0):
         return piece
     order = np.argsort(piece.times_ns, kind='stable')
@@ -198,4 +216,4 @@ def _sorted(piece: Piece) -> Piece:
     return piece.rows(chosen)
 
 
-_NOTHING = Piece(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0, np.bool_))
+_EMPTY = Piece(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0, np.bool_))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What is compressed by zstd, or copied, into memory or a temporary folder, within bounds."""
+"""Decompress zstd into memory or a temporary folder, and copy files there, within limits."""
 
 from __future__ import annotations
 
@@ -27,50 +27,50 @@ from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.runtime.reading import open_file
 import zstandard
 
-#: Bytes that a chunk may hold, or the messages of a block; rosbag2 and mcap write about 1 MB.
+#: Limit on the bytes of a chunk, or of the messages in a block; rosbag2 and mcap write 1 MB.
 LARGEST = 2 ** 30
-#: Bytes that one byte can stand for: zstd needs 4 for a block of 128 KiB.
+#: Largest possible compression ratio: zstd needs 4 bytes for a block of 128 KiB.
 _DENSEST = 2 ** 15
-#: How much larger than its compressed file a recording above LARGEST may be.
+#: Limit on the compression ratio of a file that decompresses to more than LARGEST.
 _RATIO = 1000
 _BLOCK = 2 ** 20
 
 
 def unpack(data: bytes, most: int, unpacker: zstandard.ZstdDecompressor) -> bytes:
     """
-    Return what a frame of zstd holds.
+    Decompress a zstd frame.
 
     Raises
     ------
     ValueError
-        It holds more than `most` bytes.
+        The content has more than `most` bytes.
     ZstdError
-        It is not such a frame.
+        The data is not a zstd frame.
 
     """
-    room = min(most, _DENSEST * len(data))  # a header may claim any size
+    room = min(most, _DENSEST * len(data))  # a damaged header can state any size
     if zstandard.frame_content_size(data) > room:
         raise ValueError(f'expected at most {room} bytes, found more')
     return unpacker.decompress(data, max_output_size=room)
 
 
 def temporary(stack: ExitStack) -> Path:
-    """Return a new temporary folder, which the stack removes; raise InputError if none can be."""
+    """Return a new temporary folder, removed with the stack; raise InputError on failure."""
     try:
         return Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='rigid_body_ros.')))
     except OSError as error:
-        raise InputError(f'cannot create a temporary folder: {reason(error)}; TMPDIR names '
-                         'where') from error
+        raise InputError(f'cannot create a temporary folder: {reason(error)}; set TMPDIR to a '
+                         'folder with free space') from error
 
 
 def unpack_file(path: Path, folder: Path) -> Path:
     """
-    Unpack a file compressed by zstd into a temporary folder, and return where it is.
+    Decompress a zstd file into a temporary folder, and return the path of the result.
 
     Raises
     ------
     InputError
-        The file cannot be read, is not compressed by zstd, or is too large when unpacked.
+        The file cannot be read, is not compressed with zstd, or its content is too large.
 
     """
     target = folder / path.stem
@@ -80,19 +80,19 @@ def unpack_file(path: Path, folder: Path) -> Path:
             _copy(path, zstandard.ZstdDecompressor().stream_reader(
                 packed, read_across_frames=True), target, most)
         except zstandard.ZstdError as error:
-            raise InputError(f'{path}: expected a file compressed by zstd, found none '
+            raise InputError(f'{path}: expected a file compressed with zstd '
                              f'({reason(error)})') from error
     return target
 
 
 def copy_file(path: Path, folder: Path) -> Path:
     """
-    Copy a file into a temporary folder, and return where it is.
+    Copy a file into a temporary folder, and return the path of the copy.
 
     Raises
     ------
     InputError
-        The file cannot be read, or the folder has no room for it.
+        The file cannot be read, or the folder has too little free space.
 
     """
     target = folder / path.name
@@ -109,14 +109,15 @@ def _copy(path: Path, stream: BinaryIO | zstandard.ZstdDecompressionReader, targ
             while block := stream.read(_BLOCK):
                 written += len(block)
                 if written > most:
-                    raise InputError(f'{path}: expected at most {most} bytes in it, found more; '
-                                     'if that is meant, unpack it first (zstd -d)')
+                    raise InputError(f'{path}: expected at most {most} bytes after decompression, '
+                                     'found more; if this is intended, decompress it first '
+                                     '(zstd -d)')
                 free = shutil.disk_usage(target.parent).free
-                if written > 9 * free:  # a tenth of what was free is left to others
-                    raise InputError(f'{path}: expected room for it in {target.parent.parent}, '
-                                     f'found {free} bytes after {written}; TMPDIR names another '
-                                     'folder')
+                if written > 9 * free:  # leave a tenth of the free space to others
+                    raise InputError(f'{path}: too little space in {target.parent.parent} for a '
+                                     f'copy, {free} bytes left after {written}; set TMPDIR to '
+                                     'another folder')
                 copy.write(block)
     except OSError as error:
         raise InputError(f'{path}: cannot copy it to {target.parent.parent}: {reason(error)}; '
-                         'TMPDIR names another folder') from error
+                         'set TMPDIR to another folder') from error

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Recordings out: MCAP files that `ros2 bag play`, Foxglove and PlotJuggler take."""
+"""Write MCAP files for `ros2 bag play`, Foxglove and PlotJuggler."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.container import Container, Indexed
 from rigid_body_ros.runtime.files import Part, reported
 
-#: Bytes of messages that make a chunk.
+#: Size at which messages make a chunk, bytes.
 _CHUNK = 2 ** 20
-#: Opcode, length, channel, sequence, times of log and of publishing.
+#: The start of a message record: opcode, length, channel, sequence, log time, publish time.
 _HEAD = struct.Struct('<BQHIQQ')
 _HEAD_FIELDS = np.dtype([('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'),
                          ('sequence', '<u4'), ('log', '<u8'), ('publish', '<u8')])
-#: The QoS that a player offers again: reliable, volatile, keep last 10, in the numbers that
-#: rosbag2 has read since Humble (later versions also read names).
+#: The QoS with which a player publishes: reliable, volatile, keep last 10. The numbers are those
+#: that rosbag2 has read since Humble; later versions also read names.
 _QOS = '\n'.join([
     '- history: 1', '  depth: 10', '  reliability: 1', '  durability: 2',
     '  deadline:', '    sec: 9223372036', '    nsec: 854775807',
@@ -53,7 +53,7 @@ _QOS = '\n'.join([
 
 
 class Column(NamedTuple):
-    """Messages of a topic in bulk: their frame_id, and their doubles, shape (n, d)."""
+    """Many messages of a topic: their frame_id, and their doubles, shape (n, d)."""
 
     topic: str
     frame_id: str
@@ -63,18 +63,18 @@ class Column(NamedTuple):
 
 class Writer:
     """
-    Write an MCAP file, as a context manager.
+    Write an MCAP file; a context manager.
 
-    The file gets its name when it is complete. If writing fails before, a file of that name is
-    unchanged, and nothing is left unless it is to be kept.
+    The file appears under its name when it is complete. If writing fails, an existing file of
+    that name is unchanged, and no partial file is left unless `keep_partial` is set.
 
     Parameters
     ----------
     path : str or Path
     keep_partial : bool
-        If writing is interrupted or fails, keep the chunks that were written under a new name
-        that ends in `.partial.mcap`. The exception has that name: KeyboardInterrupt as its last
-        argument, InputError in its message.
+        If writing fails or is interrupted, keep the chunks written so far in a new file that ends
+        in `.partial.mcap`. The exception states its name: KeyboardInterrupt in its last argument,
+        InputError in its message.
 
     Raises
     ------
@@ -91,7 +91,7 @@ class Writer:
         self._channels: dict[str, int] = {}
         self._kinds: dict[str, MessageType] = {}
         self._sequence: dict[str, int] = {}
-        #: Single messages that wait for a chunk: their records, and topic, time and offset each.
+        #: Messages that wait for the next chunk: records, and (channel, time, offset) of each.
         self._records = bytearray()
         self._waiting: list[tuple[int, int, int]] = []
 
@@ -108,11 +108,11 @@ class Writer:
         return self
 
     def _file_of(self, part: Part) -> Path:
-        """Return where the messages are written."""
+        """Return the path of the MCAP file within the temporary output."""
         return part.path
 
     def add_topic(self, topic: str, kind: MessageType) -> None:
-        """Announce a topic; to be done once, before its messages."""
+        """Add a topic; required once, before its first message."""
         schema = Schema(id=0, name=kind.name, encoding='ros2msg', data=kind.definition.encode())
         self._channels[topic] = self._container.add_channel(
             topic, schema, {'offered_qos_profiles': _QOS, 'topic_type_hash': kind.type_hash})
@@ -120,15 +120,15 @@ class Writer:
         self._sequence[topic] = 0
 
     def add_metadata(self, name: str, content: dict[str, str]) -> None:
-        """Append what is to be known of the whole."""
+        """Append a metadata record."""
         self._container.add_metadata(name, content)
 
     def write(self, topic: str, time_ns: int, data: bytes) -> None:
-        """Append a message in CDR to a topic, logged and published at a time."""
+        """Append a CDR message to a topic; `time_ns` is both its log time and its publish time."""
         self._append(topic, time_ns, time_ns, data)
 
     def copy(self, channel: Channel, schema: Schema | None, raw: Raw) -> None:
-        """Append messages of another file, with its channel and schema."""
+        """Append messages of another file, with their channel and schema."""
         topic = channel.topic
         if topic not in self._channels:
             self._channels[topic] = self._container.add_channel(
@@ -147,21 +147,21 @@ class Writer:
             self._flush()
 
     def write_columns(self, times_ns: NDArray[np.int64], columns: Sequence[Column]) -> None:
-        """Append a message of each column at each time, which is their stamp, too."""
+        """Append one message per column at each time, which is also the stamp of the message."""
         self._flush()
         fields = [(str(k), self._fields(column)) for k, column in enumerate(columns)]
         layout = np.dtype(fields)
         step = max(1, _CHUNK // layout.itemsize)
         for first in range(0, len(times_ns), step):
-            part = slice(first, first + step)
-            times = times_ns[part]
+            block = slice(first, first + step)
+            times = times_ns[block]
             rows = np.empty(len(times), layout)
-            indexed, place = [], 0
+            indexed, position = [], 0
             for (name, field), column in zip(fields, columns):
-                self._fill(rows[name], times, column, column.values[part])
-                offsets = place + np.arange(len(times)) * layout.itemsize
+                self._fill(rows[name], times, column, column.values[block])
+                offsets = position + np.arange(len(times)) * layout.itemsize
                 indexed.append(Indexed(self._channels[column.topic], times, offsets))
-                place += field.itemsize
+                position += field.itemsize
             self._container.add_chunk(rows.tobytes(), indexed)
 
     def _fields(self, column: Column) -> np.dtype[np.void]:
@@ -199,11 +199,11 @@ class Writer:
             if error is None:
                 self._finish()
                 self._part.complete()
-        except (OSError, InputError) as refused:
-            failure = refused
+        except (OSError, InputError) as failed:
+            failure = failed
         finally:
             self._container.close()
-            with suppress(OSError):  # closing flushes, which fails again on a full disk
+            with suppress(OSError):  # closing flushes, and fails again on a full disk
                 self._stream.close()
             if failure or isinstance(error, KeyboardInterrupt):
                 kept = self._kept_partial()
@@ -216,7 +216,7 @@ class Writer:
             raise InputError(f'{failure}{kept}') from failure
 
     def _finish(self) -> None:
-        """Write what makes the recording complete."""
+        """Write the rest of the recording."""
         self._flush()
         self._container.finish()
         self._stream.close()

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Files of a user: opened only if they are regular files, and YAML within bounds."""
+"""Input files: opened only if they are regular files; YAML only within limits."""
 
 from __future__ import annotations
 
@@ -30,36 +30,36 @@ from yaml.resolver import BaseResolver
 try:
     from yaml.cyaml import CParser  # type: ignore[attr-defined]
 except ImportError:  # PyYAML was built without libyaml
-    _EventLoader = yaml.BaseLoader  # ten times slower
+    _EventLoader = yaml.BaseLoader  # the same, ten times slower
 else:
     class _EventLoader(Composer, CParser, BaseResolver):  # type: ignore[no-redef]
-        """Compose nodes in Python, which checks its stack, from the events of libyaml."""
+        """Parse with libyaml, but compose nodes in Python, which limits its recursion."""
 
         def __init__(self, text: str) -> None:
             CParser.__init__(self, text)
             Composer.__init__(self)
             BaseResolver.__init__(self)
 
-#: Bytes, values and levels of a YAML file; a bag of 2000 files has about 0.5 MB and 30 000 values.
-_LARGEST, _MOST, _DEEPEST = 2 ** 22, 100_000, 50
+#: Limits of a YAML file: bytes, values and levels. A bag of 2000 files has 0.5 MB, 30 000 values.
+_MAX_BYTES, _MAX_VALUES, _MAX_LEVELS = 2 ** 22, 100_000, 50
 _TAGS = re.compile('^%TAG', re.MULTILINE)
 
 
 def open_file(path: str | Path, what: str) -> BinaryIO:
     """
-    Open a file to read its bytes.
+    Open a regular file to read its bytes.
 
     Parameters
     ----------
     path : str or Path
-        May also be a link to a file.
+        The file, or a link to it.
     what : str
-        What the file holds, for the error message.
+        What the file contains, for the error message, such as 'scene'.
 
     Raises
     ------
     InputError
-        The file cannot be opened, or is a folder, a pipe or a device: reading from those may
+        The file cannot be opened, or is a folder, a pipe or a device, from which reading may
         never end.
 
     """
@@ -67,7 +67,7 @@ def open_file(path: str | Path, what: str) -> BinaryIO:
         mode = os.stat(path).st_mode
         if stat.S_ISREG(mode):
             return open(path, 'rb')
-    except (OSError, ValueError) as error:  # ValueError: the name contains a NUL
+    except (OSError, ValueError) as error:  # ValueError: NUL in the name
         raise InputError(f'{path}: cannot read the {what}: {reason(error)}') from error
     kind = ('a folder' if stat.S_ISDIR(mode) else 'a pipe' if stat.S_ISFIFO(mode) else
             'a device or a socket')
@@ -76,57 +76,56 @@ def open_file(path: str | Path, what: str) -> BinaryIO:
 
 def read_yaml(path: str | Path, what: str, aliases: bool = False) -> yaml.Node | None:
     """
-    Return the root of a YAML file, None if it is empty.
+    Return the root node of a YAML file, or None if the file is empty.
 
-    The tags of the nodes mean nothing: no value is converted, so no value can fail to convert.
+    Tags are ignored and no value is converted, so no value can fail to convert.
 
     Parameters
     ----------
     path : str or Path
-        May also be a link to a file.
+        The file, or a link to it.
     what : str
-        What the file holds, for the error message.
+        What the file contains, for the error message, such as 'scene'.
     aliases : bool
-        Whether it may repeat values with anchors and aliases, as PyYAML does when it writes one
-        object twice. Every repetition counts as values of the file, and none may hold another:
-        otherwise 1 kB can expand to gigabytes.
+        Whether anchors and aliases are allowed; PyYAML writes them when it writes one object
+        twice. The values of an alias count every time. An alias must not contain another one,
+        because then 1 kB can expand to gigabytes.
 
     Raises
     ------
     InputError
-        The file cannot be read, is not YAML in UTF-8, has aliases that it must not have, or is
-        too large, too long or too deep.
+        The file cannot be read, is not YAML in UTF-8, has aliases that are not allowed, or
+        exceeds a limit on bytes, values or levels.
 
     """
     with open_file(path, what) as stream:
         try:
-            content = stream.read(_LARGEST + 1)
+            content = stream.read(_MAX_BYTES + 1)
         except OSError as error:
             raise InputError(f'{path}: cannot read the {what}: {reason(error)}') from error
     try:
-        if len(content) > _LARGEST:
-            raise InputError(f'expected at most {_LARGEST} bytes of YAML, found more')
+        if len(content) > _MAX_BYTES:
+            raise InputError(f'expected at most {_MAX_BYTES} bytes of YAML, found more')
         text = content.decode('utf-8')
         if _TAGS.search(text):
-            raise InputError('expected YAML without %TAG directives: many of them take a parser '
-                             'hours')
+            raise InputError('expected YAML without %TAG directives, found one')
         return _Loader(text, aliases).get_single_node()
     except InputError as error:
         raise InputError(f'{path}: {error}') from error
     except UnicodeDecodeError as error:
-        raise InputError(f'{path}: expected YAML in UTF-8: {reason(error)}') from error
+        raise InputError(f'{path}: expected YAML in UTF-8 ({reason(error)})') from error
     except yaml.YAMLError as error:
-        raise InputError(f'{path}: expected YAML: {_problem(error)}') from error
+        raise InputError(f'{path}: expected YAML, found an error: {_problem(error)}') from error
 
 
 class _Loader(_EventLoader):
-    """Compose nodes within bounds."""
+    """Compose nodes within the limits."""
 
     def __init__(self, text: str, aliases: bool) -> None:
         super().__init__(text)
         self._aliases = aliases
         self._values = self._level = self._repeated = 0
-        #: Values below each anchor, if there is no alias among them.
+        #: Number of values of each anchor that contains no alias.
         self._sizes: dict[str, int] = {}
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
@@ -145,17 +144,19 @@ class _Loader(_EventLoader):
         return node
 
     def _check(self, event: yaml.Event, anchor: str | None) -> None:
-        line = f'line {event.start_mark.line + 1}' if event.start_mark else 'it'
+        line = f'line {event.start_mark.line + 1}' if event.start_mark else 'the file'
         if anchor is not None and not self._aliases:
             raise InputError('expected YAML without aliases (*name) and anchors (&name), '
                              f'found one in {line}')
         if isinstance(event, yaml.AliasEvent) and anchor not in self._sizes:
-            raise InputError('expected aliases (*name) of values that are complete and have no '
-                             f'aliases themselves, found another in {line}')
-        if self._values > _MOST:
-            raise InputError(f'expected YAML of at most {_MOST} values, found more in {line}')
-        if self._level == _DEEPEST:
-            raise InputError(f'expected YAML of at most {_DEEPEST} levels, found more in {line}')
+            raise InputError('expected aliases (*name) only of complete values without aliases, '
+                             f'found another alias in {line}')
+        if self._values > _MAX_VALUES:
+            raise InputError(f'expected YAML with at most {_MAX_VALUES} values, found more '
+                             f'in {line}')
+        if self._level == _MAX_LEVELS:
+            raise InputError(f'expected YAML with at most {_MAX_LEVELS} levels, found more '
+                             f'in {line}')
 
 
 def _problem(error: yaml.YAMLError) -> str:

@@ -1,0 +1,163 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+ROS 2 parameter files: YAML as rcl_yaml_param_parser reads it, which differs from PyYAML.
+
+A number is what rcl takes for one: 1e-9 is a number there and text to PyYAML. The same holds for
+Booleans, for a group of parameters that occurs twice (its entries are merged), and for names of
+nodes with wildcards and namespaces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+import difflib
+import re
+from typing import Any
+
+from rigid_body_ros.common.errors import InputError, listed, quoted, shortened
+import yaml
+
+#: What C's strtoll (base 0) and strtod accept, which rcl calls.
+_INTEGER = re.compile(r'[+-]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)')
+_FLOAT = re.compile(r'[+-]?([0-9]+(\.[0-9]*)?([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-]?[0-9]+)?'
+                    r'|\.?(inf|Inf|INF|nan|NaN|NAN))')
+_TRUE = ('y', 'Y', 'yes', 'Yes', 'YES', 'true', 'True', 'TRUE', 'on', 'On', 'ON')
+_FALSE = ('n', 'N', 'no', 'No', 'NO', 'false', 'False', 'FALSE', 'off', 'Off', 'OFF')
+#: Parameters of all nodes.
+_ANY_NODE = '**'
+#: Characters of the full name of a parameter.
+_LONGEST = 500
+
+
+def node_parameters(root: yaml.Node | None, node: str) -> dict[str, Any]:
+    """
+    Return the parameters that a parameter file has for a node, by full name.
+
+    Parameters of `/**` apply to every node, and those of the node itself override them. A file
+    without either is taken if it has parameters for one node only: a node can be renamed.
+
+    Parameters
+    ----------
+    root : yaml.Node or None
+        The root of the file, see `read_yaml`.
+    node : str
+        The name of the node, without a namespace.
+
+    Raises
+    ------
+    InputError
+        The YAML is not a parameter file, or has parameters for several nodes of this name.
+
+    """
+    sections = _sections(root, '')
+    names = {name for name, _ in sections}
+    ours = {name for name in names if name.split('/')[-1] == node}
+    if not ours and _ANY_NODE not in names:
+        ours = names
+    if len(ours) > 1 or not names:
+        found = listed(sorted(names)) if names else 'no node'
+        raise InputError(f'expected parameters for /** or for one {node}, '
+                         f'found parameters for {found}')
+    values: dict[str, Any] = {}
+    for name, section in sorted(sections, key=lambda item: item[0] != _ANY_NODE):
+        if name == _ANY_NODE or name in ours:
+            values.update(_flattened(section, ''))
+    return values
+
+
+def unknown_parameter(name: str, value: Any, known: Collection[str]) -> InputError:
+    """Return the error for an unknown parameter, with the known one that it resembles."""
+    members = [key.removeprefix(f'{name}.') for key in known if key.startswith(f'{name}.')]
+    if members:
+        return InputError(f'{name}: expected a group of {", ".join(members)}, '
+                          f'found {quoted(value)}')
+    for close in difflib.get_close_matches(name, known, 1):
+        return InputError(f'{name}: unknown key; did you mean {close}?')
+    return InputError(f'{name}: unknown key; expected one of {listed(known)}')
+
+
+def is_number(text: str) -> bool:
+    """Return whether rcl reads an unquoted text as a number."""
+    return _FLOAT.fullmatch(text) is not None
+
+
+def _sections(node: yaml.Node | None, prefix: str) -> list[tuple[str, yaml.Node]]:
+    """Return the names of the nodes in a parameter file, each with its parameters."""
+    found = []
+    for key, value in _entries(node, prefix or 'the file'):
+        if key == 'ros__parameters' and prefix:
+            found.append((prefix, value))
+        elif prefix and isinstance(value, yaml.ScalarNode):
+            raise InputError(f'{prefix}: expected /**: and ros__parameters: above the parameters '
+                             f'of a node, found {shortened(f"{key}: {value.value}", 100)}')
+        else:  # a node, or a namespace
+            found += _sections(value, f'{prefix}/{key.strip("/")}'.strip('/'))
+    return found
+
+
+def _entries(node: yaml.Node | None, where: str) -> list[tuple[str, yaml.Node]]:
+    # Pairs, not a dictionary: rcl merges the groups of a key that occurs twice.
+    if not isinstance(node, yaml.MappingNode):
+        raise InputError(f'{where}: expected keys and values (/**: ros__parameters: inertia: ...),'
+                         f' found {_kind(node)}')
+    for key, _ in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            raise InputError(f'{where}: expected names as keys, found {_kind(key)} as a key '
+                             f'in line {key.start_mark.line + 1}')
+        if len(where) + len(key.value) > _LONGEST:
+            raise InputError(f'{shortened(where, 60)}: expected full names of at most {_LONGEST} '
+                             f'characters, found {quoted(key.value)}')
+    return [(str(key.value), value) for key, value in node.value]
+
+
+def _kind(node: yaml.Node | None) -> str:
+    if isinstance(node, yaml.ScalarNode):
+        return quoted(node.value)
+    return 'nothing' if node is None else \
+        'a list' if isinstance(node, yaml.SequenceNode) else 'a group'
+
+
+def _flattened(node: yaml.Node, prefix: str) -> dict[str, Any]:
+    values = {}
+    for key, value in _entries(node, prefix.rstrip('.') or 'ros__parameters'):
+        if isinstance(value, yaml.MappingNode):
+            values.update(_flattened(value, f'{prefix}{key}.'))
+        else:
+            values[prefix + key] = _value(value)
+    return values
+
+
+def _value(node: yaml.Node) -> Any:
+    if isinstance(node, yaml.SequenceNode):
+        return [_value(item) for item in node.value]
+    text = str(node.value)
+    if isinstance(node, yaml.ScalarNode) and node.style in ('"', "'"):
+        return text
+    if text in _TRUE or text in _FALSE:
+        return text in _TRUE
+    if _INTEGER.fullmatch(text) and len(text) < 100:
+        number = _integer(text)
+        if -2 ** 63 <= number < 2 ** 63:
+            return number
+    if _FLOAT.fullmatch(text):
+        return float(text.lower().replace('.inf', 'inf').replace('.nan', 'nan'))
+    return text
+
+
+def _integer(text: str) -> int:
+    digits = text.lstrip('+-')
+    base = 16 if digits[:2] in ('0x', '0X') else 8 if digits[0] == '0' else 10
+    return int(text, base)
