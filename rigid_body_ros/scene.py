@@ -159,9 +159,9 @@ class Scene:
         return round(self.values['torque_timeout'] * 1e9)
 
     @property
-    def doubts(self) -> list[str]:
-        """Return lines for the user about what is allowed, but rarely meant."""
-        return [*_doubts(self.values, self.body)]
+    def warnings(self) -> list[str]:
+        """Return a line for each value that is allowed but probably a mistake."""
+        return [*_warnings(self.values, self.body)]
 
     @classmethod
     def from_values(cls, given: Mapping[str, Any]) -> Scene:
@@ -296,7 +296,7 @@ def _check_together(values: Mapping[str, Any]) -> None:
                          f'({values["history"]} s), found {values["max_future"]}')
 
 
-def _doubts(values: Mapping[str, Any], body: RigidBody) -> Iterator[str]:
+def _warnings(values: Mapping[str, Any], body: RigidBody) -> Iterator[str]:
     if body.triangle_excess:
         yield ('inertia: the largest principal moment exceeds the sum of the others by '
                f'{body.triangle_excess:.2g} of it, which no body has: rounded numbers?')

@@ -228,4 +228,4 @@ def test_a_signal_while_kernels_are_compiled_is_not_lost(whole, output, tmp_path
     process.send_signal(signal.SIGINT)
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + signal.SIGINT
-    assert words == 'attitude_replay: interrupted; nothing incomplete has its final name\n'
+    assert words == 'attitude_replay: interrupted; no partial output was left\n'

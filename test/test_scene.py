@@ -127,22 +127,22 @@ def test_impossible_values_are_refused_with_name_and_value(change, message):
         Scene.from_values({**INERTIA, **change})
 
 
-@pytest.mark.parametrize(('given', 'doubt'), [
+@pytest.mark.parametrize(('given', 'warning'), [
     ({'initial_angular_velocity.x': 90.0}, 'initial_angular_velocity: 90 rad/s are 14.3 turns a '
      'second: if these are degrees, multiply by pi / 180 = 0.0174533'),
     ({'initial_attitude.x': 30.0, 'initial_attitude.y': 40.0}, 'initial_attitude: expected a unit '
      'quaternion x y z w, found one of norm 50, and made it 1: are these angles?'),
     ({'inertia.izz': 3.03}, 'inertia: the largest principal moment exceeds the sum of the others '
      'by 0.01 of it, which no body has: rounded numbers?')])
-def test_what_is_rarely_meant_is_told_and_done(given, doubt):
-    assert Scene.from_values({**INERTIA, **given}).doubts == [doubt]
+def test_what_is_rarely_meant_is_told_and_done(given, warning):
+    assert Scene.from_values({**INERTIA, **given}).warnings == [warning]
 
 
 @pytest.mark.parametrize('given', [
     {}, {'initial_angular_velocity.z': 9.9},
     {'initial_attitude.x': 0.707, 'initial_attitude.w': 0.707}])  # three digits, as people write
 def test_nothing_is_said_of_an_ordinary_scene(given):
-    assert Scene.from_values({**INERTIA, **given}).doubts == []
+    assert Scene.from_values({**INERTIA, **given}).warnings == []
 
 
 def test_a_missing_moment_is_named_with_its_unit():

@@ -118,8 +118,8 @@ class AttitudeNode(Node):
         body = self._scene.body
         self.get_logger().info(
             f'{body.symmetry}, principal moments {body.principal_moments.tolist()} kg m^2')
-        for doubt in self._scene.doubts:
-            self.get_logger().warning(doubt)
+        for warning in self._scene.warnings:
+            self.get_logger().warning(warning)
 
     def _subscribe(self) -> None:
         def subscription(kind: type, topic: str, callback: Callable[..., None],
@@ -203,7 +203,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # From here on a signal does not cut a callback short.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda number, frame: stop.append(number))
-        interrupts.heed()
+        interrupts.check()
         while not stop:
             # With a timeout, to hear signals; without one the executor of events may hang.
             executor.spin_once(timeout_sec=_HEED_EVERY)
