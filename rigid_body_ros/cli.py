@@ -224,7 +224,7 @@ def _measured(options: argparse.Namespace) -> tuple[Tradeoff, str]:
     try:
         return measure(loaded.body, start, log, end_ns=end_ns, targets=options.target or [_TARGET],
                        torque_timeout=loaded.values['torque_timeout'],
-                       track=replay.bar('measuring', ' runs')), title
+                       track=replay.progress('measuring', ' runs')), title
     except ValueError as error:
         raise InputError(f'{where}: {error}') from error
 

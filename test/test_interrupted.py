@@ -60,7 +60,8 @@ class Whole(NamedTuple):
 @pytest.fixture(scope='module')
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp('whole')
-    arguments = [recorded(folder, MESSAGES / 3.6e6), '--scene', CONFIG / 'tumbler.yaml', '-o']
+    arguments = [recorded(folder, MESSAGES / 3.6e6), '--scene', CONFIG / 'tumbler.yaml',
+                 '--overwrite', '-o']
     output = folder / 'motion.mcap'
     start([*arguments, output]).communicate()  # compiles what is not yet
     process, reached = start([*arguments, output]), {}

@@ -30,7 +30,7 @@ import threading
 from typing import Any
 
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.replay.single import bar, replay
+from rigid_body_ros.replay.single import progress, replay
 from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.scene import Scene
 from tqdm import tqdm
@@ -92,7 +92,7 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
             Path(folder).mkdir(parents=True, exist_ok=True)
         with _partial_outputs_reported(Path(folder)), \
                 closing(_in_parallel([*zip(paths, outputs)], scene, options)) as outcomes:
-            done = list(bar('recordings', ' files')(outcomes, len(paths)))
+            done = list(progress('recordings', ' files')(outcomes, len(paths)))
     return sorted(done, key=lambda outcome: outputs.index(outcome.output))
 
 

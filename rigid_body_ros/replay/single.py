@@ -168,7 +168,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     with files.reading(path), files.protected('scene', scene.path):
         if output is not None:
             files.check((output, suffix_of(output)))
-        for prepare in bar('compiling kernels (first use only)')([warm_up], 1):
+        for prepare in progress('loading kernels (compiled on first use)')([warm_up], 1):
             prepare()
         with Source(path, topic, recording.TORQUES, time_source, start) as source:
             if INPUT in also:
@@ -198,7 +198,7 @@ def read(path: str | Path, scene: Scene, topic: str | None = None,
         The recording cannot be read or does not fit the scene.
 
     """
-    recorded = recording.read(path, topic, track=bar('reading', size=len))
+    recorded = recording.read(path, topic, track=progress('reading', size=len))
     log = recording.torque_log(path, recorded, scene.values['body_frame'],
                                scene.values['space_frame'],
                                interpolation or scene.values['interpolation'])
@@ -206,7 +206,7 @@ def read(path: str | Path, scene: Scene, topic: str | None = None,
     return recorded, log, start
 
 
-def bar(label: str, unit: str = ' stamps',
+def progress(label: str, unit: str = ' stamps',
         size: Callable[[Any], int] = lambda item: 1) -> recording.Track:
     """Return a function that shows the progress of an iteration, if stderr is a terminal."""
     def track(items: Iterable[Any], total: int) -> Iterator[Any]:
@@ -252,7 +252,7 @@ def _pieces(request: Request, source: Source, result: Replay) -> Iterator[Piece]
     """Return the log piece by piece."""
     def counted() -> Iterator[Messages]:
         last: list[int] = []
-        for block in bar('replaying', size=len)(source, source.count):
+        for block in progress('replaying', size=len)(source, source.count):
             result.messages += len(block)
             result.unordered += int(np.sum(np.diff(block.stamps_ns, prepend=last) <= 0))
             last = [int(block.stamps_ns[-1])]
@@ -264,8 +264,8 @@ def _pieces(request: Request, source: Source, result: Replay) -> Iterator[Piece]
 
 def _whole(request: Request, source: Source, result: Replay) -> Iterator[Piece]:
     """Return the log as one piece."""
-    recorded = recording.joined(source.topic, source.kind,
-                                [*bar('reading', size=len)(source, source.count)], source.damage)
+    blocks = [*progress('reading', size=len)(source, source.count)]
+    recorded = recording.joined(source.topic, source.kind, blocks, source.damage)
     values = request.scene.values
     log = recording.torque_log(request.path, recorded, values['body_frame'], values['space_frame'])
     result.messages, result.logs = len(recorded), len(recording.new_logs(recorded)) + 1
