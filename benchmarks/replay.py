@@ -76,7 +76,7 @@ def torques(rows, random):
 
 def ours(path, output):
     """Replay with the command; return seconds and peak memory, bytes."""
-    seconds, memory, _ = run(*OURS, path, '--scene', SCENE, '-o', output)
+    seconds, memory, _ = run(*OURS, path, '--scene', SCENE, '-o', output, '--overwrite')
     return seconds, memory
 
 

@@ -167,7 +167,7 @@ positive definite, no principal moment greater than the sum of the other two.
 ## attitude_replay
 
 ```
-attitude_replay INPUT [INPUT ...] --scene FILE (-o OUTPUT | --verify MOTION)
+attitude_replay INPUT [INPUT ...] --scene FILE [-o OUTPUT | --verify MOTION] [--plot PNG]
 ```
 
 {replay}
@@ -182,7 +182,7 @@ attitude_tradeoff --scene FILE
 
 {tradeoff}
 
-[What does an error cost?](tradeoff.md) tells what it finds, and how.
+[What does an error cost?](tradeoff.md) explains the results and how they are measured.
 
 ## Exit status
 
@@ -228,6 +228,8 @@ def options(parser):
 def argument(action):
     """Return the names of an argument, and what it takes."""
     names = ', '.join(f'`{name}`' for name in action.option_strings)
+    if action.nargs == 0:
+        return names
     takes = action.metavar or '|'.join(action.choices or ()) or action.dest.upper()
     more = ' ...' if action.nargs == argparse.ONE_OR_MORE else ''
     return f'{names} `{takes}`{more}'.strip()

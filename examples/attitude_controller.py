@@ -16,17 +16,18 @@
 """
 A quaternion-feedback controller (PD) for a node in lockstep: a closed loop over DDS.
 
-It answers every state of `odometry` with a torque at the state's stamp, and says its torque again
-where no answer comes. So the loop runs as fast as both can, loses nothing, and gives the same
-numbers every time.
+The controller replies to every state on `odometry` with a torque at the stamp of the state, and
+repeats the torque if no new state arrives. The loop runs as fast as both nodes can, loses nothing,
+and gives the same numbers every time.
 
     attitude_node --ros-args --params-file config/tumbler.yaml -p mode:=lockstep -p step:=0.01
     python attitude_controller.py --ros-args -p stop_after:=60.0
 
-or both by `ros2 launch rigid_body_ros closed_loop.launch.py`.
+or start both with `ros2 launch rigid_body_ros closed_loop.launch.py`.
 
-The law is Wie and Barba's ("Quaternion feedback for spacecraft large angle maneuvers", 1985): it
-turns the short way, because q and -q are one attitude and the sign is taken from the scalar part.
+The control law is that of Wie and Barba ("Quaternion feedback for spacecraft large angle
+maneuvers", 1985). It turns the short way round: q and -q are the same attitude, and the law takes
+the sign from the scalar part.
 """
 
 from __future__ import annotations
@@ -42,9 +43,9 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.time import Time
 
-#: s; how long to wait for an answer before the torque is said again.
+#: s; how long to wait for a state before the torque is sent again.
 _PATIENCE = 0.2
-#: What counts as settled: rad and rad/s.
+#: Largest attitude error (rad) and rate (rad/s) of a settled body.
 _SETTLED = 1e-3
 
 
@@ -58,13 +59,13 @@ class AttitudeController(Node):
         self._target = [self.declare_parameter(f'target.{name}', default).value
                         for name, default in zip('xyzw', (0.0, 0.0, 0.0, 1.0))]
         self._stop_after = self.declare_parameter('stop_after', math.inf).value
-        self._answer = WrenchStamped()
-        self._start_ns = self._heard_at = None
+        self._command = WrenchStamped()
+        self._start_ns = self._sent_at = None
         self._began, self._settled = time.monotonic(), False
         self.done = False
         self._torque = self.create_publisher(WrenchStamped, 'torque', 10)
         self.create_subscription(Odometry, 'odometry', self._on_state, 10)
-        self.create_timer(_PATIENCE, self._remind, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(_PATIENCE, self._resend, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _on_state(self, state):
         stamp_ns = Time.from_msg(state.header.stamp).nanoseconds
@@ -77,23 +78,23 @@ class AttitudeController(Node):
             self.done = True
             return
         self._report(elapsed, error, rates)
-        self._answer.header.stamp = state.header.stamp
-        self._answer.header.frame_id = state.child_frame_id
-        torque = self._answer.wrench.torque
+        self._command.header.stamp = state.header.stamp
+        self._command.header.frame_id = state.child_frame_id
+        torque = self._command.wrench.torque
         proportional, derivative = self._gains
         towards = -math.copysign(2.0 * proportional, error[3])
         torque.x = towards * error[0] - derivative * rates.x
         torque.y = towards * error[1] - derivative * rates.y
         torque.z = towards * error[2] - derivative * rates.z
-        self._say()
+        self._send()
 
-    def _say(self):
-        self._torque.publish(self._answer)
-        self._heard_at = time.monotonic()
+    def _send(self):
+        self._torque.publish(self._command)
+        self._sent_at = time.monotonic()
 
-    def _remind(self):
-        if self._heard_at is not None and time.monotonic() - self._heard_at > _PATIENCE:
-            self._say()
+    def _resend(self):
+        if self._sent_at is not None and time.monotonic() - self._sent_at > _PATIENCE:
+            self._send()
 
     def _report(self, elapsed, error, rates):
         angle = 2.0 * math.asin(min(1.0, math.hypot(*error[:3])))

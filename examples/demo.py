@@ -28,7 +28,7 @@ from tqdm import tqdm
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG, RECORDINGS, OUTPUT = ROOT / 'config', ROOT / 'test' / 'recordings', ROOT / 'demo'
-#: Simulated seconds a second.
+#: Simulated seconds per second of wall time.
 SPEED = 6.0
 
 
@@ -41,14 +41,15 @@ def main() -> int:
     print(f'\n2. A tumbling CubeSat, live: torques over DDS at {SPEED:g} times real time\n',
           flush=True)
     run_live()
-    print('\n3. The same torques again, offline, from what the node accepted\n', flush=True)
+    print('\n3. The torques that the node accepted, replayed offline\n', flush=True)
     replay(OUTPUT / 'live.mcap', OUTPUT / 'live.yaml', OUTPUT / 'replay.mcap', '--topic', ACCEPTED)
     return compare_with_live()
 
 
 def replay(recording_path, scene, output, *arguments):
     """Run attitude_replay as from the command line."""
-    paths = [recording_path, '--scene', scene, '-o', output, '--plot', output.with_suffix('.png')]
+    paths = [recording_path, '--scene', scene, '-o', output, '--plot', output.with_suffix('.png'),
+             '--overwrite']
     status = cli.attitude_replay([*(os.path.relpath(path) if isinstance(path, Path) else path
                                     for path in paths), *arguments])
     if status:
@@ -56,18 +57,18 @@ def replay(recording_path, scene, output, *arguments):
 
 
 def compare_with_nasa():
-    """Print how far the replay is from the states that NASA's JEOD logged."""
+    """Print the difference between the replay and the states logged by NASA's JEOD."""
     ours = recording.read(OUTPUT / 'iss.mcap', '/attitude', messages.QUATERNION)
     logged = recording.read(RECORDINGS / 'iss.mcap', '/truth/attitude', messages.QUATERNION)
     rows = np.searchsorted(ours.stamps_ns, logged.stamps_ns)
     apart = so3.angle_between(ours.values[rows], logged.values)
-    print('\nNASA JEOD RUN_9B logged        the replay is off by')
+    print('\nNASA JEOD RUN_9B, logged at    attitude error of the replay')
     for stamp_ns, angle in zip(logged.stamps_ns - logged.stamps_ns[0], apart):
         print(f'{stamp_ns * 1e-9:12.0f} s               {angle:10.1e} rad')
 
 
 def run_live():
-    """Stream the lively recording into the node, and record what comes back."""
+    """Stream the recording into the node and record its outputs."""
     source = recording.read(RECORDINGS / 'tumbler.mcap')
     start_ns, end_ns = source.stamps_ns[[0, -1]].tolist()
     domain = 1 + os.getpid() % 100
@@ -92,13 +93,13 @@ def run_live():
         live.dump_parameters(OUTPUT / 'live.yaml')
         status = live.stop()
         live.write(OUTPUT / 'live.mcap')
-        print(f'attitude_node ended with status {status}; of {row} torques it accepted '
-              f'{len(live.received[ACCEPTED])}, and it published {len(live.received[COMMITTED])} '
-              'committed states')
+        print(f'attitude_node exited with status {status}; it accepted '
+              f'{len(live.received[ACCEPTED])} of {row} torques and published '
+              f'{len(live.received[COMMITTED])} committed states')
 
 
 def compare_with_live():
-    """Print whether replay and committed states have the same bits at every torque."""
+    """Print at how many torques the replay and the committed states are equal bit for bit."""
     source = recording.read(RECORDINGS / 'tumbler.mcap')
     committed = recording.read(OUTPUT / 'live.mcap', COMMITTED, messages.ODOMETRY)
     attitude = recording.read(OUTPUT / 'replay.mcap', '/attitude', messages.QUATERNION)
@@ -108,7 +109,7 @@ def compare_with_live():
     same = np.all(attitude.values[rows] == states[:, messages.ORIENTATION], axis=1)
     same &= np.all(rates.values[rows] == states[:, messages.ANGULAR_VELOCITY], axis=1)
     print(f'\nLive and replay agree bit for bit at {same.sum()} of {same.size} stamps.')
-    print(f'Look at {os.path.relpath(OUTPUT)}: recordings (.mcap) and pictures (.png).')
+    print(f'The recordings (.mcap) and plots (.png) are in {os.path.relpath(OUTPUT)}.')
     return 0 if same.all() and same.size == len(source.stamps_ns) else 1
 
 

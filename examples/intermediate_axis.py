@@ -13,15 +13,15 @@
 # limitations under the License.
 
 """
-The Dzhanibekov effect: a wing nut that spins about its intermediate axis flips again and again.
+The Dzhanibekov effect: a wing nut that spins about its intermediate axis flips periodically.
 
-Draws the angular velocity, and the angle from the intermediate axis to the angular momentum, into
-intermediate_axis.png or a file of your choice. Prints the time between flips, from the motion and
-from the textbook (Landau and Lifshitz, Mechanics, section 37). Needs scipy for the latter.
+Plots the angular velocity, and the angle from the intermediate axis to the angular momentum, to
+intermediate_axis.png or another file. Prints the time between flips, from the motion and from the
+textbook formula (Landau and Lifshitz, Mechanics, section 37), which needs scipy.
 
     python examples/intermediate_axis.py [PNG]
 
-The very first run takes some seconds more: it compiles the package's kernels.
+The first run takes longer because it compiles the kernels of the package.
 """
 
 import argparse
@@ -37,7 +37,7 @@ TIMES_NS = np.arange(2001) * 10 ** 7
 
 
 def wing_nut():
-    """Return six masses in a ring, and two wings above it: it spins about its thread, z; kg, m."""
+    """Return six masses in a ring and two wings above it (kg, m); the thread is the z axis."""
     around = np.arange(6) * np.pi / 3.0
     ring = 0.005 * np.stack([np.cos(around), np.sin(around), np.zeros(6)], axis=1)
     wings = [(0.015, 0.0, 0.008), (-0.015, 0.0, 0.008)]
@@ -46,14 +46,14 @@ def wing_nut():
 
 def flip_times(start, motion):
     """
-    Return when the rate about the intermediate axis changes its sign, s, shape (n,).
+    Return the times when the rate about the intermediate axis changes sign, s, shape (n,).
 
     Parameters
     ----------
     start : State
-        Of the motion, at time 0: near each flip it is worked out again.
+        Initial state, at time 0; the motion near each flip is computed again from it.
     motion : Trajectory
-        From that start on, with samples close enough that none misses a flip.
+        Motion from that state on, sampled densely enough to show every flip.
 
     """
     body, middle = motion.body, motion.body.principal_axes[:, 1]
@@ -78,27 +78,27 @@ def textbook_time(moments, rates):
         About the axes of those moments.
 
     """
-    def beyond(moment):  # L^2 - 2 E moment, in a form in which nothing cancels
+    def excess(moment):  # L^2 - 2 E moment, in a form without cancellation
         return np.sum(moments * (moments - moment) * np.square(rates))
 
     low, middle, high = moments
-    if beyond(middle) < 0.0:  # L goes round the axis of the smallest moment
+    if excess(middle) < 0.0:  # the motion circles the axis of the smallest moment
         low, high = high, low
-    speed = np.sqrt((high - middle) * beyond(low) / (low * middle * high))
-    complement = (high - low) * beyond(middle) / ((high - middle) * beyond(low))  # 1 - k^2
+    speed = np.sqrt((high - middle) * excess(low) / (low * middle * high))
+    complement = (high - low) * excess(middle) / ((high - middle) * excess(low))  # 1 - k^2
     return 2.0 * ellipkm1(complement) / speed
 
 
 def draw(path, motion, flips):
     """
-    Draw rates and angle over time into a PNG file.
+    Plot the rates and the angle over time to a PNG file.
 
     Parameters
     ----------
     path : str
-        Written over if it is there.
+        An existing file is overwritten.
     motion : Trajectory
-        From time 0 on.
+        Motion from time 0 on.
     flips : array, shape (n,), s
         Two or more: the time between the first two is marked.
 
@@ -132,9 +132,9 @@ def draw(path, motion, flips):
 
 
 def main():
-    parser = argparse.ArgumentParser(description='Draw a wing nut that flips.')
+    parser = argparse.ArgumentParser(description='Plot the motion of a wing nut that flips.')
     parser.add_argument('picture', metavar='PNG', nargs='?', default='intermediate_axis.png',
-                        help='file to draw into (default: %(default)s)')
+                        help='file to write (default: %(default)s)')
     path = parser.parse_args().picture
 
     nut = wing_nut()
@@ -145,14 +145,14 @@ def main():
 
     print('principal moments   ', *(f'{moment:.6g}' for moment in nut.principal_moments), 'kg m^2')
     print('flips at            ', *(f'{flip:.3f}' for flip in flips), 's')
-    print('between them        ', f'{found:.15g} s')
+    print('time between flips  ', f'{found:.15g} s')
     print('textbook            ', f'{textbook:.15g} s')
-    print('they agree within   ', f'{abs(found / textbook - 1.0):.1g} of it')
+    print('relative difference ', f'{abs(found / textbook - 1.0):.1g}')
     try:
         draw(path, motion, flips)
     except OSError as error:
         parser.error(f'{path}: cannot write: {error.strerror}')
-    print('drawn into          ', path)
+    print('wrote               ', path)
 
 
 if __name__ == '__main__':

@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-A live run over DDS: a node process, a publisher of torques, and a recorder of what comes back.
+A live run over DDS: a node process, a publisher of torques, and a recorder of the outputs.
 
-No packet leaves the machine, and no other domain of it is disturbed.
+No packet leaves the machine, and other ROS domains are not disturbed.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ NODE = 'attitude_node'
 ACCEPTED, COMMITTED, ATTITUDE = f'/{NODE}/accepted_torque', f'/{NODE}/committed', '/attitude'
 _KINDS = {ACCEPTED: messages.WRENCH, COMMITTED: messages.ODOMETRY, ATTITUDE: messages.QUATERNION}
 DIAGNOSTICS = '/diagnostics'
-#: Lose no torque on a busy machine; the node's default is to hear any publisher, best effort.
+#: Lose no torque on a busy machine; by default the node subscribes best effort.
 RELIABLE = ('-p', 'qos_overrides./torque.subscription.reliability:=reliable')
-#: What keeps packets on the machine, as Humble calls it and as later ones do.
+#: Keeps packets on the machine, for Humble and for later releases.
 _LOCAL = {'ROS_LOCALHOST_ONLY': '1'} if os.environ.get('ROS_DISTRO') == 'humble' else \
     {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 #: The first start on a machine compiles the kernels.
@@ -56,29 +56,29 @@ _PATIENCE_S = 300.0
 
 class LiveSession:
     """
-    Run `attitude_node` on a scene, as a context manager that waits until all are connected.
+    Run `attitude_node` on a scene; entering the context waits until everything is connected.
 
     Parameters
     ----------
     scene : path
-        Parameter file of the node.
+        Parameter file for the node.
     domain : int
         ROS_DOMAIN_ID.
     arguments : str
-        More of the node's arguments, such as '-p', 'use_sim_time:=true'.
+        Further arguments of the node, such as '-p', 'use_sim_time:=true'.
 
     Attributes
     ----------
     received : dict
-        Messages in CDR by topic, in order of arrival.
+        Serialized messages (CDR) by topic, in order of arrival.
     diagnostics : list
-        DiagnosticArray messages.
+        DiagnosticArray messages, in order of arrival.
     process : Popen
-        The node.
+        The process of the node.
     command, environment : list of str, dict
-        How the node was started.
+        Command line and environment of the node.
     node : rclpy.node.Node
-        The recorder, for what else is to be heard or said.
+        The recorder, for further subscriptions and publishers.
 
     """
 
@@ -89,13 +89,13 @@ class LiveSession:
                         'import sys; from rigid_body_ros.cli import attitude_node; '
                         'sys.exit(attitude_node())',
                         '--ros-args', '--params-file', str(scene), *arguments]
-        # Then nothing comes before the first message of /clock, or the first torque.
+        # With these, the node publishes nothing before the first /clock message or torque.
         self._waits = {'use_sim_time:=true', 'mode:=lockstep'} & {*arguments}
         self.received = {topic: [] for topic in _KINDS}
         self.diagnostics = []
 
     def __enter__(self):
-        # A pipe that nobody empties stops the node once it has said 64 KiB.
+        # A pipe that is not read blocks the node after 64 KiB.
         self._stderr = tempfile.TemporaryFile()
         self.process = subprocess.Popen(self.command, env=self.environment, stderr=self._stderr)
         os.environ.update(_LOCAL)
@@ -106,7 +106,7 @@ class LiveSession:
         self._executor.add_node(self.node)
         try:
             self._connect()
-        except BaseException as error:  # what is left would disturb the next session
+        except BaseException as error:  # leftovers would disturb the next session
             self.__exit__(type(error), error, None)
             raise
         return self
@@ -143,11 +143,11 @@ class LiveSession:
         self._torque.publish(messages.wrench(time_ns, frame_id, torque))
 
     def publish_bytes(self, data):
-        """Publish a WrenchStamped in CDR as it is."""
+        """Publish a serialized WrenchStamped (CDR)."""
         self._torque.publish(data)
 
     def listen(self, topic, callback):
-        """Hand the bytes of every WrenchStamped of a topic to a callback."""
+        """Pass every serialized WrenchStamped of a topic to a callback."""
         self.node.create_subscription(WrenchStamped, topic, callback, 1000, raw=True)
 
     def set_state(self, state):
@@ -159,8 +159,8 @@ class LiveSession:
         return self._result(self._reset.call_async(Trigger.Request()))
 
     def diagnosis(self, name):
-        """Return the values of the newest status of a name, its level and its message."""
-        self.wait_until(lambda: self.diagnostics, 'a diagnosis')
+        """Return the values, level and message of the latest status with a name."""
+        self.wait_until(lambda: self.diagnostics, 'diagnostics')
         status = next(status for array in reversed(self.diagnostics) for status in array.status
                       if status.name == f'{NODE}: {name}')
         values = {pair.key: int(pair.value) for pair in status.values}
@@ -177,26 +177,26 @@ class LiveSession:
         self._clock.publish(clock)
 
     def now_ns(self):
-        """Return the wall time."""
+        """Return the wall time, ns."""
         return self.node.get_clock().now().nanoseconds
 
     def spin(self, seconds):
-        """Receive for so long."""
+        """Receive messages for this time, s."""
         until = time.monotonic() + seconds
         while (rest := until - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=rest)
 
     def wait_until(self, condition, what):
-        """Receive until something holds."""
+        """Receive messages until a condition holds."""
         until = time.monotonic() + _PATIENCE_S
         while not condition():
             if self.process.poll() not in (None, 0) or time.monotonic() > until:
-                raise RuntimeError(f'waited in vain for {what}; the node said:\n'
+                raise RuntimeError(f'expected {what}, which did not happen; log of the node:\n'
                                    f'{self.words()}')
             self.spin(0.05)
 
     def call(self, kind, name, **fields):
-        """Call a service of the node's own and return its response."""
+        """Call a private service of the node and return its response."""
         client = self.node.create_client(kind, f'/{NODE}/{name}')
         try:
             client.wait_for_service(_PATIENCE_S)
@@ -205,7 +205,7 @@ class LiveSession:
             self.node.destroy_client(client)
 
     def dump_parameters(self, path):
-        """Write the node's parameters as `ros2 param dump` does."""
+        """Write the parameters of the node as `ros2 param dump` does."""
         names = self.call(ListParameters, 'list_parameters').result.names
         values = self.call(GetParameters, 'get_parameters', names=names).values
         tree = {}
@@ -218,7 +218,7 @@ class LiveSession:
         Path(path).write_text(yaml.dump({f'/{NODE}': {'ros__parameters': tree}}))
 
     def stop(self, number=signal.SIGINT):
-        """End the node by a signal, receive its last words, return its exit status."""
+        """Stop the node with a signal, receive its last messages, return its exit status."""
         self.process.send_signal(number)
         self.wait_until(lambda: self.process.poll() is not None, 'the node to end')
         count = -1
@@ -227,20 +227,20 @@ class LiveSession:
         return self.process.returncode
 
     def end(self):
-        """End the node by SIGINT, receive its last words, and return those of its log."""
+        """Stop the node with SIGINT, receive its last messages, return its log."""
         self.process.send_signal(signal.SIGINT)
         self.process.wait(timeout=_PATIENCE_S)
         self.spin(0.5)
         return self.words()
 
     def words(self):
-        """Return what the node wrote to stderr so far."""
-        # It writes where this file stands: read without moving that.
+        """Return the stderr output of the node so far."""
+        # The node writes at the shared file position; pread does not move it.
         descriptor = self._stderr.fileno()
         return os.pread(descriptor, os.fstat(descriptor).st_size, 0).decode()
 
     def write(self, path):
-        """Write what was received as a recording."""
+        """Write the received messages to a recording."""
         with recording.Writer(path) as writer:
             for topic, kind in _KINDS.items():
                 writer.add_topic(topic, kind)

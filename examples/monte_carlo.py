@@ -13,15 +13,15 @@
 # limitations under the License.
 
 """
-What becomes of an attitude where the moments of inertia are known to 5 % only.
+Uncertainty of the final attitude if the moments of inertia are known only to 5 %.
 
-A thousand bodies are drawn, and each is put under the same recorded torques from the same start.
-It prints how far from the nominal body's they end. But for the times taken, the numbers are the
-same in every run.
+Draws a thousand bodies and propagates each from the same start under the same recorded torques.
+Prints how far their final attitudes are from that of the nominal body. Except for the wall times,
+the numbers are the same in every run.
 
     python examples/monte_carlo.py
 
-The very first run takes some seconds more: it compiles the package's kernels.
+The first run takes longer because it compiles the kernels of the package.
 """
 
 from pathlib import Path
@@ -36,13 +36,13 @@ BODIES, SPREAD = 1000, 0.05
 
 def draw(nominal):
     """
-    Return bodies with other principal moments about the same principal axes.
+    Return bodies with random principal moments and the same principal axes.
 
     Parameters
     ----------
     nominal : RigidBody
-        Whose largest moment is less than the sum of the others by more than the spread makes up
-        for: otherwise RigidBody refuses what no distribution of mass can have.
+        Its largest moment must be so much smaller than the sum of the others that every body
+        drawn is physical; RigidBody rejects others.
 
     """
     factors = np.random.default_rng(1).uniform(1.0 - SPREAD, 1.0 + SPREAD, (BODIES, 3))
@@ -54,7 +54,7 @@ def main():
     cubesat = scene.load(ROOT / 'config' / 'tumbler.yaml')
     _, log, start = replay.read(ROOT / 'test' / 'recordings' / 'tumbler.mcap', cubesat)
     end_ns = log.times_ns[-1:]
-    # The first run compiles the kernels, and is not among those that are timed.
+    # The first run compiles the kernels; it is not timed.
     nominal = propagate(cubesat.body, start, log, at=end_ns, **cubesat.options).attitude[0]
 
     began = time.perf_counter()

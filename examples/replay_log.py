@@ -13,14 +13,14 @@
 # limitations under the License.
 
 """
-A recording of torques replayed by the library: what `attitude_replay` does, in your own program.
+Replay a recording of torques in your own program, as `attitude_replay` does.
 
-Reads a CubeSat's tumble that comes with the package, or a recording and a scene of yours (MCAP,
-rosbag2 or CSV; see docs/recordings.md).
+Reads the recording of a tumbling CubeSat that comes with the package, or your own recording (MCAP,
+rosbag2 or CSV; see docs/recordings.md) and scene.
 
     python examples/replay_log.py [RECORDING] [--scene FILE]
 
-The very first run takes some seconds more: it compiles the package's kernels.
+The first run takes longer because it compiles the kernels of the package.
 """
 
 import argparse
@@ -35,9 +35,10 @@ def main():
     parser = argparse.ArgumentParser(description='Replay a recording of torques.')
     parser.add_argument('recording', metavar='RECORDING', nargs='?',
                         default=ROOT / 'test' / 'recordings' / 'tumbler.mcap',
-                        help='of torques (default: %(default)s)')
+                        help='recording of torques (default: %(default)s)')
     parser.add_argument('--scene', metavar='FILE', default=ROOT / 'config' / 'tumbler.yaml',
-                        help='inertia and start, a ROS 2 parameter file (default: %(default)s)')
+                        help='ROS 2 parameter file with the inertia and the initial state '
+                        '(default: %(default)s)')
     options = parser.parse_args()
     try:
         result = replay.replay(options.recording, scene.load(options.scene))
@@ -51,10 +52,10 @@ def main():
     print('motion              ', f'{seconds:.9g} s')
     print('final attitude      ', *result.last.attitude, '(x y z w)')
     print('final angles        ', *angles, f'rad ({sequence})')
-    print('between samples     ', result.interpolation)
-    for reading, apart in result.readings.items():
-        print(f'  or {reading:15}', 'would spin up beyond all bounds' if apart is None
-              else f'would end {apart:.2g} rad away')
+    print('interpolation       ', result.interpolation)
+    for name, angle in result.interpolation_differences.items():
+        print(f'  or {name:15}', 'would spin the body too fast' if angle is None
+              else f'would end {angle:.2g} rad away')
 
 
 if __name__ == '__main__':

@@ -13,16 +13,16 @@
 # limitations under the License.
 
 """
-A top that wobbles without torque: its axis goes round the angular momentum at a steady rate.
+A torque-free top that wobbles: its axis precesses about the angular momentum at a constant rate.
 
-For a symmetric top textbooks have that rate as |L| / I_t, where I_t is the moment of inertia
-across the axis (Landau and Lifshitz, Mechanics, section 33). Here it is read off the motion and
-held against the formula. The package turns bodies about their centre of mass, where gravity has
-no arm: think of a top thrown into the air.
+For a symmetric top the rate is |L| / I_t, where I_t is the transverse moment of inertia (Landau
+and Lifshitz, Mechanics, section 33). The example compares this formula with the rate of the
+computed motion. Gravity exerts no torque about the centre of mass: think of a top thrown into the
+air.
 
     python examples/spinning_top.py
 
-The very first run takes some seconds more: it compiles the package's kernels.
+The first run takes longer because it compiles the kernels of the package.
 """
 
 import numpy as np
@@ -30,13 +30,13 @@ from rigid_body_ros import propagate, RigidBody, so3, State
 
 #: Body axes.
 AXIS, ACROSS = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)
-#: rad/s: a wobble across the axis, and the spin about it.
+#: rad/s; transverse rate and spin.
 RATES = (10.0, 0.0, 40.0)
 SECONDS = 10
 
 
 def child_top():
-    """Return twelve masses in a ring, and a stem of four through its middle; kg and m."""
+    """Return twelve masses in a ring and a stem of four masses through its centre (kg, m)."""
     around = np.arange(12) * np.pi / 6.0
     ring = 0.03 * np.stack([np.cos(around), np.sin(around), np.zeros(12)], axis=1)
     stem = [(0.0, 0.0, height) for height in (-0.02, 0.0, 0.02, 0.04)]
@@ -45,14 +45,14 @@ def child_top():
 
 def azimuth(axis, momentum):
     """
-    Return the angle that the axis has gone round the angular momentum, rad, shape (m,).
+    Return the azimuth of the axis about the angular momentum, rad, shape (m,).
 
     Parameters
     ----------
     axis : array, shape (m, 3), space axes
-        Going on by less than half a turn at a time; at first not along the momentum.
+        Less than half a turn between rows; the first row is not parallel to the momentum.
     momentum : array, shape (3,), space axes
-        Of any length but zero: only its direction counts.
+        Not zero; only its direction matters.
 
     """
     along = momentum / np.linalg.norm(momentum)
@@ -63,7 +63,7 @@ def azimuth(axis, momentum):
 
 def main():
     top = child_top()
-    # Often enough for `azimuth` to count the turns.
+    # Densely enough for `azimuth` to count the turns.
     times_ns = np.linspace(0, SECONDS * 10 ** 9, 1000 * SECONDS + 1).astype(np.int64)
     motion = propagate(top, State(angular_velocity=RATES), at=times_ns)
 
@@ -77,7 +77,7 @@ def main():
     print('axis to momentum    ', f'{np.degrees(np.arccos(axis[0] @ momentum / size)):.3f} deg')
     print('precession, motion  ', f'{found:.15g} rad/s')
     print('precession, |L|/I_t ', f'{textbook:.15g} rad/s')
-    print('they agree within   ', f'{abs(found / textbook - 1.0):.1g} of it')
+    print('relative difference ', f'{abs(found / textbook - 1.0):.1g}')
 
 
 if __name__ == '__main__':

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The commands: arguments in, exit status out."""
+"""The commands: parse the arguments, do the work, return the exit status."""
 
 from __future__ import annotations
 
@@ -33,10 +33,12 @@ if TYPE_CHECKING:
 
 #: Exit statuses; docs/nodes.md has their meaning.
 OK, DIFFERENT, USER_ERROR = 0, 1, 2
-#: What a shell adds to the number of a signal that ended a command.
+#: A command that a signal ended exits with this plus the number of the signal.
 SIGNALLED = 128
-#: The number of SIGPIPE, which ends other commands when the reader of their output is gone.
+#: The number of SIGPIPE, which ends other programs when the reader of their output exits.
 _BROKEN_PIPE = 13
+#: rad; the default of --target.
+_TARGET = 1e-6
 
 
 def attitude_replay(arguments: Sequence[str] | None = None) -> int:
@@ -65,8 +67,8 @@ def _parsed(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespa
 
 def _guarded(name: str, command: Callable[[], int], arguments: Sequence[str] | None) -> int:
     try:
-        # Without arguments from elsewhere they are those of the process, which ends with this.
-        with interrupts.listening(to_the_end=arguments is None):
+        # Without explicit arguments this is the command of the process, which exits afterwards.
+        with interrupts.deferred(until_exit=arguments is None):
             return _flushed(command)
     except InputError as error:
         _report(f'{name}: error: {error}')
@@ -75,51 +77,52 @@ def _guarded(name: str, command: Callable[[], int], arguments: Sequence[str] | N
         package = str(error.name).split('.')[0]
         if package == __package__:
             raise
-        _report(f'{name}: error: there is no Python module {package!r}, which this needs: '
-                f'python3 -m pip install {package}')
+        _report(f'{name}: error: Python module {package!r} is not installed; '
+                f'run python3 -m pip install {package}')
         return USER_ERROR
     except BrokenPipeError:
-        sys.stdout = None  # or Python tries again at its end
+        sys.stdout = None  # otherwise Python flushes it again at exit
         return SIGNALLED + _BROKEN_PIPE
     except KeyboardInterrupt as interrupt:
-        told: list[Any] = [*interrupt.args] or [signal.SIGINT]  # without: Python's own handler
-        number, *kept = told
-        _report(f'{name}: interrupted; nothing incomplete has its final name{"".join(kept)}')
+        details: list[Any] = [*interrupt.args] or [signal.SIGINT]  # Python's handler gives none
+        number, *kept = details
+        _report(f'{name}: interrupted{"".join(kept) or "; no partial output was left"}')
         return SIGNALLED + int(number)
 
 
 def _flushed(command: Callable[[], int]) -> int:
     try:
         return command()
-    except SystemExit:  # after --help, whose text is still to be written
+    except SystemExit:  # after --help, whose text may still be in the buffer
         if sys.stdout is not None:
             _print('', end='')
         raise
 
 
 def _report(text: str) -> None:
-    """Print a line of bounded length to standard error, if it can be written."""
+    """Print one line of bounded length to standard error, if that is writable."""
     if sys.stderr is None:
         return
     try:
         print(shortened(text), file=sys.stderr, flush=True)
     except OSError:
-        sys.stderr = None  # or Python tries again at its end
+        sys.stderr = None  # otherwise Python flushes it again at exit
 
 
 def _node(arguments: Sequence[str] | None) -> int:
     try:
         from rigid_body_ros import node
     except ModuleNotFoundError as error:
-        raise InputError(f"attitude_node needs ROS 2, and there is no module '{error.name}': "
-                         'source a ROS 2 installation, or pip install "rigid_body_ros[ros]"') \
-            from error
+        raise InputError(f"attitude_node needs ROS 2, but the module '{error.name}' is not "
+                         'installed: source a ROS 2 installation, or run '
+                         'pip install "rigid_body_ros[ros]"') from error
     node.main(arguments)
     return OK
 
 
 def _replay(options: argparse.Namespace) -> int:
-    with files.reading(*options.input), files.protected('scene', options.scene):
+    with files.reading(*options.input), files.protected('scene', options.scene), \
+            files.overwriting(options.overwrite):
         if options.verify:
             return _verify(options)
         return _replay_many(options) if len(options.input) > 1 else _replay_one(options)
@@ -129,15 +132,18 @@ def _replay_one(options: argparse.Namespace) -> int:
     from rigid_body_ros import replay
     from rigid_body_ros.replay.report import summary
     path, = options.input
-    files.check((options.output, replay.suffix_of(options.output)),
-                *([(options.plot, '.png')] if options.plot else []))
+    if options.also and not options.output:
+        raise InputError('--also: expected an output file or folder (-o), found none')
+    outputs = [(options.output, replay.suffix_of(options.output))] if options.output else []
+    outputs += [(options.plot, '.png')] if options.plot else []
+    files.check(*outputs)
     result = replay.replay(path, _scene(options), options.output, keep=bool(options.plot),
                            **_replay_options(options))
     if options.plot:
         with files.protected('output', options.output):
             replay.plot(options.plot, result, Path(path).name)
-    written = [options.output, *filter(None, [options.plot])]
-    _print(f'{summary(result)}\n{"wrote":14}{", ".join(written)}')
+    written = ', '.join(name for name, _ in outputs)
+    _print(summary(result) + (f'\n{"wrote":14}{written}' if written else ''))
     return OK
 
 
@@ -158,6 +164,8 @@ def _replay_many(options: argparse.Namespace) -> int:
     from rigid_body_ros.replay.many import outputs_in, replay_many, table
     if options.plot:
         raise InputError(f'--plot: expected one recording, found {len(options.input)}')
+    if not options.output:
+        raise InputError('-o: expected a folder for several recordings, found none')
     outputs_in(options.output, options.input)
     outcomes = replay_many(options.input, _scene(options), options.output,
                            **_replay_options(options))
@@ -173,10 +181,10 @@ def _verify(options: argparse.Namespace) -> int:
     from rigid_body_ros.replay.verify import summary, verify
     if len(options.input) > 1:
         raise InputError(f'--verify: expected one recording, found {len(options.input)}')
-    idle = [name for name in ('rate', 'until', 'start', 'also', 'plot') if getattr(options, name)]
-    if idle:
-        raise InputError(f'--verify: compares at the stamps of the motion, found --{idle[0]}, '
-                         'which chooses others')
+    unused = [name for name in ('rate', 'until', 'start', 'also', 'plot')
+              if getattr(options, name)]
+    if unused:
+        raise InputError(f'--verify: cannot be combined with --{unused[0]}')
     result = verify(options.input[0], _scene(options), options.verify,
                     topic=options.topic, interpolation=options.interpolation)
     _print(summary(result))
@@ -186,33 +194,37 @@ def _verify(options: argparse.Namespace) -> int:
 def _tradeoff(options: argparse.Namespace) -> int:
     from rigid_body_ros.tradeoff import report
     outputs = (options.json, '.json'), (options.plot, '.png')
-    with files.reading(options.recording), files.protected('scene', options.scene):
+    with files.reading(options.recording), files.protected('scene', options.scene), \
+            files.overwriting(options.overwrite):
         files.check(*(output for output in outputs if output[0]))
-        result = _measured(options)
+        result, title = _measured(options)
         if options.json:
-            with files.whole(options.json, '.json') as part:
-                text = json.dumps(report.figures(result), indent=1)
-                part.write_text(f'{text}\n', encoding='utf-8')
+            with files.atomic_output(options.json, '.json') as path:
+                text = json.dumps(report.as_data(result), indent=1)
+                path.write_text(f'{text}\n', encoding='utf-8')
         if options.plot:
             with files.protected('output', options.json):
-                _plot_tradeoff(options.plot, result, Path(options.recording or options.scene).name)
-    _print(report.summary(result))
+                _plot_tradeoff(options.plot, result, title)
+    _print(report.summary(result, all_rows=options.all))
     return OK
 
 
-def _measured(options: argparse.Namespace) -> Tradeoff:
+def _measured(options: argparse.Namespace) -> tuple[Tradeoff, str]:
+    """Return the result and a title that names the recording and its topic, or the scene."""
     from rigid_body_ros import replay
     from rigid_body_ros.tradeoff import measure
     loaded = _scene(options)
     log, start, end_ns, where = None, loaded.start, None, options.scene
+    title = f'{Path(options.scene).name}: no torque'
     if options.recording:
         recorded, log, start = replay.read(options.recording, loaded, options.topic)
         end_ns = replay.end_of(options.recording, int(log.times_ns[-1]), start.time_ns)
         where = f'{options.recording}: {recorded.topic}'
+        title = f'{Path(options.recording).name}: {recorded.topic}'
     try:
-        return measure(loaded.body, start, log, end_ns=end_ns, target=options.target,
+        return measure(loaded.body, start, log, end_ns=end_ns, targets=options.target or [_TARGET],
                        torque_timeout=loaded.values['torque_timeout'],
-                       track=replay.bar('measuring', ' runs'))
+                       track=replay.progress('measuring', ' runs')), title
     except ValueError as error:
         raise InputError(f'{where}: {error}') from error
 
@@ -220,27 +232,24 @@ def _measured(options: argparse.Namespace) -> Tradeoff:
 def _plot_tradeoff(path: str, result: Tradeoff, title: str) -> None:
     from rigid_body_ros.report import figures
     from rigid_body_ros.tradeoff import report
-    lines = {'rounding floor': result.floor, 'last digits': result.last_digits,
-             'target': result.target}
-    if result.reading:
-        lines[f'{result.reading.interpolation} between samples'] = result.reading.estimate
-    with files.whole(path, '.png') as part:
-        figures.work_precision(part, report.curves(result), title, lines)
+    with files.atomic_output(path, '.png') as temporary:
+        figures.work_precision(temporary, report.curves(result), title,
+                               report.reference_errors(result))
 
 
 def _print(text: str, end: str = '\n') -> None:
-    encoding = sys.stdout.encoding or 'utf-8'  # a file name need not be text
+    encoding = sys.stdout.encoding or 'utf-8'  # a file name may hold bytes that are not text
     try:
         print(text.encode(encoding, 'backslashreplace').decode(encoding), end=end, flush=True)
     except BrokenPipeError:
         raise
     except OSError as error:
-        sys.stdout = None  # or Python tries again at its end
+        sys.stdout = None  # otherwise Python flushes it again at exit
         raise InputError(f'cannot write to standard output: {error.strerror}') from error
 
 
 class _Once(argparse.Action):
-    """Store the value of an option, and refuse a second one, which would replace it."""
+    """Store the value of an option, and reject a second value."""
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
                  values: Any, option_string: str | None = None) -> None:
@@ -250,19 +259,19 @@ class _Once(argparse.Action):
         Raises
         ------
         InputError
-            The option was given before.
+            The option already has a value.
 
         """
         given = vars(namespace).setdefault('given', {})
         if self.dest in given:
-            raise InputError(f'{option_string}: expected once, found with {given[self.dest]!r} '
-                             f'and with {values!r}')
+            raise InputError(f'{option_string}: expected at most once, found '
+                             f'{given[self.dest]!r} and {values!r}')
         given[self.dest] = values
         setattr(namespace, self.dest, values)
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that takes no option twice, and raises if its help cannot be written."""
+    """An argument parser that rejects repeated options and reports a failure to print its help."""
 
     def __init__(self, prog: str, description: str) -> None:
         super().__init__(prog=prog, description=description)
@@ -270,61 +279,81 @@ class _Parser(argparse.ArgumentParser):
         self.set_defaults(command=prog)
 
     def print_help(self, file: Any = None) -> None:
-        """Print the help; unlike argparse, raise an exception if it cannot be written."""
+        """Print the help; unlike argparse, raise InputError if it cannot be written."""
         _print(self.format_help(), end='')
 
 
 def replay_parser() -> argparse.ArgumentParser:
-    """Return what reads the arguments of `attitude_replay`."""
+    """Return the argument parser of `attitude_replay`."""
     parser = _Parser(
-        prog='attitude_replay', description='Turn recorded torques into recorded motion.')
+        prog='attitude_replay',
+        description='Compute the motion of a body from recorded torques. Print a summary; write '
+        'the motion (-o) or a plot (--plot) if asked to.')
     parser.add_argument('input', metavar='INPUT', nargs='+',
-                        help='recording of torques: an MCAP file, a bag of rosbag2, or a CSV file '
-                        'of time (s), tx, ty, tz (N m), or with names and units in its first line')
-    parser.add_argument('--scene', required=True, metavar='FILE',
-                        help='ROS 2 parameter file with inertia and start, as for attitude_node')
-    target = parser.add_mutually_exclusive_group(required=True)
+                        help='recording of torques: an MCAP file, a rosbag2 bag, or a CSV file '
+                        'with the columns time (s), tx, ty, tz (N m), or with column names and '
+                        'units in its first line')
+    _add_scene(parser)
+    target = parser.add_mutually_exclusive_group()
     target.add_argument('-o', '--output', metavar='OUTPUT',
-                        help='where to write attitude, euler_angles and angular_velocity: an MCAP '
-                        'file, or, if the name does not end in .mcap, a new folder of rosbag2; '
-                        'for several recordings a folder of MCAP files')
+                        help='write attitude, euler_angles and angular_velocity to this MCAP '
+                        'file, or, if the name does not end in .mcap, to a new rosbag2 folder; '
+                        'for several recordings, a folder of MCAP files')
     target.add_argument('--verify', metavar='MOTION',
-                        help='recording of a motion to compare with, bit for bit: the states that '
-                        'a node committed, or the attitude of a replay; exit status 1 if they '
+                        help='compare with this recorded motion bit for bit: the states that a '
+                        'node committed, or the attitude of a replay; exit status 1 if they '
                         'differ')
-    parser.add_argument('--topic', help='of the torques; needed where there are several')
     parser.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
-                        help="what a torque does between its samples, instead of the scene's")
+                        help="interpolation of the torques between samples (default: the scene's)")
     parser.add_argument('--rate', type=_positive, metavar='HZ',
-                        help='of the output; otherwise at the stamps of the torques')
+                        help='output rate (default: one output at each torque stamp)')
     parser.add_argument('--start', type=_positive, default=0.0, metavar='SECONDS',
-                        help='leave out torques from before this long after the first')
+                        help='skip the first SECONDS of the recording')
     parser.add_argument('--also', nargs='+', choices=('imu', 'tf', 'markers', 'input'), default=(),
-                        help='write /imu/data, /tf or what rviz and Foxglove draw (/marker/...), '
-                        'too, or copy the messages of the input')
+                        help='with -o, also write /imu/data, /tf or markers for rviz and Foxglove '
+                        '(/marker/...), or copy the messages of the input')
     parser.add_argument('--until', '--duration', type=_positive, metavar='SECONDS',
-                        help='end, counted from the start; otherwise the last stamp')
+                        help='end SECONDS after the start (default: at the last torque stamp)')
     parser.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
-                        help='where the time of a torque is taken from (default: header)')
-    parser.add_argument('--plot', metavar='PNG', help='draw angles, rates and torque over time')
+                        help='time at which a torque takes effect: its header stamp, or when it '
+                        'was logged or published (default: header)')
+    parser.add_argument('--plot', metavar='PNG', help='plot Euler angles, quaternion, angular '
+                        'velocity and torque over time')
+    _add_overwrite(parser)
     return parser
 
 
 def tradeoff_parser() -> argparse.ArgumentParser:
-    """Return what reads the arguments of `attitude_tradeoff`."""
+    """Return the argument parser of `attitude_tradeoff`."""
     parser = _Parser(
         prog='attitude_tradeoff',
-        description='Measure what every solver costs, and how far off it is, on your own motion.')
-    parser.add_argument('--scene', required=True, metavar='FILE',
-                        help='ROS 2 parameter file with inertia and start, as for attitude_node')
+        description='Measure the cost and the error of every solver on your own motion, and '
+        'recommend a setting.')
+    _add_scene(parser)
     parser.add_argument('--recording', metavar='IN', help='recording of torques, as for '
-                        'attitude_replay; otherwise 50 turns without torque')
-    parser.add_argument('--topic', help='of the torques; needed where there are several')
-    parser.add_argument('--target', type=_angle, default=1e-6, metavar='RAD',
-                        help='attitude error that is allowed (default: 1e-6)')
-    parser.add_argument('--json', metavar='OUT', help='write all figures, with their units')
-    parser.add_argument('--plot', metavar='PNG', help='draw cost over error, a curve a solver')
+                        'attitude_replay (default: 50 turns without torque)')
+    parser.add_argument('--target', type=_angle, action='append', metavar='RAD',
+                        help='largest attitude error of the solver that is allowed anywhere in '
+                        'the recording; the error of the interpolation between torque samples is '
+                        f'reported separately; may be repeated (default: {_TARGET:g})')
+    parser.add_argument('--all', action='store_true', help='print all settings, not only the '
+                        'Pareto-optimal ones')
+    parser.add_argument('--json', metavar='OUT', help='write all results, with units')
+    parser.add_argument('--plot', metavar='PNG', help='plot cost over error, one curve per solver')
+    _add_overwrite(parser)
     return parser
+
+
+def _add_scene(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('--scene', required=True, metavar='FILE',
+                        help='ROS 2 parameter file with the inertia and the initial state, as for '
+                        'attitude_node')
+    parser.add_argument('--topic', help='topic of the torques; required if there are several')
+
+
+def _add_overwrite(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('--overwrite', action='store_true',
+                        help='replace output files that exist; folders are never replaced')
 
 
 def _positive(text: str) -> float:

@@ -84,10 +84,10 @@ def linked(target, link):
     return link
 
 
-def run(option, recorded, output):
-    """Let an option write to a path; return the status and what is printed as errors."""
+def run(option, recorded, output, overwrite=('--overwrite',)):
+    """Let an option write to a path; return the exit status."""
     command, option = option.split()
-    arguments = ['--scene', 'in/scene.yaml']
+    arguments = ['--scene', 'in/scene.yaml', *overwrite]
     second = str(Path('other', output.with_suffix('.csv').name))
     if command == 'replay':
         outputs = ['-o', 'other/motion.mcap', '--plot', str(output)]
@@ -132,6 +132,21 @@ def test_an_output_never_replaces_an_input(place, capsys, option, recorded, atta
         assert contents(place) == before, name
 
 
+@pytest.mark.parametrize('option', [option for option in OUTPUTS if 'library' not in option])
+def test_a_command_keeps_an_existing_output_unless_told_to_overwrite(place, capsys, option):
+    output = Path('out', f'second{OUTPUTS[option]}')
+    output.write_text('old')
+    before = contents(place)
+    assert run(option, 'in/log.mcap', output, overwrite=()) == 2
+    captured = capsys.readouterr()
+    assert captured.err.endswith(
+        f': error: {output}: output exists; choose another name, or add --overwrite\n')
+    assert not captured.out
+    assert contents(place) == before
+    assert run(option, 'in/log.mcap', output) == 0
+    assert output.read_bytes() != b'old'
+
+
 @pytest.mark.parametrize('option', OUTPUTS)
 def test_nothing_new_is_written_into_a_bag_that_is_read(place, capsys, option):
     Path('in/bag/deeper').mkdir()
@@ -157,7 +172,7 @@ def test_two_outputs_never_have_one_name(place, capsys, first, second, existing)
     Path('out/x.png').symlink_to('x.mcap')
     before = contents(place)
     assert cli.attitude_replay(['in/log.mcap', '--scene', 'in/scene.yaml', '-o', first,
-                                '--plot', second]) == 2
+                                '--plot', second, '--overwrite']) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
     assert contents(place) == before
 
@@ -222,7 +237,8 @@ def test_an_incomplete_output_leaves_an_input_with_the_name_of_its_partial_file(
                                             (recording.FolderWriter, 'motion')])
 def test_a_folder_that_takes_the_name_meanwhile_is_not_replaced(place, kind, name):
     path, kept = Path('out', name), place / 'out' / 'motion.partial.mcap'
-    with pytest.raises(InputError, match=f'found .*; what was written so far is in {kept}'), \
+    left = f'what was written so far is in {kept}'
+    with pytest.raises(InputError, match=f'found a folder; {left}|exists; .*; {left}'), \
             kind(path, keep_partial=True) as writer:
         writer.add_topic('/torque', messages.WRENCH)
         writer.write('/torque', SECOND, messages.wrench(SECOND, '', [0.1, 0.0, 0.0]))
@@ -235,7 +251,7 @@ def test_a_copy_of_an_input_may_be_replaced(place):
     # What is refused is the file, not what looks like it.
     Path('out/log.mcap').write_bytes(Path('in/log.mcap').read_bytes())
     assert cli.attitude_replay(['in/log.mcap', '--scene', 'in/scene.yaml', '-o',
-                                'out/log.mcap']) == 0
+                                'out/log.mcap', '--overwrite']) == 0
     assert recording.read('out/log.mcap', '/attitude', messages.QUATERNION).stamps_ns.size == 2
 
 

@@ -25,7 +25,7 @@ from rigid_body_ros.scene import InputError
 
 
 def write(path, text='new'):
-    with files.whole(path, '.json') as part:
+    with files.atomic_output(path, '.json') as part:
         part.write_text(text)
 
 
@@ -47,6 +47,35 @@ def test_a_file_is_replaced_through_a_link(tmp_path):
     assert set(tmp_path.iterdir()) == {file, link}
 
 
+@pytest.mark.parametrize('name', ['file', 'link', 'hard link'])
+def test_an_existing_file_is_kept_unless_it_may_be_overwritten(tmp_path, name):
+    file = tmp_path / 'file'
+    file.write_text('old')
+    (tmp_path / 'link').symlink_to(file)
+    (tmp_path / 'hard link').hardlink_to(file)
+    message = f'{name}: output exists; choose another name, or add --overwrite'
+    with files.overwriting(False):
+        with pytest.raises(InputError, match=message):
+            files.check((tmp_path / name, '.json'))
+        with pytest.raises(InputError, match=message):
+            write(tmp_path / name)
+        write(tmp_path / 'new')
+    assert file.read_text() == 'old'
+    assert len(list(tmp_path.iterdir())) == 4
+    write(tmp_path / name)
+    assert (tmp_path / name).read_text() == 'new'
+
+
+def test_a_file_that_appears_while_an_output_is_written_is_kept(tmp_path):
+    path = tmp_path / 'file'
+    with pytest.raises(InputError, match='file: output exists'), files.overwriting(False), \
+            files.atomic_output(path, '.json') as temporary:
+        temporary.write_text('new')
+        path.write_text('old')
+    assert path.read_text() == 'old'
+    assert list(tmp_path.iterdir()) == [path]
+
+
 @pytest.mark.parametrize('before', [None, 'old'])
 def test_on_a_full_disk_a_file_is_what_it_was(tmp_path, before):
     path = tmp_path / 'file'
@@ -59,7 +88,7 @@ def test_on_a_full_disk_a_file_is_what_it_was(tmp_path, before):
 
 
 def test_what_goes_wrong_while_writing_leaves_nothing(tmp_path):
-    with pytest.raises(KeyboardInterrupt), files.whole(tmp_path / 'file', '.json') as part:
+    with pytest.raises(KeyboardInterrupt), files.atomic_output(tmp_path / 'file', '.json') as part:
         part.write_text('half')
         raise KeyboardInterrupt
     assert not list(tmp_path.iterdir())
@@ -83,14 +112,14 @@ def test_a_new_folder_has_the_mode_of_the_umask(tmp_path, umask):
 def test_a_file_that_is_replaced_stays_private_while_it_is_written(tmp_path):
     path = tmp_path / 'file'
     path.touch(0o600)
-    with files.whole(path, '.json') as part:
+    with files.atomic_output(path, '.json') as part:
         assert stat.S_IMODE(part.stat().st_mode) == 0o600
 
 
 def test_temporary_names_cannot_be_predicted(tmp_path):
     names = set()
     for _ in range(2):
-        with files.whole(tmp_path / 'file', '.json') as part:
+        with files.atomic_output(tmp_path / 'file', '.json') as part:
             names.add(part.name)
     assert len(names) == 2
 
@@ -139,7 +168,7 @@ def test_a_device_is_refused(tmp_path, minor):
         os.mknod(device, stat.S_IFCHR | 0o666, os.makedev(1, minor))
     except PermissionError:
         pytest.skip('only root may make a device')
-    with pytest.raises(InputError, match='device: expected a file to write, found a device'):
+    with pytest.raises(InputError, match='device: expected a regular file, found a device'):
         write(device)
     assert stat.S_ISCHR(device.stat().st_mode)
     assert list(tmp_path.iterdir()) == [device]
@@ -147,17 +176,17 @@ def test_a_device_is_refused(tmp_path, minor):
 
 def test_a_pipe_is_refused_without_waiting_for_a_reader(tmp_path):
     os.mkfifo(tmp_path / 'pipe')
-    with pytest.raises(InputError, match='pipe: expected a file to write, found a device, pipe'):
+    with pytest.raises(InputError, match='pipe: expected a regular file, found a device, pipe'):
         write(tmp_path / 'pipe')
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(str(tmp_path / 'socket'))
-    with pytest.raises(InputError, match='socket: expected a file to write'):
+    with pytest.raises(InputError, match='socket: expected a regular file'):
         write(tmp_path / 'socket')
 
 
 @pytest.mark.parametrize('folder', ['', '/', '.'])
 def test_a_folder_is_refused(tmp_path, folder):
-    with pytest.raises(InputError, match='expected a file to write, found a folder'):
+    with pytest.raises(InputError, match='expected a regular file, found a folder'):
         write(folder or tmp_path)
 
 
@@ -165,7 +194,7 @@ def test_a_read_only_file_is_refused(tmp_path):
     path = tmp_path / 'file'
     path.write_text('old')
     path.chmod(0o444)
-    with pytest.raises(InputError, match='file: expected a file to write, found one that is read'):
+    with pytest.raises(InputError, match='file: expected a writable file, found a read-only one'):
         write(path)
     assert path.read_text() == 'old'
 
@@ -196,7 +225,7 @@ def test_a_name_with_dots_is_a_name(tmp_path, name):
 @pytest.mark.parametrize('suffix', ['.csv', '.json', '.png', '.bag', '.db3', '.txt', '.PNG'])
 @pytest.mark.parametrize('expected', ['.mcap', files.FOLDER])
 def test_a_name_that_promises_another_format_is_refused(tmp_path, suffix, expected):
-    with pytest.raises(InputError, match=f'expected a name that .* found {suffix.lower()}'):
+    with pytest.raises(InputError, match=f'expected a name ending .* found {suffix.lower()}'):
         files.check((tmp_path / f'motion{suffix}', expected))
 
 
@@ -212,7 +241,7 @@ def test_what_changes_while_a_file_is_written_is_checked_again(tmp_path):
     source, output = tmp_path / 'source', tmp_path / 'output'
     source.write_text('input')
     with pytest.raises(InputError, match='output: would overwrite the input .*source'), \
-            files.reading(source), files.whole(output, '.json') as part:
+            files.reading(source), files.atomic_output(output, '.json') as part:
         part.write_text('new')
         source.rename(output)
     assert [path.read_text() for path in tmp_path.iterdir()] == ['input']
@@ -223,7 +252,7 @@ def test_a_link_that_changes_while_a_file_is_written_leads_nowhere_else(tmp_path
     source.write_text('input')
     output.symlink_to('elsewhere')
     with pytest.raises(InputError, match='would overwrite'), files.reading(source), \
-            files.whole(output, '.json'):
+            files.atomic_output(output, '.json'):
         output.unlink()
         output.symlink_to(source)
     assert source.read_text() == 'input'
@@ -234,7 +263,7 @@ def test_an_input_that_takes_the_place_of_the_target_of_a_link_is_not_replaced(t
     source.write_text('input')
     output.symlink_to('elsewhere')
     with pytest.raises(InputError, match='would overwrite'), files.reading(source), \
-            files.whole(output, '.json'):
+            files.atomic_output(output, '.json'):
         source.rename(tmp_path / 'elsewhere')
         output.unlink()
         output.symlink_to('another')

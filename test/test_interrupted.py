@@ -60,7 +60,8 @@ class Whole(NamedTuple):
 @pytest.fixture(scope='module')
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp('whole')
-    arguments = [recorded(folder, MESSAGES / 3.6e6), '--scene', CONFIG / 'tumbler.yaml', '-o']
+    arguments = [recorded(folder, MESSAGES / 3.6e6), '--scene', CONFIG / 'tumbler.yaml',
+                 '--overwrite', '-o']
     output = folder / 'motion.mcap'
     start([*arguments, output]).communicate()  # compiles what is not yet
     process, reached = start([*arguments, output]), {}
@@ -228,4 +229,4 @@ def test_a_signal_while_kernels_are_compiled_is_not_lost(whole, output, tmp_path
     process.send_signal(signal.SIGINT)
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + signal.SIGINT
-    assert words == 'attitude_replay: interrupted; nothing incomplete has its final name\n'
+    assert words == 'attitude_replay: interrupted; no partial output was left\n'

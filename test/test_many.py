@@ -89,8 +89,10 @@ def test_a_signal_ends_all_of_them(tmp_path, two_long_ones, number, send):
         time.sleep(0.03)
     _, words = two_long_ones.communicate(timeout=30)
     assert two_long_ones.returncode == 128 + number
-    assert words.splitlines() == [
-        'attitude_replay: interrupted; nothing incomplete has its final name']
+    partial = sorted(map(str, (tmp_path / 'out').glob('*.partial.mcap')))
+    kept = f'what was written so far is in {", ".join(partial)}' if partial else \
+        'no partial output was left'
+    assert words.splitlines() == [f'attitude_replay: interrupted; {kept}']
     assert not list((tmp_path / 'out').glob('[ab].mcap'))
     assert not list((tmp_path / 'out').glob('.*.part'))
 
@@ -106,7 +108,7 @@ def test_a_process_that_is_killed_is_told(tmp_path, two_long_ones):
     first, second, last = out.splitlines()
     for line, name in ((first, 'a'), (second, 'b')):
         name = tmp_path / f'{name}.mcap'
-        assert line == (f'{name}  failed: {name}: the process at work on it ended with status -9')
+        assert line == (f'{name}  failed: {name}: worker process killed (signal 9)')
     assert last == '0 of 2 written'
     assert words == ('attitude_replay: error: 2 of 2 recordings failed: '
                      f'{tmp_path / "a.mcap"}, {tmp_path / "b.mcap"}\n')
@@ -149,8 +151,8 @@ def test_the_script_that_ros2_run_starts_replays_several(tmp_path):
 def test_two_recordings_of_one_name_are_refused(tmp_path, capsys, paths):
     assert cli.attitude_replay([*paths, *SCENE, '-o', str(tmp_path / 'out')]) == 2
     line, = capsys.readouterr().err.splitlines()
-    assert (f'out/x.mcap: expected recordings of different names, found {paths[0]} and {paths[1]}'
-            in line)
+    assert ('out/x.mcap: expected recordings with different names, '
+            f'found {paths[0]} and {paths[1]}') in line
     assert not list(tmp_path.iterdir())
 
 
@@ -159,7 +161,7 @@ def test_several_recordings_go_to_a_folder(tmp_path, capsys):
     arguments = ['x.csv', 'y.csv', *SCENE, '-o', str(output)]
     assert cli.attitude_replay(arguments) == 2
     line, = capsys.readouterr().err.splitlines()
-    assert ('motion.mcap: expected a folder for several recordings, found a name that ends in '
+    assert ('motion.mcap: expected a folder for several recordings, found a name ending in '
             '.mcap') in line
     output.touch()
     assert cli.attitude_replay(arguments) == 2
@@ -172,7 +174,7 @@ def test_an_output_that_cannot_be_written_is_reported_beside_the_others(tmp_path
         name.write_text('1,0,0,0\n2,0.1,0,0\n')
     (tmp_path / 'out' / 'a.mcap').mkdir(parents=True)
     first, second = replay_many([*map(str, names)], load(SCENE[1]), tmp_path / 'out')
-    assert 'a.mcap: expected a file to write, found a folder' in first.error
+    assert 'a.mcap: expected a regular file, found a folder' in first.error
     assert not second.error
     assert sorted(path.name for path in (tmp_path / 'out').iterdir()) == ['a.mcap', 'b.mcap']
 

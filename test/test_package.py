@@ -127,8 +127,8 @@ def test_a_module_that_is_missing_is_named_with_how_to_get_it(module, tmp_path):
          CONFIG / 'tumbler.yaml', '-o', tmp_path / 'o.mcap', '--plot', tmp_path / 'o.png'],
         capture_output=True, text=True, check=False)
     assert result.returncode == 2
-    assert result.stderr == (f"attitude_replay: error: there is no Python module '{module}', "
-                             f'which this needs: python3 -m pip install {module}\n')
+    assert result.stderr == (f"attitude_replay: error: Python module '{module}' is not "
+                             f'installed; run python3 -m pip install {module}\n')
 
 
 @pytest.mark.parametrize('module', ['rigid_body_ros', 'rigid_body_ros.replay',

@@ -12,9 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Figures: what is drawn where."""
+"""Figures: data, labels and units."""
 
 from conftest import EPOCH_NS
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, State, TorqueLog
@@ -58,3 +60,57 @@ def test_times_are_drawn_to_the_nanosecond_at_any_epoch(panels, start_ns, count)
         drawn = np.round(seconds * 1e9).astype(int)
         assert set(drawn.tolist()) >= {0, *range(99, 1000, 100), *range(100, 1001, 100)}
         np.testing.assert_array_equal(panel.lines[0].get_ydata(), drawn // 100 % 2)
+
+
+def inside(figure):
+    """Return whether every text of a figure that was drawn lies inside the picture."""
+    figure.canvas.draw()
+    edges = figure.bbox
+    axes = [axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis)]
+    ticks = {label for axis in axes for label in axis.get_ticklabels(which='both')}
+    boxes = [text.get_window_extent() for text in figure.findobj(Text)
+             if text not in ticks and text.get_visible() and text.get_text()]
+    boxes += [box for axis in axes if (box := axis.get_tightbbox()) is not None]  # ticks that show
+    return all(edges.x0 <= box.x0 and box.x1 <= edges.x1 and edges.y0 <= box.y0
+               and box.y1 <= edges.y1 for box in boxes)
+
+
+@pytest.mark.parametrize('scale', [1e-7, 1e-3, 1.0, 1e5])
+def test_small_numbers_have_a_unit_with_a_prefix(panels, scale):
+    stamps = np.arange(11) * 10 ** 9
+    log = TorqueLog(stamps, scale * np.outer(np.arange(11) % 3 - 1, [0.2, 0.5, -0.3]))
+    motion = propagate(RigidBody(scale * np.eye(3)), State(0), log, at=stamps)
+    torque = panels(motion, log)[-1]
+    unit = {1e-7: 'nN m', 1e-3: 'µN m', 1.0: 'mN m', 1e5: 'N m'}[scale]
+    assert torque.get_ylabel() == f'torque,\nbody axes ({unit})'
+    torque.figure.canvas.draw()
+    shown = [float(label.get_text().replace('−', '-')) for label in torque.get_yticklabels()]
+    factor = {'nN m': 1e-9, 'µN m': 1e-6, 'mN m': 1e-3, 'N m': 1.0}[unit]
+    np.testing.assert_allclose(np.array(shown) * factor, torque.get_yticks(), rtol=1e-6,
+                               atol=1e-9 * factor)
+    assert inside(torque.figure)
+
+
+def test_a_title_of_any_length_stays_inside_the_picture(panels, monkeypatch):
+    stamps = np.arange(11) * 10 ** 9
+    motion = propagate(RigidBody(np.eye(3)), State(0), at=stamps)
+    draw = figures.motion
+    monkeypatch.setattr(figures, 'motion', lambda path, trajectory, log, sequence, _: draw(
+        path, trajectory, log, sequence, 250 * 'W' + '.mcap: /a/topic'))
+    assert inside(panels(motion, TorqueLog(stamps, np.zeros((11, 3))))[0].figure)
+
+
+def test_the_labels_of_a_trade_stay_inside_the_picture(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(figures, 'Figure', lambda *arguments, **options: drawn.append(
+        figure := Figure(*arguments, **options)) or figure)
+    names = ('exact', 'auto', 'taylor', 'rk4', 'strang', 'explicit_euler')
+    curves = {name: ([10.0 ** -number, 1e-16, 3.0], [1e-7, 10.0 ** -number, 1e-9])
+              for number, name in enumerate(names)}
+    figures.work_precision(tmp_path / 'p.png', curves, 250 * 'W', {
+        'rounding floor': 1e-17, 'last digits': 2e-16, 'target 1e-06 rad': 1e-6,
+        'target 0.1 rad': 0.1, 'linear interpolation': 3.0})
+    assert inside(drawn[0])
+    texts = [text.get_text() for text in drawn[0].axes[0].get_legend().get_texts()]
+    assert texts[-5:] == ['rounding floor 2e-16 rad', 'last digits 2e-16 rad', 'target 1e-06 rad',
+                          'target 0.1 rad', 'linear interpolation 3e+00 rad']

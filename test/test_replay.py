@@ -109,9 +109,10 @@ def test_the_summary_tells_what_happened(output, capsys):
         assert part in text
     assert cli.attitude_replay([
         str(RECORDINGS / 'torque_free_asymmetric.mcap'), '--scene',
-        str(RECORDINGS / 'torque_free_asymmetric.yaml'), '-o', str(output)]) == 0
+        str(RECORDINGS / 'torque_free_asymmetric.yaml'), '-o', str(output),
+        '--overwrite']) == 0
     text = capsys.readouterr().out
-    assert 'space angular momentum drifts by' in text
+    assert 'drift of the space angular momentum' in text
     assert ', checked over all 100 s\n' in text
 
 
@@ -152,7 +153,7 @@ def test_another_reading_that_spins_beyond_bounds_is_told(tmp_path, output, caps
     with np.errstate(all='ignore'):
         assert cli.attitude_replay([torques, '--scene', str(CONFIG / 'tumbler.yaml'),
                                     '-o', str(output)]) == 0
-    assert 'linear would spin it up beyond' in capsys.readouterr().out
+    assert 'linear would spin the body too fast' in capsys.readouterr().out
 
 
 def test_output_that_nobody_takes_is_told(output):
@@ -203,6 +204,27 @@ def test_the_picture_is_a_picture(tmp_path, output):
     pixels = matplotlib.image.imread(picture)
     assert pixels.shape[:2] == (1200, 1080)
     assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 100
+
+
+def test_without_an_output_a_replay_prints_the_same_summary(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    printed = []
+    for arguments in (('-o', 'motion.mcap'), ('--plot', 'motion.png'), ()):
+        assert cli.attitude_replay([*ISS, *arguments]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        if arguments:
+            assert lines.pop() == f'wrote         {arguments[1]}'
+        printed.append([line for line in lines if not line.startswith('speed')])
+    assert printed[0] == printed[1] == printed[2]
+    assert {path.name for path in tmp_path.iterdir()} == {'motion.mcap', 'motion.png'}
+
+
+@pytest.mark.parametrize(('recordings', 'options', 'message'), [
+    (1, ('--also', 'imu'), '--also: expected an output file or folder (-o), found none'),
+    (2, (), '-o: expected a folder for several recordings, found none')])
+def test_an_output_that_is_needed_is_asked_for(recordings, options, message, capsys):
+    assert cli.attitude_replay([*recordings * [ISS[0]], *ISS[1:], *options]) == 2
+    assert capsys.readouterr().err == f'attitude_replay: error: {message}\n'
 
 
 def bad_input(name, tmp_path):
@@ -258,14 +280,14 @@ def test_a_mistake_is_answered_by_one_line(name, message, tmp_path, output, caps
 
 @pytest.mark.parametrize(('arguments', 'message'), [
     (('-o', 'none/motion.mcap'), 'none/motion.mcap: cannot write: No such file or directory'),
-    (('-o', '.'), '.: expected a name that ends in .mcap, or a new name for a folder; found one'),
-    (('-o', 'pipe'), 'pipe: expected a name that ends in .mcap, or a new name for a folder'),
-    (('-o', 'motion.csv'), 'motion.csv: expected a name that ends in .mcap, or one without a'),
-    (('-o', 'pipe.mcap'), 'pipe.mcap: expected a file to write, found a device, pipe or socket'),
-    (('-o', 'motion.mcap', '--plot', 'pipe'), 'pipe: expected a file to write, found a device'),
-    (('-o', 'motion.mcap', '--plot', '.'), '.: expected a file to write, found a folder'),
-    (('-o', 'motion.mcap', '--plot', 'p.pdf'), 'p.pdf: expected a name that ends in .png, found'),
-    (('-o', 'motion.mcap', '--until', '1e9'), '--until: expected an end that a ROS stamp can'),
+    (('-o', '.'), '.: output exists; choose a new folder, or a name ending in .mcap'),
+    (('-o', 'pipe'), 'pipe: output exists; choose a new folder, or a name ending in .mcap'),
+    (('-o', 'motion.csv'), 'motion.csv: expected a name ending in .mcap, or a folder name'),
+    (('-o', 'pipe.mcap'), 'pipe.mcap: expected a regular file, found a device, pipe or socket'),
+    (('-o', 'motion.mcap', '--plot', 'pipe'), 'pipe: expected a regular file, found a device'),
+    (('-o', 'motion.mcap', '--plot', '.'), '.: expected a regular file, found a folder'),
+    (('-o', 'motion.mcap', '--plot', 'p.pdf'), 'p.pdf: expected a name ending in .png, found'),
+    (('-o', 'motion.mcap', '--until', '1e9'), '--until: expected an end within the range of ROS'),
     (('-o', 'motion.mcap', '--rate', '1e9'), '--rate: expected at most 100000000 outputs'),
     (('-o', 'motion.mcap', '--plot', 'motion.mcap'), 'would overwrite the output motion.mcap'),
     (('-o', f'{ISS[0]}/x.mcap'), 'cannot write: Not a directory'),
@@ -298,12 +320,12 @@ def test_any_file_name_makes_a_title(tmp_path, output):
                                 '--plot', str(tmp_path / 'p.png')]) == 0
 
 
-@pytest.mark.parametrize('arguments', [(), ('--rate', '0'), ('--until', '1e300'),
+@pytest.mark.parametrize('arguments', [('--verify', 'x'), ('--rate', '0'), ('--until', '1e300'),
                                        ('--rate', '1e-300'), ('--until', '-1'), ('--rate', 'x'),
                                        ('--interpolation', 'spline')])
 def test_wrong_arguments_are_answered_by_the_usage(arguments, output, capsys):
     with pytest.raises(SystemExit) as end:
-        cli.attitude_replay([*ISS, *(('-o', str(output)) if arguments else ()), *arguments])
+        cli.attitude_replay([*ISS, '-o', str(output), *arguments])
     assert end.value.code == 2
     assert 'usage: attitude_replay' in capsys.readouterr().err
 
@@ -314,12 +336,12 @@ def test_wrong_arguments_are_answered_by_the_usage(arguments, output, capsys):
 def test_an_option_that_is_given_twice_is_refused(option, first, second, capsys):
     assert cli.attitude_replay([ISS[0], option, first, option, second]) == 2
     line, = capsys.readouterr().err.splitlines()
-    assert f'{option}: expected once, found with ' in line
+    assert f'{option}: expected at most once, found ' in line
     assert first in line
     assert second in line
     assert cli.attitude_tradeoff(['--topic', 'a', '--scene', 'b', '--topic=c']) == 2
     line, = capsys.readouterr().err.splitlines()
-    assert "--topic: expected once, found with 'a' and with 'c'" in line
+    assert "--topic: expected at most once, found 'a' and 'c'" in line
 
 
 @pytest.mark.slow
@@ -331,16 +353,16 @@ def test_a_signal_is_heard_while_the_motion_is_worked_out(tmp_path, output, numb
     process = subprocess.Popen([*COMMAND, f'{spin}.mcap', '--scene', str(config), '-o',
                                 str(output), '--until', '86400'], stderr=subprocess.PIPE,
                                text=True, start_new_session=True)
-    doubt = process.stderr.readline()
+    warning = process.stderr.readline()
     with pytest.raises(subprocess.TimeoutExpired):
         process.communicate(timeout=3)
     os.kill(process.pid, number)
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + number
     last, = words.splitlines()
-    assert doubt.startswith(
+    assert warning.startswith(
         f'attitude_replay: warning: {config}: initial_angular_velocity: 6000 rad/s are 955')
-    assert last == 'attitude_replay: interrupted; nothing incomplete has its final name'
+    assert last == 'attitude_replay: interrupted; no partial output was left'
 
 
 @pytest.mark.slow
@@ -357,10 +379,10 @@ def test_an_interrupted_replay_leaves_nothing_under_the_final_name(tmp_path, out
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + number
     line, = words.splitlines()
-    assert line.startswith('attitude_replay: interrupted; nothing incomplete has its final name')
+    assert line.startswith('attitude_replay: interrupted; ')
     assert not output.exists()
     partial = tmp_path / 'motion.partial.mcap'
-    assert line.endswith(str(partial)) == partial.exists()
+    assert line.endswith(str(partial) if partial.exists() else '; no partial output was left')
     assert {path.name for path in tmp_path.iterdir()} <= {'long.mcap', 'motion.partial.mcap'}
 
 
@@ -384,7 +406,7 @@ sys.exit(cli._guarded('command', command, None))
     result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
                             timeout=50, check=False)
     assert result.returncode == 128 + signal.SIGTERM
-    assert result.stderr == 'command: interrupted; nothing incomplete has its final name\n'
+    assert result.stderr == 'command: interrupted; no partial output was left\n'
 
 
 def test_a_command_that_is_called_leaves_signals_to_its_caller(output):

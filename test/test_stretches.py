@@ -103,7 +103,7 @@ def test_a_recording_in_pieces_gives_the_bits_of_the_whole(tmp_path, monkeypatch
     written = recording.read(tmp_path / 'out.mcap', '/attitude', messages.QUATERNION)
     np.testing.assert_array_equal(written.stamps_ns, whole.trajectory.times_ns)
     np.testing.assert_array_equal(written.values, whole.trajectory.attitude)
-    assert result.readings == whole.readings
+    assert result.interpolation_differences == whole.interpolation_differences
     assert result.messages == whole.messages
     assert result.last_ns == whole.last_ns
 
@@ -139,7 +139,7 @@ def test_stamps_out_of_order_are_put_in_order_and_told(tmp_path, monkeypatch, di
     result = replay(shuffled(tmp_path / 'out.mcap', order), loaded, tmp_path / 'motion.mcap')
     np.testing.assert_array_equal(result.last.attitude, whole.last.attitude)
     assert (whole.unordered, result.unordered) == (0, 2)
-    assert '2 stamps no later than the one before' in summary(result)
+    assert '2 stamps not later than the one before' in summary(result)
 
 
 @pytest.mark.parametrize('config', ['tumbler', 'free'])
@@ -191,6 +191,6 @@ def test_frames_that_change_late_are_refused_between_samples_as_well(tmp_path, m
     path = shuffled(tmp_path / 'in.mcap', np.arange(1000), ('base_link', 'world'))
     loaded = scene.load(CONFIG / 'tumbler.yaml')
     result = replay(path, loaded, tmp_path / 'motion.mcap')
-    assert result.readings == {}
+    assert result.interpolation_differences == {}
     with pytest.raises(InputError, match='interpolation linear: expected torques in one frame'):
         replay(path, loaded, tmp_path / 'motion.mcap', interpolation='linear')

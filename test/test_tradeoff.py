@@ -26,7 +26,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 from rigid_body_ros import cli, messages, propagate, recording, RigidBody, so3, State, TorqueLog
-from rigid_body_ros.tradeoff import Error, measure, recommend, report, Run, Setting
+from rigid_body_ros.tradeoff import Error, measure, Measurement, recommend, report, Setting
 from rigid_body_ros.tradeoff.problem import Problem, Reference
 from test_reference import NAMES
 from test_replay import bad_input
@@ -37,8 +37,8 @@ TORQUES = ('--recording', str(RECORDINGS / 'tumbler.mcap'))
 
 @pytest.fixture(autouse=True)
 def _short_runs(monkeypatch):
-    monkeypatch.setattr('rigid_body_ros.tradeoff._MOST_STEPS', 20_000)
-    monkeypatch.setattr('rigid_body_ros.tradeoff._MOST_REPEATS', 3)
+    monkeypatch.setattr('rigid_body_ros.tradeoff.trade._MOST_STEPS', 20_000)
+    monkeypatch.setattr('rigid_body_ros.tradeoff.trade._MOST_REPEATS', 3)
 
 
 def test_errors_are_those_of_a_motion_in_closed_form():
@@ -49,7 +49,7 @@ def test_errors_are_those_of_a_motion_in_closed_form():
     momentum = body.angular_momentum(rates)
     known = so3.multiply(so3.exp(momentum / 2.0 * seconds),
                          so3.exp(np.array([0.0, 0.0, (1 - 3 / 2) * rates[2] * seconds])))
-    for run in result.runs:
+    for run in result.measurements:
         if run.failure:
             continue
         end = propagate(body, result.stretch.start, at=result.stretch.times_ns[-1:],
@@ -83,39 +83,40 @@ def test_the_recommendation_is_right(seed, monkeypatch):
     random = np.random.default_rng(seed)
     body, start, log = random_problem(random)
     target = 10.0 ** -(2 + 10 * seed / 19)
-    result = measure(body, start, log, target=target, seconds=1.0)
-    assert result.choice is not None
+    result = measure(body, start, log, targets=[target], seconds=1.0)
+    choice = result.choices[target]
+    assert choice is not None
     whole = result.whole
     right = whole.run(solver='taylor', tolerance=1e-15)
-    if result.choice.run.setting.tolerance and target > 1e-11:
-        tighter = max(result.choice.run.setting.tolerance / 10.0, 1e-15)
+    if choice.measurement.setting.tolerance and target > 1e-11:
+        tighter = max(choice.measurement.setting.tolerance / 10.0, 1e-15)
         stricter = whole.run(solver='taylor', tolerance=tighter)
         assert so3.angle_between(stricter.attitude, right.attitude).max() < 2.0 * target
     met = {}
-    for run in result.runs:
+    for run in result.measurements:
         if not run.failure:
             try:
                 motion = whole.run(**run.setting.options)
             except ValueError:
                 continue
             met[run.setting] = so3.angle_between(motion.attitude, right.attitude).max() <= target
-    assert met[result.choice.run.setting]
-    cheapest = min(run.seconds for run in result.runs if met.get(run.setting))
-    assert result.choice.run.seconds <= 1.5 * cheapest
+    assert met[choice.measurement.setting]
+    cheapest = min(run.seconds for run in result.measurements if met.get(run.setting))
+    assert choice.measurement.seconds <= 1.5 * cheapest
 
 
-def a_run(error, seconds):
-    return Run(Setting('rk4', max_step=seconds), Error(*5 * [error]), seconds, seconds)
+def a_measurement(error, seconds):
+    return Measurement(Setting('rk4', max_step=seconds), Error(*5 * [error]), seconds, seconds)
 
 
 def test_what_cannot_be_tried_on_the_whole_log_has_a_margin():
-    runs = [a_run(error, 1e-3 / error) for error in (1e-6, 1e-8, 1e-10)]
-    measured = recommend(runs, 1e-5, 0.0, 10.0, lambda run: 2.0 * run.error.attitude)
-    assert (measured.run, measured.measured) == (runs[0], True)
-    scaled = recommend(runs, 1e-5, 0.0, 10.0, lambda run: None)
-    assert (scaled.run, scaled.measured) == (runs[1], False)
+    runs = [a_measurement(error, 1e-3 / error) for error in (1e-6, 1e-8, 1e-10)]
+    measured = recommend(runs, 1e-5, 0.0, 10.0, lambda one: 2.0 * one.error.attitude)
+    assert (measured.measurement, measured.measured) == (runs[0], True)
+    scaled = recommend(runs, 1e-5, 0.0, 10.0, lambda one: None)
+    assert (scaled.measurement, scaled.measured) == (runs[1], False)
     assert scaled.error == pytest.approx(1e-6)
-    assert recommend(runs, 1e-12, 0.0, 10.0, lambda run: None) is None
+    assert recommend(runs, 1e-12, 0.0, 10.0, lambda one: None) is None
 
 
 def test_a_short_run_is_timed_after_one_of_its_own(monkeypatch):
@@ -128,11 +129,12 @@ def test_a_short_run_is_timed_after_one_of_its_own(monkeypatch):
     monkeypatch.setattr(Problem, 'run', noted)
     result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
                      State(0, angular_velocity=(0.1, 1.0, 0.2)))
-    short = [run.setting.options for run in result.runs if run.first_seconds < 1e-3]
+    short = [run.setting.options for run in result.measurements if run.first_seconds < 1e-3]
     assert len(short) > 10
     for options in short:
         places = [place for place, call in enumerate(calls) if call == options]
-        timed = [place for place in places if place > calls.index(result.runs[-1].setting.options)]
+        last = calls.index(result.measurements[-1].setting.options)
+        timed = [place for place in places if place > last]
         assert len(timed) >= 2 * 3
         assert set(np.diff(timed)[::2].tolist()) == {1}
 
@@ -177,42 +179,45 @@ def test_a_target_below_the_last_digits_is_refused_with_their_effect(tmp_path, c
             f'{effect:.1e} rad')
     printed = capsys.readouterr().out
     assert f'\nlast digits       {text}\n' in printed
-    assert f'No setting meets the target 1e-12 rad for certain: {text} on the stretch' in printed
-    assert cli.attitude_tradeoff([*arguments, '--target', '1e-9']) == 0
-    assert 'Cheapest for the target 1e-09 rad' in capsys.readouterr().out
+    assert f'recommended       none: no setting is certain to meet it, {text}\n' in printed
+    assert cli.attitude_tradeoff([*arguments, '--target', '1e-9', '--overwrite']) == 0
+    assert '\n    solver: ' in capsys.readouterr().out
 
 
 def test_the_floor_is_shown_as_what_it_is():
     result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
                      State(0, angular_velocity=(0.1, 1.0, 0.2)))
-    meaning = report.figures(result)['rounding_floor_is']
+    meaning = report.as_data(result)['rounding_floor_is']
     assert 'runs of the series with other steps and in principal axes' in meaning
-    assert 'common to all does not show' in meaning
+    assert 'does not show an error common to all' in meaning
     assert meaning in ' '.join(report.summary(result).split())
 
 
 def test_a_failed_setting_is_shown_as_failed():
     result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
                      State(0, angular_velocity=(0.1, 1.0, 0.2)))
-    failed = [run for run in result.runs if run.failure]
+    failed = [run for run in result.measurements if run.failure]
     assert failed
     assert {run.setting.solver for run in failed} == {'explicit_euler'}
     assert math.isnan(failed[0].error.attitude)
-    assert report.summary(result).count('failed: ') == len(failed)
-    assert not any(run.on_front for run in failed)
+    assert report.summary(result, all_rows=True).count('failed: ') == len(failed)
+    assert 'failed: ' not in report.summary(result)
+    assert not any(run.pareto_optimal for run in failed)
 
 
 def test_the_table_the_figures_and_the_picture(tmp_path):
     picture, figures = tmp_path / 'p.png', tmp_path / 'o.json'
     environment = {name: value for name, value in os.environ.items() if name != 'DISPLAY'}
-    script = ('import sys; from rigid_body_ros import cli, tradeoff; tradeoff._MOST_STEPS = 20000;'
+    script = ('import sys; from rigid_body_ros import cli; '
+              'from rigid_body_ros.tradeoff import trade; trade._MOST_STEPS = 20000;'
               'sys.exit(cli.attitude_tradeoff())')
     done = subprocess.run([sys.executable, '-c', script, *TUMBLER, *TORQUES, '--target', '1e-9',
                            '--json', figures, '--plot', picture], capture_output=True, text=True,
                           env=environment, check=True)
     assert done.stderr == ''
-    for part in ('solver', 'rounding floor', 'hold is off by', 'what dominates',
-                 'Cheapest for the target 1e-09 rad'):
+    for part in ('target            1e-09 rad\nrecommended ', 'limited by ', '\n* ',
+                 'rounding floor ',
+                 'interpolation     hold (linear would end 0.016 rad away, cubic'):
         assert part in done.stdout
     written = json.loads(figures.read_text())
     for line in written['recommended']['parameters']:
@@ -220,6 +225,93 @@ def test_the_table_the_figures_and_the_picture(tmp_path):
     assert {run['solver'] for run in written['runs']} == {'auto', 'taylor', 'rk4', 'strang',
                                                           'explicit_euler'}
     assert matplotlib.image.imread(picture).shape[:2] == (1000, 1440)
+
+
+def test_the_recommendations_come_first_and_then_the_pareto_optimal_settings(capsys):
+    targets = ('1e-3', '1e-9', '1e-20')
+    arguments = [*TUMBLER, *TORQUES]
+    assert cli.attitude_tradeoff([*arguments, *(word for target in targets[:2]
+                                                for word in ('--target', target))]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    starts = [number for number, line in enumerate(lines) if line.startswith('target ')]
+    assert [lines[number].split()[1] for number in starts] == ['0.001', '1e-09']
+    assert starts[0] == 0
+    header = next(number for number, line in enumerate(lines) if ' setting ' in line)
+    assert starts[1] < header
+    end = next(number for number, line in enumerate(lines) if 'Pareto-optimal: ' in line)
+    assert 3 <= end - header - 1 < 25
+    assert all(line.startswith('* ') for line in lines[header + 1:end])
+    errors = [float(line.split()[-6]) for line in lines[header + 1:end]]
+    assert errors == sorted(errors, reverse=True)
+    assert cli.attitude_tradeoff([*arguments, '--all']) == 0
+    rows = [line for line in capsys.readouterr().out.splitlines()
+            if ' tolerance 1e-' in line or ' step ' in line]
+    assert len(rows) > 35
+    assert lines[end].endswith(f'--all prints the other {len(rows) - (end - header - 1)} settings')
+
+
+def test_every_target_has_its_own_recommendation(tmp_path):
+    body, start = RigidBody.from_moments(1.0, 2.0, 2.5), State(0, angular_velocity=(0.1, 1.0, 0.2))
+    result = measure(body, start, targets=[1e-2, 1e-6, 1e-20])
+    data = report.as_data(result)
+    assert [each['target_rad'] for each in data['targets']] == [1e-2, 1e-6, 1e-20]
+    assert data['targets'][2]['recommended'] is None
+    for each in data['targets'][:2]:
+        assert each['recommended']['whole_attitude_error_rad'] <= each['target_rad']
+        assert each['recommended']['cost_s_per_simulated_s'] == min(
+            run['cost_s_per_simulated_s'] for run in data['runs'] if not run['failure']
+            and run['attitude_error_largest_rad'] + result.reference.certain
+            <= each['target_rad'])
+    assert {name: data[name] for name in data['targets'][0]} == data['targets'][0]
+
+
+def test_other_interpolations_end_where_the_replay_says(capsys):
+    assert cli.attitude_replay([TORQUES[1], *TUMBLER]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    row, = (line.split(maxsplit=1)[1] for line in printed if line.startswith('interpolation '))
+    assert row.startswith('hold (linear would end ')
+    assert cli.attitude_tradeoff([*TUMBLER, *TORQUES]) == 0
+    assert f'\ninterpolation     {row}\n' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('shape', ['smooth', 'pulses'])
+def test_another_interpolation_is_advised_only_if_it_helps(shape):
+    body, start = RigidBody.from_moments(1.0, 2.0, 2.5), State(0, angular_velocity=(0, 1, 0.1))
+
+    def log(step_ns, interpolation):
+        times = np.arange(0, 60 * SECOND + 1, step_ns)
+        if shape == 'smooth':
+            values = np.sin(times[:, None] * 1e-9 * [1.0, 0.7, 1.3])
+        else:
+            values = (np.sin(times * 1e-9 * 1.1) > 0.8)[:, None] * [1.0, 0.0, 0.5]
+        return TorqueLog(times, 1e-2 * values, interpolation=interpolation)
+
+    def error(interpolation):
+        motions = [propagate(body, start, log(step_ns, name), at=[60 * SECOND]).attitude[0]
+                   for step_ns, name in ((SECOND // 10, interpolation), (SECOND // 1000, 'hold'))]
+        return float(so3.angle_between(*motions))
+    result = measure(body, start, log(SECOND // 10, 'hold'), seconds=0.1)
+    assert result.dominant(1e-6) == 'interpolation'
+    better = result.better_interpolation
+    if shape == 'pulses':
+        assert better is None
+        assert ': only more closely spaced samples help\n' in report.summary(result)
+    else:
+        assert error(better.interpolation) < 0.1 * error('hold')
+        assert f'use {better.interpolation} (about ' in report.summary(result)
+
+
+def test_curves_follow_the_settings_and_end_at_the_rounding_floor():
+    result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
+                     State(0, angular_velocity=(0.1, 1.0, 0.2)))
+    floor = result.reference.floor
+    for solver, (errors, _) in report.curves(result).items():
+        measured = [one.error.attitude for one in result.measurements
+                    if one.setting.solver == solver and not one.failure]
+        assert errors == [max(error, floor) for error in measured]
+        if solver in ('auto', 'taylor'):
+            turns = np.diff(np.log(errors))
+            assert turns.max() <= math.log(2.0)
 
 
 def test_the_end_of_a_short_stretch_is_that_of_its_problem(monkeypatch):
@@ -233,8 +325,8 @@ def test_the_end_of_a_short_stretch_is_that_of_its_problem(monkeypatch):
     cut, whole = (some.log.at(result.stretch.times_ns[:-1])[0]
                   for some in (result.stretch, result.whole))
     np.testing.assert_allclose(cut, whole, atol=1e-12)
-    cubic, = (some for some in result.readings if some.interpolation == 'cubic')
-    hold, = (some for some in result.readings if some.interpolation == 'hold')
+    cubic, = (some for some in result.interpolation_errors if some.interpolation == 'cubic')
+    hold, = (some for some in result.interpolation_errors if some.interpolation == 'hold')
     assert cubic.estimate < 1e-2 * hold.estimate
 
 

@@ -58,7 +58,7 @@ def test_a_replay_comes_out_again(tmp_path, capsys, name, options):
     count = len(recording.read(tmp_path / name, '/attitude', messages.QUATERNION))
     assert lines['compared'] == f'{count} states of /attitude'
     assert f'{count} of {count}' in lines['same']
-    assert lines['apart'] == 'at most 0 rad'
+    assert lines['difference'] == 'at most 0 rad'
     assert 'made' not in lines
 
 
@@ -73,7 +73,7 @@ def test_the_first_difference_is_told(tmp_path):
     result = verify(TUMBLER, scene.load(SCENE), path)
     assert result.same[:700].all()
     assert not result.same[700:].any()
-    assert result.apart.max() < 1e-15
+    assert result.angles.max() < 1e-15
 
 
 def test_another_version_is_reported_but_no_processor(tmp_path, capsys):
@@ -94,7 +94,7 @@ def test_an_old_recording_that_names_another_processor_is_reported(tmp_path, mad
     replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion.mcap')
     path = rewritten(tmp_path / 'motion.mcap', tmp_path / 'old.mcap', metadata={
         'fingerprint': json.dumps({**fingerprint(), 'processor': made_on})})
-    assert verify(TUMBLER, scene.load(SCENE), path).differences == reported
+    assert verify(TUMBLER, scene.load(SCENE), path).versions == reported
 
 
 def test_kernels_that_are_not_compiled_have_a_fingerprint_of_their_own():
@@ -110,7 +110,7 @@ def test_a_fingerprint_that_is_damaged_is_unknown(tmp_path):
         path = rewritten(tmp_path / 'motion.mcap', tmp_path / 'other.mcap',
                          metadata={'fingerprint': text})
         result = verify(TUMBLER, scene.load(SCENE), path)
-        assert result.differences == {
+        assert result.versions == {
             name: ('unknown', version) for name, version in fingerprint().items()}
 
 
@@ -178,14 +178,14 @@ def test_the_log_of_a_node_comes_out_again(tmp_path, capsys):
      f'{STAMPS[0]} ns: the beginning of the torque log is missing'),
     ({'torques_from': 7, 'start_time': 0},
      f'expected the attitude of the scene at the start, {STAMPS[7]} ns, found one 0.15 rad away: '
-     'the recorder started late, or the scene, with its start_time, is not that of the run'),
+     'the recorder started late, or the scene or its start_time is not that of the run'),
     ({'start_time': 0},
      f'expected the attitude of the scene at the start, {STAMPS[0]} ns, found one 0.063 rad'),
     ({'without': (20, 21)}, 'expected a torque at each state, found none at 2 of 51, first at '
      f'{STAMPS[20]} ns: a part of the torque log is missing'),
     # The recorder of both started late.
     ({'torques_from': 7, 'states_from': 8}, f'expected the start of the motion, at {START_NS} ns, '
-     f'found states from {STAMPS[7]} ns on: the recorder started late, or the scene, with'),
+     f'found states from {STAMPS[7]} ns on: the recorder started late, or the scene or'),
     ({'torques_from': 7, 'states_from': 8, 'start_time': 0},
      f'expected the attitude of the scene at the start, {STAMPS[7]} ns, found one '),
     ({'states_from': 51}, f'expected states from {START_NS} ns on, found none'),
@@ -211,7 +211,8 @@ def test_torques_that_begin_after_a_motion_are_recognized(tmp_path, capsys):
                                 str(tmp_path / 'motion.mcap')]) == 2
     line, = capsys.readouterr().err.splitlines()
     assert (f'expected states from the first torque, {read.stamps_ns[100]} ns, on, found one at '
-            f'{read.stamps_ns[0]} ns: the beginning of the torque log is missing') in line
+            f'{read.stamps_ns[0]} ns: the beginning of the torque log or the start_time of the '
+            'scene is missing') in line
 
 
 def test_torques_that_came_after_the_last_committed_state_are_no_gap(tmp_path):
@@ -260,7 +261,7 @@ def test_a_folder_that_is_there_stays_as_it_is(tmp_path, capsys):
     assert cli.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '-o',
                                 str(tmp_path / 'motion')]) == 2
     line, = capsys.readouterr().err.splitlines()
-    assert 'motion: expected a name that ends in .mcap' in line
+    assert 'motion: output exists; choose a new folder, or a name ending in .mcap' in line
     assert [path.name for path in tmp_path.rglob('*')] == ['motion']
 
 

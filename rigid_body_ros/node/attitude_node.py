@@ -204,7 +204,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # From here on a signal does not cut a callback short.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda number, frame: stop.append(number))
-        interrupts.heed()
+        interrupts.check()
         while not stop:
             # With a timeout, to hear signals; without one the executor of events may hang.
             executor.spin_once(timeout_sec=_HEED_EVERY)

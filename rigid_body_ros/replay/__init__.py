@@ -12,9 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Recorded torques in, recorded motion out."""
+"""Compute the motion of a body from recorded torques."""
 
-from rigid_body_ros.replay.single import bar, plot, read, Replay, replay, suffix_of
+from rigid_body_ros.replay.single import plot, progress, read, Replay, replay, suffix_of
 from rigid_body_ros.replay.stretches import end_of
 
-__all__ = ['Replay', 'bar', 'end_of', 'plot', 'read', 'replay', 'suffix_of']
+__all__ = ['Replay', 'end_of', 'plot', 'progress', 'read', 'replay', 'suffix_of']

@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-Check a motion: the balance of work and energy, or the momentum that no torque changes.
+Check a motion against the conservation laws: work and energy, or momentum without torque.
 
-And how far the last digit of what is given moves it, whatever the solver.
+Also estimate how far a change of the last digits of the data moves a motion, whatever the solver.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.torque import TorqueLog
 
-#: The balance of work and energy is taken over at most so many pieces of at most this angle, rad.
+#: The energy balance covers at most this many intervals of at most this angle, rad.
 _PIECES = 200_000
 _PIECE_ANGLE = 0.05
-#: The effect of the last digits is taken over at most so many samples and so many rad, which takes
-#: some 10 ms, and compared at so many times.
+#: The effect of the last digits covers at most this many samples and this angle, rad, which takes
+#: about 10 ms, and is evaluated at this many times.
 _SAMPLES, _ANGLE, _TIMES = 16_384, 4096.0, 64
 _GAUSS_POINTS = 0.5 + 0.1 * np.sqrt(15.0) * np.array([-1.0, 0.0, 1.0])
 _GAUSS_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 
 class Check(NamedTuple):
-    """A finding, and how many of the seconds of a motion, from its start, it covers."""
+    """A finding, and the time from the start of the motion that it covers, of the total, s."""
 
     finding: str
     covered: float
@@ -59,9 +59,9 @@ class LastDigits(NamedTuple):
     """How far a change of the last digits moves a motion, rad; see `last_digit_effect`."""
 
     effect: float
-    #: What rounding makes of as many radians.
+    #: Expected rounding error over the same angle, rad.
     rounding: float
-    #: The seconds of the motion, from its start, that this is about, and all of them.
+    #: Time from the start of the motion that this covers, of the total, s.
     covered: float
     total: float
 
@@ -74,7 +74,7 @@ class LastDigits(NamedTuple):
 
 def last_digits(scene: Scene, log: TorqueLog, start: State,
                 trajectory: Trajectory) -> LastDigits | None:
-    """Return what the last digits do to the beginning of a motion; None if it has no length."""
+    """Return the effect of the last digits on the beginning of a motion, None if it is empty."""
     begin_ns, end_ns = start.time_ns, int(trajectory.times_ns[-1])
     speed = float(np.linalg.norm(trajectory.angular_velocity, axis=1).max())
     covered_ns = end_ns - begin_ns
@@ -88,7 +88,7 @@ def last_digits(scene: Scene, log: TorqueLog, start: State,
     try:
         effect = last_digit_effect(scene.body, start, log, at=begin_ns + times,
                                    torque_timeout=scene.values['torque_timeout'])
-    except ValueError:  # the motion of another solver leads beyond all bounds
+    except ValueError:  # with another solver the body spins too fast
         return None
     if not covered_ns:
         return None
@@ -98,14 +98,14 @@ def last_digits(scene: Scene, log: TorqueLog, start: State,
 
 
 def drift(scene: Scene, log: TorqueLog, start: State, trajectory: Trajectory) -> Check:
-    """Return how far a motion of at least one output is from the conservation laws."""
+    """Return by how much a motion of at least one output violates the conservation laws."""
     seconds = float(trajectory.times_ns[-1] - start.time_ns) * 1e-9
     if not log.torques.any():
         momentum = trajectory.angular_momentum_space
         size = float(np.linalg.norm(momentum[0]))
         lost = float(np.linalg.norm(momentum - momentum[0], axis=1).max())
         return Check(
-            f'space angular momentum drifts by {lost / size if size else lost:.1e} of itself',
+            f'relative drift of the space angular momentum {lost / size if size else lost:.1e}',
             seconds, seconds)
     imbalance, covered = energy_balance(scene, log, start, trajectory)
     return Check(f'work and energy differ by {imbalance:.1e} of the largest energy', covered,
@@ -117,16 +117,16 @@ def energy_balance(scene: Scene, log: TorqueLog, start: State,
     """
     Compare the work of the torques with the change of the kinetic energy.
 
-    The work is the integral of tau w over time, by Gauss' formula with three points in pieces of
-    at most 0.05 rad between the changes of the torque. Its points are whole nanoseconds, which
-    limits the comparison to about 1e-10 of a piece.
+    The work is the integral of tau . w over time, by Gaussian quadrature with three points in
+    intervals of at most 0.05 rad between changes of the torque. The points are rounded to whole
+    nanoseconds, which limits the comparison to about 1e-10 of an interval.
 
     Returns
     -------
     imbalance : float
-        |work - change of energy|, relative to the largest kinetic energy met.
+        |work - change of energy|, relative to the largest kinetic energy.
     seconds : float
-        Time from the start that the comparison covers: the number of pieces is limited.
+        Time from the start that the comparison covers; the number of intervals is limited.
 
     """
     timeout_ns = scene.timeout_ns
@@ -148,7 +148,7 @@ def energy_balance(scene: Scene, log: TorqueLog, start: State,
 
 def _piece_edges(log: TorqueLog, start: State, trajectory: Trajectory,
                  timeout_ns: int) -> NDArray[np.int64]:
-    # Every change of the torque, and so many points between that no piece turns by more.
+    # Every change of the torque, and enough points between to keep each interval short.
     changes, _ = log.segments(timeout_ns)
     start_ns, end_ns = start.time_ns, int(trajectory.times_ns[-1])
     inside = changes[(changes > start_ns) & (changes < end_ns)]

@@ -12,12 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Many recordings in one call, by processes side by side."""
+"""Replay many recordings in parallel processes."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
-from contextlib import closing, ExitStack, redirect_stderr, suppress
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing, contextmanager, ExitStack, redirect_stderr, suppress
 from dataclasses import dataclass
 from functools import partial
 import io
@@ -29,24 +29,26 @@ import re
 import threading
 from typing import Any
 
-from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.replay.single import bar, replay
+from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.replay.single import progress, replay
 from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.scene import Scene
 from tqdm import tqdm
 
-#: s; how often to look for signals.
-_HEED_EVERY = 0.1
-#: s; how long a process may clean up.
+#: s; how often to check for signals.
+_CHECK_INTERVAL = 0.1
+#: s; how long a worker process may take to clean up.
 _PATIENCE = 10.0
+#: Names of partial outputs.
+_PARTIAL = '*.partial*.mcap'
 
-#: A recording, and where its motion goes.
+#: A recording and the output for its motion.
 Task = tuple[str, str]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a recording: where its motion is, in short what happened, or the error."""
+    """The result for one recording: its output and a short summary, or the error."""
 
     path: str
     output: str
@@ -57,73 +59,77 @@ class Outcome:
 def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
                 **options: Any) -> list[Outcome]:
     """
-    Replay recordings into a folder, as files of their names (see `outputs_in`).
+    Replay recordings into a folder, each to a file of the same name (see `outputs_in`).
 
     Parameters
     ----------
     paths : sequence of str
         The recordings.
     scene : Scene
-        One for all of them.
+        The scene of all recordings.
     folder : str or Path
         Created if it does not exist.
     options
-        As of `replay`.
+        As for `replay`.
 
     Returns
     -------
     list of Outcome
-        In the order of the paths.
+        In the order of the recordings.
 
     Raises
     ------
     InputError
-        The folder cannot be created, two outputs would have one name, or one of them would
-        replace a recording or the scene, or lie inside the folder of a bag that is read.
+        The folder cannot be created, two outputs would have the same name, or an output would
+        replace a recording or the scene, or lie in the folder of a bag.
+    KeyboardInterrupt
+        A signal was received; its last argument names the partial outputs, if there are any.
 
     """
     with files.reading(*paths), files.protected('scene', scene.path):
         outputs = outputs_in(folder, paths)
         with files.reported(folder):
             Path(folder).mkdir(parents=True, exist_ok=True)
-        with closing(_side_by_side([*zip(paths, outputs)], scene, options)) as outcomes:
-            done = list(bar('recordings', ' files')(outcomes, len(paths)))
+        with _partial_outputs_reported(Path(folder)), \
+                closing(_in_parallel([*zip(paths, outputs)], scene, options)) as outcomes:
+            done = list(progress('recordings', ' files')(outcomes, len(paths)))
     return sorted(done, key=lambda outcome: outputs.index(outcome.output))
 
 
 def outputs_in(folder: str | Path, paths: Sequence[str]) -> list[str]:
     """
-    Return where the motions of recordings go: to FOLDER/NAME.mcap.
+    Return the outputs for the motions of recordings: FOLDER/NAME.mcap.
 
-    NAME is that of the recording without `.mcap`, `.db3` or `.csv`, and without `.zst` or `.zstd`
-    after it. Any other dot is part of the name.
+    NAME is the name of the recording without `.mcap`, `.db3` or `.csv` and without a `.zst` or
+    `.zstd` that follows. Any other dot is part of the name.
 
     Raises
     ------
     InputError
-        Two recordings have one name, the folder has the name of a file, or an output is
-        protected (see `files.protected`).
+        Two recordings have the same name, the folder has the name of a file, or an output is
+        protected (see `files.protected`) or exists and must not be overwritten.
 
     """
     suffix = files.format_of(folder)
     if suffix and not os.path.isdir(folder):
-        raise InputError(f'{folder}: expected a folder for several recordings, found a name that '
-                         f'ends in {suffix}')
+        raise InputError(f'{folder}: expected a folder for several recordings, found a name '
+                         f'ending in {suffix}')
     outputs: dict[str, str] = {}
     with ExitStack() as earlier:
         for path in paths:
             output = str(Path(folder) / f'{_name(path)}.mcap')
             if output in outputs:
-                raise InputError(f'{output}: expected recordings of different names, found '
+                raise InputError(f'{output}: expected recordings with different names, found '
                                  f'{outputs[output]} and {path}')
             files.check_apart(output)
+            files.check_new(output)
             earlier.enter_context(files.protected('output', output))
             outputs[output] = path
     return [*outputs]
 
 
 def table(outcomes: Sequence[Outcome]) -> str:
-    """Return a line a recording."""
+    """Return a table with one line per recording."""
     width = max(len(outcome.path) for outcome in outcomes)
     lines = [f'{outcome.path:{width}}  {outcome.summary or f"failed: {outcome.error}"}'
              for outcome in outcomes]
@@ -132,13 +138,26 @@ def table(outcomes: Sequence[Outcome]) -> str:
 
 
 def _name(path: str) -> str:
-    name = os.path.basename(os.path.abspath(path))  # of '.' that of the folder
+    name = os.path.basename(os.path.abspath(path))  # '.' becomes the name of the folder
     return re.sub(r'(?<=.)(\.(mcap|db3|csv))?(\.zstd?)?$', '', name, flags=re.IGNORECASE)
 
 
-def _side_by_side(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
-                  ) -> Generator[Outcome]:
-    """Generate what becomes of each, in the order in which processes get through."""
+@contextmanager
+def _partial_outputs_reported(folder: Path) -> Iterator[None]:
+    """Add the names of new partial outputs to a KeyboardInterrupt."""
+    before = {*folder.glob(_PARTIAL)}
+    try:
+        yield
+    except KeyboardInterrupt as interrupt:
+        partial = sorted(str(path) for path in {*folder.glob(_PARTIAL)} - before)
+        if partial:
+            interrupt.args += (f'; what was written so far is in {listed(partial)}',)
+        raise
+
+
+def _in_parallel(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
+                 ) -> Generator[Outcome]:
+    """Generate the outcomes in the order in which the workers finish."""
     waiting = [*reversed(tasks)]
     idle: list[_Worker] = []
     busy: list[_Worker] = []
@@ -147,14 +166,14 @@ def _side_by_side(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
             while waiting and len(busy) < (os.cpu_count() or 1):
                 busy.append(idle.pop() if idle else _Worker([path for path, _ in tasks]))
                 busy[-1].begin(waiting.pop(), scene, options)
-            ready = wait([worker.connection for worker in busy], _HEED_EVERY)
+            ready = wait([worker.connection for worker in busy], _CHECK_INTERVAL)
             for worker in [worker for worker in busy if worker.connection in ready]:
                 busy.remove(worker)
                 outcome = worker.result()
-                if worker.is_there:
+                if worker.is_alive:
                     idle.append(worker)
                 yield outcome
-            interrupts.heed()
+            interrupts.check()
     finally:
         for worker in busy:
             worker.interrupt()
@@ -164,28 +183,29 @@ def _side_by_side(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
 
 class _Worker:
     """
-    A process that replays recordings, one at a time.
+    A worker process that replays one recording at a time.
 
     Parameters
     ----------
     inputs : sequence of str
-        All recordings, which no output may replace.
+        All recordings; no output may replace them.
 
     """
 
     def __init__(self, inputs: Sequence[str]) -> None:
-        # Spawned: a fork would take over half of what threads of this process are about.
+        # Spawned, because a fork would copy the state of threads that it does not copy.
         context = multiprocessing.get_context('spawn')
         self.connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, inputs), daemon=True)
-        with interrupts.kept_from_children():
+        self._process = context.Process(
+            target=_serve, args=(theirs, inputs, files.may_overwrite()), daemon=True)
+        with interrupts.blocked_in_children():
             self._process.start()
-        theirs.close()  # or the end of the process would not be seen
-        self.is_there = True
+        theirs.close()  # otherwise the end of the process would go unnoticed
+        self.is_alive = True
 
     def begin(self, task: Task, scene: Scene, options: dict[str, Any]) -> None:
         self._task = task
-        with suppress(OSError):  # it has ended, which the result will tell
+        with suppress(OSError):  # the process has died; `result` reports it
             self.connection.send((task, scene, options))
 
     def result(self) -> Outcome:
@@ -193,9 +213,10 @@ class _Worker:
             outcome: Outcome = self.connection.recv()
         except (EOFError, OSError):
             self._process.join()
-            self.is_there = False
-            return Outcome(*self._task, error=f'{self._task[0]}: the process at work on it ended '
-                           f'with status {self._process.exitcode}')
+            self.is_alive = False
+            code = self._process.exitcode or 0
+            end = f'killed (signal {-code})' if code < 0 else f'exited with status {code}'
+            return Outcome(*self._task, error=f'{self._task[0]}: worker process {end}')
         return outcome
 
     def interrupt(self) -> None:
@@ -204,19 +225,19 @@ class _Worker:
     def end(self) -> None:
         self.connection.close()
         self._process.join(_PATIENCE)
-        self._process.kill()  # if it is stopped, say
+        self._process.kill()  # in case it does not respond
         self._process.join()
 
 
-def _serve(connection: Connection, inputs: Sequence[str]) -> None:
-    # What it would take otherwise is left over where a process is killed.
+def _serve(connection: Connection, inputs: Sequence[str], overwrite: bool) -> None:
+    # The default lock, a semaphore, is left behind if the process is killed.
     tqdm.set_lock(threading.RLock())
-    with suppress(KeyboardInterrupt), interrupts.listening(to_the_end=True), \
-            files.reading(*inputs):
+    with suppress(KeyboardInterrupt), interrupts.deferred(until_exit=True), \
+            files.reading(*inputs), files.overwriting(overwrite):
         for work in iter(partial(_received, connection), None):
             with redirect_stderr(io.StringIO()):  # one progress bar is enough
                 outcome = _outcome(*work)
-            with suppress(OSError):  # nobody is there any more
+            with suppress(OSError):  # the parent process has exited
                 connection.send(outcome)
 
 

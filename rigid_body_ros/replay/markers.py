@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What rviz and Foxglove draw: the body as a box, angular momentum and velocity as arrows."""
+"""Markers for rviz and Foxglove: the body as a box, angular momentum and velocity as arrows."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _LEAST = 1e-3
 
 
 def columns(trajectory: Trajectory, frame: str) -> list[Column]:
-    """Return the markers of a motion, in the space frame of that name."""
+    """Return the markers of a motion in the space frame of this name."""
     attitude, body = trajectory.attitude, trajectory.body
     turned = so3.multiply(attitude, so3.from_matrix(body.principal_axes))
     momentum = trajectory.angular_momentum_space
@@ -46,11 +46,11 @@ def columns(trajectory: Trajectory, frame: str) -> list[Column]:
 
 def box(body: RigidBody) -> Floats:
     """
-    Return the edges of a uniform box that turns as the body does, shape (3,), m.
+    Return the edges, m, of a uniform box with the body's ratios of moments, shape (3,).
 
-    Along its principal axes. The edges of a box of mass m are sqrt(6 (I2 + I3 - I1) / m), and so
-    on; moments do not tell the mass, so that the longest one is 1 m here. The axes of the
-    equivalent ellipsoid are in the same ratios.
+    The edges lie along the principal axes. The first edge of a box of mass m is
+    sqrt(6 (I2 + I3 - I1) / m), and so on. The moments do not determine the mass, so the longest
+    edge is set to 1 m. The axes of the equivalent ellipsoid have the same ratios.
     """
     moments = body.principal_moments
     squares = np.maximum(moments.sum() - 2.0 * moments, 0.0)
@@ -58,10 +58,10 @@ def box(body: RigidBody) -> Floats:
 
 
 def _arrows(vectors: Floats) -> Floats:
-    """Return arrows along vectors, shape (n, 3); an arrow of no rotation lies along x."""
+    """Return arrows along vectors, shape (n, 3); an unrotated arrow points along x."""
     sizes = np.linalg.norm(vectors, axis=1)
     x, y, z = (vectors / np.where(sizes > 0.0, sizes, 1.0)[:, None]).T
-    # The turn about the axis halfway between x and the vector; where that is opposite, about z.
+    # The shortest rotation from x to the vector; if the vector is opposite, half a turn about z.
     opposite = x < -1.0 + 1e-12
     turn = np.stack([np.zeros_like(x), np.where(opposite, 0.0, -z), np.where(opposite, 1.0, y),
                      np.where(opposite, 0.0, 1.0 + x)], axis=1)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What happened in a replay, for a person to read."""
+"""Summarize a replay as text."""
 
 from __future__ import annotations
 
@@ -20,13 +20,15 @@ from rigid_body_ros import euler
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.replay.check import LastDigits
 from rigid_body_ros.replay.single import Replay
+from rigid_body_ros.report.text import interpolation_row
 
 #: The effect of the last digits is reported where it is so many times that of rounding.
+#: The effect of the last digits is printed if it exceeds the rounding error by this factor.
 _WORTH_A_LINE = 10.0
 
 
 def summary(result: Replay) -> str:
-    """Return what happened, in lines."""
+    """Return a summary, one line per fact."""
     last = result.last
     sequence = result.scene.values['euler_sequence']
     span = (last.time_ns - result.start.time_ns) * 1e-9
@@ -37,9 +39,10 @@ def summary(result: Replay) -> str:
                     f'{(result.last_ns - result.first_ns) * 1e-9:.9g} s'
                     + (f'; the last of {result.logs} epochs' if result.logs > 1 else '')),
         *([('lost', result.damage)] if result.damage else []),
-        *([('order', f'{result.unordered} stamps no later than the one before: put in order; of '
-                     'equal ones the last counts')] if result.unordered else []),
-        ('between them', _reading(result)),
+        *([('order', f'{result.unordered} stamps not later than the one before: sorted; of equal '
+                     'stamps the last counts')] if result.unordered else []),
+        ('interpolation', interpolation_row(result.interpolation,
+                                            result.interpolation_differences)),
         ('body', result.scene.body.symmetry),
         *(('solver', text) for text in _solvers(result)),
         ('final state', f'{span:.9g} s after the start'),
@@ -47,13 +50,13 @@ def summary(result: Replay) -> str:
         (f'  {sequence}', f'{_numbers(euler.from_quaternion(last.attitude, sequence))}  rad'),
         ('  body rates', f'{_numbers(last.angular_velocity)}  rad/s'),
         ('check', result.check),
-        *([('last digits', result.last_digits)] if _counts(result.last_digits) else []),
+        *([('last digits', result.last_digits)] if _matters(result.last_digits) else []),
         ('speed', f'{span / total:.3g} times real time ({split})'),
     ]
     return '\n'.join(f'{name:14}{text}' for name, text in rows)
 
 
-def _counts(digits: LastDigits | None) -> bool:
+def _matters(digits: LastDigits | None) -> bool:
     return digits is not None and digits.effect > _WORTH_A_LINE * digits.rounding
 
 
@@ -65,11 +68,3 @@ def _solvers(result: Replay) -> list[str]:
 
 def _numbers(values: Floats) -> str:
     return ' '.join(f'{value:.15g}' for value in values)
-
-
-def _reading(result: Replay) -> str:
-    # How the log is read between its samples, and what another reading would give.
-    others = [f'{name} would spin it up beyond what can be worked out' if apart is None else
-              f'{name} would end {apart:.2g} rad away'
-              for name, apart in result.readings.items()]
-    return f'{result.interpolation} ({", ".join(others)})' if others else result.interpolation

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Replay of one recording: torques in, motion out.
+Replay one recording: read torques, compute the motion, write it.
 
-The torques come piece by piece, and so does the motion: memory holds neither as a whole, unless
-only the whole tells what the log is (where stamps go far back, or a node began its log anew).
+Torques are read and the motion is computed piece by piece, so memory holds neither as a whole. The
+exceptions are recordings with stamps far out of order, or with several logs of a node.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from rigid_body_ros.propagation import Trajectory, warm_up
 from rigid_body_ros.recording import Column, Messages, NotInOrderError, Piece, Source
 from rigid_body_ros.replay import markers
 from rigid_body_ros.replay.check import Check, drift, last_digits, LastDigits
-from rigid_body_ros.replay.stretches import Asked, Stretch, Stretches
+from rigid_body_ros.replay.stretches import Request, Stretch, Stretches
 from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.scene import Scene
@@ -49,7 +49,7 @@ from tqdm import tqdm
 ATTITUDE, EULER_ANGLES, ANGULAR_VELOCITY = '/attitude', '/euler_angles', '/angular_velocity'
 _TOPICS = {ATTITUDE: messages.QUATERNION, EULER_ANGLES: messages.VECTOR3,
            ANGULAR_VELOCITY: messages.VECTOR3}
-#: What can be written besides, by the names that are asked for.
+#: Names of the additional topics that can be written.
 IMU, TF, MARKERS, INPUT = 'imu', 'tf', 'markers', 'input'
 _IMU_DATA, _TF = '/imu/data', '/tf'
 _ALSO = {IMU: {_IMU_DATA: messages.IMU}, TF: {_TF: messages.TRANSFORM}, MARKERS: markers.TOPICS}
@@ -65,32 +65,33 @@ class Replay:
     scene : Scene
     interpolation : str
     topic : str
-        Where the torques came from.
+        Topic of the torques.
     messages : int
-        How many there were.
+        Number of torque messages.
     unordered : int
-        How many have no later stamp than the one before.
+        Number of messages whose stamp is not later than the one before.
     logs : int
-        How many logs they make, of which the last was replayed.
+        Number of logs in the recording, of which the last was replayed.
     first_ns, last_ns : int
-        The stamps that it begins and ends with.
+        First and last torque stamp.
     damage : str
-        What of the recording was lost, and where; '' if nothing.
+        Which part of the recording was lost; '' if none.
     start, last : State
+        First and last state of the motion.
     solvers : dict
-        By solver and reason, the time, ns, that it answered for.
-    readings : dict
-        By interpolation, how far away, rad, another reading between the samples would end; None
-        where that spins the body beyond all bounds.
+        By solver and reason, the time that it was used for, ns.
+    interpolation_differences : dict
+        By interpolation, the angle, rad, between the final attitudes with it and with the one in
+        use; None if it spins the body too fast to compute the motion.
     check : Check, optional
-        How far the motion, or the beginning of it that is checked, is from the conservation laws.
+        How far the motion, or the part of it that is checked, violates the conservation laws.
     last_digits : LastDigits, optional
         How far the motion, or the beginning of it, moves if the last digits of inertia, torques
-        and start change; None where that was not estimated.
+        and start change; None if that was not estimated.
     seconds : dict
-        The time that it took to read, propagate and write.
-    log, trajectory : TorqueLog, Trajectory
-        Where they were to be kept.
+        Wall time spent to read, propagate and write, s.
+    log, trajectory : TorqueLog, Trajectory, optional
+        The whole log and motion, if `keep` was set.
 
     """
 
@@ -106,7 +107,7 @@ class Replay:
     start: State = field(default_factory=State)
     last: State = field(default_factory=State)
     solvers: dict[str, int] = field(default_factory=dict)
-    readings: dict[str, float | None] = field(default_factory=dict)
+    interpolation_differences: dict[str, float | None] = field(default_factory=dict)
     check: Check | None = None
     last_digits: LastDigits | None = None
     seconds: dict[str, float] = field(
@@ -120,36 +121,36 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
            until: float | None = None, start: float = 0.0, time_source: str = 'header',
            also: Collection[str] = (), keep: bool | None = None) -> Replay:
     """
-    Turn the torques of a recording into motion.
+    Compute the motion of a body from the torques of a recording.
 
     Parameters
     ----------
     path : str or Path
-        A recording, see `recording.Source`.
+        The recording; see `recording.Source`.
     scene : Scene
-        Where its start_time is 0, the motion starts at the stamp of the first torque.
+        If its start_time is 0, the motion starts at the stamp of the first torque.
     output : str or Path, optional
-        Where to write attitude, Euler angles and angular velocity: an MCAP file, or, if the name
-        does not end in .mcap, a new folder of rosbag2. It is neither the recording nor the file
-        of the scene, under any name, nor inside the folder of a bag that is read.
+        Where to write attitude, Euler angles and angular velocity: an MCAP file, which may
+        exist, or, if the name does not end in .mcap, a new rosbag2 folder. It must not be the
+        recording or the scene file, under any name, or lie in the folder of the bag.
     topic : str, optional
-        May be left out where only one topic has torques.
+        Topic of the torques; required if the recording has several.
     interpolation : str, optional
-        Instead of the scene's.
+        Interpolation between samples; otherwise the scene's.
     rate : float, optional, Hz
-        Of the output; otherwise there is one at every torque stamp from the start on, and at
+        Output rate; otherwise there is an output at every torque stamp from the start on, and at
         `until`.
     until : float, optional, s
-        End, counted from the start; otherwise the last stamp.
+        End of the motion after its start; otherwise the last stamp.
     start : float, s
-        Leave out torques from before this long after the first.
+        Skip this much of the beginning of the recording.
     time_source : str
-        Where stamps are taken from: 'header', 'log' or 'publish'.
+        When a torque takes effect: 'header' (its stamp), 'log' or 'publish'.
     also : collection of str
-        'imu' (/imu/data), 'tf' (/tf) and 'markers' (/marker/...), to be written besides, and
-        'input', all messages of the recording, byte for byte.
+        Additional topics to write: 'imu' (/imu/data), 'tf' (/tf), 'markers' (/marker/...), and
+        'input' (all messages of the recording, byte for byte).
     keep : bool, optional
-        Whether to return log and trajectory, which takes memory; if there is no output.
+        Whether to return log and trajectory, which takes memory; by default if there is no output.
 
     Raises
     ------
@@ -162,26 +163,27 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
             raise InputError(f'also: expected some of {", ".join((*_ALSO, INPUT))}, '
                              f'found {name!r}')
     keep = output is None if keep is None else keep
-    asked = Asked(path, scene, interpolation or scene.values['interpolation'], rate, until, also)
+    interpolation = interpolation or scene.values['interpolation']
+    request = Request(path, scene, interpolation, rate, until, also)
     with files.reading(path), files.protected('scene', scene.path):
         if output is not None:
             files.check((output, suffix_of(output)))
-        for prepare in bar('kernels, compiled on first use')([warm_up], 1):
+        for prepare in progress('loading kernels (compiled on first use)')([warm_up], 1):
             prepare()
         with Source(path, topic, recording.TORQUES, time_source, start) as source:
             if INPUT in also:
                 source.check_copied(_topics(also))
             if not keep:
                 try:
-                    return _replayed(asked, source, _pieces, output)
+                    return _replayed(request, source, _pieces, output)
                 except NotInOrderError:
-                    pass  # then as a whole
-            return _replayed(asked, source, _whole, output, keep)
+                    pass  # read it as a whole instead
+            return _replayed(request, source, _whole, output, keep)
 
 
 def suffix_of(output: str | Path) -> str:
-    """Return what a motion is written as: '.mcap', or `files.FOLDER` for a bag of rosbag2."""
-    name = Path(output).name.lower()  # as rosbag2 has it
+    """Return the format of an output: '.mcap', or `files.FOLDER` for a rosbag2 folder."""
+    name = Path(output).name.lower()  # like rosbag2
     return '.mcap' if name.endswith('.mcap') else files.FOLDER
 
 
@@ -196,7 +198,7 @@ def read(path: str | Path, scene: Scene, topic: str | None = None,
         The recording cannot be read or does not fit the scene.
 
     """
-    recorded = recording.read(path, topic, track=bar('reading', size=len))
+    recorded = recording.read(path, topic, track=progress('reading', size=len))
     log = recording.torque_log(path, recorded, scene.values['body_frame'],
                                scene.values['space_frame'],
                                interpolation or scene.values['interpolation'])
@@ -204,9 +206,9 @@ def read(path: str | Path, scene: Scene, topic: str | None = None,
     return recorded, log, start
 
 
-def bar(label: str, unit: str = ' stamps',
+def progress(label: str, unit: str = ' stamps',
         size: Callable[[Any], int] = lambda item: 1) -> recording.Track:
-    """Return what shows the progress through items of some size, where somebody watches."""
+    """Return a function that shows the progress of an iteration, if stderr is a terminal."""
     def track(items: Iterable[Any], total: int) -> Iterator[Any]:
         # disable=None: no bar if standard error is not a terminal.
         with tqdm(None, label, total, unit=unit, unit_scale=True, leave=False,
@@ -214,13 +216,22 @@ def bar(label: str, unit: str = ' stamps',
             for item in items:
                 yield item
                 shown.update(size(item))
-                interrupts.heed()
+                interrupts.check()
     return track
 
 
-def plot(path: str | Path, result: Replay, title: str) -> None:
+def plot(path: str | Path, result: Replay, name: str) -> None:
     """
-    Draw the motion, which must have been kept, and its torques into a PNG file.
+    Draw a motion and its torques into a PNG file; `replay` must have kept them.
+
+    Parameters
+    ----------
+    path : str or Path
+        A PNG file.
+    result : Replay
+        With log and trajectory.
+    name : str
+        Name of the recording, for the title.
 
     Raises
     ------
@@ -232,73 +243,73 @@ def plot(path: str | Path, result: Replay, title: str) -> None:
     assert result.trajectory is not None
     assert result.log is not None
     sequence = result.scene.values['euler_sequence']
-    with files.whole(path, '.png') as part:
-        figures.motion(part, result.trajectory, result.log, sequence, title,
-                     result.scene.timeout_ns)
+    with files.atomic_output(path, '.png') as temporary:
+        figures.motion(temporary, result.trajectory, result.log, sequence,
+                       f'{name}: {result.topic}', result.scene.timeout_ns)
 
 
-def _pieces(asked: Asked, source: Source, result: Replay) -> Iterator[Piece]:
+def _pieces(request: Request, source: Source, result: Replay) -> Iterator[Piece]:
     """Return the log piece by piece."""
     def counted() -> Iterator[Messages]:
         last: list[int] = []
-        for block in bar('replaying', size=len)(source, source.count):
+        for block in progress('replaying', size=len)(source, source.count):
             result.messages += len(block)
             result.unordered += int(np.sum(np.diff(block.stamps_ns, prepend=last) <= 0))
             last = [int(block.stamps_ns[-1])]
             yield block
-    values = asked.scene.values
-    return recording.torque_pieces(f'{asked.path}: {source.topic}', counted(),
+    values = request.scene.values
+    return recording.torque_pieces(f'{request.path}: {source.topic}', counted(),
                                    values['body_frame'], values['space_frame'])
 
 
-def _whole(asked: Asked, source: Source, result: Replay) -> Iterator[Piece]:
+def _whole(request: Request, source: Source, result: Replay) -> Iterator[Piece]:
     """Return the log as one piece."""
-    recorded = recording.joined(source.topic, source.kind,
-                                [*bar('reading', size=len)(source, source.count)], source.damage)
-    values = asked.scene.values
-    log = recording.torque_log(asked.path, recorded, values['body_frame'], values['space_frame'])
+    blocks = [*progress('reading', size=len)(source, source.count)]
+    recorded = recording.joined(source.topic, source.kind, blocks, source.damage)
+    values = request.scene.values
+    log = recording.torque_log(request.path, recorded, values['body_frame'], values['space_frame'])
     result.messages, result.logs = len(recorded), len(recording.new_logs(recorded)) + 1
     if result.logs == 1:
         result.unordered = int(np.sum(np.diff(recorded.stamps_ns) <= 0))
     yield Piece(log.times_ns, log.torques, log.in_space)
 
 
-def _replayed(asked: Asked, source: Source,
-              pieces: Callable[[Asked, Source, Replay], Iterator[Piece]],
+def _replayed(request: Request, source: Source,
+              pieces: Callable[[Request, Source, Replay], Iterator[Piece]],
               output: str | Path | None, keep: bool = False) -> Replay:
-    result = Replay(asked.scene, asked.interpolation, source.topic)
+    result = Replay(request.scene, request.interpolation, source.topic)
     began, kept = time.perf_counter(), []
-    stretches = Stretches(asked, source.topic, pieces(asked, source, result))
+    stretches = Stretches(request, source.topic, pieces(request, source, result))
     result.start = result.last = stretches.start
     result.first_ns = stretches.first_ns
     with ExitStack() as stack:
         writer = stack.enter_context(_writer(output)) if output is not None else None
         if writer:
-            _announce(writer, asked)
+            _describe(writer, request)
         for stretch in stretches:
-            interrupts.heed()
+            interrupts.check()
             _take(result, stretch)
-            interrupts.heed()
+            interrupts.check()
             if writer:
                 writing = time.perf_counter()
-                _write(writer, asked, stretch.trajectory)
+                _write(writer, request, stretch.trajectory)
                 result.seconds['write'] += time.perf_counter() - writing
             if keep:
                 kept.append(stretch)
-        if writer and INPUT in asked.also:
+        if writer and INPUT in request.also:
             source.copy_to(writer)
-        interrupts.heed()  # for the last time before the output gets its name
+        interrupts.check()  # last chance before the output gets its final name
     result.seconds['read'] = time.perf_counter() - began - result.seconds['propagate'] \
         - result.seconds['write']
     result.damage = source.damage
-    result.readings = stretches.readings(result.last.attitude)
+    result.interpolation_differences = stretches.differences(result.last.attitude)
     if keep:
         result.log, result.trajectory = kept[0].log, _joined(kept)
     return result
 
 
 def _take(result: Replay, stretch: Stretch) -> None:
-    """Add a stretch to what is known of the whole."""
+    """Update the result with a stretch of the motion."""
     began = time.perf_counter()
     log, trajectory = stretch.log, stretch.trajectory
     result.last_ns = int(log.times_ns[-1])
@@ -326,39 +337,39 @@ def _writer(output: str | Path) -> recording.Writer:
 def _topics(also: Collection[str]) -> dict[str, MessageType]:
     topics = dict(_TOPICS)
     for name in also:
-        topics.update(_ALSO.get(name, {}))  # the input brings its own
+        topics.update(_ALSO.get(name, {}))  # 'input' copies the topics of the recording
     return topics
 
 
-def _announce(writer: recording.Writer, asked: Asked) -> None:
-    """Say what comes, and how it was made."""
-    for topic, kind in _topics(asked.also).items():
+def _describe(writer: recording.Writer, request: Request) -> None:
+    """Add the topics and the metadata of the motion to a recording."""
+    for topic, kind in _topics(request.also).items():
         writer.add_topic(topic, kind)
     writer.add_metadata(NAME, {
-        'fingerprint': json.dumps(fingerprint()), 'scene': json.dumps(dict(asked.scene.values)),
-        'interpolation': asked.interpolation,
-        # A file name need not be text.
-        'torques': Path(asked.path).name.encode(errors='replace').decode()})
+        'fingerprint': json.dumps(fingerprint()), 'scene': json.dumps(dict(request.scene.values)),
+        'interpolation': request.interpolation,
+        # A file name may hold bytes that are not text.
+        'torques': Path(request.path).name.encode(errors='replace').decode()})
 
 
-def _write(writer: recording.Writer, asked: Asked, trajectory: Trajectory) -> None:
-    values = asked.scene.values
+def _write(writer: recording.Writer, request: Request, trajectory: Trajectory) -> None:
+    values = request.scene.values
     space, body = values['space_frame'], values['body_frame']
     attitude, rates = trajectory.attitude, trajectory.angular_velocity
     columns = [Column(ATTITUDE, space, attitude),
                Column(EULER_ANGLES, space, trajectory.euler_angles(values['euler_sequence'])),
                Column(ANGULAR_VELOCITY, body, rates)]
-    if IMU in asked.also:
+    if IMU in request.also:
         columns.append(Column(_IMU_DATA, body, messages.imu_values(attitude, rates)))
-    if TF in asked.also:
+    if TF in request.also:
         columns.append(Column(_TF, space, messages.transform_values(attitude), body))
-    if MARKERS in asked.also:
+    if MARKERS in request.also:
         columns += markers.columns(trajectory, space)
     writer.write_columns(trajectory.times_ns, columns)
 
 
 def _joined(stretches: list[Stretch]) -> Trajectory:
-    """Return the motion of stretches under one log as one; its `models` are those of the last."""
+    """Return the joined motion of stretches under one log; `models` are those of the last."""
     parts = [stretch.trajectory for stretch in stretches]
     return replace(parts[-1], times_ns=np.concatenate([part.times_ns for part in parts]),
                    attitude=np.concatenate([part.attitude for part in parts]),

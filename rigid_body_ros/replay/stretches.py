@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The motion of a replay, stretch by stretch."""
+"""Compute the motion of a replay, stretch by stretch."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ from rigid_body_ros.recording import NotInOrderError, Piece
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
 
-#: Outputs of a stretch.
+#: Most outputs in a stretch.
 _BATCH = 2 ** 16
-#: What a disk can hold.
+#: Most outputs of a replay; more would fill the disk.
 _MOST_OUTPUTS = 10 ** 8
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What is asked for; see `replay`."""
+class Request:
+    """The arguments of `replay` that determine the motion."""
 
     path: str | Path
     scene: Scene
@@ -52,7 +52,7 @@ class Asked:
 
 
 class Stretch(NamedTuple):
-    """A stretch of the motion, the piece of the log that rules it, and the time, s, it took."""
+    """A stretch of the motion, its piece of the torque log, and the wall time it took, s."""
 
     log: TorqueLog
     trajectory: Trajectory
@@ -61,7 +61,7 @@ class Stretch(NamedTuple):
 
 class Stretches:
     """
-    The motion under a log that comes piece by piece.
+    The motion under a torque log that is read piece by piece.
 
     Attributes
     ----------
@@ -71,29 +71,30 @@ class Stretches:
 
     """
 
-    def __init__(self, asked: Asked, topic: str, pieces: Iterator[Piece]) -> None:
-        self._where = f'{asked.path}: {topic}'
-        self._asked, self._pieces = asked, pieces
+    def __init__(self, request: Request, topic: str, pieces: Iterator[Piece]) -> None:
+        self._where = f'{request.path}: {topic}'
+        self._request, self._pieces = request, pieces
         self._piece = next(pieces)
         if not len(self._piece.times_ns):
-            raise InputError(f'{self._where}: expected torques, found no message')
+            raise InputError(f'{self._where}: expected torques, found no messages')
         self.first_ns = int(self._piece.times_ns[0])
-        start = asked.scene.start
+        start = request.scene.start
         self.start = replace(start, time_ns=start.time_ns or self.first_ns)
-        self._run = Run(asked.scene.body, self.start, **asked.scene.options)
-        names = [name for name in INTERPOLATIONS if name != asked.interpolation]
-        #: Other readings, and where each has got; None where it got nowhere.
-        self._others = {name: Run(asked.scene.body, self.start, **asked.scene.options)
+        self._run = Run(request.scene.body, self.start, **request.scene.options)
+        names = [name for name in INTERPOLATIONS if name != request.interpolation]
+        #: Motions with the other interpolations; removed if the body spins too fast.
+        self._others = {name: Run(request.scene.body, self.start, **request.scene.options)
                         for name in names}
+        #: Their final attitudes; None if the body spins too fast.
         self._ends: dict[str, Floats | None] = {}
         self._frames: set[bool] = set()
-        #: They are worked out by a thread that does not keep the program from ending, and what it
-        #: raised.
-        self._beside: Thread | None = None
+        #: A daemon thread computes them, so that it does not delay the end of the program. The
+        #: exception that it raised is in `_failure`.
+        self._thread: Thread | None = None
         self._failure: BaseException | None = None
         self._end_ns, self._count = self.start.time_ns, 0
-        self._until_ns = None if asked.until is None else \
-            end_of(asked.path, 0, self.start.time_ns, asked.until)
+        self._until_ns = None if request.until is None else \
+            end_of(request.path, 0, self.start.time_ns, request.until)
 
     def __iter__(self) -> Iterator[Stretch]:
         piece: Piece | None = self._piece
@@ -105,8 +106,8 @@ class Stretches:
             yield from self._of_piece(piece, stop)
             piece = next(self._pieces) if stop is not None else None
 
-    def readings(self, end: Floats) -> dict[str, float | None]:
-        """Return how far from an attitude, rad, other readings end; None: beyond all bounds."""
+    def differences(self, end: Floats) -> dict[str, float | None]:
+        """Return the angle, rad, from an attitude to the end of each other interpolation."""
         self._wait()
         return {name: None if other is None else float(so3.angle_between(other, end))
                 for name, other in self._ends.items()}
@@ -116,16 +117,16 @@ class Stretches:
         self._wait()
         self._frames |= set(np.unique(piece.in_space).tolist())
         if len(self._frames) > 1:
-            if self._asked.interpolation != 'hold' and piece.dropped:
-                raise NotInOrderError  # and the whole is refused
+            if self._request.interpolation != 'hold' and piece.dropped:
+                raise NotInOrderError  # the log as a whole is rejected
             self._others.clear()
             self._ends.clear()
         numbers, at = self._outputs(piece.times_ns, stop)
-        self._beside = Thread(target=self._read_otherwise, args=(piece, stop, at(numbers[-1:])),
+        self._thread = Thread(target=self._advance_others, args=(piece, stop, at(numbers[-1:])),
                               daemon=True)
-        self._beside.start()
+        self._thread.start()
         try:
-            log = piece.log(self._asked.interpolation)
+            log = piece.log(self._request.interpolation)
             for first in range(0, max(len(numbers), 1), _BATCH):
                 trajectory = self._run.advance(
                     log, at(numbers[first:first + _BATCH]), dropped=0 if first else piece.dropped,
@@ -137,12 +138,16 @@ class Stretches:
 
     def _outputs(self, stamps_ns: NDArray[np.int64], stop: int | None
                  ) -> tuple[range, Callable[[range], NDArray[np.int64]]]:
-        # Outputs after those before, up to the end of a piece, or of it all: their numbers, and
-        # what gives the times of some, because at a high rate all would not fit in memory.
-        start_ns, rate = self.start.time_ns, self._asked.rate
+        """
+        Return the numbers of the next outputs and a function that returns their times.
+
+        The outputs end at the end of the piece or of the motion. At a high rate the times of all
+        of them would not fit in memory.
+        """
+        start_ns, rate = self.start.time_ns, self._request.rate
         end_ns = int(stamps_ns[-1 if stop is None else stop])
         if stop is None:
-            end_ns = end_of(self._asked.path, end_ns, start_ns, self._asked.until)
+            end_ns = end_of(self._request.path, end_ns, start_ns, self._request.until)
         if rate is None:
             first = np.searchsorted(stamps_ns, self._end_ns, 'right' if self._count else 'left')
             times = stamps_ns[first:np.searchsorted(stamps_ns, end_ns, 'right')]
@@ -170,34 +175,34 @@ class Stretches:
         return numbers, at
 
     def _wait(self) -> None:
-        if self._beside:
-            self._beside.join()
+        if self._thread:
+            self._thread.join()
         if self._failure:
             raise self._failure
 
-    def _read_otherwise(self, piece: Piece, stop: int | None, last: NDArray[np.int64]) -> None:
-        """Go on with the other readings to the end of the piece."""
+    def _advance_others(self, piece: Piece, stop: int | None, last: NDArray[np.int64]) -> None:
+        """Advance the motions with the other interpolations to the end of the piece."""
         try:
             for name, run in [*self._others.items()]:
                 self._ends[name] = None
                 try:
                     motion = run.advance(piece.log(name), last if stop is None else [],
                                          dropped=piece.dropped, stop=stop)
-                except ValueError:  # this reading alone spins the body beyond all bounds
+                except ValueError:  # the body spins too fast with this interpolation
                     del self._others[name]
                 else:
                     self._ends[name] = motion.attitude[-1] if stop is None else None
-        except BaseException as error:  # `_wait` raises it in the main thread
+        except BaseException as error:  # raised in the main thread by `_wait`
             self._failure = error
 
 
 def end_of(path: str | Path, last_ns: int, start_ns: int, until: float | None = None) -> int:
-    """Return when a replay ends, or raise InputError where it cannot."""
+    """Return the end of a replay, ns; raise InputError if it is before the start or too late."""
     end_ns = last_ns if until is None else start_ns + round(until * 1e9)
     if end_ns > messages.LAST_NS:
-        raise InputError(f'--until: expected an end that a ROS stamp can name, before '
+        raise InputError(f'--until: expected an end within the range of ROS stamps, up to '
                          f'{messages.LAST_NS} ns, found {until} s after {start_ns} ns')
     if end_ns < start_ns:
-        raise InputError(f'{path}: the last torque, at {end_ns} ns, lies before the start of the '
-                         f'scene, {start_ns} ns')
+        raise InputError(f'{path}: expected torques after the start of the scene, {start_ns} ns, '
+                         f'found the last one at {end_ns} ns')
     return end_ns

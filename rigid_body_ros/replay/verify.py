@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Work out a recorded motion again, and compare."""
+"""Compute a recorded motion again and compare the two."""
 
 from __future__ import annotations
 
@@ -33,58 +33,59 @@ from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, PROCESSOR, pro
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.torque import TorqueLog
 
-#: Where a node records its states, and a replay its attitude.
+#: Message types of the states of a node and the attitude of a replay.
 _KINDS = (messages.ODOMETRY, messages.QUATERNION)
-#: rad; a first attitude that is further from the start of the scene has another origin.
+#: rad; largest difference between the first attitude of a node and the start of its scene.
 _SAME_START = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Verified:
     """
-    A recorded motion beside the one that its torques give.
+    A recorded motion compared with the motion computed from its torques.
 
     Attributes
     ----------
     topic : str
     stamps_ns : array of int64, shape (n,)
     same : array of bool, shape (n,)
-        Whether all bits of a state agree.
-    apart : array, shape (n,), rad
-    differences : dict
-        What made the recording and runs here, where they differ.
+        Whether all bits of a state are equal.
+    angles : array, shape (n,), rad
+        Angles between the two attitudes.
+    versions : dict
+        By package, the version that made the recording and the one in use, if they differ.
 
     """
 
     topic: str
     stamps_ns: NDArray[np.int64]
     same: NDArray[np.bool_]
-    apart: Floats
-    differences: dict[str, tuple[str, str]]
+    angles: Floats
+    versions: dict[str, tuple[str, str]]
 
 
 def verify(path: str | Path, scene: Scene, motion_path: str | Path, *, topic: str | None = None,
            motion_topic: str | None = None, interpolation: str | None = None) -> Verified:
     """
-    Work out a recorded motion again and compare.
+    Compute a recorded motion again and compare the two.
 
     Parameters
     ----------
     path : str or Path
-        The recording of the torques, such as a node's accepted_torque.
+        Recording of the torques, such as the accepted_torque of a node.
     scene : Scene
-        That of the recorded motion: its start and its options count for every bit.
+        Scene of the recorded motion; its start and its options affect every bit.
     motion_path : str or Path
-        The recording of the motion: a node's committed, or the attitude of a replay.
+        Recording of the motion: the committed states of a node, or the attitude of a replay.
     topic, motion_topic : str, optional
-        May be left out where only one fits.
+        Required if the recording has several suitable topics.
     interpolation : str, optional
-        Instead of the scene's.
+        Interpolation between samples; otherwise the scene's.
 
     Raises
     ------
     InputError
-        A recording cannot be read, does not fit the scene, or has no state from the start on.
+        A recording cannot be read, does not match the scene, or has no states after the start.
 
     """
     _, log, start = read(path, scene, topic, interpolation)
@@ -93,7 +94,7 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *, topic: st
         made_by = source.metadata(NAME)
     is_state = source.kind is messages.ODOMETRY
     begun = np.flatnonzero(recorded.stamps_ns == start.time_ns)
-    # A node records the start of each epoch: what comes before the last is of others.
+    # A node records the start of each epoch; only the last epoch counts.
     first = int(begun[-1]) if is_state and begun.size else 0
     stamps, values = recorded.stamps_ns[first:], recorded.values[first:]
     try:
@@ -109,12 +110,12 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *, topic: st
         found = np.hstack([attitude, values[:, messages.ANGULAR_VELOCITY]])
         expected = np.hstack([motion.attitude, motion.angular_velocity])
     same = np.all(np.ascontiguousarray(found).view(np.int64) == expected.view(np.int64), axis=1)
-    apart = so3.angle_between(attitude, motion.attitude)
-    return Verified(source.topic, stamps, same, apart, _differences(made_by))
+    angles = so3.angle_between(attitude, motion.attitude)
+    return Verified(source.topic, stamps, same, angles, _different_versions(made_by))
 
 
 def _check_begins(start: State, log: TorqueLog, stamps_ns: NDArray[np.int64]) -> None:
-    """Raise InputError if a recorded motion has no states, or begins before its torques."""
+    """Raise InputError if a recorded motion has no states or begins before its torques."""
     if not stamps_ns.size:
         raise InputError(f'expected states from {start.time_ns} ns on, found none')
     first_ns, torque_ns = int(stamps_ns.min()), int(log.times_ns[0])
@@ -123,7 +124,7 @@ def _check_begins(start: State, log: TorqueLog, stamps_ns: NDArray[np.int64]) ->
     if start.time_ns == torque_ns:
         raise InputError(
             f'expected states from the first torque, {torque_ns} ns, on, found one at {first_ns} '
-            'ns: the beginning of the torque log is missing, or start_time of the scene')
+            'ns: the beginning of the torque log or the start_time of the scene is missing')
     raise InputError(f'expected states from the start_time of the scene, {start.time_ns} ns, on, '
                      f'found one at {first_ns} ns')
 
@@ -135,14 +136,14 @@ def _check_complete(start: State, log: TorqueLog, stamps_ns: NDArray[np.int64],
 
     A node commits the start of an epoch first, then the state at every torque that it accepted.
     """
-    late = 'the recorder started late, or the scene, with its start_time, is not that of the run'
+    late = 'the recorder started late, or the scene or its start_time is not that of the run'
     if start.time_ns not in stamps_ns:
         raise InputError(f'expected the start of the motion, at {start.time_ns} ns, found states '
                          f'from {stamps_ns.min()} ns on: {late}')
-    apart = float(so3.angle_between(first, start.attitude))
-    if apart > _SAME_START:
+    angle = float(so3.angle_between(first, start.attitude))
+    if angle > _SAME_START:
         raise InputError(f'expected the attitude of the scene at the start, {start.time_ns} ns, '
-                         f'found one {apart:.2g} rad away: {late}')
+                         f'found one {angle:.2g} rad away: {late}')
     missing = np.setdiff1d(stamps_ns, [start.time_ns, *log.times_ns])
     if missing.size:
         where = 'the beginning' if missing[0] < log.times_ns[0] else 'a part'
@@ -152,21 +153,21 @@ def _check_complete(start: State, log: TorqueLog, stamps_ns: NDArray[np.int64],
 
 
 def summary(result: Verified) -> str:
-    """Return how far they agree, in lines."""
+    """Return how far the two motions agree, one line per fact."""
     count = len(result.same)
     rows = [('compared', f'{count} states of {result.topic}'),
             ('same bits', f'{np.count_nonzero(result.same)} of {count}'),
-            ('apart', f'at most {result.apart.max():.2g} rad')]
+            ('difference', f'at most {result.angles.max():.2g} rad')]
     if not result.same.all():
         row = int(np.argmin(result.same))
-        rows.append(('first apart', f'state {row + 1} at {result.stamps_ns[row]} ns, by '
-                                    f'{result.apart[row]:.2g} rad'))
+        rows.append(('first', f'state {row + 1} at {result.stamps_ns[row]} ns, by '
+                              f'{result.angles[row]:.2g} rad'))
     rows += [('made by', f'{name} {there}, here {here}: the last bits may differ')
-             for name, (there, here) in result.differences.items()]
+             for name, (there, here) in result.versions.items()]
     return '\n'.join(f'{name:14}{text}' for name, text in rows)
 
 
-def _differences(made_by: dict[str, str]) -> dict[str, tuple[str, str]]:
+def _different_versions(made_by: dict[str, str]) -> dict[str, tuple[str, str]]:
     here = fingerprint()
     try:
         there = json.loads(made_by.get('fingerprint', '{}'))

@@ -12,29 +12,36 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Figures."""
+"""Draw figures into PNG files."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+import math
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
+from matplotlib.ticker import EngFormatter
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import shortened
 from rigid_body_ros.propagation import Trajectory
 from rigid_body_ros.torque import TorqueLog
 
-#: Okabe and Ito's colours, which the colour-blind tell apart; the styles do so in greyscale.
+#: The palette of Okabe and Ito, safe for colour-blind readers; line styles serve greyscale prints.
 _COLOURS = ('#0072B2', '#D55E00', '#009E73', '#000000', '#CC79A7', '#56B4E9')
 _STYLES = ('-', '--', '-.', ':')
 _MARKERS = ('o', 's', '^', 'D', 'v', 'x')
-#: More points than this a curve has no pixels for.
+_GREYS = ('#333333', '#999999')
+#: Most points of a curve; more are not visible.
 _POINTS = 20_000
+#: Characters of a title that fit into the picture, wide ones included.
+_TITLE = 50
 
 
 def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog, sequence: str,
@@ -45,127 +52,140 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog, sequence: s
     Parameters
     ----------
     path : str or Path
-        A PNG file whatever its name, written over if it is there.
+        A PNG file whatever its name; an existing file is overwritten.
     trajectory : Trajectory
         In ascending order of time.
     log : TorqueLog
         Drawn in the axes that its samples are given in.
     sequence : str
-        Of the Euler angles.
+        Sequence of the Euler angles.
     title : str
-        Drawn as it stands: a $ in it begins no formula.
+        Drawn literally: a $ does not start a formula.
     timeout_ns : int
         As for `TorqueLog.segments`.
 
     """
     rows = np.unique(np.linspace(0, len(trajectory.times_ns) - 1, _POINTS).astype(int))
-    start_ns, end_ns = trajectory.times_ns[0], trajectory.times_ns[-1]
+    start_ns, end_ns = int(trajectory.times_ns[0]), int(trajectory.times_ns[-1])
     seconds = (trajectory.times_ns[rows] - start_ns) * 1e-9
-    angles = trajectory.euler_angles(sequence)[rows]
-    names = (('φ', 'θ', 'ψ') if sequence == 'ZXZ' else
-             tuple(f'{axis}{number}' for number, axis in enumerate(sequence, 1)))
     figure = Figure(figsize=(9.0, 10.0), layout='constrained')
-    # A file name is no formula, and need not be text.
-    figure.suptitle(title.encode(errors='replace').decode(), parse_math=False)
+    figure.suptitle(_literal(title), parse_math=False)
     panels = figure.subplots(4, 1, sharex=True)
-    _curves(panels[0], seconds, _without_jumps(angles), names, f'Euler angles {sequence} (rad)')
-    _angle_ticks(panels[0], angles)
-    _curves(panels[1], seconds, trajectory.attitude[rows], ('x', 'y', 'z', 'w'), 'quaternion')
-    _curves(panels[2], seconds, trajectory.angular_velocity[rows], ('ω₁', 'ω₂', 'ω₃'),
-            'angular velocity,\nbody axes (rad/s)')
-    times = _torque_times(log, int(start_ns), int(end_ns), timeout_ns)
-    torques, _ = log.at(times, timeout_ns)
-    frames = np.unique(log.in_space)
-    axes = 'body axes' if not frames.any() else 'space axes' if frames.all() else 'mixed axes'
-    _curves(panels[3], (times - start_ns) * 1e-9, torques, ('τ₁', 'τ₂', 'τ₃'),
-            f'torque,\n{axes} (N m)')
+    _draw_angles(panels[0], seconds, trajectory.euler_angles(sequence)[rows], sequence)
+    _curves(panels[1], seconds, trajectory.attitude[rows], ('x', 'y', 'z', 'w'))
+    panels[1].set_ylabel('quaternion')
+    _curves(panels[2], seconds, trajectory.angular_velocity[rows], ('ω₁', 'ω₂', 'ω₃'))
+    _label(panels[2].yaxis, 'angular velocity,\nbody axes', 'rad/s',
+           trajectory.angular_velocity[rows])
+    _draw_torque(panels[3], log, start_ns, end_ns, timeout_ns)
     figure.align_ylabels(panels)
-    panels[3].set_xlabel('time from the start (s)')
     panels[3].set_xlim(0.0, max(float(seconds[-1]), 1e-9))
+    _label(panels[3].xaxis, 'time from the start', 's', np.append(seconds, 1e-9))
     FigureCanvasAgg(figure).print_figure(path, dpi=120, format='png')
 
 
 def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
                    Sequence[float]]], title: str, lines: Mapping[str, float]) -> None:
     """
-    Draw cost over error, a curve a solver, into a PNG file.
+    Draw cost over error, one curve per solver, into a PNG file.
 
     Parameters
     ----------
     path : str or Path
-        A PNG file whatever its name, written over if it is there.
+        A PNG file whatever its name; an existing file is overwritten.
     curves : dict
-        By solver, attitude errors, rad, and costs, wall seconds per simulated second.
+        By solver, attitude errors, rad, and costs, wall time in s per simulated second, in the
+        order of the settings.
     title : str
-        Drawn as it stands: a $ in it begins no formula.
+        Drawn literally: a $ does not start a formula.
     lines : dict
-        By name, attitude errors, rad, to compare with.
+        By description, attitude errors, rad, drawn as vertical lines.
 
     """
     figure = Figure(figsize=(7.2, 5.0), layout='constrained')
+    figure.suptitle(_literal(title), parse_math=False, fontsize=10)
     panel = figure.subplots()
-    panel.set_title(title.encode(errors='replace').decode(), parse_math=False, loc='left',
-                    pad=14 + 11 * len(lines), fontsize=11)
-    taken: list[Floats] = []
+    least = float(np.finfo(float).eps)  # smaller errors are not meaningful
     for number, (name, (errors, costs)) in enumerate(curves.items()):
-        # Below the spacing of doubles there is no error to show.
-        x, y = np.maximum(errors, np.finfo(float).eps), np.asarray(costs)
-        panel.loglog(x, y, _STYLES[number % len(_STYLES)], linewidth=1.4, markersize=4.5,
-                     color=_COLOURS[number], marker=_MARKERS[number])
-        _name_curve(panel, name, x, y, _COLOURS[number], taken)
-    for row, (name, value) in enumerate(sorted(lines.items(), key=lambda line: line[1])):
-        value = max(value, float(np.finfo(float).eps))
-        panel.axvline(value, color='#555555', linestyle=_STYLES[row % len(_STYLES)],
-                      linewidth=1.0, zorder=1)
-        panel.annotate(f'{name} {value:.0e}', (value, 1.0), (0, 4 + 11 * row), fontsize=8,
-                       xycoords=('data', 'axes fraction'), textcoords='offset points',
-                       color='#333333', horizontalalignment='center')
+        panel.loglog(np.maximum(errors, least), costs, _STYLES[number % len(_STYLES)],
+                     linewidth=1.4, markersize=4.5, color=_COLOURS[number],
+                     marker=_MARKERS[number], label=name.replace('_', ' '))
+    for number, (name, value) in enumerate(sorted(lines.items(), key=lambda line: line[1])):
+        value = max(value, least)
+        text = name if name.endswith('rad') else f'{name} {value:.0e} rad'
+        panel.axvline(value, color=_GREYS[number // len(_STYLES) % len(_GREYS)],
+                      linestyle=_STYLES[number % len(_STYLES)], linewidth=1.0, zorder=1,
+                      label=text)
     panel.margins(0.08)
     panel.set_xlabel('largest attitude error (rad)')
     panel.set_ylabel('wall time per simulated second (s/s)')
     panel.grid(alpha=0.25)
+    _legend(panel, fontsize=8)
     FigureCanvasAgg(figure).print_figure(path, dpi=200, format='png')
 
 
-def _name_curve(panel: Axes, name: str, x: Floats, y: Floats, colour: str,
-                taken: list[Floats]) -> None:
-    # At its dearest end: at the other all curves meet. Above a name that stands there already.
-    end = np.log10([x[np.argmax(y)], y.max()])
-    near = sum(bool(np.all(np.abs(end - other) < (2.0, 0.2))) for other in taken)
-    taken.append(end)
-    left = end[0] > -2.0  # no room on the right
-    panel.annotate(name.replace('_', ' '), (x[np.argmax(y)], y.max()),
-                   (-6 if left else 6, 4 + 12 * near), color=colour, fontsize=9,
-                   horizontalalignment='right' if left else 'left', textcoords='offset points',
-                   fontweight='bold',
-                   path_effects=[withStroke(linewidth=3, foreground='white')])
+def _literal(title: str) -> str:
+    """Return a title that fits; a file name may hold bytes that are not text."""
+    return shortened(title.encode(errors='replace').decode(), _TITLE)
 
 
-def _curves(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...], label: str) -> None:
+def _draw_angles(panel: Axes, seconds: Floats, angles: Floats, sequence: str) -> None:
+    names = (('φ', 'θ', 'ψ') if sequence == 'ZXZ' else
+             tuple(f'{axis}{number}' for number, axis in enumerate(sequence, 1)))
+    _curves(panel, seconds, _without_jumps(angles), names)
+    panel.set_ylabel(f'Euler angles {sequence} (rad)')
+    low, high = (-2, 2) if angles.min() < 0.0 else (0, 4)
+    labels = {-2: '−π', -1: '−π/2', 0: '0', 1: 'π/2', 2: 'π', 3: '3π/2', 4: '2π'}
+    panel.set_yticks([number * np.pi / 2.0 for number in range(low, high + 1)],
+                     [labels[number] for number in range(low, high + 1)])
+
+
+def _draw_torque(panel: Axes, log: TorqueLog, start_ns: int, end_ns: int,
+                 timeout_ns: int) -> None:
+    times = _torque_times(log, start_ns, end_ns, timeout_ns)
+    torques = log.at(times, timeout_ns)[0]
+    frames = np.unique(log.in_space)
+    axes = 'body axes' if not frames.any() else 'space axes' if frames.all() else 'mixed axes'
+    seconds = np.asarray((times - start_ns) * 1e-9, np.float64)
+    _curves(panel, seconds, torques, ('τ₁', 'τ₂', 'τ₃'))
+    _label(panel.yaxis, f'torque,\n{axes}', 'N m', torques)
+
+
+def _curves(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...]) -> None:
     for column, name, colour, style in zip(columns.T, names, _COLOURS, _STYLES):
         panel.plot(x, column, style, color=colour, linewidth=1.2, label=name)
-    panel.set_ylabel(label)
     panel.grid(alpha=0.3)
-    panel.legend(loc='center left', bbox_to_anchor=(1.0, 0.5), frameon=False, handlelength=2.5)
+    _legend(panel, handlelength=2.5)
+
+
+def _legend(panel: Axes, **options: Any) -> None:
+    panel.legend(loc='center left', bbox_to_anchor=(1.0, 0.5), frameon=False, **options)
+
+
+def _label(axis: Axis, text: str, unit: str, values: Floats) -> None:
+    """Label an axis with a unit that has a prefix if all values are small, as in mrad/s."""
+    largest = float(np.abs(values).max())
+    exponent = min(3 * math.floor(math.log10(largest) / 3.0), 0) if largest else 0
+    exponent = max(exponent, min(EngFormatter.ENG_PREFIXES))
+    if exponent:
+        axis.set_major_formatter(lambda value, _: _scaled(value, 10.0 ** exponent))
+    axis.set_label_text(f'{text} ({EngFormatter.ENG_PREFIXES[exponent]}{unit})')
+
+
+def _scaled(value: float, scale: float) -> str:
+    return f'{round(value / scale, 9) + 0.0:g}'.replace('-', '−')  # without negative zeros
 
 
 def _without_jumps(angles: Floats) -> Floats:
-    # A line from 2 pi back to 0 would show a motion that is none.
+    # A line from 2 pi back to 0 would suggest a motion that does not happen.
     broken = angles.copy()
     broken[1:][np.abs(np.diff(angles, axis=0)) > np.pi] = np.nan
     return broken
 
 
-def _angle_ticks(panel: Axes, angles: Floats) -> None:
-    low, high = (-2, 2) if angles.min() < 0.0 else (0, 4)
-    names = {-2: '−π', -1: '−π/2', 0: '0', 1: 'π/2', 2: 'π', 3: '3π/2', 4: '2π'}
-    panel.set_yticks([number * np.pi / 2.0 for number in range(low, high + 1)],
-                     [names[number] for number in range(low, high + 1)])
-
-
 def _torque_times(log: TorqueLog, start_ns: int, end_ns: int,
                   timeout_ns: int) -> NDArray[np.int64]:
-    # Both sides of every change, so that a step is drawn as one; a grid where there are too many.
+    # Both sides of every change, so that steps are drawn vertical; a grid if there are too many.
     changes, _ = log.segments(timeout_ns)
     grid = start_ns + np.linspace(0, end_ns - start_ns, _POINTS // 4).astype(np.int64)
     if 2 * len(changes) <= _POINTS:

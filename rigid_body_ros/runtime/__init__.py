@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Files, signals and versions of the machine at hand."""
+"""Output files, signals and software versions of the running process."""

@@ -12,7 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Outputs: each gets its name when it is complete, and never replaces a file that is read."""
+"""
+Write output files and folders safely.
+
+An output gets its name only when it is complete. It never replaces an input, and a command
+replaces an existing output only with --overwrite.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +36,9 @@ import weakref
 
 from rigid_body_ros.common.errors import InputError
 
-#: In place of the suffix of a file: the output is a folder.
+#: Used in place of a suffix: the output is a folder.
 FOLDER = ''
-#: Suffixes that promise a format. Any other, as in `run.1`, is part of a name.
+#: Suffixes that name a file format. Any other suffix, as in `run.1`, is part of the name.
 _FORMATS = frozenset([
     '.avi', '.bag', '.bmp', '.bz2', '.csv', '.dat', '.db', '.db3', '.eps', '.gif', '.gz', '.h5',
     '.hdf5', '.html', '.jpeg', '.jpg', '.json', '.log', '.lz4', '.mat', '.mcap', '.md', '.mp4',
@@ -41,29 +46,45 @@ _FORMATS = frozenset([
     '.sqlite3', '.svg', '.tar', '.tif', '.tiff', '.toml', '.tsv', '.txt', '.ulg', '.urdf', '.webp',
     '.xlsx', '.xml', '.xz', '.yaml', '.yml', '.zarr', '.zip', '.zst', '.zstd',
 ])
-#: What SQLite keeps beside a file.
+#: Suffixes of the files that SQLite keeps next to a database.
 _JOURNALS = ('-wal', '-shm', '-journal')
-#: Errors of file systems that cannot flush a folder.
+#: Errors that mean that a file system cannot flush a folder.
 _CANNOT_FLUSH = (errno.EINVAL, errno.EACCES, errno.ENOTSUP)
 
 #: A file or folder under any name: its real path, and its device and inode.
 _Identity = str | tuple[int, int]
-#: What no output may replace, and what it is called in errors.
+#: Files and folders that no output may replace, with their descriptions for error messages.
 _protected: ContextVar[Mapping[_Identity, str]] = ContextVar(
     '_protected', default=MappingProxyType({}))
+_may_overwrite: ContextVar[bool] = ContextVar('_may_overwrite', default=True)
+
+
+@contextmanager
+def overwriting(allowed: bool) -> Iterator[None]:
+    """Allow or forbid, within the context, replacing existing files; the default allows it."""
+    token = _may_overwrite.set(allowed)
+    try:
+        yield
+    finally:
+        _may_overwrite.reset(token)
+
+
+def may_overwrite() -> bool:
+    """Return whether an output may replace an existing file."""
+    return _may_overwrite.get()
 
 
 @contextmanager
 def protected(role: str, *paths: str | Path | None) -> Iterator[None]:
     """
-    Refuse, within the context, every output that would replace a file or lie in a folder.
+    Reject, within the context, any output that would replace these files or lie in these folders.
 
-    A path stands for all names of its file: relative paths, symbolic and hard links.
+    A path covers every name of its file: relative paths, symbolic links and hard links.
 
     Parameters
     ----------
     role : str
-        What the paths are called in errors, such as 'scene'.
+        Description of the paths in error messages, such as 'scene'.
     paths : str or Path or None
         Files and folders; None is ignored.
 
@@ -78,19 +99,19 @@ def protected(role: str, *paths: str | Path | None) -> Iterator[None]:
 
 
 def reading(*recordings: str | Path | None) -> AbstractContextManager[None]:
-    """Protect recordings: files, and bags with all files inside, even if one of them is given."""
-    return protected('input', *(part for path in recordings if path is not None
-                                for part in _parts(os.fspath(path))))
+    """Protect recordings: files, and whole bags, even if the path names one file of a bag."""
+    return protected('input', *(member for path in recordings if path is not None
+                                for member in _members(os.fspath(path))))
 
 
 def check_apart(path: str | Path) -> None:
     """
-    Check that an output neither replaces a protected file nor lies in a protected folder.
+    Check that an output does not replace a protected file or lie in a protected folder.
 
     Raises
     ------
     InputError
-        It does.
+        The output would do so.
 
     """
     known = _protected.get()
@@ -105,15 +126,29 @@ def check_apart(path: str | Path) -> None:
                                  f'{known[identity]}; choose another folder')
 
 
+def check_new(path: str | Path) -> None:
+    """
+    Check that an output does not exist yet, unless it may be overwritten.
+
+    Raises
+    ------
+    InputError
+        The output exists.
+
+    """
+    if not may_overwrite() and os.path.exists(path):
+        raise _exists(path)
+
+
 def format_of(path: str | Path) -> str:
-    """Return the suffix by which a name promises a file format, or '' if it promises none."""
+    """Return the suffix of a name if it names a file format, otherwise ''."""
     suffix = Path(path).suffix.lower()
     return suffix if suffix in _FORMATS else ''
 
 
 def check(*outputs: tuple[str | Path, str]) -> None:
     """
-    Check, before any work, that outputs can be written and are different files.
+    Check, before any work, that outputs can be written and are distinct files.
 
     Parameters
     ----------
@@ -123,7 +158,8 @@ def check(*outputs: tuple[str | Path, str]) -> None:
     Raises
     ------
     InputError
-        One of them cannot be written, would replace a protected file, or is named twice.
+        An output exists and must not be overwritten, cannot be written, would replace a
+        protected file, or is named twice.
 
     """
     with ExitStack() as earlier:
@@ -134,15 +170,15 @@ def check(*outputs: tuple[str | Path, str]) -> None:
 
 
 @contextmanager
-def whole(path: str | Path, suffix: str) -> Iterator[Path]:
+def atomic_output(path: str | Path, suffix: str) -> Iterator[Path]:
     """
-    Yield where to write a file; it gets its name at the end, unless an exception is raised.
+    Yield a temporary path to write to, and rename it at the end unless an exception is raised.
 
     Raises
     ------
     InputError
-        The file cannot be written, or would replace a protected one. An existing file of that
-        name is unchanged.
+        The file exists and must not be overwritten, cannot be written, or would replace a
+        protected file. An existing file of that name is left unchanged.
 
     """
     with reported(path):
@@ -156,7 +192,7 @@ def whole(path: str | Path, suffix: str) -> Iterator[Path]:
 
 @contextmanager
 def reported(path: str | Path) -> Iterator[None]:
-    """Raise an InputError that names the output for an OSError within the context."""
+    """Turn an OSError within the context into an InputError that names the output."""
     try:
         yield
     except OSError as error:
@@ -165,15 +201,15 @@ def reported(path: str | Path) -> Iterator[None]:
 
 class Part:
     """
-    An output under a temporary name beside its own.
+    An output under a temporary name in the folder of its final name.
 
-    Every output is written through this class. The temporary name is new and cannot be predicted,
-    so that it replaces nothing. If Python ends before the output is complete, it is removed.
+    Every output is written through this class. The temporary name is new and unpredictable, so it
+    replaces nothing. If Python exits before the output is complete, the output is removed.
 
     Parameters
     ----------
     path : str or Path
-        Where the output goes. If this is a symbolic link, its target is replaced.
+        The final name. If it is a symbolic link, the target of the link is replaced.
     suffix : str
         The suffix of the format, such as '.mcap', or FOLDER.
 
@@ -187,7 +223,7 @@ class Part:
     Raises
     ------
     InputError
-        The name is taken by something that must not be replaced, or promises another format.
+        The name belongs to a file that must not be replaced, or has the suffix of another format.
     OSError
         The output cannot be written.
 
@@ -197,28 +233,28 @@ class Part:
         self._name, self._suffix = path, suffix
         self.target = Path(os.path.realpath(path))
         replaced = self._checked()
-        short = os.fsdecode(os.fsencode(self.target.name)[:100])  # a name has at most 255 bytes
+        short = os.fsdecode(os.fsencode(self.target.name)[:100])  # names are limited to 255 bytes
         self.path = self.target.with_name(
             f'.{short}.{secrets.token_hex(8)}.{os.getpid()}.part')
-        #: Remove what is left under the temporary name. Registered before anything exists, and
-        #: called at the latest when Python ends: a signal may come between any two lines.
+        #: Remove the temporary file or folder. Registered before it is created and called when
+        #: Python exits at the latest, because a signal may arrive between any two lines.
         self.discard = weakref.finalize(self, _remove, self.path)
         try:
             self._create()
         except OSError:
-            self.discard.detach()  # what is there is not ours
+            self.discard.detach()  # the existing file belongs to someone else
             raise
         if replaced:
             self.path.chmod(replaced.st_mode & 0o777)
 
     def complete(self) -> None:
         """
-        Give the output its name; after a crash there is the old file or the new one.
+        Rename the output to its final name; a crash leaves either the old file or the new one.
 
         Raises
         ------
         InputError
-            The name was taken meanwhile by something that must not be replaced.
+            Since the output was opened, a file that must not be replaced has taken the name.
         OSError
             The output cannot be written.
 
@@ -233,12 +269,12 @@ class Part:
 
     def keep(self, file: Path, suffix: str) -> Path:
         """
-        Move an incomplete file to a free name beside the target, and return that name.
+        Move an incomplete file to an unused name next to the target, and return that name.
 
         Raises
         ------
         OSError
-            It cannot be moved.
+            The file cannot be moved.
 
         """
         stem = self.target.name.removesuffix(self._suffix)
@@ -258,9 +294,9 @@ class Part:
             open(self.path, 'xb').close()
 
     def _checked(self) -> os.stat_result | None:
-        """Return the status of the file that is replaced, if there is one."""
+        """Return the status of the file to replace, or None if there is none."""
         found = None
-        paths = self._name, self.target  # which differ if a link was changed meanwhile
+        paths = self._name, self.target  # they differ if a link was changed in the meantime
         for path in paths:
             check_apart(path)
         for path in paths:
@@ -275,27 +311,31 @@ class Part:
     def _check_name(self, path: str | Path) -> None:
         found = format_of(path)
         if found and found != self._suffix:
-            expected = self._suffix or '.mcap, or one without a suffix for a folder'
-            raise InputError(f'{self._name}: expected a name that ends in {expected}, '
-                             f'found {found}')
+            expected = self._suffix or '.mcap, or a folder name without a suffix'
+            raise InputError(f'{self._name}: expected a name ending in {expected}, found {found}')
 
     def _check_replaced(self, found: os.stat_result) -> None:
         if self._suffix == FOLDER:
-            raise InputError(f'{self._name}: expected a name that ends in .mcap, or a new name '
-                             'for a folder; found one that is taken')
+            raise InputError(f'{self._name}: output exists; choose a new folder, or a name ending '
+                             'in .mcap')
         if not stat.S_ISREG(found.st_mode):
             kind = 'a folder' if stat.S_ISDIR(found.st_mode) else 'a device, pipe or socket'
-            raise InputError(f'{self._name}: expected a file to write, found {kind}')
+            raise InputError(f'{self._name}: expected a regular file, found {kind}')
         if not (found.st_mode & 0o222 and os.access(self.target, os.W_OK)):
-            raise InputError(f'{self._name}: expected a file to write, found one that is '
-                             'read-only')
+            raise InputError(f'{self._name}: expected a writable file, found a read-only one')
+        if not may_overwrite():
+            raise _exists(self._name)
 
 
-def _parts(path: str) -> Iterator[str]:
-    """Generate what belongs to a recording: the files in a folder, or the bag around a file."""
+def _exists(path: str | Path) -> InputError:
+    return InputError(f'{path}: output exists; choose another name, or add --overwrite')
+
+
+def _members(path: str) -> Iterator[str]:
+    """Generate a recording and the files in its folder, or the bag that a file belongs to."""
     yield path
     if os.path.isdir(path):
-        with suppress(OSError):  # whoever reads the folder reports it
+        with suppress(OSError):  # reported when the folder is read
             yield from (entry.path for entry in os.scandir(path))
         return
     yield from (f'{path}{journal}' for journal in _JOURNALS)
@@ -312,7 +352,7 @@ def _identities(path: str | Path) -> Iterator[_Identity]:
 
 
 def _flush(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk."""
+    """Flush a file, or the entries of a folder, to the disk."""
     try:
         handle = os.open(path, os.O_RDONLY)
         try:

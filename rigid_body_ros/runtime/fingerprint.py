@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The versions that the last bits of a motion depend on, besides scene and torques."""
+"""Software versions that determine the last bits of a motion for a given scene and torques."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ import platform
 from rigid_body_ros.kernels.jit import COMPILES
 
 NAME = 'rigid_body_ros'
-#: What compiles the kernels.
+#: Packages that compile the kernels.
 _COMPILERS = ('numba', 'llvmlite')
-#: The entry of recordings whose last bits depended on the processor, too.
+#: Key in recordings of earlier versions, whose last bits also depended on the processor.
 PROCESSOR = 'processor'
 
 
 def fingerprint() -> dict[str, str]:
     """
-    Return versions: if all of them agree, so do all bits of a motion, on any processor.
+    Return package versions by name; equal versions give equal bits on any processor.
 
-    Compilers that are not used here have the version 'none'.
+    The version of a compiler that is not in use is 'none'.
     """
     found = {package: _version(package) for package in (NAME, 'numpy')}
     return {**found, **{package: _version(package) if COMPILES else 'none'
@@ -40,7 +40,7 @@ def fingerprint() -> dict[str, str]:
 
 
 def processor() -> str:
-    """Return what an earlier version recorded as `PROCESSOR`."""
+    """Return the processor name that earlier versions recorded under `PROCESSOR`."""
     try:
         from llvmlite import binding
     except ImportError:
@@ -51,5 +51,5 @@ def processor() -> str:
 def _version(package: str) -> str:
     try:
         return version(package)
-    except PackageNotFoundError:  # run from its folder
+    except PackageNotFoundError:  # run from the source folder
         return 'none'

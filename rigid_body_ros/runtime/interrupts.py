@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-Signals to a command, heard between two pieces of its work.
+Handle SIGINT and SIGTERM between two steps of a command's work.
 
-What a handler raises can be lost: Python drops it in callbacks of weak references and where an
-object ends, numpy and the compiler where they call back from C. And it can come in the middle of
-cleaning up. So handlers only take note, and work that takes long looks at the notes.
+An exception raised by a signal handler can be lost: Python drops it in weak reference callbacks
+and finalizers, and numpy and the compiler drop it when they call back from C. It can also arrive
+in the middle of a cleanup. So the handlers only record the signal, and long-running work checks
+for it.
 """
 
 from __future__ import annotations
@@ -30,65 +31,66 @@ from types import FrameType
 from typing import Any
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-#: s. Where nobody looks for so long, the exception comes wherever the program is ...
+#: s. If the work does not check for a signal for this long, the handler raises the exception ...
 _PATIENCE = 1.0
-#: ... and again after this long, if it was lost there; cleaning up takes less.
+#: ... and raises it again after this long, in case it was lost; cleaning up takes less.
 _AGAIN = 5.0
 
-#: The number of the signal that came first.
-_heard: list[int] = []
+#: The number of the first signal.
+_received: list[int] = []
 
 
 @contextmanager
-def listening(to_the_end: bool) -> Iterator[None]:
+def deferred(until_exit: bool) -> Iterator[None]:
     """
-    Take note of SIGINT and SIGTERM; at the latest at the end raise KeyboardInterrupt, see `heed`.
+    Record SIGINT and SIGTERM, and raise KeyboardInterrupt at the end at the latest.
 
     Parameters
     ----------
-    to_the_end : bool
-        Of the process: from then on signals are ignored.
+    until_exit : bool
+        Whether the process exits after the context: signals are then ignored from there on.
 
     """
-    before = {number: signal.signal(number, _note) for number in _SIGNALS}
+    before = {number: signal.signal(number, _record) for number in _SIGNALS}
     if sys.platform != 'win32':
         before[signal.SIGALRM] = signal.getsignal(signal.SIGALRM)
-    hook, sys.unraisablehook = sys.unraisablehook, _not_raised
+    hook, sys.unraisablehook = sys.unraisablehook, _raise_again
     try:
         yield
-        heed()
+        check()
     finally:
         for number, handler in before.items():
-            signal.signal(number, signal.SIG_IGN if to_the_end else handler)
-        if _heard:
-            _remind(0.0)
+            signal.signal(number, signal.SIG_IGN if until_exit else handler)
+        if _received:
+            _set_alarm(0.0)
         sys.unraisablehook = hook
-        _heard.clear()
+        _received.clear()
 
 
-def heed() -> None:
+def check() -> None:
     """
-    Look whether a signal was heard.
+    Raise KeyboardInterrupt if a signal was received.
 
     Raises
     ------
     KeyboardInterrupt
-        One was; its argument is the number. From here on none disturbs what is cleaned up.
+        A signal was received; its number is the argument. No second exception disturbs the
+        cleanup that follows.
 
     """
-    if _heard:
-        _remind(0.0)
-        raise KeyboardInterrupt(_heard[0])
+    if _received:
+        _set_alarm(0.0)
+        raise KeyboardInterrupt(_received[0])
 
 
 @contextmanager
-def kept_from_children() -> Iterator[None]:
-    """Let processes that are started now not hear SIGINT, which all of a terminal get."""
+def blocked_in_children() -> Iterator[None]:
+    """Block SIGINT in processes started within the context; a terminal sends it to all of them."""
     if sys.platform == 'win32':
         yield
         return
     from multiprocessing import resource_tracker
-    resource_tracker.ensure_running()  # its own start ends what is blocked
+    resource_tracker.ensure_running()  # starting it resets the signal mask
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -96,25 +98,25 @@ def kept_from_children() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _note(number: int, frame: FrameType | None) -> None:
-    if not _heard:
-        _heard.append(number)
+def _record(number: int, frame: FrameType | None) -> None:
+    if not _received:
+        _received.append(number)
         if sys.platform != 'win32':
-            signal.signal(signal.SIGALRM, _insist)
-        _remind(_PATIENCE)
+            signal.signal(signal.SIGALRM, _raise)
+        _set_alarm(_PATIENCE)
 
 
-def _insist(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt(*_heard)
+def _raise(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt(*_received)
 
 
-def _remind(seconds: float) -> None:
+def _set_alarm(seconds: float) -> None:
     if sys.platform != 'win32':
         signal.setitimer(signal.ITIMER_REAL, seconds, _AGAIN if seconds else 0.0)
 
 
-def _not_raised(lost: Any) -> None:
+def _raise_again(lost: Any) -> None:
     if isinstance(lost.exc_value, KeyboardInterrupt):
-        _remind(_PATIENCE)
+        _set_alarm(_PATIENCE)
     else:
         sys.__unraisablehook__(lost)

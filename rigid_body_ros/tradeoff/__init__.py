@@ -15,15 +15,23 @@
 """
 Speed against accuracy: every solver over a ladder of settings, on the user's own motion.
 
-All settings run over one *stretch*, from the start to as far as a thousand or so radians and
-samples reach, and are compared with a reference there: the series at its tightest tolerance in
-shorter steps. The *floor* is the largest difference between it and motions that round otherwise:
-the series with other steps and in principal axes, and, without torque, the closed form. If a
-change of the last digits of inertia, torques and start moves the motion by more than that, no
-solver can be right for certain by less. A setting that meets the target on the stretch is
-recommended only when it meets it on the whole log.
+All settings run over a *stretch*: the beginning of the motion, up to about a thousand radians and
+samples. They are compared with a reference there: the Taylor series at its tightest tolerance with
+shorter steps. The *rounding floor* is the largest difference between the reference and motions
+that round differently: the series with other steps and in principal axes, and, without torque, the
+closed form. If a change of the last digits of inertia, torques and start moves the motion by more
+than that, no solver is certain to be more accurate than this change. A setting that meets a target
+on the stretch is recommended only if it also meets it on the whole motion.
 """
 
-from rigid_body_ros.tradeoff.trade import Choice, Error, measure, recommend, Run, Setting, Tradeoff
+from rigid_body_ros.tradeoff.trade import (
+    Choice,
+    Error,
+    measure,
+    Measurement,
+    recommend,
+    Setting,
+    Tradeoff,
+)
 
-__all__ = ['Choice', 'Error', 'Run', 'Setting', 'Tradeoff', 'measure', 'recommend']
+__all__ = ['Choice', 'Error', 'Measurement', 'Setting', 'Tradeoff', 'measure', 'recommend']

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-The same motion in principal axes, where the series rounds otherwise.
+Compute the same motion in principal axes, where the Taylor series rounds differently.
 
-There J^-1 tau has no sums whose terms cancel. Moments and axes have about 32 digits, and torques
-and rates are rounded once after the rotation.
+In principal axes no terms of J^-1 tau cancel. Moments and axes have about 32 digits; torques and
+rates are rounded once, after the rotation.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from rigid_body_ros.kernels import tensor
 from rigid_body_ros.kernels.jit import njit
 from rigid_body_ros.torque import TorqueLog
 
-#: A coefficient too small to change a motion. It makes the kernels use the arithmetic of full
-#: tensors, so that it differs from theirs for tensors that are diagonal from the start, too.
+#: A coefficient too small to change a motion. It makes the kernels use the arithmetic for full
+#: tensors, so that the rounding also differs for a tensor that is diagonal to begin with.
 _NEGLIGIBLE = 1e-200
 
 
 class PrincipalAxes:
     """
-    The principal axes of a body, and what a motion is in them.
+    Transform a body and its motion to and from its principal axes.
 
     Attributes
     ----------
     body : RigidBody
-        The body in these axes, for the series only.
+        The body in principal axes, for the Taylor series only.
 
     """
 
@@ -56,23 +56,23 @@ class PrincipalAxes:
         self.body = RigidBody(np.diag(moments[0]))
         self.body._constants = tensor.packed(
             coefficients, moments, np.stack([np.eye(3), np.zeros((3, 3))]))
-        self._turn = so3.from_matrix(self._axes[0])
+        self._rotation = so3.from_matrix(self._axes[0])
 
     def start(self, start: State) -> State:
-        """Return the start of a motion in these axes."""
+        """Return an initial state in principal axes."""
         rates = self._components(start.angular_velocity[None])[0]
-        attitude = so3.multiply(start.attitude, self._turn)
+        attitude = so3.multiply(start.attitude, self._rotation)
         packed = np.concatenate([rates[:, 0], [0.0], attitude, rates[:, 1], np.zeros(5)])
         return State._as_computed(start.time_ns, packed)
 
     def log(self, log: TorqueLog) -> TorqueLog:
-        """Return torques in these axes; those in space axes stay."""
+        """Return a log with body-axis torques in principal axes; space-axis torques stay."""
         turned = self._components(log.torques)[..., 0]
         return log.with_torques(np.where(log.in_space[:, None], log.torques, turned))
 
     def back(self, attitude: Floats) -> Floats:
-        """Return attitudes of the body's own axes."""
-        return so3.multiply(attitude, so3.conjugate(self._turn))
+        """Return attitudes of the original body axes, shape (m, 4)."""
+        return so3.multiply(attitude, so3.conjugate(self._rotation))
 
     def _components(self, vectors: Floats) -> Floats:
         high, low = self._axes
@@ -81,7 +81,7 @@ class PrincipalAxes:
 
 @njit
 def _components(high: Floats, low: Floats, vectors: Floats) -> Floats:
-    # Those of vectors along axes, which are columns, as sums of two doubles.
+    """Return the components of vectors along axes (columns) as double-double numbers."""
     result = np.empty((len(vectors), 3, 2))
     for row in range(len(vectors)):
         for axis in range(3):

@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-The motion that is measured: the whole of it, a stretch of it that is little work, what is right.
+The motion to measure: all of it, a stretch that takes little time, and the reference.
 
-The right motion is the series at its tightest tolerance in shorter steps.
+The reference is the Taylor series at its tightest tolerance with shorter steps.
 """
 
 from __future__ import annotations
@@ -37,27 +37,27 @@ from rigid_body_ros.torque import TorqueLog
 from rigid_body_ros.tradeoff.axes import PrincipalAxes
 
 TIGHTEST = 1e-15
-#: Turns of a motion without torques.
+#: Length of a motion without torque, in turns.
 TURNS = 50.0
-#: Angle of the series' own steps, rad.
+#: Typical angle of a step of the Taylor series, rad.
 _SERIES_ANGLE = 0.5
-#: Samples and series steps in a stretch: a tenth of a second.
+#: Most samples and series steps in a stretch; they take about a tenth of a second.
 _WORK = 4000
-#: Outputs besides those at the stamps, so that between two far ones an error is seen, too.
+#: Outputs in addition to the torque stamps, to catch errors between stamps that are far apart.
 _OUTPUTS = 100
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
     """
-    A motion, and when it is asked for.
+    A motion and its output times.
 
     Attributes
     ----------
     body : RigidBody
     start : State
     log : TorqueLog
-        Empty: no torques.
+        Empty if there are no torques.
     times_ns : array of int64, shape (m,)
         Ascending.
     torque_timeout : float, s
@@ -81,12 +81,12 @@ class Problem:
         return not self.log.torques.any()
 
     def run(self, **options: Any) -> Trajectory:
-        """Return the motion, or raise ValueError as `propagate` does."""
+        """Return the motion; raise ValueError as `propagate` does."""
         return propagate(self.body, self.start, self.log, at=self.times_ns,
                          torque_timeout=self.torque_timeout, **options)
 
     def in_principal_axes(self, max_step: float) -> Floats:
-        """Return the attitudes that the series gives in principal axes, turned back."""
+        """Return the attitudes computed by the series in principal axes, shape (m, 4)."""
         axes = PrincipalAxes(self.body)
         turned = replace(self, body=axes.body, start=axes.start(self.start),
                          log=axes.log(self.log))
@@ -94,14 +94,14 @@ class Problem:
                                     max_step=max_step).attitude)
 
     def until(self, end_ns: int) -> Problem:
-        """Return the problem up to an end, with the samples that matter until then."""
+        """Return the problem up to an end time, with the samples needed up to it."""
         part = self.log.between(self.start.time_ns, end_ns)
         return replace(self, log=part, times_ns=_times(part, self.start.time_ns, end_ns))
 
     def stretch(self) -> Problem:
-        """Return the longest half, quarter ... of this that is little work, or this."""
+        """Return the longest of the whole, half, quarter ... that takes little time."""
         start_ns, span_ns = self.start.time_ns, int(self.times_ns[-1]) - self.start.time_ns
-        # From the short end: what the whole would take is not known before.
+        # Shortest first: the cost of the whole is not known in advance.
         shorter = self.until(start_ns + max(span_ns >> 30, 1))
         for halvings in range(29, -1, -1):
             longer = self.until(start_ns + max(span_ns >> halvings, 1))
@@ -112,7 +112,7 @@ class Problem:
         return self
 
     def natural_step(self, motion: Trajectory, angle: float) -> float:
-        """Return the time, s, of an angle at the largest speed, or the longest between samples."""
+        """Return the time, s, to turn by an angle at the top speed, at most one sample spacing."""
         inside = self.log.times_ns[self.log.times_ns > self.start.time_ns]
         edges = np.union1d([self.start.time_ns, self.times_ns[-1]],
                            inside[inside < self.times_ns[-1]])
@@ -123,13 +123,13 @@ class Problem:
 @dataclass(frozen=True, eq=False)
 class Reference:
     """
-    The right motion.
+    The reference motion and how certain it is.
 
     Attributes
     ----------
     trajectory : Trajectory
     floor : float, rad
-        Largest difference between this motion and others that round otherwise: the series with
+        Largest difference between this motion and others that round differently: the series with
         other steps and in principal axes, and, without torque, the closed form.
     last_digits : float, rad
         How far a change of the last digits of inertia, torques and start moves it; see
@@ -143,21 +143,21 @@ class Reference:
 
     @property
     def certain(self) -> float:
-        """Return the least error, rad, that can be promised."""
+        """Return the smallest error that can be guaranteed, rad."""
         return max(self.floor, self.last_digits)
 
     @classmethod
     def of(cls, problem: Problem) -> Reference:
-        """Return that of a problem."""
+        """Return the reference of a problem."""
         plain = problem.run(solver='taylor', tolerance=TIGHTEST)
         step = problem.natural_step(plain, _SERIES_ANGLE)
         best, other = (problem.run(solver='taylor', tolerance=TIGHTEST, max_step=share * step)
                        for share in (0.7, 0.4))
-        alike = [best.attitude, plain.attitude, other.attitude,
-                 problem.in_principal_axes(0.55 * step)]
+        motions = [best.attitude, plain.attitude, other.attitude,
+                   problem.in_principal_axes(0.55 * step)]
         if problem.torque_free:
-            alike.append(problem.run(solver='exact').attitude)
-        floor = max(float(so3.angle_between(*pair).max()) for pair in combinations(alike, 2))
+            motions.append(problem.run(solver='exact').attitude)
+        floor = max(float(so3.angle_between(*pair).max()) for pair in combinations(motions, 2))
         moved = last_digit_effect(problem.body, problem.start, problem.log, at=problem.times_ns,
                                   torque_timeout=problem.torque_timeout)
         return cls(best, max(floor, math.ulp(1.0)), moved)
@@ -165,12 +165,12 @@ class Reference:
 
 def whole(body: RigidBody, start: State, log: TorqueLog | None, end_ns: int | None,
           torque_timeout: float) -> Problem:
-    """Return all of a motion: to the last stamp, or some turns where there are no torques."""
+    """Return the whole motion: to the last stamp, or for some turns if there are no torques."""
     speed = float(np.linalg.norm(start.angular_velocity))
     moved = log is not None and log.torques.any()
     if not speed and not moved:
-        raise ValueError('initial_angular_velocity: expected a body that turns, or torques '
-                         'that turn it, found neither')
+        raise ValueError('initial_angular_velocity: expected a rotating body or torques that '
+                         'rotate it, found neither')
     log = TorqueLog([], []) if log is None else log
     if end_ns is not None:
         end_ns = instant(end_ns, 'end_ns')
@@ -180,8 +180,7 @@ def whole(body: RigidBody, start: State, log: TorqueLog | None, end_ns: int | No
         turns = min(TURNS * 2.0 * math.pi / speed, LONGEST) * 1e9
         end_ns = start.time_ns + max(round(turns), 1)
     if end_ns <= start.time_ns:
-        raise ValueError('expected torques over some time, found no torque after the start, '
-                         f'{start.time_ns} ns')
+        raise ValueError(f'expected torques after the start, {start.time_ns} ns, found none')
     return Problem(body, start, log, _times(log, start.time_ns, end_ns), torque_timeout)
 
 
@@ -192,6 +191,6 @@ def _times(log: TorqueLog, start_ns: int, end_ns: int) -> NDArray[np.int64]:
 
 
 def turned_angle(motion: Trajectory) -> float:
-    """Return the angle that a body turns by from the first output to the last, rad."""
+    """Return the angle that the body turns through from the first to the last output, rad."""
     speed = np.linalg.norm(motion.angular_velocity, axis=1)
     return float(np.sum(np.maximum(speed[1:], speed[:-1]) * np.diff(motion.times_ns)) * 1e-9)

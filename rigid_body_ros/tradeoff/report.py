@@ -12,48 +12,47 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A measured trade in words, and as data for a file."""
+"""Format a measured trade-off as text and as data for a JSON file."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from importlib import metadata
 import platform
 from typing import Any
 
-from rigid_body_ros.tradeoff.readings import Reading, READING_ORDERS
-from rigid_body_ros.tradeoff.trade import Run, Tradeoff
+from rigid_body_ros.report.text import interpolation_row
+from rigid_body_ros.tradeoff.trade import Choice, Measurement, Tradeoff
 
 _WIDTH = 18
 _FLOOR = ('largest difference between runs of the series with other steps and in principal axes,',
-          'and from the closed form if there is no torque: an error common to all does not show')
-_DIGITS = 'a change of the last digit of inertia, torque or start moves the attitude by {} rad'
+          'and from the closed form without torque; it does not show an error common to all')
+_DIGITS = 'a change of the last digit of inertia, torque or start moves the attitude by {:.1e} rad'
 _HEADER = ('', 'solver', 'setting', 'final rad', 'largest rad', 'rad/s', 'momentum', 'energy',
            's per s', 'x real time')
 _ROW = '{:1} {:14} {:>17} {:>10} {:>11} {:>9} {:>9} {:>9} {:>9} {:>11}'
 
 
-def summary(result: Tradeoff) -> str:
-    """Return what was measured, in lines for a person to read."""
-    rows = [('motion', _motion(result)),
-            ('errors', 'against the series at rounding level in shorter steps; attitude final and '
-                       'largest'),
-            ('drift', 'of momentum and energy: ' + _drift(result)),
-            ('cost', f'wall time per simulated second, {len(result.stretch.times_ns)} outputs '
-                     'included; medians of repeats in turns'),
-            ('first call', f'kernels loaded or compiled in {result.load_seconds:.3g} s'),
-            ('', '')]
-    table = [_ROW.format(*_HEADER), *(_line(run, result.stretch.seconds) for run in result.runs),
-             '* nothing is both cheaper and nearer', '']
-    facts = [('rounding floor', f'{result.floor:.1e} rad, {_FLOOR[0]}'), ('', _FLOOR[1]),
-             ('last digits', _digits(result)),
-             *(('between samples', text) for text in _readings(result)),
-             ('what dominates', _dominant(result))]
-    return '\n'.join([*map(_pair, rows), *table, *map(_pair, facts), *_advice(result)])
+def summary(result: Tradeoff, all_rows: bool = False) -> str:
+    """
+    Return the recommended settings, the table and the limits of accuracy as text.
+
+    Parameters
+    ----------
+    result : Tradeoff
+        From `measure`.
+    all_rows : bool
+        Whether the table has all settings, or only the Pareto-optimal ones.
+
+    """
+    recommended = [line for target in result.choices for line in _recommended(result, target)]
+    return '\n'.join([*recommended, *_table(result, all_rows), '', *map(_pair, _facts(result))])
 
 
-def figures(result: Tradeoff) -> dict[str, Any]:
-    """Return everything that was measured, with the unit in each name, for a JSON file."""
-    choice, span = result.choice, result.stretch.seconds
+def as_data(result: Tradeoff) -> dict[str, Any]:
+    """Return all results for a JSON file; each key names its unit."""
+    span = result.stretch.seconds
+    targets = [_target_data(result, target) for target in result.choices]
     return {
         'machine': platform.platform(), 'processor': platform.processor() or platform.machine(),
         'versions': {'python': platform.python_version(),
@@ -62,45 +61,151 @@ def figures(result: Tradeoff) -> dict[str, Any]:
         'samples': len(result.stretch.log), 'outputs': len(result.stretch.times_ns),
         'interpolation': result.stretch.log.interpolation,
         'torque_free': result.stretch.torque_free,
-        'load_or_compile_s': result.load_seconds, 'rounding_floor_rad': result.floor,
-        'rounding_floor_is': ' '.join(_FLOOR), 'last_digit_effect_rad': result.last_digits,
-        'target_rad': result.target, 'dominant': result.dominant,
-        'readings': [{'interpolation': reading.interpolation,
-                      'thinned_by_two_rad': reading.thinned,
-                      'estimated_error_rad': reading.estimate} for reading in result.readings],
-        'runs': [_figures(run, span) for run in result.runs],
-        'recommended': None if choice is None else {
-            **_figures(choice.run, span), 'parameters': [*choice.run.setting.parameters],
-            'whole_attitude_error_rad': choice.error, 'measured_on_whole': choice.measured},
+        'load_or_compile_s': result.load_seconds, 'rounding_floor_rad': result.reference.floor,
+        'rounding_floor_is': ' '.join(_FLOOR),
+        'last_digit_effect_rad': result.reference.last_digits,
+        **targets[0], 'targets': targets,
+        'readings': [{'interpolation': error.interpolation, 'thinned_by_two_rad': error.thinned,
+                      'estimated_error_rad': error.estimate}
+                     for error in result.interpolation_errors],
+        'interpolation_differences_rad': dict(result.interpolation_differences),
+        'runs': [_measurement_data(one, span) for one in result.measurements],
     }
 
 
 def curves(result: Tradeoff) -> dict[str, tuple[list[float], list[float]]]:
-    """Return largest attitude errors, rad, and seconds per simulated second, by solver."""
+    """
+    Return the points of each solver's curve, in the order of its settings.
+
+    Errors below the rounding floor cannot be told from it and are raised to it: their differences
+    would bend the end of a curve.
+
+    Returns
+    -------
+    dict
+        By solver, largest attitude errors, rad, and costs, s per simulated second.
+
+    """
     found: dict[str, tuple[list[float], list[float]]] = {}
-    for run in result.runs:
-        if not run.failure:
-            errors, costs = found.setdefault(run.setting.solver, ([], []))
-            errors.append(run.error.attitude)
-            costs.append(run.seconds / result.stretch.seconds)
+    for one in result.measurements:
+        if not one.failure:
+            errors, costs = found.setdefault(one.setting.solver, ([], []))
+            errors.append(max(one.error.attitude, result.reference.floor))
+            costs.append(one.seconds / result.stretch.seconds)
     return found
 
 
-def _figures(run: Run, span: float) -> dict[str, Any]:
+def reference_errors(result: Tradeoff) -> dict[str, float]:
+    """Return the attitude errors, rad, that a plot compares the curves with, by description."""
+    found = {'rounding floor': result.reference.floor,
+             'last-digit effect': result.reference.last_digits}
+    found.update({f'target {target:g} rad': target for target in result.choices})
+    if error := result.interpolation_error:
+        found[f'{error.interpolation} interpolation'] = error.estimate
+    return found
+
+
+def _recommended(result: Tradeoff, target: float) -> Iterator[str]:
+    choice = result.choices[target]
+    yield _pair(('target', f'{target:.3g} rad'))
+    if choice is None:
+        yield _pair(('recommended', f'none: no setting is certain to meet it, {_why(result)}'))
+    else:
+        yield _pair(('recommended', f'{_expected(result, choice)}:'))
+        yield from (f'    {line}' for line in choice.measurement.setting.parameters)
+    yield from (_pair(('limited by', _dominant(result, target))), '')
+
+
+def _expected(result: Tradeoff, choice: Choice) -> str:
+    how = 'measured on the whole motion' if choice.measured else \
+        'scaled from the stretch to the whole motion by the square of the time'
+    speed = result.stretch.seconds / choice.measurement.seconds
+    return f'{choice.error:.1e} rad ({how}), {speed:.3g} times real time'
+
+
+def _why(result: Tradeoff) -> str:
+    reference = result.reference
+    if reference.floor >= reference.last_digits:
+        return f'the rounding floor is {reference.floor:.1e} rad'
+    return _DIGITS.format(reference.last_digits)
+
+
+def _dominant(result: Tradeoff, target: float) -> str:
+    dominant, own = result.dominant(target), result.interpolation_error
+    if dominant == 'interpolation' and own:
+        better = result.better_interpolation
+        remedy = f'use {better.interpolation} (about {better.estimate:.1e} rad)' \
+            if better else 'only more closely spaced samples help'
+        return (f'the {own.interpolation} interpolation between torque samples (about '
+                f'{own.estimate:.1e} rad): {remedy}')
+    return {'rounding': 'rounding: a tighter setting does not help',
+            'last digits': 'the last digits of inertia, torque and start: a tighter setting does '
+                           'not help',
+            'solver': 'the solver: a tighter setting is more accurate'}[dominant]
+
+
+def _table(result: Tradeoff, all_rows: bool) -> list[str]:
+    optimal = [one for one in result.measurements if one.pareto_optimal]
+    shown = result.measurements if all_rows else sorted(optimal, key=lambda one: one.seconds)
+    hidden = len(result.measurements) - len(shown)
+    note = f'; --all prints the other {hidden} settings' if hidden else ''
+    rows = [_line(one, result.stretch.seconds) for one in shown]
+    return [_ROW.format(*_HEADER), *rows,
+            f'* Pareto-optimal: no setting is both faster and more accurate{note}']
+
+
+def _facts(result: Tradeoff) -> list[tuple[str, str]]:
+    reference = result.reference
+    return [('motion', _motion(result)),
+            ('errors', 'difference from the Taylor series at its tightest tolerance with shorter '
+                       'steps'),
+            ('drift', f'momentum and energy: {_drift(result)}'),
+            ('cost', f'wall time per simulated second with {len(result.stretch.times_ns)} '
+                     'outputs; fastest of several runs'),
+            ('first call', f'kernels loaded or compiled in {result.load_seconds:.3g} s'),
+            ('rounding floor', f'{reference.floor:.1e} rad, {_FLOOR[0]}'), ('', _FLOOR[1]),
+            ('last digits', _DIGITS.format(reference.last_digits)),
+            *_interpolation(result)]
+
+
+def _interpolation(result: Tradeoff) -> list[tuple[str, str]]:
+    rows = []
+    if result.interpolation_differences:
+        rows.append(('interpolation', interpolation_row(result.stretch.log.interpolation,
+                                                        result.interpolation_differences)))
+    if result.interpolation_errors:
+        estimates = ', '.join(f'{error.interpolation} {error.estimate:.1e} rad'
+                              for error in result.interpolation_errors)
+        rows += [('  error', f'{estimates}, estimated by leaving out samples;'),
+                 ('', 'hold has no error if the torque really is constant between samples')]
+    return rows
+
+
+def _target_data(result: Tradeoff, target: float) -> dict[str, Any]:
+    choice = result.choices[target]
+    return {
+        'target_rad': target, 'dominant': result.dominant(target),
+        'recommended': None if choice is None else {
+            **_measurement_data(choice.measurement, result.stretch.seconds),
+            'parameters': [*choice.measurement.setting.parameters],
+            'whole_attitude_error_rad': choice.error, 'measured_on_whole': choice.measured}}
+
+
+def _measurement_data(one: Measurement, span: float) -> dict[str, Any]:
     def number(value: float) -> float | None:
-        return None if run.failure else value  # NaN is no JSON
-    error = run.error
-    return {'solver': run.setting.solver, 'tolerance': run.setting.tolerance,
-            'max_step_s': run.setting.max_step,
+        return None if one.failure else value  # NaN is not valid JSON
+    error = one.error
+    return {'solver': one.setting.solver, 'tolerance': one.setting.tolerance,
+            'max_step_s': one.setting.max_step,
             'attitude_error_final_rad': number(error.attitude_final),
             'attitude_error_largest_rad': number(error.attitude),
             'angular_velocity_error_largest_rad_per_s': number(error.angular_velocity),
             'momentum_drift_relative': number(error.momentum),
             'energy_drift_relative': number(error.energy),
-            'first_call_s': number(run.first_seconds), 'warm_call_s': number(run.seconds),
-            'cost_s_per_simulated_s': number(run.seconds / span),
-            'times_real_time': number(span / run.seconds),
-            'on_pareto_front': run.on_front, 'failure': run.failure or None}
+            'first_call_s': number(one.first_seconds), 'warm_call_s': number(one.seconds),
+            'cost_s_per_simulated_s': number(one.seconds / span),
+            'times_real_time': number(span / one.seconds),
+            'on_pareto_front': one.pareto_optimal, 'failure': one.failure or None}
 
 
 def _pair(row: tuple[str, str]) -> str:
@@ -110,70 +215,23 @@ def _pair(row: tuple[str, str]) -> str:
 def _motion(result: Tradeoff) -> str:
     stretch, whole = result.stretch, result.whole
     torques = 'without torque' if stretch.torque_free else \
-        f'{len(stretch.log)} samples of torque ({stretch.log.interpolation})'
-    part = '' if stretch is whole else f', a stretch from the start of {whole.seconds:.9g} s'
+        f'{len(stretch.log)} torque samples ({stretch.log.interpolation})'
+    part = '' if stretch is whole else f', the beginning of {whole.seconds:.9g} s'
     return f'{stretch.seconds:.9g} s, {result.angle:.3g} rad, {torques}{part}'
 
 
 def _drift(result: Tradeoff) -> str:
     if result.stretch.torque_free:
-        return 'largest change since the start, of itself'
-    return "largest difference from the reference's, of its largest"
+        return 'largest change since the start, relative'
+    return 'largest difference from the reference, relative to its largest value'
 
 
-def _line(run: Run, span: float) -> str:
-    setting = run.setting
+def _line(one: Measurement, span: float) -> str:
+    setting = one.setting
     value = f'step {setting.max_step:.6g} s' if setting.max_step else \
         f'tolerance {setting.tolerance:.0e}' if setting.tolerance else '-'
-    if run.failure:
-        return f'  {setting.solver:14} {value:>17}   failed: {run.failure}'
-    return _ROW.format('*' if run.on_front else '', setting.solver, value,
-                       *(f'{error:.1e}' for error in run.error), f'{run.seconds / span:.2e}',
-                       f'{span / run.seconds:.3g}')
-
-
-def _readings(result: Tradeoff) -> list[str]:
-    if not result.readings:
-        return []
-    ours = result.reading
-    texts = [f'{reading.interpolation} {reading.thinned:.1e}' for reading in result.readings]
-    lines = ['every other sample left out moves the attitude by, rad: ' + ', '.join(texts)]
-    if ours:
-        lines.append(f'{ours.interpolation} is off by about {ours.estimate:.1e} rad'
-                     + (', unless the torque was really held' if ours.interpolation == 'hold'
-                        else '') + _better(result, ours))
-    return lines
-
-
-def _better(result: Tradeoff, ours: Reading) -> str:
-    best = min(result.readings, key=lambda reading: reading.estimate)
-    if best.estimate > 0.1 * ours.estimate or \
-            READING_ORDERS[best.interpolation] <= READING_ORDERS[ours.interpolation]:
-        return ''
-    return f'; {best.interpolation} by about {best.estimate:.1e} rad'
-
-
-def _dominant(result: Tradeoff) -> str:
-    return {'rounding': 'rounding: a tighter setting gains nothing',
-            'last digits': 'the last digits of inertia, torque and start: a tighter setting gains '
-                           'nothing',
-            'solver': 'the solver: a tighter setting is nearer',
-            'reading': 'how the log is read between its samples: a tighter setting gains '
-                       'nothing, closer samples or another interpolation do'}[result.dominant]
-
-
-def _digits(result: Tradeoff) -> str:
-    return _DIGITS.format(f'{result.last_digits:.1e}')
-
-
-def _advice(result: Tradeoff) -> list[str]:
-    choice, target = result.choice, f'target {result.target:.3g} rad'
-    if choice is None:
-        why = f'the rounding floor is {result.floor:.1e} rad' \
-            if result.floor >= result.last_digits else _digits(result)
-        return ['', f'No setting meets the {target} for certain: {why} on the stretch, and more '
-                    'on a longer log.']
-    how = 'measured on the whole log' if choice.measured else \
-        'scaled by the square of the time from the stretch to the whole log'
-    return ['', f'Cheapest for the {target} ({choice.error:.1e} rad, {how}):',
-            *(f'    {line}' for line in choice.run.setting.parameters)]
+    if one.failure:
+        return f'  {setting.solver:14} {value:>17}   failed: {one.failure}'
+    return _ROW.format('*' if one.pareto_optimal else '', setting.solver, value,
+                       *(f'{error:.1e}' for error in one.error), f'{one.seconds / span:.2e}',
+                       f'{span / one.seconds:.3g}')

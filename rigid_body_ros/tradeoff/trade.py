@@ -12,14 +12,14 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The trade itself: settings timed, compared with a reference, and one recommended."""
+"""Time every setting, compare it with the reference, and recommend one for each target."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 import math
-import statistics
 import time
 from typing import Any, NamedTuple
 
@@ -28,24 +28,29 @@ from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.propagation import Trajectory, warm_up
 from rigid_body_ros.torque import TorqueLog
+from rigid_body_ros.tradeoff.interpolation import (
+    better_interpolation,
+    final_differences,
+    interpolation_errors,
+    InterpolationError,
+)
 from rigid_body_ros.tradeoff.problem import Problem, Reference, TIGHTEST, turned_angle, whole
-from rigid_body_ros.tradeoff.readings import compare_readings, Reading
 
-#: Wraps an iterable of so many items, to show progress.
+#: Wraps an iterable of a given length to show progress.
 Track = Callable[[Iterable[Any], int], Iterable[Any]]
 
 _TOLERANCES = tuple(float(f'1e-{k}') for k in range(2, 16))
-#: Angle of the longest step of the ladders, rad; the most steps of one run, a tenth of a second.
+#: Angle of the longest step of a ladder, rad; most steps of one run, about a tenth of a second.
 _LONGEST_ANGLE, _MOST_STEPS = 1.0, 1_000_000
 _FEWEST_REPEATS, _MOST_REPEATS = 3, 15
-#: What a reference costs, in runs of the series.
+#: Cost of a reference, in runs of the Taylor series.
 _REFERENCE = 14.0
-#: s; a shorter run notices what ran before it, and is repeated once without being timed.
-_NOTICES = 0.01
+#: s; shorter runs depend on what ran before, so each is repeated once before it is timed.
+_SHORT = 0.01
 
 
 class Setting(NamedTuple):
-    """A solver and what it is set to."""
+    """A solver with its tolerance or step."""
 
     solver: str
     tolerance: float | None = None
@@ -59,7 +64,7 @@ class Setting(NamedTuple):
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Return the lines of a scene that ask for this, whatever else the scene says."""
+        """Return the scene lines that select this setting, whatever else the scene has."""
         if self.max_step is not None:
             return f'solver: {self.solver}', f'max_step: {self.max_step!r}'
         return (f'solver: {self.solver}', f'tolerance: {self.tolerance or TIGHTEST!r}',
@@ -67,14 +72,14 @@ class Setting(NamedTuple):
 
 
 class Error(NamedTuple):
-    """How far a motion is from the reference, at most over the outputs unless it says final."""
+    """Largest difference from the reference over all outputs, unless the name says final."""
 
     #: rad
     attitude_final: float
     attitude: float
     #: rad/s
     angular_velocity: float
-    #: Of the largest there is. Without torque from the start's, otherwise from the reference's.
+    #: Relative to the largest value; without torque the change since the start.
     momentum: float
     energy: float
 
@@ -83,23 +88,24 @@ _NO_ERROR = Error(*5 * [math.nan])
 
 
 @dataclass(frozen=True)
-class Run:
+class Measurement:
     """
-    What a setting gave.
+    The error and the cost of a setting.
 
     Attributes
     ----------
     setting : Setting
     error : Error
-        NaN where the run failed.
+        NaN if the run failed.
     seconds : float
-        Wall time, the median of repeats in turns; NaN where the run failed.
+        Wall time: the fastest of several runs, because other load on the machine only adds to it.
+        NaN if the run failed.
     first_seconds : float
-        Wall time of the first call, of kernels that are loaded.
+        Wall time of the first run, with the kernels loaded.
     failure : str
-        Why it failed; empty where it did not.
-    on_front : bool
-        No other setting is both cheaper and nearer.
+        Why the run failed; empty if it did not.
+    pareto_optimal : bool
+        Whether no other setting is both faster and more accurate.
 
     """
 
@@ -108,97 +114,107 @@ class Run:
     seconds: float
     first_seconds: float
     failure: str = ''
-    on_front: bool = False
+    pareto_optimal: bool = False
 
 
 class Choice(NamedTuple):
-    """The cheapest setting that meets the target."""
+    """The cheapest setting that meets a target."""
 
-    run: Run
-    #: Attitude error to reckon with on the whole log, rad.
+    measurement: Measurement
+    #: Expected attitude error over the whole log, rad.
     error: float
-    #: Whether that was measured on the whole log, or scaled from the stretch.
+    #: Whether that error was measured on the whole log or scaled from the stretch.
     measured: bool
 
 
 @dataclass(frozen=True, eq=False)
 class Tradeoff:
     """
-    What was measured.
+    All measurements, and the recommended setting for each target.
 
     Attributes
     ----------
     stretch, whole : Problem
     angle : float
-        That the body turns by over the stretch, rad.
-    runs : tuple of Run
-    floor, last_digits : float
-        Rounding on the stretch, and the effect of the last digits there, rad; see `Reference`.
-    readings : tuple of Reading
-    target : float, rad
-    choice : Choice or None
+        Angle that the body turns through over the stretch, rad.
+    measurements : tuple of Measurement
+    reference : Reference
+        Of the stretch.
+    interpolation_errors : tuple of InterpolationError
+        On the stretch.
+    interpolation_differences : dict
+        By interpolation, how far from the scene's it ends, rad; see `final_differences`.
+    choices : dict
+        By target, rad, the recommended setting, or None if no setting meets the target.
     load_seconds : float
-        Time that loading the kernels took, or compiling them, the first time.
+        Time to load the kernels, or to compile them the first time.
 
     """
 
     stretch: Problem
     whole: Problem
     angle: float
-    runs: tuple[Run, ...]
-    floor: float
-    last_digits: float
-    readings: tuple[Reading, ...]
-    target: float
-    choice: Choice | None
+    measurements: tuple[Measurement, ...]
+    reference: Reference
+    interpolation_errors: tuple[InterpolationError, ...]
+    interpolation_differences: Mapping[str, float | None]
+    choices: Mapping[float, Choice | None]
     load_seconds: float
 
     @property
-    def reading(self) -> Reading | None:
-        """Return the reading that the scene asks for, if it leaves anything open."""
-        return next((reading for reading in self.readings
-                     if reading.interpolation == self.stretch.log.interpolation), None)
+    def interpolation_error(self) -> InterpolationError | None:
+        """Return the estimated error of the scene's interpolation, None if there is none."""
+        return next((error for error in self.interpolation_errors
+                     if error.interpolation == self.stretch.log.interpolation), None)
 
     @property
-    def dominant(self) -> str:
-        """Return what the error of the recommended setting, or of the best, is owed to most."""
-        errors = [run.error.attitude for run in self.runs if not run.failure]
-        solver = self.choice.run.error.attitude if self.choice else min(errors, default=math.inf)
-        shares = {'rounding': self.floor, 'solver': solver, 'last digits': self.last_digits,
-                  'reading': self.reading.estimate if self.reading else 0.0}
-        # A solver at the floor has no error of its own to show.
-        if solver <= 2.0 * self.floor:
+    def better_interpolation(self) -> InterpolationError | None:
+        """Return the best interpolation if it is clearly better than the scene's."""
+        own = self.interpolation_error
+        return better_interpolation(self.interpolation_errors, own) if own else None
+
+    def dominant(self, target: float) -> str:
+        """Return the largest source of error of the setting for a target, or of the best one."""
+        floor, own = self.reference.floor, self.interpolation_error
+        choice = self.choices[target]
+        errors = [one.error.attitude for one in self.measurements if not one.failure]
+        solver = choice.measurement.error.attitude if choice else min(errors, default=math.inf)
+        shares = {'rounding': floor, 'solver': solver, 'last digits': self.reference.last_digits,
+                  'interpolation': own.estimate if own else 0.0}
+        # The error of a solver at the floor is rounding.
+        if solver <= 2.0 * floor:
             shares['solver'] = 0.0
         return max(shares, key=lambda name: shares[name])
 
 
 def measure(body: RigidBody, start: State, log: TorqueLog | None = None, *,
-            end_ns: int | None = None, torque_timeout: float = 0.0, target: float = 1e-6,
-            seconds: float = 10.0, track: Track = lambda items, total: items) -> Tradeoff:
+            end_ns: int | None = None, torque_timeout: float = 0.0,
+            targets: Sequence[float] = (1e-6,), seconds: float = 10.0,
+            track: Track = lambda items, total: items) -> Tradeoff:
     """
-    Measure every solver, and choose the cheapest setting that meets a target.
+    Measure every solver, and choose the cheapest setting that meets each target.
 
     Parameters
     ----------
     body, start : RigidBody, State
         As for `propagate`.
     log : TorqueLog, optional
-        None: no torques.
+        None for a motion without torque.
     end_ns : int, optional
-        Where the whole ends: the last stamp, or after 50 turns where there is no log.
+        End of the motion; otherwise the last stamp, or 50 turns after the start without a log.
     torque_timeout : float, s
         As for `propagate`.
-    target : float, rad
-        Attitude error that is allowed, anywhere in the whole log.
+    targets : sequence of float, rad
+        Attitude errors allowed at any time of the motion.
     seconds : float
-        Wall time to repeat runs for, and to look at the whole log for.
+        Wall time to spend on repeated runs, and on runs over the whole motion.
     track : callable, optional
-        Wraps the iteration over the settings, to show progress.
+        Wraps the iteration over the settings to show progress.
 
     Raises
     ------
     ValueError
-        Nothing moves, or the torques bring the body beyond what can be worked out.
+        Nothing moves, or the torques spin the body too fast to compute its motion.
 
     """
     began = time.perf_counter()
@@ -207,43 +223,48 @@ def measure(body: RigidBody, start: State, log: TorqueLog | None = None, *,
     problem = whole(body, start, log, end_ns, torque_timeout)
     stretch = problem.stretch()
     reference = Reference.of(stretch)
-    runs = _front(_timed(stretch, _settings(stretch, reference.trajectory), reference, seconds,
-                         track), reference.floor)
-    choice = recommend(runs, target, reference.certain, problem.seconds / stretch.seconds,
-                       _judge(problem, stretch, reference, runs, seconds))
-    return Tradeoff(stretch, problem, turned_angle(reference.trajectory), runs, reference.floor,
-                    reference.last_digits, compare_readings(stretch), target, choice, load_seconds)
+    measurements = _with_pareto_front(
+        _timed(stretch, _settings(stretch, reference.trajectory), reference, seconds, track),
+        reference.floor)
+    growth = problem.seconds / stretch.seconds
+    error_on_whole = _evaluator(problem, stretch, reference, measurements, seconds)
+    choices = {target: recommend(measurements, target, reference.certain, growth, error_on_whole)
+               for target in targets}
+    return Tradeoff(stretch, problem, turned_angle(reference.trajectory), measurements, reference,
+                    interpolation_errors(stretch), final_differences(problem), choices,
+                    load_seconds)
 
 
-def recommend(runs: Sequence[Run], target: float, floor: float, growth: float,
-              judge: Callable[[Run], float | None]) -> Choice | None:
+def recommend(measurements: Sequence[Measurement], target: float, floor: float, growth: float,
+              error_on_whole: Callable[[Measurement], float | None]) -> Choice | None:
     """
-    Return the cheapest setting that meets a target on the whole log, if one does.
+    Return the cheapest setting that meets a target on the whole log, or None.
 
     Parameters
     ----------
-    runs : sequence of Run
-        On a stretch from the start: one that misses the target there misses it on the whole log.
+    measurements : sequence of Measurement
+        On the stretch. A setting that misses the target there also misses it on the whole log.
     target, floor : float, rad
-        The floor counts as an error of the setting. It is that of `Reference.certain`: rounding,
-        or the effect of the last digits where that is larger.
+        The floor counts as an error of every setting. It is `Reference.certain`: rounding, or the
+        effect of the last digits if that is larger.
     growth : float
-        How much longer the whole log is.
-    judge : callable
-        Returns the attitude error on the whole log, rad, or None where that costs too much. Then
-        the error of the stretch is taken to grow with the square of the time: one of the rates
-        that grows evenly, as that of the energy does with RK4, makes one of the attitude that
-        grows so; only near a separatrix, where rounding grows exponentially, is it more.
+        Length of the whole log relative to the stretch.
+    error_on_whole : callable
+        Returns the attitude error on the whole log, rad, or None if that takes too long to
+        compute. The error of the stretch is then assumed to grow with the square of the time: a
+        rate error that grows linearly, as that of RK4 does with its energy error, gives such an
+        attitude error. Errors grow faster only near a separatrix, where rounding grows
+        exponentially.
 
     """
-    fitting = [run for run in runs if run.error.attitude + floor <= target]  # nor NaN
-    for run in sorted(fitting, key=lambda run: run.seconds):
-        error = judge(run)
+    fitting = [one for one in measurements if one.error.attitude + floor <= target]  # no NaN
+    for measurement in sorted(fitting, key=lambda one: one.seconds):
+        error = error_on_whole(measurement)
         measured = error is not None
         if error is None:
-            error = (run.error.attitude + floor) * growth ** 2
+            error = (measurement.error.attitude + floor) * growth ** 2
         if error <= target:
-            return Choice(run, error, measured)
+            return Choice(measurement, error, measured)
     return None
 
 
@@ -261,82 +282,88 @@ def _settings(problem: Problem, motion: Trajectory) -> list[Setting]:
 
 
 def _timed(problem: Problem, settings: Sequence[Setting], reference: Reference, seconds: float,
-           track: Track) -> list[Run]:
-    """Run every setting once for its error, and again, in turns, for the time it takes."""
-    runs = []
-    for setting in track(settings, len(settings)):
-        began = time.perf_counter()
-        try:
-            motion = problem.run(**setting.options)
-        except ValueError as error:
-            runs.append(Run(setting, _NO_ERROR, math.nan, math.nan, str(error)))
-            continue
-        first = time.perf_counter() - began
-        runs.append(Run(setting, _error(problem, motion, reference.trajectory), first, first))
-    times: list[list[float]] = [[] for _ in runs]
+           track: Track) -> list[Measurement]:
+    """Run every setting once to get its error, then repeatedly, in turns, to get its time."""
+    measurements = [_first_run(problem, setting, reference)
+                    for setting in track(settings, len(settings))]
+    times: list[list[float]] = [[] for _ in measurements]
     limit = time.perf_counter() + seconds
-    for turn in track(range(_MOST_REPEATS), _MOST_REPEATS):
-        if turn >= _FEWEST_REPEATS and time.perf_counter() > limit:
-            continue  # lets the bar come to its end
-        for run, measured in zip(runs, times):
-            if not run.failure:
-                if run.first_seconds < _NOTICES:
-                    problem.run(**run.setting.options)
+    for repeat in track(range(_MOST_REPEATS), _MOST_REPEATS):
+        if repeat >= _FEWEST_REPEATS and time.perf_counter() > limit:
+            continue  # completes the progress bar
+        for one, measured in zip(measurements, times):
+            if not one.failure:
+                if one.first_seconds < _SHORT:
+                    problem.run(**one.setting.options)
                 began = time.perf_counter()
-                problem.run(**run.setting.options)
+                problem.run(**one.setting.options)
                 measured.append(time.perf_counter() - began)
-    return [replace(run, seconds=statistics.median(measured)) if measured else run
-            for run, measured in zip(runs, times)]
+    return [replace(one, seconds=min(measured)) if measured else one
+            for one, measured in zip(measurements, times)]
 
 
-def _error(problem: Problem, motion: Trajectory, right: Trajectory) -> Error:
-    attitude = so3.angle_between(motion.attitude, right.attitude)
-    rates = np.linalg.norm(motion.angular_velocity - right.angular_velocity, axis=1)
-    momentum, energy = right.angular_momentum_space, right.kinetic_energy
+def _first_run(problem: Problem, setting: Setting, reference: Reference) -> Measurement:
+    began = time.perf_counter()
+    try:
+        motion = problem.run(**setting.options)
+    except ValueError as error:
+        return Measurement(setting, _NO_ERROR, math.nan, math.nan, str(error))
+    seconds = time.perf_counter() - began
+    return Measurement(setting, _error(problem, motion, reference.trajectory), seconds, seconds)
+
+
+def _error(problem: Problem, motion: Trajectory, reference: Trajectory) -> Error:
+    attitude = so3.angle_between(motion.attitude, reference.attitude)
+    rates = np.linalg.norm(motion.angular_velocity - reference.angular_velocity, axis=1)
+    momentum, energy = reference.angular_momentum_space, reference.kinetic_energy
     if problem.torque_free:
         start = problem.start
         momentum = so3.rotate(start.attitude,
                               problem.body.angular_momentum(start.angular_velocity))[None]
         energy = problem.body.kinetic_energy(start.angular_velocity)
-    lost = np.linalg.norm(motion.angular_momentum_space - momentum, axis=1).max()
-    gained = np.abs(motion.kinetic_energy - energy).max()
+    momentum_error = np.linalg.norm(motion.angular_momentum_space - momentum, axis=1).max()
+    energy_error = np.abs(motion.kinetic_energy - energy).max()
     size = np.linalg.norm(momentum, axis=1).max()
     return Error(float(attitude[-1]), float(attitude.max()), float(rates.max()),
-                 float(lost / size), float(gained / np.max(energy)))
+                 float(momentum_error / size), float(energy_error / np.max(energy)))
 
 
-def _front(runs: Sequence[Run], floor: float) -> tuple[Run, ...]:
-    """Mark what nothing is both cheaper and nearer than; below the floor all are as near."""
-    best, marked = math.inf, set()
-    for number, run in sorted(enumerate(runs), key=lambda item: item[1].seconds):
-        error = max(run.error.attitude, floor)
-        if not run.failure and error < best:
+def _with_pareto_front(measurements: Sequence[Measurement],
+                       floor: float) -> tuple[Measurement, ...]:
+    """Mark the Pareto-optimal settings; all errors below the floor count as equal."""
+    best, optimal = math.inf, set()
+    for number, one in sorted(enumerate(measurements), key=lambda item: item[1].seconds):
+        error = max(one.error.attitude, floor)
+        if not one.failure and error < best:
             best = error
-            marked.add(number)
-    return tuple(replace(run, on_front=number in marked) for number, run in enumerate(runs))
+            optimal.add(number)
+    return tuple(replace(one, pareto_optimal=number in optimal)
+                 for number, one in enumerate(measurements))
 
 
-def _judge(whole: Problem, stretch: Problem, reference: Reference, runs: Sequence[Run],
-           seconds: float) -> Callable[[Run], float | None]:
-    """Return what tells the error of a setting on the whole log, while there is time for it."""
+def _evaluator(whole: Problem, stretch: Problem, reference: Reference,
+               measurements: Sequence[Measurement], seconds: float
+               ) -> Callable[[Measurement], float | None]:
+    """Return a function that measures the error of a setting on the whole log, if time allows."""
     if stretch is whole:
-        return lambda run: run.error.attitude + reference.certain
+        return lambda measurement: measurement.error.attitude + reference.certain
     growth = whole.seconds / stretch.seconds
     left, known = seconds, None
-    series = max((run.seconds for run in runs if run.setting == Setting('taylor', TIGHTEST)),
-                 default=math.inf)
+    series = max((one.seconds for one in measurements
+                  if one.setting == Setting('taylor', TIGHTEST)), default=math.inf)
 
-    def judge(run: Run) -> float | None:
+    @cache
+    def error_on_whole(measurement: Measurement) -> float | None:
         nonlocal left, known
-        cost = growth * (run.seconds + (0.0 if known else _REFERENCE * series))
+        cost = growth * (measurement.seconds + (0.0 if known else _REFERENCE * series))
         if cost > left:
             return None
         left -= cost
         known = known or Reference.of(whole)
         try:
-            motion = whole.run(**run.setting.options)
+            motion = whole.run(**measurement.setting.options)
         except ValueError:
             return math.inf
-        apart = so3.angle_between(motion.attitude, known.trajectory.attitude)
-        return float(apart.max()) + known.certain
-    return judge
+        error = so3.angle_between(motion.attitude, known.trajectory.attitude)
+        return float(error.max()) + known.certain
+    return error_on_whole

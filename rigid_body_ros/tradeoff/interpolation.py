@@ -1,0 +1,127 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Estimate the error of interpolating a torque log between its samples, whatever the solver."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros import so3
+from rigid_body_ros.propagation import Trajectory
+from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
+from rigid_body_ros.tradeoff.problem import Problem
+
+#: Order of convergence of each interpolation in the sample spacing, for smooth torques.
+_ORDERS = {'hold': 1, 'linear': 2, 'cubic': 4}
+#: An interpolation is clearly better than another if its error is smaller by this factor.
+_CLEARLY = 0.25
+
+
+class InterpolationError(NamedTuple):
+    """Estimated attitude error, rad, of one interpolation of a torque log."""
+
+    interpolation: str
+    #: Largest change of the attitude if only every second sample is kept.
+    thinned: float
+    #: Error of the log with all its samples, extrapolated from logs with fewer samples.
+    estimate: float
+
+
+def interpolation_errors(problem: Problem) -> tuple[InterpolationError, ...]:
+    """Return the estimated error of each interpolation, from logs with samples left out."""
+    if len(problem.log) < 3 or not _can_interpolate(problem):
+        return ()
+    changes = {}
+    for name in INTERPOLATIONS:
+        try:
+            changes[name] = _change(problem, name, 2), _change(problem, name, 4)
+        except ValueError:  # the body spins too fast with this interpolation
+            continue
+    coarsest, _ = changes.get('hold', (0.0, 0.0))
+    return tuple(InterpolationError(name, half, _extrapolated(name, half, quarter, coarsest))
+                 for name, (half, quarter) in changes.items())
+
+
+def better_interpolation(errors: Sequence[InterpolationError],
+                         own: InterpolationError) -> InterpolationError | None:
+    """Return the best interpolation if it is clearly better than the scene's own."""
+    best = min(errors, key=lambda error: error.estimate)
+    return best if best.estimate < _CLEARLY * own.estimate else None
+
+
+def final_differences(problem: Problem) -> dict[str, float | None]:
+    """
+    Return how far from the final attitude the other interpolations end.
+
+    `attitude_replay` prints the same differences.
+
+    Returns
+    -------
+    dict
+        By interpolation, an angle, rad; None if the body spins too fast with it.
+
+    """
+    if not _can_interpolate(problem):
+        return {}
+    last = replace(problem, times_ns=problem.times_ns[-1:])
+    rows, own = np.arange(len(problem.log)), problem.log.interpolation
+    end = _motion(last, own, rows).attitude[0]
+    differences: dict[str, float | None] = {}
+    for name in INTERPOLATIONS:
+        if name != own:
+            try:
+                other = _motion(last, name, rows).attitude[0]
+            except ValueError:  # the body spins too fast with this interpolation
+                differences[name] = None
+            else:
+                differences[name] = float(so3.angle_between(other, end))
+    return differences
+
+
+def _can_interpolate(problem: Problem) -> bool:
+    return not problem.torque_free and np.unique(problem.log.in_space).size == 1
+
+
+def _change(problem: Problem, interpolation: str, spacing: int) -> float:
+    """Return the largest change of the attitude, rad, if one of so many samples is kept."""
+    rows = np.arange(len(problem.log))
+    full = _motion(problem, interpolation, rows)
+    # From each first sample: a pulse of an even number of samples would otherwise not change.
+    thinned = [_motion(problem, interpolation, np.union1d(rows[first::spacing], rows[[0, -1]]))
+               for first in range(spacing)]
+    return max(float(so3.angle_between(full.attitude, motion.attitude).max())
+               for motion in thinned)
+
+
+def _extrapolated(interpolation: str, half: float, quarter: float, hold: float) -> float:
+    """
+    Return the error of a log with all samples, from logs with half and a quarter of them.
+
+    The error falls by 2^order each time the spacing is halved. If an interpolation of higher order
+    is not clearly better than hold, the torque is not smooth at this spacing and the order is 1.
+    """
+    order = _ORDERS[interpolation] if half < _CLEARLY * hold else 1
+    observed = quarter / half - 1.0 if half else 2.0
+    return half / (min(max(observed, 2.0), 2.0 ** order) - 1.0)
+
+
+def _motion(problem: Problem, interpolation: str, rows: NDArray[np.intp]) -> Trajectory:
+    log = problem.log
+    part = TorqueLog(log.times_ns[rows], log.torques[rows], log.in_space[rows], interpolation)
+    return replace(problem, log=part).run(solver='taylor')
