@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the tests of single kernels share."""
+"""Helpers for the tests of single kernels."""
 
 import numba
 
 
 def callable_(part):
-    """Return a part of kernels as a function that Python can call."""
+    """Return an internal function of the kernels as one that Python can call."""
     return numba.njit(error_model='numpy')(lambda *arguments: part(*arguments))
