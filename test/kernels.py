@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Helpers for the tests of single kernels."""
+"""What the tests of single kernels share."""
 
 import numba
 
 
 def callable_(part):
-    """Return an internal function of the kernels as one that Python can call."""
+    """Return a part of kernels as a function that Python can call."""
     return numba.njit(error_model='numpy')(lambda *arguments: part(*arguments))
