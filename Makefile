@@ -3,8 +3,9 @@ PYTHON ?= $(or $(shell command -v python3.11),$(shell command -v python3))
 VENV := .venv
 BIN := $(VENV)/bin
 JAZZY := .venv-jazzy
-# Tests of the node mostly wait, so there are more processes than processors.
-PARALLEL := --numprocesses 3
+# Tests of the node mostly wait, so there are more processes than processors. With worksteal, the
+# tests of a file stay in one process, which shares its fixtures, until another is idle.
+PARALLEL := --numprocesses 3 --dist worksteal
 # These need the machine to themselves.
 ALONE := test/test_soak.py test/test_overload.py
 

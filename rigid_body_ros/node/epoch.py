@@ -69,7 +69,7 @@ class Epoch:
 
     @property
     def newest_ns(self) -> int | None:
-        """The newest stamp, or None before the first torque."""
+        """Return the newest stamp, or None before the first torque."""
         return self._torques[-1].stamp_ns if self._torques else None
 
     def at(self, time_ns: int, within: float) -> State:

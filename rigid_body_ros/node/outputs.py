@@ -89,7 +89,7 @@ class Outputs:
 
     @property
     def subscription_count(self) -> int:
-        """Number of connected subscriptions to states."""
+        """Return the number of connected subscriptions to states."""
         return sum(publisher.get_subscription_count() for publisher, _ in self._states)
 
     def publish(self, state: State) -> None:

@@ -93,7 +93,7 @@ class Pipeline:
 
     @property
     def waiting(self) -> int:
-        """Number of torques that wait to be applied or for the clock."""
+        """Return the number of torques that wait to be applied or for the clock."""
         return len(self._queue) + len(self._early)
 
     @property
