@@ -1,11 +1,12 @@
-# Everything runs in .venv, which is made on first use; the node on Jazzy in .venv-jazzy.
+# Everything runs in .venv, which is created on first use; the node on Jazzy in .venv-jazzy.
 PYTHON ?= $(or $(shell command -v python3.11),$(shell command -v python3))
 VENV := .venv
 BIN := $(VENV)/bin
 JAZZY := .venv-jazzy
-# Tests of the node wait more than they work.
-PARALLEL := --numprocesses 3
-# But these need the machine to themselves.
+# Tests of the node mostly wait, so there are more processes than processors. With worksteal, the
+# tests of a file stay in one process, which shares its fixtures, until another is idle.
+PARALLEL := --numprocesses 3 --dist worksteal
+# These need the machine to themselves.
 ALONE := test/test_soak.py test/test_overload.py
 
 .PHONY: demo test check arm docs clean
@@ -13,15 +14,15 @@ ALONE := test/test_soak.py test/test_overload.py
 demo: $(VENV)/done ## replay a recording, and run the node on one over DDS
 	$(BIN)/python examples/demo.py
 
-test: $(VENV)/done $(JAZZY)/done ## every check and every test; those of the node on both ROS
+test: $(VENV)/done $(JAZZY)/done ## every check and every test; those of the node on both ROS distributions
 	$(MAKE) --no-print-directory lint
-	$(BIN)/python -c 'import rigid_body_ros; rigid_body_ros.warm_up()' # not in each of the tests
+	$(BIN)/python -c 'import rigid_body_ros; rigid_body_ros.warm_up()' # once, not in every test
 	$(BIN)/python -m pytest $(PARALLEL) $(ALONE:%=--ignore %)
 	$(JAZZY)/bin/python -m pytest $(PARALLEL) -m ros $(ALONE:%=--ignore %)
 	$(BIN)/python -m pytest $(ALONE)
 	$(JAZZY)/bin/python -m pytest $(ALONE)
 
-check: $(VENV)/done ## the fast ones, without ROS
+check: $(VENV)/done ## the fast tests, without ROS
 	$(MAKE) --no-print-directory lint
 	$(BIN)/python -m pytest $(PARALLEL) -m "not ros and not slow"
 
@@ -47,6 +48,6 @@ docs: $(VENV)/done ## the documentation as HTML
 	$(BIN)/python -m sphinx -W --keep-going -q docs docs/_build
 	@echo "Open docs/_build/index.html"
 
-clean: ## forget the environment, what was compiled and what the demo wrote
+clean: ## remove the environment, compiled files and the output of the demo
 	rm -rf $(VENV) $(JAZZY) .arm demo docs/_build build install log *.egg-info .*_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +

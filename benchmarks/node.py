@@ -13,15 +13,15 @@
 # limitations under the License.
 
 """
-Measure what the node costs, beside a bare node of rclpy that only receives and publishes.
+Compare the cost of the node with that of a bare rclpy node that only receives and publishes.
 
     python benchmarks/node.py [--json FILE]
 
-Torques at 1 kHz, three topics out, in lockstep; rounds of the two in turns. Latency is from a
-torque to its attitude, seen from outside; processor time is that of the node's process, per
-torque. A ratio is ours / the floor's: the median of the rounds. The first torque that a node gets
-is timed apart, beside its thousandth. Both nodes keep the last ten messages for a listener: what
-this process is too slow to hear is counted, and has no latency.
+Torques at 1 kHz, three topics out, in lockstep; rounds of the two alternate. Latency is the time
+from a torque to its attitude, seen from outside; processor time is that of the node's process, per
+torque. A ratio is ours / floor, the median over the rounds. The first torque of each node is timed
+separately, and compared with the thousandth. Both nodes keep the last ten messages for a
+subscription: those that this process is too slow to receive are counted, and have no latency.
 """
 
 import argparse
@@ -46,12 +46,12 @@ COMMANDS = {
     OURS: ['-c', 'from rigid_body_ros.cli import attitude_node; attitude_node()', '--ros-args',
            '--params-file', str(HERE.parent / 'config' / 'tumbler.yaml'), '-p', 'mode:=lockstep'],
     FLOOR: [str(HERE / 'floor_node.py'), '--ros-args']}
-#: What a ratio may be: median latency, 99th percentile, processor time.
+#: Largest ratios of median latency, 99th percentile and processor time.
 BARS = {'median': 1.25, 'p99': 1.5, 'processor': 1.25}
 
 
 class Client:
-    """Sends torques to a node in its namespace, and times the answers."""
+    """Sends torques to a node in its namespace, and times the responses."""
 
     def __init__(self, namespace, executor):
         command = [sys.executable, *COMMANDS[namespace], '-r', f'__ns:={namespace}']
@@ -61,7 +61,7 @@ class Client:
         self._node = rclpy.create_node('client', namespace=namespace)
         executor.add_node(self._node)
         self._torque = self._node.create_publisher(WrenchStamped, 'torque', 1000)
-        self._sent, self.latencies, self.unheard = {}, [], 0
+        self._sent, self.latencies, self.missed = {}, [], 0
         self._stamp_ns = 10 ** 9
         for topic, kind, callback in (('attitude', QuaternionStamped, self._on_attitude),
                                       ('euler_angles', Vector3Stamped, lambda data: None),
@@ -69,12 +69,12 @@ class Client:
             self._node.create_subscription(kind, topic, callback, 1000, raw=True)
 
     def connected(self):
-        """Return whether the node listens and speaks."""
+        """Return whether both directions are connected."""
         return self._torque.get_subscription_count() and \
             self._node.count_publishers(f'{self._node.get_namespace()}/attitude')
 
     def time_round(self):
-        """Return median and 99th percentile of the latency and processor time a torque, s."""
+        """Return median and 99th percentile of the latency, and processor time per torque, s."""
         self._sent.clear()
         self.latencies.clear()
         before = self._used()
@@ -89,10 +89,10 @@ class Client:
             self._sent[self._stamp_ns // 10 ** 6] = time.perf_counter()
             self._torque.publish(data)
         until = time.perf_counter() + 10.0
-        while self._stamp_ns // 10 ** 6 in self._sent:  # the last answer
-            assert time.perf_counter() < until, 'the last torque was not answered'
+        while self._stamp_ns // 10 ** 6 in self._sent:  # the last response
+            assert time.perf_counter() < until, 'no response to the last torque'
             self._executor.spin_once(timeout_sec=0.01)
-        self.unheard += len(self._sent)
+        self.missed += len(self._sent)
         return (*np.percentile(self.latencies, [50, 99]), (self._used() - before) / TORQUES)
 
     def _used(self):
@@ -103,7 +103,7 @@ class Client:
         now = time.perf_counter()
         stamp_ns = messages.QUATERNION.decode(data).stamp_ns
         if self._node.get_namespace() == OURS:
-            stamp_ns -= 10 ** 6  # the answer is one step, 1 ms, ahead
+            stamp_ns -= 10 ** 6  # the response is one step, 1 ms, ahead
         sent = self._sent.pop(stamp_ns // 10 ** 6, None)
         if sent is not None:
             self.latencies.append(now - sent)
@@ -115,7 +115,7 @@ class Client:
 
 
 def measure():
-    """Return rounds, arrays of shape (ROUNDS, 3), early latencies, s, and answers not heard."""
+    """Return rounds, shape (ROUNDS, 3), early latencies, s, and counts of missed responses."""
     rclpy.init()
     executor = SingleThreadedExecutor()
     clients = {name: Client(name, executor) for name in COMMANDS}
@@ -125,7 +125,7 @@ def measure():
         early = {}
         for name, client in clients.items():  # a round to warm up
             client.time_round()
-            client.unheard = 0
+            client.missed = 0
             early[name] = client.latencies[0], client.latencies[999]
         rounds = {name: [] for name in clients}
         for _ in range(ROUNDS):
@@ -136,17 +136,17 @@ def measure():
             client.stop()
         rclpy.try_shutdown()
     return ({name: np.array(values) for name, values in rounds.items()}, early,
-            {name: client.unheard for name, client in clients.items()})
+            {name: client.missed for name, client in clients.items()})
 
 
 def main():
-    """Print the table, and which bars are missed."""
+    """Print the table, which marks missed bars."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('--json', type=Path, help='write the figures')
     arguments = parser.parse_args()
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
-    rounds, early, unheard = measure()
+    rounds, early, missed = measure()
     ours, floor = np.median(rounds[OURS], axis=0), np.median(rounds[FLOOR], axis=0)
     ratios = np.median(rounds[OURS] / rounds[FLOOR], axis=0)
     print(f'{"us":12}{"ours":>8}{"floor":>8}{"ratio":>8}{"bar":>8}')
@@ -155,7 +155,7 @@ def main():
               f'{"" if ratio <= bar else "  MISS"}')
     for row, label in enumerate(('first', 'thousandth')):
         print(f'{label:12}{early[OURS][row] * 1e6:8.0f}{early[FLOOR][row] * 1e6:8.0f}')
-    print(f'not heard: {unheard[OURS]} and {unheard[FLOOR]} of {ROUNDS * TORQUES}')
+    print(f'not received: {missed[OURS]} and {missed[FLOOR]} of {ROUNDS * TORQUES}')
     if arguments.json:
         arguments.json.write_text(json.dumps(
             {name: values.tolist() for name, values in rounds.items()}, indent=1))

@@ -13,14 +13,14 @@
 # limitations under the License.
 
 """
-Send more torques than the node can take, and account for every one of them.
+Send more torques than the node can process, and account for each.
 
     python benchmarks/overload.py [--seconds 30] [--rate 5000]
 
-A process of its own sends torques, late and shuffled, with bad ones among them. Two more keep the
-processors busy. Meanwhile the node has to answer its services and diagnose itself; after it, it
-has to be back in real time. A second load ends with SIGINT, and what was committed has to be what
-the log of the run gives again.
+A separate process sends torques, late and out of order, some of them invalid. Two more keep the
+processors busy. Meanwhile the node has to respond to service calls and publish diagnostics;
+afterwards it has to return to real time. A second load ends with SIGINT, and a replay of the log
+has to reproduce the committed states.
 """
 
 import argparse
@@ -38,7 +38,15 @@ import numpy as np
 from rcl_interfaces.srv import GetParameters
 from rclpy.time import Time
 from rigid_body_ros import messages
-from rigid_body_ros.node.health import APPLIED, LOST, OVERFLOW, RECEIVED, SLOW
+from rigid_body_ros.node.diagnostics import (
+    APPLIED,
+    LOST,
+    MISSED,
+    OVERFLOW,
+    RECEIVED,
+    rejections,
+    WAITING,
+)
 from rigid_body_ros.node.inputs import CAUSES, FRAME, MALFORMED, NOT_FINITE
 
 sys.path.extend(str(Path(__file__).resolve().parent.parent / name)
@@ -48,16 +56,16 @@ from live_session import LiveSession  # noqa: E402
 from soak import Line, printed  # noqa: E402
 
 SEED = 23
-#: s: how late torques come, up to, and for how long the load before SIGINT lasts.
+#: s: the largest delay of a torque, and the duration of the load before SIGINT.
 LATEST, LAST = 0.4, 3.0
-#: s: to answer a service, between two diagnoses, until real time again.
+#: s: for a service call, between two diagnostics, and until the node is in real time again.
 SERVICE, DIAGNOSIS, RECOVERY = 1.0, 2.0, 5.0
-#: What a share of the torques is rejected for.
+#: Causes of rejection, and their shares of the torques.
 BAD = {MALFORMED: 0.01, FRAME: 0.01, NOT_FINITE: 0.01}
 
 
 def send(rate, seconds):
-    """Send torques for so long, and print how many, and when, ns, all but the last were sent."""
+    """Send torques, and print their number and the time, ns, of the last but one."""
     from geometry_msgs.msg import WrenchStamped
     import rclpy
     from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -67,7 +75,7 @@ def send(rate, seconds):
         depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT))
     while not publisher.get_subscription_count():
         time.sleep(0.01)
-    time.sleep(0.5)  # the node has to find this publisher, too
+    time.sleep(0.5)  # the node has to discover this publisher, too
     random, count = np.random.default_rng(SEED), round(rate * seconds)
     causes = random.choice(['', *BAD], count, p=[1.0 - sum(BAD.values()), *BAD.values()])
     delays = (random.random(count) * LATEST * 1e9 * (random.random(count) < 0.5)).astype(int)
@@ -80,7 +88,7 @@ def send(rate, seconds):
         stamp_ns = node.get_clock().now().nanoseconds - int(delays[row])
         publisher.publish(_message(causes[row], stamp_ns, torques[row]))
     end_ns = node.get_clock().now().nanoseconds
-    # The last one shows what is missing before it.
+    # One more, which reveals the gap before it.
     time.sleep(1.0)
     publisher.publish(messages.wrench(node.get_clock().now().nanoseconds, '', torques[0]))
     print(count + 1, end_ns, flush=True)
@@ -122,7 +130,7 @@ def load(live, rate, seconds):
 
 def overload(rate, seconds, domain):
     """
-    Overload the node for so long, in a ROS domain.
+    Overload the node for some seconds, in a ROS domain.
 
     Returns
     -------
@@ -144,16 +152,16 @@ def overload(rate, seconds, domain):
             ending = time.monotonic() - began
         run = replayed(Path(folder), live)
     stamps = [_stamp_ns(array) * 1e-9 for array in live.diagnostics]
-    rejected = sum(counts[f'refused: {cause}'] for cause in CAUSES)
+    rejected = sum(counts[rejections(cause)] for cause in CAUSES)
     same = np.all(run.committed.view(np.int64) == run.replay.view(np.int64), axis=1)
-    print(f'sent {sent}: applied {counts[APPLIED]}, rejected {rejected}, lost on the way '
-          f'{counts[LOST]}, lost in the queue {counts[OVERFLOW]}; ended in {ending:.2g} s')
+    print(f'sent {sent}: applied {counts[APPLIED]}, rejected {rejected}, {LOST} {counts[LOST]}, '
+          f'{OVERFLOW} {counts[OVERFLOW]}; ended in {ending:.2g} s')
     return [Line('sent, received or lost', counts[RECEIVED] + counts[LOST] + counts[OVERFLOW],
                  sent),
             Line('received, applied or rejected', counts[APPLIED] + rejected, counts[RECEIVED]),
-            Line('waiting', counts['waiting'], 0),
+            Line(WAITING, counts[WAITING], 0),
             Line('longest service call, s', latency, SERVICE, True),
-            Line('longest time between diagnoses, s', max(np.diff(stamps)), DIAGNOSIS, True),
+            Line('longest time between diagnostics, s', max(np.diff(stamps)), DIAGNOSIS, True),
             Line('until real time again, s', recovery, RECOVERY, True),
             Line('exit status', status, 0),
             Line('states with the bits of the replay', int(same.sum()), same.size)]
@@ -174,7 +182,7 @@ def _has_printed(process):
 
 
 def _recovery(live, end_ns):
-    # By the stamps of the node: this process has its own queue to work through.
+    # By the stamps of the node, because this process has a queue of its own.
     def caught_up():
         return [array for array in live.diagnostics if _stamp_ns(array) > end_ns
                 and _is_in_real_time(array)][1:]
@@ -184,8 +192,8 @@ def _recovery(live, end_ns):
 
 def _is_in_real_time(diagnosis):
     torques, motion = diagnosis.status
-    waiting, = (int(pair.value) for pair in torques.values if pair.key == 'waiting')
-    return not waiting and SLOW not in motion.message
+    waiting, = (int(pair.value) for pair in torques.values if pair.key == WAITING)
+    return not waiting and MISSED not in motion.message
 
 
 def _stamp_ns(diagnosis):
@@ -193,7 +201,7 @@ def _stamp_ns(diagnosis):
 
 
 def main():
-    """Print the table, and which lines are missed."""
+    """Print the table, which marks missed bars."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('--rate', type=float, default=5000.0, help='Hz')
     parser.add_argument('--seconds', type=float, default=30.0)

@@ -13,14 +13,14 @@
 # limitations under the License.
 
 """
-Run the node for long at 1 kHz, good torques and bad ones, and account for every one of them.
+Run the node for a long time at 1 kHz with valid and invalid torques, and account for each.
 
     python benchmarks/soak.py [--seconds 600] [--json FILE]
 
-A driver sends torques over DDS in real time, by a fixed seed: bad ones of every kind, repeated
-stamps, late ones, bursts, and every 10 s nothing for 100 ms and then all at once. It listens to
-what the node accepts, commits and publishes, and in the end compares that with what it sent. Ten
-minutes take 2 GB of memory, for the replay.
+A driver sends torques over DDS in real time, with a fixed seed: invalid ones of every kind,
+repeated stamps, late torques, bursts, and every 10 s a pause of 100 ms followed by all torques at
+once. It records what the node accepts, commits and publishes, and finally compares that with what
+it sent. Ten minutes take 2 GB of memory, for the replay.
 """
 
 import argparse
@@ -36,7 +36,16 @@ from typing import NamedTuple
 import numpy as np
 import psutil
 from rigid_body_ros import messages
-from rigid_body_ros.node.health import APPLIED, FORCE, LOST, OVERFLOW, RECEIVED, REPLACED
+from rigid_body_ros.node.diagnostics import (
+    APPLIED,
+    FORCE,
+    LOST,
+    OVERFLOW,
+    RECEIVED,
+    rejections,
+    REPLACED,
+    WAITING,
+)
 from rigid_body_ros.node.inputs import (
     CAUSES,
     FRAME,
@@ -54,28 +63,28 @@ from live import decoded, replayed, TUMBLER  # noqa: E402, I100
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE  # noqa: E402
 
 RATE, STEP_NS, SEED = 1000, 10 ** 6, 17
-#: Nothing is lost while the machine does something else for a minute.
+#: No torque is lost while the machine is busy for a minute.
 DEEP = ('-p', 'qos_overrides./torque.subscription.depth:=100000')
-#: What becomes of a torque, besides being sent in its turn, and how often.
+#: Torques that are not simply sent in order, and their share.
 REPEATED, DELAYED, FORCED = 'repeated', 'delayed', 'forced'
 SHARES = {MALFORMED: 0.01, FRAME: 0.01, NOT_FINITE: 0.01, TOO_LARGE: 0.01, FUTURE: 0.01,
           LATE: 0.01, REPEATED: 0.02, DELAYED: 0.01, FORCED: 0.01}
 #: Steps, well below the node's `history`.
 LONGEST_DELAY = 500
-#: Steps: for how long torques are held back, to be sent at once, and how often.
+#: Steps: how long torques are held back, to be sent all at once, and how often.
 BURST, BURST_EVERY = 20, 1000
 STALL, STALL_EVERY = 100, 10_000
-#: MB: what memory may grow by after s, once the log's queues, of 10 000, are full.
+#: MB: growth of memory allowed after SETTLED, s, when the queues of the log (10 000) are full.
 GROWTH, SETTLED = 5.0, 60.0
-PROCESSOR_TIME = 'processor time, us a torque'
-#: Three quarters of what there is.
+PROCESSOR_TIME = 'processor time, us per torque'
+#: Three quarters of one processor.
 PROCESSOR = 0.75e6 / RATE
 #: s; for the last torques to be counted.
 PATIENCE = 60.0
 
 
 class Line(NamedTuple):
-    """What was found, and what it is to be, or not to exceed."""
+    """A figure, and the value that it has to equal or not to exceed."""
 
     name: str
     found: float
@@ -84,26 +93,26 @@ class Line(NamedTuple):
 
     @property
     def holds(self):
-        """Return whether it is as it should be."""
+        """Whether the figure meets its bar."""
         return self.found <= self.bar if self.at_most else self.found == self.bar
 
 
 class Plan:
     """
-    What to send and when, the same in every run but for the time of its beginning.
+    What to send and when: the same in every run, relative to its start.
 
     Attributes
     ----------
     due_ns : array of int64, shape (n,)
         Ascending.
     stamps_ns : array of int64, shape (n,)
-        Of the torques as they would be; bad ones are spoilt when they are sent.
+        Of the torques before the invalid ones are corrupted, which happens when they are sent.
     torques : array, shape (n, 3), N m
     frame_ids : list of n str
     causes : list of n str
-        A key of SHARES, or '' for a torque that is sent in its turn.
-    taken : array of bool, shape (n,)
-        Whether it is to be taken.
+        A key of SHARES, or '' for a torque that is sent in order.
+    valid : array of bool, shape (n,)
+        Whether the node has to accept it.
 
     """
 
@@ -113,7 +122,7 @@ class Plan:
         slots = np.arange(count)
         names = ['', *SHARES]
         causes = random.choice(len(names), count, p=[1.0 - sum(SHARES.values()), *SHARES.values()])
-        causes[:BURST] = 0  # what comes late is late beside another
+        causes[:BURST] = 0  # a torque can only be late after another
         stamps = slots * STEP_NS + random.integers(0, STEP_NS, count)
         repeated = np.flatnonzero(causes == names.index(REPEATED))
         stamps[repeated] = stamps[repeated - 1]
@@ -125,16 +134,16 @@ class Plan:
         order = np.argsort(due, kind='stable')
         self.due_ns, self.stamps_ns = start_ns + due[order], start_ns + stamps[order]
         self.causes = [names[cause] for cause in causes[order]]
-        # One in ten is zero: consecutive ones make a coast.
+        # One in ten is zero; consecutive zeros make a coast.
         self.torques = random.normal(0.0, 0.02, (count, 3)) * (random.random((count, 1)) > 0.1)
         self.frame_ids = random.choice(['', 'base_link', 'world'], count).tolist()
-        self.taken = np.array([cause not in CAUSES for cause in self.causes])
+        self.valid = np.array([cause not in CAUSES for cause in self.causes])
 
     def __len__(self):
         return len(self.causes)
 
     def message(self, row):
-        """Return what is sent, in CDR."""
+        """Return the message to send, in CDR."""
         cause, torque, frame_id = self.causes[row], self.torques[row], self.frame_ids[row]
         stamp_ns = int(self.stamps_ns[row])
         if cause == NOT_FINITE:
@@ -150,27 +159,27 @@ class Plan:
         elif cause == FORCED:
             return messages.WRENCH.encode(stamp_ns, frame_id, [1.0, 0.0, 0.0, *torque])
         data = messages.wrench(stamp_ns, frame_id, torque)
-        return _spoilt(data, row) if cause == MALFORMED else data
+        return _corrupted(data, row) if cause == MALFORMED else data
 
 
-def _spoilt(data, row):
-    # Cut short; of no known encoding; a stamp before 1970, of too many nanoseconds; a name longer
-    # than the message, of no text.
+def _corrupted(data, row):
+    # Truncated; unknown encoding; a stamp before 1970, with too many nanoseconds; a name longer
+    # than the message, not valid text.
     at, bytes_ = ((len(data) - 8, None), (1, b'\x07'), (4, b'\xff' * 4), (8, b'\xff' * 4),
                   (12, b'\xff' * 4), (12, b'\x02\0\0\0\xff\0'))[row % 6]
     return data[:at] if bytes_ is None else data[:at] + bytes_ + data[at + len(bytes_):]
 
 
 class Usage:
-    """Memory, MB, of a process by the time, s, since the first look, once a second."""
+    """Memory, MB, of a process over time, s, once a second."""
 
     def __init__(self, process):
         self._process = psutil.Process(process.pid)
         self._began = time.monotonic()
         self.curve = []
 
-    def look(self):
-        """Look, if it is time to."""
+    def sample(self):
+        """Record the memory, if a second has passed."""
         now = time.monotonic() - self._began
         if now >= len(self.curve):
             self.curve.append((now, self._process.memory_info().rss * 1e-6))
@@ -181,31 +190,31 @@ class Usage:
         return times.user + times.system
 
     def growth(self):
-        """Return how much more memory there was at any time after it settled than then, MB."""
+        """Return the largest growth of memory after it settled, MB."""
         settled = min(SETTLED, self.curve[-1][0] * 2 / 3)
         after = [memory for now, memory in self.curve if now >= settled]
         return max(after) - after[0]
 
 
 def drive(live, plan, usage):
-    """Send a plan in its time."""
+    """Send the torques of a plan when they are due."""
     stall_ns = STALL * STEP_NS
     for row, due_ns in enumerate(plan.due_ns.tolist()):
         rest_ns = due_ns - live.now_ns()
         if rest_ns >= stall_ns // 2:
-            time.sleep(rest_ns * 1e-9)  # deaf, too
+            time.sleep(rest_ns * 1e-9)  # without receiving, too
         elif rest_ns > 0:
             live.spin(rest_ns * 1e-9)
         live.publish_bytes(plan.message(row))
-        usage.look()
+        usage.sample()
         if live.process.poll() is not None:
-            raise RuntimeError(f'the node ended after {row + 1} torques; it said:\n'
+            raise RuntimeError(f'the node ended after {row + 1} torques; its log:\n'
                                f'{live.words()}')
 
 
 def soak(seconds, domain):
     """
-    Run the node for so long, in a ROS domain.
+    Run the node for some seconds, in a ROS domain.
 
     Returns
     -------
@@ -219,7 +228,7 @@ def soak(seconds, domain):
         plan, usage = Plan(seconds, live.now_ns()), Usage(live.process)
         before = usage.processor()
         drive(live, plan, usage)
-        # Counts are told once a second.
+        # Counts are published once a second.
         until = time.monotonic() + PATIENCE
         while time.monotonic() < until and unfinished(live.diagnosis('torques')[0], len(plan)):
             live.spin(0.1)
@@ -233,41 +242,41 @@ def soak(seconds, domain):
 
 
 def unfinished(counts, sent):
-    """Return whether torques are on their way still."""
-    return counts[RECEIVED] < sent or counts['waiting'] > 0
+    """Return whether torques are still in transit or waiting."""
+    return counts[RECEIVED] < sent or counts[WAITING] > 0
 
 
 def counted(live, plan):
     """Compare the node's counts with what was sent."""
-    counts, taken = live.diagnosis('torques')[0], plan.stamps_ns[plan.taken]
-    refused = {cause: counts[f'refused: {cause}'] for cause in CAUSES}
+    counts, valid = live.diagnosis('torques')[0], plan.stamps_ns[plan.valid]
+    rejected = {cause: counts[rejections(cause)] for cause in CAUSES}
     return [Line(RECEIVED, counts[RECEIVED], len(plan)),
-            Line('applied and refused', counts[APPLIED] + sum(refused.values()),
+            Line('applied and rejected', counts[APPLIED] + sum(rejected.values()),
                  counts[RECEIVED]),
-            *(Line(f'refused: {cause}', found, plan.causes.count(cause))
-              for cause, found in refused.items()),
-            Line(APPLIED, counts[APPLIED], taken.size),
-            Line(REPLACED, counts[REPLACED], taken.size - np.unique(taken).size),
+            *(Line(rejections(cause), found, plan.causes.count(cause))
+              for cause, found in rejected.items()),
+            Line(APPLIED, counts[APPLIED], valid.size),
+            Line(REPLACED, counts[REPLACED], valid.size - np.unique(valid).size),
             Line(FORCE, counts[FORCE], plan.causes.count(FORCED)),
             *(Line(name, counts[name], 0) for name in (LOST, OVERFLOW)),
             Line('messages accepted', len(live.received[ACCEPTED]), counts[APPLIED])]
 
 
 def published(live, plan, folder):
-    """Compare what the node published with what was sent, and with its replay."""
+    """Compare the published messages with those sent, and with a replay."""
     bad = sum(not np.isfinite(message.values).all() for topic, kind in (
         (ACCEPTED, messages.WRENCH), (COMMITTED, messages.ODOMETRY),
         (ATTITUDE, messages.QUATERNION)) for message in decoded(live, topic, kind))
-    finite = Line('published and not finite', bad, 0)
+    finite = Line('not finite', bad, 0)
     try:
         run = replayed(folder, live)
-    except InputError as error:  # the log is none
+    except InputError as error:  # the log is not valid
         return [finite, Line(f'replay: {error}\n', 0, 1)]
     accepted = run.accepted
     logged = zip(accepted.stamps_ns, accepted.frame_ids, *accepted.values[:, 3:].T)
     sent = [(plan.stamps_ns[row], plan.frame_ids[row] or 'base_link', *plan.torques[row])
-            for row in np.flatnonzero(plan.taken)]
-    stamps = np.unique(plan.stamps_ns[plan.taken])
+            for row in np.flatnonzero(plan.valid)]
+    stamps = np.unique(plan.stamps_ns[plan.valid])
     same = np.all(run.committed.view(np.int64) == run.replay.view(np.int64), axis=1)
     return [finite,
             Line('logged as sent, in order', sum(a == b for a, b in zip(logged, sent)), len(sent)),
@@ -277,7 +286,7 @@ def published(live, plan, folder):
 
 
 def printed(lines):
-    """Print a table, and which lines are missed; return the exit status."""
+    """Print a table that marks missed bars; return the exit status."""
     print(f'{"":36}{"found":>12}{"expected":>12}')
     for line in lines:
         print(f'{line.name:36}{line.found:12.8g}{"<=" if line.at_most else "":>4}'
@@ -286,10 +295,10 @@ def printed(lines):
 
 
 def main():
-    """Run the node, and print what was found."""
+    """Run the node, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('--seconds', type=float, default=600.0)
-    parser.add_argument('--json', type=Path, help='write the figures, and memory by the second')
+    parser.add_argument('--json', type=Path, help='write the figures, and the memory over time')
     arguments = parser.parse_args()
     domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
     lines, memory = soak(arguments.seconds, domain)

@@ -17,8 +17,8 @@ Print docs/nodes.md: the node, its topics and parameters, and the options of the
 
     python docs/nodes.py > docs/nodes.md
 
-Parameters and options are those that the code declares; a test holds the topics against a node
-that runs.
+Parameters and options are those that the code declares; a test compares the topics with those of a
+running node.
 """
 
 import argparse
@@ -32,7 +32,7 @@ STATE, LOG = 'reliable, keep last 10', 'reliable, transient local, keep last 10 
 
 
 class Topic(NamedTuple):
-    """A topic of the node, its quality of service, and what it says."""
+    """A topic of the node, its quality of service, and its meaning."""
 
     name: str
     kind: str
@@ -42,12 +42,12 @@ class Topic(NamedTuple):
 
 SUBSCRIBED = [
     Topic('torque', WRENCH, 'best effort, keep last 1000; in lockstep reliable',
-          'Torque about the centre of mass, N m, from its stamp on. `header.frame_id` empty or '
-          'the body frame: body axes; the space frame: space axes; any other is rejected. Stamp '
-          '0: on arrival. A force is ignored, counted, and logged once.'),
+          'Torque about the centre of mass, N m, that acts from its stamp on. `header.frame_id` '
+          'empty or the body frame: body axes; the space frame: space axes; any other is '
+          'rejected. Stamp 0: acts on arrival. A force is ignored, counted, and logged once.'),
     Topic('initial_state', ODOMETRY, STATE,
-          'Attitude and body rates that hold at its stamp: a new epoch. Position and velocity are '
-          'not looked at.'),
+          'Attitude and body rates at its stamp, from which a new epoch begins. Position and '
+          'linear velocity are ignored.'),
 ]
 PUBLISHED = [
     Topic('attitude', 'geometry_msgs/msg/QuaternionStamped', STATE,
@@ -60,25 +60,26 @@ PUBLISHED = [
           'Attitude and angular velocity with one stamp; no acceleration '
           '(`linear_acceleration_covariance[0]` is -1); in the body frame.'),
     Topic('odometry', ODOMETRY, STATE,
-          'The same at position zero, for rviz and controllers; space frame to body frame.'),
+          'Attitude and angular velocity, at position zero, for rviz and controllers; space frame '
+          'to body frame.'),
     Topic('~/accepted_torque', WRENCH, LOG,
-          'Every torque taken, at the stamp it took effect: with the scene, the log of the run. '
-          'One of zero without stamp and frame says that a new epoch begins.'),
+          'Every accepted torque, with the stamp from which it acts. Together with the scene it '
+          'is the log of the run. A zero torque without stamp and frame marks a new epoch.'),
     Topic('~/committed', ODOMETRY, LOG,
-          'The state at each of those stamps once it is older than `history`, all of them at the '
-          'end; the start of every epoch first.'),
+          'The start state of every epoch, then the final state at the stamp of each accepted '
+          'torque: once the stamp is older than `history`, or at the end of the epoch.'),
     Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', STATE,
-          'Once a second: every torque received, applied, waiting, lost or rejected, by cause; '
-          'who is not connected, and why.'),
+          'Once a second: counts of torques received, applied, waiting, lost, and rejected by '
+          'cause; which nodes are not connected, and why.'),
 ]
 ON_REQUEST = [
     Topic('/tf', 'tf2_msgs/msg/TFMessage', STATE,
-          'Space frame to body frame, where `publish_tf` is true (needs tf2_msgs).'),
+          'Space frame to body frame, if `publish_tf` is true (needs tf2_msgs).'),
     Topic('/clock', 'rosgraph_msgs/msg/Clock', STATE,
-          'Where `publish_clock` is true, in lockstep: the time of each answer.'),
+          'In lockstep, if `publish_clock` is true: the time of each response.'),
 ]
 PAGE = """\
-<!-- printed by docs/nodes.py: change that -->
+<!-- printed by docs/nodes.py: edit that file instead -->
 # Node, commands, parameters
 
 ## attitude_node
@@ -90,8 +91,9 @@ ros2 run rigid_body_ros attitude_node --ros-args --params-file SCENE
 Without the `ros2` command, as after `pip install '.[ros]'`, type
 `attitude_node --ros-args --params-file SCENE`.
 
-Names without a slash are relative: a namespace goes before them, and `-r torque:=/wrench` connects
-them to others. Quality of service can be overridden (`qos_overrides./torque.subscription.depth`).
+Names without a leading slash are relative: they take the namespace of the node, and can be
+remapped (`-r torque:=/wrench`). Quality of service can be overridden
+(`qos_overrides./torque.subscription.depth`).
 
 ### Subscribes
 
@@ -101,8 +103,8 @@ them to others. Quality of service can be overridden (`qos_overrides./torque.sub
 
 {published}
 
-All outputs of one instant carry that instant as their stamp. Nothing that is not finite is ever
-published.
+All outputs for one instant carry that instant as their stamp. Values are always finite: NaN and
+infinity are never published.
 
 ### On request
 
@@ -110,59 +112,60 @@ published.
 
 ### Service
 
-`~/reset` (std_srvs/srv/Trigger): back to the start of the scene, a new epoch.
+`~/reset` (std_srvs/srv/Trigger): begins a new epoch with the initial state of the scene.
 
-### What becomes of a torque
+### What happens to a torque
 
-A torque fixes the state at its stamp, under the torque before it. What is published between stamps
-is a prediction that nothing later is built on. So a torque may be late, by less than `history`,
-and they may come in any order: the committed states are the same bits, and a replay of
-`~/accepted_torque` gives them again. Of equal stamps the one that arrives later counts. A message
-that is not finite, in an unknown frame, too old, or stamped impossibly is refused whole, counted,
-and reported at most every 5 s.
+A torque fixes the state at its stamp, under the torques before it. States published between
+stamps are predictions, and nothing later is computed from them. So torques may arrive late, by
+less than `history`, and in any order: the committed states have the same bits, and a replay of
+`~/accepted_torque` reproduces them. If two torques have one stamp, the one that arrives later
+replaces the other. A message that is not finite, in an unknown frame, too old, or has an
+impossible stamp is rejected as a whole, counted, and logged at most every 5 s.
 
-Every torque sent is counted once: applied, waiting, rejected by cause, lost on the way, or lost in
-the queue of the subscription, because it came faster than the machine can take it. While more
-than 5000 torques wait in `realtime`, the first for longer than 2 s, new ones are rejected
-(`overload`): the motion is soon back in real time.
+`/diagnostics` counts every torque sent exactly once: as applied, waiting, rejected by cause, lost
+in transit, or dropped because the queue of the subscription was full. While more than 5000
+torques wait in `realtime`, the first for longer than 2 s, new ones are rejected (`overload`), so
+that the motion catches up with real time.
 
-Without a stamp, or with `time_source:=arrival`, a torque takes effect when it arrives. Each has a
-stamp of its own; between two ticks of simulated time, time goes on as fast as before.
+A torque without a stamp, or with `time_source:=arrival`, acts from its arrival on. Each gets its
+own stamp; between two ticks of simulated time the stamps advance as fast as time did before.
 
-With `use_sim_time` the node waits for `/clock`, and `on_time_jump` says what a clock that runs
-back does. For a bag that is played without `--clock` there is `time_source:=arrival`.
+With `use_sim_time` the node waits for `/clock`, and `on_time_jump` decides what happens when that
+clock jumps back. For a bag that is played without `--clock`, use `time_source:=arrival`.
 
 ### Lockstep
 
-In `realtime` the clock asks for the motion at `publish_rate`. In `lockstep` each torque stamped t
-is answered at once with the state at t + `step`. A controller that answers each state with a
-torque at the state's stamp closes a loop, and the loop is one chain: one torque for each state.
+In `realtime` a timer publishes the state at `publish_rate`. In `lockstep` the node responds to
+each torque stamped t immediately, with the state at t + `step`. A controller that responds to
+each state with a torque at the stamp of that state closes a loop. The loop is a single chain with
+one torque for each state.
 
-- The latest state is published again at 10 Hz while no node publishes torques. A controller that
-  starts, or is restarted, receives it once, half a second after it is connected.
-- A controller may take its time. Only after 2 s of silence is the state published again, then
-  after 4 s, and so on: a controller that works for longer receives it twice, and the torque it
-  sends for the second copy has no effect.
-- A torque that the same controller repeats later than 0.1 s after its answer is answered again,
-  because the answer may have been lost. So is another torque at the same stamp: it replaces the
-  first.
-- Torques of a second controller are rejected (`answered already`), and diagnostics name both.
-- `~/reset` begins again with the initial state. The torque that answers the state before the reset
-  is rejected (`before the reset`), so that time goes back.
+- While no node publishes torques, the latest state is published again at 10 Hz. A controller that
+  starts or restarts receives it once, half a second after it connects.
+- A controller may take its time. The state is published again only after 2 s of silence, then
+  after 4 s, and so on. A controller that works for longer receives it twice, and the torque that
+  it sends for the second copy has no effect.
+- If the same controller repeats a torque more than 0.1 s after the response, the node responds
+  again, because the response may have been lost. If it sends a different torque with the same
+  stamp, that replaces the first and also gets a response.
+- Torques of a second controller are rejected (`already answered`), and diagnostics name both.
+- `~/reset` begins again with the initial state. The torque that responds to a state from before
+  the reset is rejected (`before the reset`), so that time can go back.
 
-Silence, and an answer that takes long, are warnings in diagnostics.
+Diagnostics warn of silence and of a response that takes long to compute.
 
 ## Parameters
 
-One file serves the node, `attitude_replay` and `attitude_tradeoff` (`--scene`). An integer is
-taken where a number is meant; a key that is not known is refused. In a running node all are
-read-only but `publish_rate`. `ros2 param describe` says the same as this table, and
+The node, `attitude_replay` and `attitude_tradeoff` (`--scene`) read the same file. Integers are
+accepted for numbers; unknown keys are rejected. In a running node all parameters but
+`publish_rate` are read-only. `ros2 param describe` prints the descriptions of this table, and
 `ros2 param dump` writes a file that is a scene.
 
 {parameters}
 
-The moments have to be given, or a `robot_description`. The inertia is checked as one tensor:
-positive definite, no principal moment greater than the sum of the other two.
+Either the three moments or a `robot_description` are required. The inertia is checked as one
+tensor: positive definite, no principal moment greater than the sum of the other two.
 
 ## attitude_replay
 
@@ -172,7 +175,7 @@ attitude_replay INPUT [INPUT ...] --scene FILE [-o OUTPUT | --verify MOTION] [--
 
 {replay}
 
-[Recordings](recordings.md) has more of what goes in and comes out.
+[Recordings](recordings.md) describes inputs and outputs in detail.
 
 ## attitude_tradeoff
 
@@ -189,15 +192,15 @@ attitude_tradeoff --scene FILE
 {exits}
 """
 
-#: By exit status, its meaning.
+#: Exit statuses and their meanings.
 EXITS = [
     ('0', 'success'),
-    ('1', '`--verify` found states whose bits differ; the summary has by how many radians'),
-    ('2', 'wrong arguments, an input that cannot be read, or an output that cannot be written, '
-          'with one line that names it'),
+    ('1', '`--verify` found states whose bits differ; the summary has the difference in radians'),
+    ('2', 'wrong arguments, an input that cannot be read, or an output that cannot be written; '
+          'one line names it'),
     ('128 + n', 'signal n ended the command: 130 after Ctrl-C, 143 after SIGTERM (`attitude_node` '
-                'ends with 0); 141, without a message, if the reader of the output is gone, as in '
-                '`attitude_replay ... | head`'),
+                'ends with 0); 141, without a message, if the reader of the output has ended, as '
+                'in `attitude_replay ... | head`'),
 ]
 
 
@@ -213,20 +216,20 @@ def main():
 
 
 def topics(listed):
-    """Return topics as a table."""
+    """Return topics as a table in Markdown."""
     return table(('topic', 'type', 'quality of service', 'meaning'), [
         (f'`{topic.name}`', topic.kind.replace('/msg/', '/'), topic.qos, topic.meaning)
         for topic in listed])
 
 
 def options(parser):
-    """Return the arguments of a command as a table."""
+    """Return the arguments of a command as a table in Markdown."""
     return table(('argument', 'meaning'), [
         (argument(action), action.help) for action in parser._actions if action.dest != 'help'])
 
 
 def argument(action):
-    """Return the names of an argument, and what it takes."""
+    """Return the names of an argument, and the form of its value."""
     names = ', '.join(f'`{name}`' for name in action.option_strings)
     if action.nargs == 0:
         return names
@@ -236,7 +239,7 @@ def argument(action):
 
 
 def default(parameter):
-    """Return the default of a parameter as YAML has it."""
+    """Return the default of a parameter as in YAML."""
     if parameter.default is None:
         return 'none'
     if isinstance(parameter.default, bool):
@@ -246,7 +249,7 @@ def default(parameter):
 
 
 def values(parameter):
-    """Return what values a parameter takes."""
+    """Return the values that a parameter accepts."""
     if parameter.choices:
         return ', '.join(parameter.choices)
     if not parameter.interval:

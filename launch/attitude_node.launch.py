@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The node alone: torques of a topic in, attitude out."""
+"""The node alone: torques from a topic in, attitude out."""
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
@@ -26,13 +26,13 @@ TUMBLER = PathJoinSubstitution([FindPackageShare('rigid_body_ros'), 'config', 't
 def generate_launch_description():
     return LaunchDescription([
         DeclareLaunchArgument('scene', default_value=TUMBLER,
-                              description='parameter file: inertia, start, frames'),
+                              description='parameter file with inertia, initial state and frames'),
         DeclareLaunchArgument('namespace', default_value='',
-                              description='of the node and its topics'),
+                              description='namespace of the node and its topics'),
         DeclareLaunchArgument('use_sim_time', default_value='false', choices=['false', 'true'],
-                              description='whether /clock has the time'),
+                              description='whether to follow /clock'),
         DeclareLaunchArgument('torque', default_value='torque',
-                              description='topic of the torques, geometry_msgs/WrenchStamped'),
+                              description='topic of the torques (geometry_msgs/WrenchStamped)'),
         Node(package='rigid_body_ros', executable='attitude_node',
              namespace=LaunchConfiguration('namespace'),
              parameters=[LaunchConfiguration('scene'),

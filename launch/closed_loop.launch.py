@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-The node in lockstep and a controller: a maneuver, as fast as both can, the same every time.
+The node in lockstep with a controller: a maneuver as fast as both can run, with equal results.
 
-Everything ends with the controller. What the scene says of `mode` and `step` prevails.
+Everything ends with the controller. `mode` and `step` of the scene take precedence.
 """
 
 from launch import LaunchDescription
@@ -39,7 +39,7 @@ ATTITUDE_NODE = PathJoinSubstitution(
 def generate_launch_description():
     return LaunchDescription([
         DeclareLaunchArgument('stop_after', default_value='60.0',
-                              description='length of the maneuver, s of its own time'),
+                              description='duration of the maneuver in its own time, s'),
         RegisterEventHandler(OnProcessExit(on_exit=[Shutdown()], handle_once=True)),
         SetParameter('mode', 'lockstep'),
         SetParameter('step', 0.01),

@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-The torques of a bag into the node, on the clock of the bag.
+The torques of a bag into the node, with the clock of the bag.
 
-The bag waits until the node answers, so that no torque is lost. Everything ends with the bag.
+The bag starts when the node responds, so that no torque is lost. Everything ends with the bag.
 """
 
 from launch import LaunchDescription
@@ -44,28 +44,29 @@ def generate_launch_description():
              '--topics', LaunchConfiguration('torque'), '--rate', LaunchConfiguration('rate'),
              '--clock', '100', '--start-paused', '--disable-keyboard-controls'],
         output='screen')
-    answer = ExecuteProcess(
+    ready = ExecuteProcess(
         cmd=['ros2', 'service', 'call', ANY_SERVICE, 'rcl_interfaces/srv/GetParameters'],
-        name='answer')
+        name='ready')
     resume = ExecuteProcess(
         cmd=['ros2', 'service', 'call', '/rosbag2_player/resume', 'rosbag2_interfaces/srv/Resume'],
         name='resume')
 
-    def go_on(event, context):
-        if event.action is answer and event.returncode == 0:
+    def resume_once_ready(event, context):
+        if event.action is ready and event.returncode == 0:
             return resume
         return None if event.action is resume and event.returncode == 0 else Shutdown()
 
     return LaunchDescription([
-        DeclareLaunchArgument('bag', description='folder or file that `ros2 bag play` takes'),
+        DeclareLaunchArgument('bag', description='folder or file for `ros2 bag play`'),
         DeclareLaunchArgument('torque', default_value='/torque',
                               description='topic of the torques in the bag'),
-        DeclareLaunchArgument('rate', default_value='1.0', description='times real time'),
+        DeclareLaunchArgument('rate', default_value='1.0',
+                              description='speed relative to real time'),
         DeclareLaunchArgument('use_sim_time', default_value='true',
-                              description='true, as the bag has the time'),
-        LogInfo(msg=['ros2 bag is in ', FindPackagePrefix('ros2bag')]),  # or all ends here
-        RegisterEventHandler(OnProcessExit(on_exit=go_on)),
+                              description='true, because the bag publishes /clock'),
+        LogInfo(msg=['ros2 bag is in ', FindPackagePrefix('ros2bag')]),  # fails without it
+        RegisterEventHandler(OnProcessExit(on_exit=resume_once_ready)),
         IncludeLaunchDescription(PythonLaunchDescriptionSource(ATTITUDE_NODE)),
         bag,
-        answer,
+        ready,
     ])

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The node, with rviz2 and the bridge of Foxglove where they are installed."""
+"""The node, with rviz2 and the Foxglove bridge if they are installed."""
 
 from ament_index_python.packages import get_packages_with_prefixes
 from launch import LaunchDescription
@@ -30,20 +30,20 @@ VIEW = PathJoinSubstitution([SHARE, 'config', 'rviz.rviz'])
 def generate_launch_description():
     return LaunchDescription([
         DeclareLaunchArgument('space_frame', default_value='world',
-                              description='fixed frame of rviz: space_frame of the scene'),
-        _where_installed('tf2_msgs', SetParameter('publish_tf', True), 'no /tf'),
+                              description='fixed frame of rviz; use the space_frame of the scene'),
+        _if_installed('tf2_msgs', SetParameter('publish_tf', True), 'no /tf'),
         IncludeLaunchDescription(PythonLaunchDescriptionSource(ATTITUDE_NODE)),
-        _where_installed('rviz2', Node(
+        _if_installed('rviz2', Node(
             package='rviz2', executable='rviz2', namespace=LaunchConfiguration('namespace'),
             arguments=['-d', VIEW, '-f', LaunchConfiguration('space_frame')]), 'no window'),
-        _where_installed('foxglove_bridge', Node(
+        _if_installed('foxglove_bridge', Node(
             package='foxglove_bridge', executable='foxglove_bridge', output='screen'),
             'nothing for Foxglove to connect to'),
     ])
 
 
-def _where_installed(package, action, otherwise):
-    """Return an action, or one that says what is missed where its package is."""
+def _if_installed(package, action, otherwise):
+    """Return an action, or one that logs what its missing package would provide."""
     if package in get_packages_with_prefixes():
         return action
     return LogInfo(msg=f'{package} is not installed: {otherwise}')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The same torques as recordings of every form that people have."""
+"""The same torques as recordings of every form in use."""
 
 from collections import Counter
 from dataclasses import asdict, dataclass
@@ -40,16 +40,16 @@ import yaml
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 WRENCH, BARE = 'geometry_msgs/msg/WrenchStamped', 'geometry_msgs/msg/Wrench'
-#: When a message was published and logged, ns after its stamp.
+#: Delays from the stamp of a message to its publication and its log time, ns.
 PUBLISHED, LOGGED = 500_000, 1_000_000
-#: What a publisher offers, as in any recording of rosbag2.
+#: The QoS that a publisher offers, as in any recording of rosbag2.
 QOS = Qos(QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, QosDurability.VOLATILE,
           Time(9223372036, 854775807), Time(9223372036, 854775807), QosLiveliness.AUTOMATIC,
           Time(9223372036, 854775807), False)
-#: Of all frames those that make every length of padding, and other letters.
+#: Frames that need every length of padding, and other letters.
 FRAMES = ['base_link', 'world', '', 'a', 'ab', 'abc', 'abcd', 'abcde', 'abcdef', 'Flügel/機体',
           'robot_1/arm_left/wrist_force_torque_sensor_frame']
-#: A file without summary and index: one that says nothing twice.
+#: Options for a file without summary and index.
 UNINDEXED = {'index_types': IndexType.NONE, 'repeat_channels': False, 'repeat_schemas': False,
              'use_statistics': False, 'use_summary_offsets': False}
 
@@ -64,7 +64,7 @@ _IDL = {
 
 @dataclass(frozen=True, eq=False)
 class Torques:
-    """What is recorded."""
+    """The messages of a recording."""
 
     stamps_ns: np.ndarray  # int64, shape (n,)
     frame_ids: list[str]
@@ -75,14 +75,14 @@ class Torques:
         return Torques(self.stamps_ns[rows], frame_ids, self.values[rows])
 
     def rows(self):
-        """Return the messages as tuples that are equal where every bit is."""
+        """Return the messages as tuples that are equal if every bit is."""
         return [(stamp, frame_id, row.tobytes()) for stamp, frame_id, row in
                 zip(self.stamps_ns.tolist(), self.frame_ids, np.ascontiguousarray(self.values))]
 
 
 @dataclass(frozen=True)
 class Sent:
-    """A message on its way into a recording."""
+    """A message to record."""
 
     topic: str
     message: object
@@ -101,7 +101,7 @@ def big_endian(one):
 
 
 def dirty(one):
-    """Return a message as a middleware leaves it: padding of any value, and some at its end."""
+    """Return a message as middleware may send it: padding of any value, and more at its end."""
     data = one.cdr()
     if one.kind != WRENCH:
         return data
@@ -138,7 +138,7 @@ def traffic(recorded, topic='/torque', others=False, header=True):
 
 def mcap(folder, sent, cdr=Sent.cdr, encoding='ros2msg', profile='ros2', channels=1,
          chunk_size=4096, **options):
-    """Write with the Writer of mcap, topics announced when they first come."""
+    """Write with the Writer of mcap; a topic is registered with its first message."""
     path, schemas, ids = folder / 'recording.mcap', {}, {}
     with open(path, 'wb') as stream:
         writer = McapWriter(stream, chunk_size, **options)
@@ -173,7 +173,7 @@ def ros2_support(folder, sent, **options):
 
 
 def ours(folder, sent):
-    """Write with this package, which knows no strings and one time."""
+    """Write with this package, which writes no strings and a single time."""
     path, added = folder / 'recording.mcap', set()
     with recording.Writer(path) as writer:
         for one in sent:
@@ -187,7 +187,7 @@ def ours(folder, sent):
 
 def rosbag2(folder, sent, storage='MCAP', compression='NONE', version=9, name='bag',
             cdr=Sent.cdr):
-    """Write a directory with rosbags, which knows one time."""
+    """Write a directory with rosbags, which writes a single time."""
     writer = Rosbag2Writer(folder / name, version=version, storage_plugin=StoragePlugin[storage])
     writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
     topics = {}
@@ -201,7 +201,7 @@ def rosbag2(folder, sent, storage='MCAP', compression='NONE', version=9, name='b
 
 
 def bare(folder, sent, **options):
-    """Return the file out of such a directory, alone."""
+    """Write such a directory, and return the path of the file in it."""
     bag = rosbag2(folder, sent, **options)
     data, = bag.glob('bag.*')
     return data.rename(folder / data.name)
@@ -307,7 +307,7 @@ FORMS = {
     'rosbag2-sqlite3-v8': partial(rosbag2, storage='SQLITE3', version=8),
     'rosbag2-sqlite3-big-endian': partial(rosbag2, storage='SQLITE3', cdr=big_endian),
     'rosbag2-sqlite3-dirty': partial(rosbag2, storage='SQLITE3', cdr=dirty),
-    'split-mcap': partial(split, parts=12),  # bag_10 comes before bag_2 only in the alphabet
+    'split-mcap': partial(split, parts=12),  # bag_10 precedes bag_2 in alphabetical order only
     'split-mcap-storage': partial(split, compression='STORAGE'),
     'split-mcap-message': partial(split, compression='MESSAGE'),
     'split-mcap-file': partial(split, compression='FILE'),
@@ -329,7 +329,7 @@ UNREAD = {'mcap-no-profile', 'mcap-chunk-index-only', 'sqlite3-killed'}
 
 
 def read_by_rosbags(path, topic='/torque'):
-    """Return torques and log times as rosbags reads them, which is in the order of log times."""
+    """Return torques and log times as rosbags reads them: in the order of log times."""
     with AnyReader([path], default_typestore=STORE) as reader:
         found = [connection for connection in reader.connections if connection.topic == topic]
         read = [(time_ns, reader.deserialize(data, connection.msgtype))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What every test shares."""
+"""Fixtures and helpers for all tests."""
 
 from contextlib import contextmanager, ExitStack, suppress
 import fcntl
@@ -33,7 +33,7 @@ import rigid_body_ros
 from rigid_body_ros import messages, propagate, recording, scene, so3, State
 
 ROOT = Path(__file__).resolve().parent.parent
-# What the setting `pythonpath` of pytest does, which pytest 6 of Ubuntu 22.04 does not have.
+# As the setting `pythonpath` of pytest, which pytest 6 of Ubuntu 22.04 lacks.
 sys.path[:0] = [str(ROOT / name) for name in ('benchmarks', 'docs', 'examples')]
 
 settings.register_profile('reproducible', derandomize=True, deadline=None, print_blob=True)
@@ -43,17 +43,17 @@ PACKAGE = Path(rigid_body_ros.__file__).parent
 NAME = 'rigid_body_ros'
 RECORDINGS = ROOT / 'test' / 'recordings'
 CONFIG = ROOT / 'config'
-#: The stamps of the recordings: seconds as a float are 238 ns apart here.
+#: First stamp of the recordings: here, seconds as a float are 238 ns apart.
 EPOCH_NS = 1_767_225_600_123_456_789
 SECOND = 10 ** 9
-#: Test files that as a whole need a module which an installation may be without.
+#: Test files that need an optional module, by that module.
 NEEDS = {
     'rclpy': ['clocks', 'faults', 'launch', 'lockstep', 'node', 'soak', 'topics', 'workspace'],
-    'launch_ros': ['launch'],  # PyPI does not have it
+    'launch_ros': ['launch'],  # not on PyPI
     'colcon_ros': ['workspace'],
     'mpmath': ['arm', 'elementary', 'elliptic', 'examples', 'extremes', 'free_motion', 'peers',
                'propagate', 'reference', 'rods', 'steppers', 'tensor', 'truth',
-               'validation'],  # rosdep has none
+               'validation'],  # not known to rosdep
     'numba': ['elementary', 'elliptic', 'four'],
 }
 ABSENT = {module: [f'test_{name}.py' for name in names] for module, names in NEEDS.items()
@@ -62,8 +62,8 @@ collect_ignore = [name for names in ABSENT.values() for name in names]
 
 
 def pytest_report_header():
-    """Say what is left out, and why."""
-    return [f'{module} is not installed, so these are left out: {", ".join(names)}'
+    """Report which test files are skipped, and why."""
+    return [f'{module} is not installed, so these are skipped: {", ".join(names)}'
             for module, names in ABSENT.items()]
 
 
@@ -74,7 +74,7 @@ def _floating_point_errors_are_errors():
 
 
 def readable_by_all(path, flags):
-    """Open a file to lock, for `open`: each user of the machine can, whoever made it."""
+    """Open a lock file, as an opener for `open`; every user of the machine can lock it."""
     with suppress(FileExistsError):
         made = os.open(path, os.O_CREAT | os.O_EXCL)
         os.fchmod(made, 0o644)
@@ -84,7 +84,7 @@ def readable_by_all(path, flags):
 
 @contextmanager
 def locked(path):
-    """Hold a lock that one process of the machine can have; BlockingIOError if one has it."""
+    """Hold a lock of this machine; raise BlockingIOError if another process holds it."""
     with open(path, opener=readable_by_all) as lock:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
@@ -92,7 +92,7 @@ def locked(path):
 
 @pytest.fixture
 def domain():
-    """Yield a ROS domain that no other test of this machine has at the same time."""
+    """Yield a ROS domain that no other test on this machine uses at the same time."""
     with ExitStack() as stack:
         for number in range(1, 101):
             path = Path(tempfile.gettempdir()) / f'rigid_body_ros.{number}.lock'
@@ -106,11 +106,11 @@ def domain():
 
 @pytest.fixture
 def read_only_package(tmp_path):
-    """Return a folder with the package, where no compiled kernel can be kept."""
+    """Return a folder with a copy of the package that cannot cache compiled kernels."""
     folder = tmp_path / 'site'
     package = folder / 'rigid_body_ros'
     shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns('__pycache__'))
-    # Files where the cache folders should be: what a read-only install looks like, even to root.
+    # Files in place of the cache folders: like a read-only install, even for root.
     for module in [*package.rglob('__init__.py')]:
         (module.parent / '__pycache__').touch()
     return folder
@@ -121,8 +121,8 @@ def installed(tmp_path_factory):
     """Install the package as `pip install .` does, into a prefix that all tests share."""
     folder = tmp_path_factory.getbasetemp()
     if 'PYTEST_XDIST_WORKER' in os.environ:
-        folder = folder.parent  # of all that run in parallel
-    # A build is made in the checkout: one at a time there.
+        folder = folder.parent  # common to all workers
+    # A build writes into the checkout: one at a time.
     with open(ROOT / 'setup.py') as checkout:
         fcntl.flock(checkout, fcntl.LOCK_EX)
         if not (folder / 'installed').exists():
@@ -135,7 +135,7 @@ def _install(folder):
     subprocess.run([*pip, 'wheel', '--no-deps', '--no-build-isolation', '-w', folder, ROOT],
                    check=True)
     wheel, = folder.glob('*.whl')
-    # Without --ignore-installed pip would remove the package from the environment of the tests.
+    # Without --ignore-installed, pip would uninstall the package from the test environment.
     subprocess.run([*pip, 'install', '--no-deps', '--ignore-installed', '--prefix',
                     folder / 'prefix', wheel], check=True)
     (folder / 'installed').touch()
@@ -143,7 +143,7 @@ def _install(folder):
 
 @contextmanager
 def memory_limit(most):
-    """Fail if Python and its libraries allocate more than so many bytes."""
+    """Fail if Python and its libraries allocate more than `most` bytes."""
     tracemalloc.start()
     try:
         yield
@@ -155,11 +155,11 @@ def memory_limit(most):
 
 @contextmanager
 def files_up_to(size):
-    """Let no file of this process grow beyond a size, B: a write fails, as on a full disk."""
+    """Limit the size, B, of files of this process: a write beyond it fails, as on a full disk."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
-        yield  # Python ignores the signal that comes with it
+        yield  # Python ignores the signal SIGXFSZ
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What becomes of a command that reads a hostile file: its error line, within limits."""
+"""Runs commands on hostile files within limits, and returns their error lines."""
 
 from contextlib import contextmanager, redirect_stderr
 import io
@@ -24,15 +24,15 @@ from rigid_body_ros import cli, recording, scene
 from rigid_body_ros.common.errors import LONGEST
 
 TUMBLER = CONFIG / 'tumbler.yaml'
-# Compiles what reads messages, which is not to be measured.
+# Compile the functions that read messages, which the limits do not cover.
 recording.read(RECORDINGS / 'tumbler.mcap')
 
 
 @contextmanager
 def limits():
-    """Fail if it works for more than 10 s, hangs, or if Python allocates more than 300 MB."""
+    """Fail after 10 s of processor time or 60 s of wall time, or if Python allocates 300 MB."""
     def too_long(number, frame):
-        pytest.fail('works for more than 10 s, or waits for more than 60 s')
+        pytest.fail('took more than 10 s of processor time, or 60 s of wall time')
     timers = [(signal.SIGPROF, signal.ITIMER_PROF, 10), (signal.SIGALRM, signal.ITIMER_REAL, 60)]
     before = [signal.signal(number, too_long) for number, _, _ in timers]
     for _, timer, seconds in timers:

@@ -37,7 +37,7 @@ TOPS = {
 
 
 def period(name):
-    """Return the period of the rates, s: where they are after a million periods says how long."""
+    """Return the known period of the rates, s, and the one found after a million periods."""
     moments, rates, known = TOPS[name]
     body = RigidBody.from_moments(*moments)
     time_ns = round(PERIODS * known * 1e9)
@@ -116,13 +116,13 @@ def spin_up():
     return known, motion.attitude[0, 3]
 
 
-#: What ODE loses, max |dL| / |L|, of the momentum of Gazebo's boxes in 10 s by the step, s:
+#: Momentum that ODE loses, max |dL| / |L|, of Gazebo's boxes in 10 s, by the step, s:
 #: github.com/scpeters/benchmark, BENCHMARK_boxes_dt.csv.
 ODE_LOSSES = {1e-3: 1.30708e-2, 5e-4: 6.43471e-3, 1e-4: 1.2715e-3}
 
 
 def lost_momentum(solver, step):
-    """Return the same for one of our solvers."""
+    """Return the same for a solver of this package."""
     motion = propagate(RigidBody.from_moments(0.80833, 0.68333, 0.14167),
                        State(0, angular_velocity=(0.1, 5.0, 0.1)), solver=solver,
                        at=np.arange(0, 10 * SECOND + 1, SECOND // 1000),
@@ -132,7 +132,7 @@ def lost_momentum(solver, step):
     return apart.max() / np.linalg.norm(momentum[0])
 
 
-#: What, the right value and the one found, and how far apart they may be.
+#: Name, known value, value found, and largest difference allowed.
 KNOWN = {
     **{f'period of {name}, s': (lambda name=name: period(name), 1e-15) for name in TOPS},
     **{f'escape from the intermediate axis, offset {offset:.0e}, s':

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the tests of the node share."""
+"""Helpers for the tests of the node."""
 
 from typing import NamedTuple
 
@@ -49,10 +49,10 @@ def replayed(tmp_path, live):
     log = recording.torque_log('live.mcap', accepted, run.values['body_frame'],
                                run.values['space_frame'])
     committed = recording.read(tmp_path / 'live.mcap', COMMITTED, messages.ODOMETRY)
-    # Also for the log of a real node: it has all torques of the states.
+    # --verify accepts it, too: the log has all torques of the states.
     verify(tmp_path / 'live.mcap', run, tmp_path / 'live.mcap', topic=ACCEPTED,
            motion_topic=COMMITTED)
-    # The start of an epoch is the last state of that stamp: those before are of other epochs.
+    # Of several states at the start time, the last is the start of the last epoch.
     begin = int(np.flatnonzero(committed.stamps_ns == run.start.time_ns)[-1])
     stamps_ns, values = committed.stamps_ns[begin:], live_values(committed)[begin:]
     motion = propagate(run.body, run.start, log, at=stamps_ns, **run.options)
@@ -66,7 +66,7 @@ def live_values(committed):
 
 
 def run_clock(live, start_ns, until=lambda: False, seconds=100):
-    """Let simulated time go on, or stand at the start until something holds."""
+    """Advance simulated time, or keep it at the start until a condition holds."""
     for tick in range(seconds * 100 + 1):
         live.set_clock(start_ns + (tick * SECOND // 100 if seconds < 100 else 0))
         live.spin(0.002)
@@ -79,7 +79,7 @@ def get_parameters(live, *names):
 
 
 def set_parameter(live, name, value):
-    """Return what the node says of it."""
+    """Set a parameter and return the result."""
     message = Parameter(name, value=value).to_parameter_msg()
     result, = live.call(SetParameters, 'set_parameters', parameters=[message]).results
     return result

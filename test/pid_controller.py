@@ -15,11 +15,11 @@
 """
 A PID controller as users write them: one torque for every state that it receives.
 
-It knows nothing of lockstep. Receive a state twice, and its integral is wrong for ever.
+It knows nothing of lockstep. A state received twice makes its integral wrong for ever.
 
     python pid_controller.py MEMORY --until NS [--first-step SECONDS] [--hang-at NS]
 
-MEMORY is a file that keeps what a restarted controller goes on with.
+MEMORY is a file with the memory of the controller, from which a restarted one continues.
 """
 
 import argparse
@@ -32,13 +32,13 @@ PROPORTIONAL, DERIVATIVE, INTEGRAL, STEP = 0.1, 0.12, 0.05, 0.01
 
 
 class Pid:
-    """Turns the body to the attitude of space."""
+    """Turns the body axes to the space axes."""
 
     def __init__(self):
         self.integral = [0.0, 0.0, 0.0]
 
     def torque(self, attitude, rates):
-        """Return the torque, N m, that answers an attitude, x y z w, and rates, rad/s."""
+        """Return the torque, N m, for an attitude, x y z w, and rates, rad/s."""
         self.integral = [sum_ + angle * STEP for sum_, angle in zip(self.integral, attitude)]
         return [-PROPORTIONAL * angle - DERIVATIVE * rate - INTEGRAL * sum_
                 for angle, rate, sum_ in zip(attitude, rates, self.integral)]
@@ -74,16 +74,16 @@ def main():
         if not stamps:
             time.sleep(options.first_step)
         pose, twist = state.pose.pose.orientation, state.twist.twist.angular
-        answer = WrenchStamped()
-        answer.header.stamp = state.header.stamp
-        torque = answer.wrench.torque
+        command = WrenchStamped()
+        command.header.stamp = state.header.stamp
+        torque = command.wrench.torque
         torque.x, torque.y, torque.z = law.torque([pose.x, pose.y, pose.z],
                                                   [twist.x, twist.y, twist.z])
         stamps.append(stamp_ns)
         part = options.memory.with_suffix('.part')
         part.write_text(json.dumps([law.integral, stamps]))
         part.replace(options.memory)
-        publisher.publish(answer)
+        publisher.publish(command)
 
     node.create_subscription(Odometry, 'odometry', on_state, 10)
     rclpy.spin(node)

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-What others computed or observed, beside what this package makes of the same body and start.
+Published computations and observations, compared with results of this package.
 
-Each row of `ROWS` returns the figure to compare with, the one found, and how far apart they are:
-`test_validation.py` holds the rows to their bounds, `benchmarks/validation.py` prints them.
+Each row of `ROWS` returns the published figure, the one found, and their difference:
+`test_validation.py` checks the rows against their bounds, `benchmarks/validation.py` prints them.
 """
 
 import csv
@@ -43,16 +43,16 @@ from rigid_body_ros.replay import replay
 
 
 class DataNotHereError(Exception):
-    """Figures to compare with that are not part of the project, and not on this machine."""
+    """Published figures that are neither part of the project nor on this machine."""
 
 
 def attitudes(right, found):
-    """Return both scalar parts, and the angle between attitudes, rad; q and -q are apart."""
+    """Return both scalar parts, and the angle between the attitudes, rad; q and -q differ."""
     return f'{right[3]:.16f}', f'{found[3]:.16f}', float(chord(right, found))
 
 
 def rates(right, found):
-    """Return both first components, and the difference of the vectors over their size."""
+    """Return both first components, and the relative difference of the vectors."""
     apart = np.linalg.norm(np.subtract(found, right)) / np.linalg.norm(right)
     return f'{right[0]:.15e}', f'{found[0]:.15e}', float(apart)
 

@@ -258,10 +258,11 @@ def test_a_copy_of_an_input_may_be_replaced(place):
 COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros import cli; '
            'sys.exit(getattr(cli, sys.argv.pop(1))())']
 REPLAY = ['attitude_replay', 'in/log.mcap', '--scene', 'in/scene.yaml', '-o', 'out/motion.mcap']
-PRINTING = {'replay': REPLAY, 'help': ['attitude_tradeoff', '--help']}
+PRINTING = [pytest.param(REPLAY, id='replay'),
+            pytest.param(['attitude_tradeoff', '--help'], id='help', marks=pytest.mark.slow)]
 
 
-@pytest.mark.parametrize('arguments', PRINTING.values(), ids=PRINTING)
+@pytest.mark.parametrize('arguments', PRINTING)
 def test_a_reader_that_is_gone_ends_a_command_quietly(place, arguments):
     reading, writing = os.pipe()
     os.close(reading)
@@ -284,7 +285,7 @@ def test_a_reader_that_leaves_in_the_middle_is_no_error():
         assert process.wait() == 141
 
 
-@pytest.mark.parametrize('arguments', PRINTING.values(), ids=PRINTING)
+@pytest.mark.parametrize('arguments', PRINTING)
 def test_a_full_standard_output_is_reported_in_one_line(place, arguments):
     with open('/dev/full', 'w') as full:
         result = subprocess.run([*COMMAND, *arguments], stdout=full, stderr=subprocess.PIPE,
@@ -294,7 +295,7 @@ def test_a_full_standard_output_is_reported_in_one_line(place, arguments):
                              'left on device\n')
 
 
-@pytest.mark.parametrize('arguments', PRINTING.values(), ids=PRINTING)
+@pytest.mark.parametrize('arguments', PRINTING)
 def test_a_closed_standard_output_is_reported_before_any_work(place, arguments):
     before = contents(place)
     result = subprocess.run(['sh', '-c', '"$@" >&-', 'sh', *COMMAND, *arguments], check=False,

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a clock may do: be silent, stand, leap, run back; and stamps of other clocks."""
+"""A clock that is silent, stands still, or jumps ahead or back; and stamps of other clocks."""
 
 from conftest import SECOND
 from live import decoded, replayed, TUMBLER
@@ -24,13 +24,13 @@ from rigid_body_ros.node import clocks
 from rigid_body_ros.node.clocks import ArrivalStamps
 
 pytestmark = pytest.mark.ros
-# So often that every tick of the clock is one of the timer.
+# A rate so high that the timer fires at every tick of the clock.
 SIMULATED = (*RELIABLE, '-p', 'use_sim_time:=true', '-p', 'publish_rate:=2000.0')
 TICK_NS = SECOND // 100
 
 
 def run_clock(live, begin_ns, end_ns, torque=None):
-    """Let simulated time go on in ticks, with a torque every tenth second."""
+    """Advance simulated time in ticks, with a torque every tenth of a second."""
     for now_ns in range(begin_ns, end_ns + 1, TICK_NS):
         live.set_clock(now_ns)
         if torque and now_ns % (SECOND // 10) == 0:
@@ -39,11 +39,11 @@ def run_clock(live, begin_ns, end_ns, torque=None):
 
 
 def settle(live, now_ns):
-    """Say the time until the node has published at it."""
-    def told():
+    """Publish the time until the node has published a state at it."""
+    def has_published():
         live.set_clock(now_ns)
         return stamps(live) and stamps(live)[-1] == now_ns
-    live.wait_until(told, 'an attitude at the time of the clock')
+    live.wait_until(has_published, 'an attitude at the time of the clock')
 
 
 def stamps(live):
@@ -73,7 +73,7 @@ def test_nothing_is_published_before_the_clock_is_valid(domain):
 
 
 @pytest.mark.parametrize('zero', [False, True])
-def test_time_zero_is_no_time(domain, zero):
+def test_time_zero_means_no_time_yet(domain, zero):
     with LiveSession(TUMBLER, domain, *SIMULATED) as live:
         for _ in range(50 * zero):
             live.set_clock(0)
@@ -101,7 +101,7 @@ def test_while_the_clock_stands_nothing_is_published_and_nothing_lost(tmp_path, 
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
-def test_a_clock_that_leaps_ahead_finds_the_motion_under_the_last_torque(tmp_path, domain):
+def test_when_the_clock_jumps_ahead_the_motion_continues_under_the_last_torque(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *SIMULATED) as live:
         run_clock(live, 5 * SECOND, 6 * SECOND, wobble)
         settle(live, 106 * SECOND)
@@ -137,12 +137,12 @@ def test_a_clock_that_jumps_back(tmp_path, domain, action, back_ns):
     np.testing.assert_array_equal(run.committed, run.replay)
     assert np.all(np.diff(run.stamps_ns) > 0)
     assert torques['received'] == torques['applied'] + sum(
-        count for name, count in torques.items() if name.startswith('refused'))
+        count for name, count in torques.items() if name.startswith('rejected'))
     attitude = run.committed[0, :4].tolist()
     if action == 'ignore':
         assert run.stamps_ns[0] < end_ns
-        # What is older than the newest stamp by `history` is late; the rest is put in its place.
-        assert bool(torques['refused: late']) == (back_ns > SECOND)
+        # A torque older than the newest by `history` is late; others are inserted in order.
+        assert bool(torques['rejected: late']) == (back_ns > SECOND)
         return
     # A new epoch, and a new log.
     assert len(run.accepted.stamps_ns) > first
@@ -189,7 +189,7 @@ def test_a_torque_may_overtake_the_clock_it_is_stamped_by(tmp_path, domain):
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
-def test_a_torque_that_the_clock_does_not_reach_is_refused(domain):
+def test_a_torque_that_the_clock_does_not_reach_is_rejected(domain):
     with LiveSession(TUMBLER, domain, *SIMULATED) as live:
         settle(live, 5 * SECOND)
         for _ in range(3):
@@ -199,7 +199,7 @@ def test_a_torque_that_the_clock_does_not_reach_is_refused(domain):
         live.spin(2.0)
         values, *_ = live.diagnosis('torques')
         assert live.stop() == 0
-    assert (values['received'], values['refused: future'], values['waiting']) == (4, 3, 0)
+    assert (values['received'], values['rejected: future'], values['waiting']) == (4, 3, 0)
     assert len(live.received[ACCEPTED]) == 1
 
 
@@ -220,14 +220,14 @@ def test_a_torque_may_overtake_a_clock_that_jumps_back(tmp_path, domain, ahead_n
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
-def test_a_torque_that_is_late_is_refused_where_the_clock_goes_on(domain):
+def test_a_torque_that_is_late_is_rejected_where_the_clock_goes_on(domain):
     with LiveSession(TUMBLER, domain, *SIMULATED) as live:
         run_clock(live, 5 * SECOND, 8 * SECOND, wobble)
         for _ in range(3):
             live.publish(5 * SECOND + 1, '', [1.0, 0.0, 0.0])
         run_clock(live, 8 * SECOND, 9 * SECOND, wobble)
         settle(live, 9 * SECOND)
-        live.wait_until(lambda: live.diagnosis('torques')[0]['refused: late'] == 3, 'a diagnosis')
+        live.wait_until(lambda: live.diagnosis('torques')[0]['rejected: late'] == 3, 'a diagnosis')
         assert live.stop() == 0
     assert 5 * SECOND + 1 not in accepted(live)
 
@@ -243,7 +243,7 @@ def test_a_torque_ahead_of_a_clock_that_jumps_back(domain):
         assert live.stop() == 0
 
 
-def test_a_reset_is_the_way_out_where_jumps_are_ignored(tmp_path, domain):
+def test_a_reset_recovers_from_an_ignored_jump(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore') as live:
         run_clock(live, 50 * SECOND, 51 * SECOND, wobble)
         for _ in range(10):
@@ -289,15 +289,15 @@ def test_a_given_start_time_holds_in_every_round_of_a_bag(tmp_path, domain):
     assert all(rounds[0][stamp_ns] == rounds[1][stamp_ns] for stamp_ns in common)
 
 
-def test_torques_of_another_clock_are_said_to_be_that(domain):
+def test_torques_of_another_clock_are_rejected_with_advice(domain):
     with LiveSession(TUMBLER, domain, *RELIABLE) as live:
         live.publish(live.now_ns() - 86400 * SECOND, 'base_link', [0.01, 0.0, 0.0])
         live.publish(12 * SECOND, 'base_link', [0.01, 0.0, 0.0])
         live.spin(0.5)
         words = live.end()
     assert not live.received[ACCEPTED]
-    assert 'refused (late, 1 so far): stamped 86400' in words
-    assert 'Play it with --clock and set use_sim_time, or set time_source:=arrival' in words
+    assert 'torque rejected (late, 1 so far): stamped 86400' in words
+    assert 'play it with --clock and set use_sim_time, or set time_source:=arrival' in words
 
 
 def test_torques_may_be_timed_by_their_arrival(tmp_path, domain):
@@ -348,7 +348,7 @@ def test_time_goes_on_between_two_ticks_as_fast_as_before(monkeypatch):
         wall_ns[0] = round((4 + 2 * part) * tick_ns)
         found.append(stamps.stamp() - now_ns)
     assert found == [0, tick_ns // 4, tick_ns // 4 + 1, tick_ns // 2, tick_ns, tick_ns + 1]
-    stamps.tick(now_ns + 100 * SECOND)  # a leap is not a tick
+    stamps.tick(now_ns + 100 * SECOND)  # a jump is not a tick
     wall_ns[0] += tick_ns // 1000
     assert stamps.stamp() - now_ns - 100 * SECOND <= tick_ns
     stamps.tick(SECOND)  # set back
@@ -358,7 +358,7 @@ def test_time_goes_on_between_two_ticks_as_fast_as_before(monkeypatch):
 def test_a_clock_that_stops_is_a_warning(domain):
     with LiveSession(TUMBLER, domain, *SIMULATED) as live:
         run_clock(live, 5 * SECOND, 6 * SECOND, wobble)
-        live.wait_until(lambda: '/clock has stood still at 6000000000 ns for' in live.diagnosis(
+        live.wait_until(lambda: '/clock has not advanced from 6000000000 ns for' in live.diagnosis(
             'torques')[2], 'a warning')
         assert live.diagnosis('torques')[1] == 1
         count = len(live.diagnostics)
@@ -367,16 +367,16 @@ def test_a_clock_that_stops_is_a_warning(domain):
             live.spin(0.01)
             if len(live.diagnostics) > count + 2:
                 break
-        assert 'stood still' not in live.diagnosis('torques')[2]
+        assert 'not advanced' not in live.diagnosis('torques')[2]
         assert live.stop() == 0
 
 
 def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *SIMULATED) as live:
         run_clock(live, 5 * SECOND, 6 * SECOND, wobble)
-        told = State(6 * SECOND - 4 * TICK_NS - 7, (0.5, 0.5, -0.5, 0.5), (0.3, 0.2, -0.1))
-        live.set_state(told)
-        live.wait_until(lambda: told.time_ns in [
+        given = State(6 * SECOND - 4 * TICK_NS - 7, (0.5, 0.5, -0.5, 0.5), (0.3, 0.2, -0.1))
+        live.set_state(given)
+        live.wait_until(lambda: given.time_ns in [
             message.stamp_ns for message in decoded(live, COMMITTED, messages.ODOMETRY)],
             'the new epoch')
         run_clock(live, 6 * SECOND, 7 * SECOND, wobble)
@@ -391,10 +391,10 @@ def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
         live.received[ACCEPTED] = live.received[ACCEPTED][:count]
         live.received[COMMITTED] = live.received[COMMITTED][:-1]
         run = replayed(tmp_path, live)
-    assert run.stamps_ns[0] == told.time_ns
+    assert run.stamps_ns[0] == given.time_ns
     assert run.committed[0].tolist() == [0.5, 0.5, -0.5, 0.5, 0.3, 0.2, -0.1]
     np.testing.assert_array_equal(run.committed, run.replay)
-    assert 'initial_state: refused (late)' in words
+    assert 'initial_state rejected (late)' in words
     # The torque in force goes on in the epoch that the reset began.
     mark, carried = torques
     assert mark == messages.new_log()

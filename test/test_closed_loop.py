@@ -13,7 +13,7 @@
 # limitations under the License.
 
 
-"""A closed loop in lockstep is one chain, and gives the same bits however it is started."""
+"""A closed loop in lockstep is one chain, and has the same bits however it is started."""
 
 from contextlib import contextmanager
 import json
@@ -31,14 +31,14 @@ import numpy as np
 from pid_controller import Pid, STEP
 import pytest
 from rigid_body_ros import messages, Propagator, scene, State
-from rigid_body_ros.node import chain
-from rigid_body_ros.node.chain import Answers, Offers
+from rigid_body_ros.node import closed_loop
+from rigid_body_ros.node.closed_loop import DuplicateFilter, RepublishPolicy
 from rigid_body_ros.node.epoch import Torque
 
 pytestmark = pytest.mark.ros
 STEP_NS, END_NS = round(STEP * 1e9), 4 * SECOND
 LOCKSTEP = ('-p', 'mode:=lockstep', '-p', f'step:={STEP}')
-#: Does not end by itself.
+#: A run that does not end by itself.
 FOREVER = 10 ** 18
 
 
@@ -57,7 +57,7 @@ def controller(tmp_path, domain, *arguments, until=END_NS):
 
 
 def session(domain, *arguments):
-    """Return a session that only listens: a second publisher of torques is a second controller."""
+    """Return a session; disconnect it, as a second publisher of torques is a second controller."""
     return LiveSession(TUMBLER, domain, *LOCKSTEP, *arguments)
 
 
@@ -74,7 +74,7 @@ def expected(end_ns=END_NS):
 
 
 def ended(tmp_path, live, process):
-    """Wait for the end of the controller; hold the run against the loop without ROS."""
+    """Wait for the end of the controller; compare the run with the loop without ROS."""
     live.wait_until(lambda: process.poll() is not None, 'the controller to end')
     assert process.returncode == 0
     live.dump_parameters(tmp_path / 'live.yaml')
@@ -163,7 +163,7 @@ def test_a_reset_of_a_running_loop_takes_time_back(tmp_path, domain, start_ns):
         assert part == [*range(start_ns, start_ns + len(part) * STEP_NS, STEP_NS)]
 
 
-def test_a_second_controller_is_named_and_multiplies_nothing(tmp_path, domain):
+def test_a_second_controller_is_named_and_starts_no_second_chain(tmp_path, domain):
     with session(domain) as live:
         live.disconnect()
         second = live.node.create_publisher(WrenchStamped, 'torque', 10)
@@ -178,8 +178,8 @@ def test_a_second_controller_is_named_and_multiplies_nothing(tmp_path, domain):
         live.node.create_subscription(Odometry, 'odometry', on_state, 10, raw=True)
         with controller(tmp_path, domain, until=FOREVER):
             live.wait_until(lambda: len(live.received[ACCEPTED]) > 1000, 'the loop')
-            live.wait_until(lambda: '2 publishers: /live_session, /pid_controller; a loop takes '
-                            'one torque for each state' in live.diagnosis('torques')[2],
+            live.wait_until(lambda: '2 publishers: /live_session, /pid_controller; only the first '
+                            'torque for each state is used' in live.diagnosis('torques')[2],
                             'a warning')
         live.spin(1.5)
         counts, _, _ = live.diagnosis('torques')
@@ -187,71 +187,71 @@ def test_a_second_controller_is_named_and_multiplies_nothing(tmp_path, domain):
         assert live.stop() == 0
         run = replayed(tmp_path, live)
     assert np.all(np.diff(run.accepted.stamps_ns) == STEP_NS)
-    assert counts['refused: answered already'] > 100
+    assert counts['rejected: already answered'] > 100
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
-def test_there_is_no_real_time_that_an_answer_can_miss(domain):
+def test_lockstep_has_no_deadlines(domain):
     with session(domain) as live:
         live.set_state(State(0, (0, 0, 0, 1), (1e5, 2e5, 3e5)))
         live.wait_until(lambda: live.received[ATTITUDE], 'the state')
         live.publish(SECOND, '', [0.0, 0.0, 1e-3])
-        live.publish(200 * SECOND, '', [0.0, 0.0, 1e-3])  # a long way to there
-        live.wait_until(lambda: 'the answer to a torque has taken' in live.diagnosis('torques')[2],
-                        'a long answer')
-        assert live.diagnosis('motion')[0]['slow'] == 0
-        assert 'real time' not in live.end()
+        live.publish(200 * SECOND, '', [0.0, 0.0, 1e-3])  # a long computation
+        live.wait_until(lambda: 'computing the response' in live.diagnosis('torques')[2],
+                        'a warning')
+        assert live.diagnosis('motion')[0]['deadlines missed'] == 0
+        assert 'cannot keep up' not in live.end()
 
 
-def test_a_controller_slower_than_every_patience_gets_one_answer_for_each_state():
-    answers, controller, taken = Answers(history_ns=10 ** 18), [0, 0], []
-    answers.published(0)
-    answers.published(0)  # again, while it worked on the first
+def test_a_controller_slower_than_any_timeout_gets_one_response_for_each_state():
+    duplicates, controller, accepted = DuplicateFilter(history_ns=10 ** 18), [0, 0], []
+    duplicates.published(0)
+    duplicates.published(0)  # again, while it worked on the first
     for number in range(50):
         stamp_ns = controller.pop(0)
         torque = Torque(stamp_ns, np.array([1.0, 0.0, 1e-3 * number]), 'body')
-        if answers.repeated(torque, b'controller'):
+        if duplicates.is_duplicate(torque, b'controller'):
             continue
-        taken.append(stamp_ns)
-        answers.expect(torque, b'controller')
-        answers.give(torque)
+        accepted.append(stamp_ns)
+        duplicates.accepted(torque, b'controller')
+        duplicates.responded(torque)
         for _ in range(1 + number % 3):  # the next state, and repetitions of it
-            answers.published(stamp_ns + 1)
+            duplicates.published(stamp_ns + 1)
             controller.append(stamp_ns + 1)
-    assert taken == [*range(len(taken))]
-    assert len(taken) > 20
+    assert accepted == [*range(len(accepted))]
+    assert len(accepted) > 20
 
 
-def test_a_new_controller_that_reads_before_it_is_heard_gets_the_state_once(monkeypatch):
+def test_a_controller_whose_subscription_connects_first_gets_the_state_once(monkeypatch):
     now, connected = 0.0, (1, 1)  # one that was killed, and stays connected
-    monkeypatch.setattr(chain.time, 'monotonic', lambda: now)
-    offers, published = Offers(lambda: connected), []
-    offers.published(is_repeated=False)
+    monkeypatch.setattr(closed_loop.time, 'monotonic', lambda: now)
+    policy, published = RepublishPolicy(lambda: connected), []
+    policy.published(is_repeated=False)
     for now in np.arange(0.0, 20.0, 0.125).tolist():
         connected = (1, 1) if now < 6.375 else (1, 2) if now < 6.75 else (2, 2)
-        if offers.is_due():
+        if policy.is_due():
             published.append(now)
-            offers.published(is_repeated=True)
-    # To the first: when it came, and 2 s later. To the second: when it was heard, and 2 s and 4 s
-    # later, as it does not answer, either.
+            policy.published(is_repeated=True)
+    # To the first: when it connects, and 2 s later. To the second: when its publisher connects,
+    # and 2 s and 4 s later, because it does not respond, either.
     assert published == [0.5, 2.5, 7.25, 9.25, 13.25]
 
 
-def test_an_observer_is_no_reason_to_repeat_a_state(monkeypatch):
+def test_an_observer_causes_no_repetition_of_a_state(monkeypatch):
     now, connected = 0.0, (1, 1)
-    monkeypatch.setattr(chain.time, 'monotonic', lambda: now)
-    offers, repeated = Offers(lambda: connected), []
+    monkeypatch.setattr(closed_loop.time, 'monotonic', lambda: now)
+    policy, repeated = RepublishPolicy(lambda: connected), []
     for now in np.arange(0.0, 20.0, 0.125).tolist():
         connected = (1, 1) if now < 10.0 else (1, 2)
         if now % 1.5 == 0.0:  # a slow controller
-            offers.published(is_repeated=False)
-        if offers.is_due():
+            policy.published(is_repeated=False)
+        if policy.is_due():
             repeated.append(now)
-            offers.published(is_repeated=True)
-    assert repeated == [0.5]  # when the controller came
+            policy.published(is_repeated=True)
+    assert repeated == [0.5]  # when the controller connected
 
 
-def test_a_lost_answer_is_asked_for_again(domain):
+def test_a_repeated_torque_gets_the_lost_response_again(domain):
     with session(domain) as live:
         live.wait_until(lambda: answers(live), 'the start state')
         live.publish(SECOND, '', [1e-3, 0.0, 0.0])

@@ -33,6 +33,7 @@ _FENCE = re.compile(r'^(```+|~~~+)(\w*)[^\n]*\n(.*?)^\1[`~]*[ ]*$', re.DOTALL | 
 _INLINE = re.compile(r'(`+)(?:(?!\n\n).)*?\1', re.DOTALL)
 _LINK = re.compile(r'\]\(\s*([^)\s]+)[^)]*\)|^\[[^\]]+\]:\s*(\S+)|\b(?:src|href)="([^"]+)"',
                    re.MULTILINE)
+_FILE = re.compile(r'`([\w-]+(?:/[\w-]+)+\.py)`')
 _DOTTED = re.compile(r'`(?!\w+\.py`)(\w+(?:\.\w+)+)\b(?![./])')
 _HEADING = re.compile(r'^#{1,6} +(.*?) *#*$', re.MULTILINE)
 #: Something that a page loads from the network.
@@ -96,6 +97,14 @@ def test_a_name_exists_if_it_is_found_as_a_reader_types_it(name, expected):
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
 def test_links_lead_to_files_and_headings_that_are_there(page):
     assert [target for target in links(page) if not leads_somewhere(page, target)] == []
+
+
+@pytest.mark.parametrize('page', ['CONTRIBUTING.md', 'docs/design.md', 'docs/theory.md'])
+def test_the_source_files_that_a_page_names_are_there(page):
+    names = _FILE.findall((ROOT / page).read_text(encoding='utf-8'))
+    assert names
+    assert [name for name in names
+            if not any((folder / name).exists() for folder in (ROOT, PACKAGE))] == []
 
 
 def test_the_page_of_nodes_is_what_the_code_declares():

@@ -237,7 +237,7 @@ def test_tables_hold_32_digits():
     pytest.param('', {'NUMBA_CPU_NAME': 'nocona', 'NUMBA_CPU_FEATURES': ''},
                  id='for an old processor', marks=[pytest.mark.slow, pytest.mark.skipif(
                      platform.machine() != 'x86_64', reason='the processor is an x86-64')]),
-    pytest.param('', {'NUMBA_DISABLE_JIT': '1'}, id='not compiled'),
+    pytest.param('', {'NUMBA_DISABLE_JIT': '1'}, id='not compiled', marks=pytest.mark.slow),
     pytest.param("import sys; sys.modules['numba'] = None", {}, id='without numba',
                  marks=pytest.mark.slow)])
 def test_results_have_the_same_bits_everywhere(before, environment, tmp_path):

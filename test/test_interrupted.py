@@ -44,7 +44,7 @@ STAGES = {'started': lambda process, folder: True,
           'listening': lambda process, folder: catches(process, signal.SIGTERM),
           'writing': lambda process, folder: bool(parts(folder))}
 KILLS = [*zip(itertools.cycle(['started', 'writing']),
-              np.random.default_rng(6).random(20).round(3))]
+              np.random.default_rng(6).random(10).round(3))]
 
 
 class Whole(NamedTuple):
@@ -173,9 +173,9 @@ def test_what_a_killed_replay_wrote_can_be_read(whole, output):
     assert check(whole, output) > MESSAGES
 
 
-@pytest.mark.parametrize('moment', [0.1, 0.5])
-@pytest.mark.parametrize('stage', ['listening', 'writing'])
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(('number', 'stage', 'moment'), [
+    (signal.SIGINT, 'listening', 0.1), (signal.SIGTERM, 'listening', 0.5),
+    (signal.SIGTERM, 'writing', 0.1), (signal.SIGINT, 'writing', 0.5)])
 def test_an_interrupted_replay_says_so(whole, output, number, stage, moment):
     status, words = interrupt(whole, output, number, stage, moment)
     check(whole, output)

@@ -33,8 +33,8 @@ pytestmark = pytest.mark.ros
 #: s; the first start on a machine compiles the kernels.
 PATIENCE = 300
 INDEX = 'share/ament_index/resource_index/packages'
-#: Writes down what it is asked for. A bag plays until somebody resumes it, which is not so by far
-#: of what `ros2 bag play` does, but as much as a launch file has to do with.
+#: Logs its arguments. `ros2 bag play` ends once it is resumed, which is all that matters to the
+#: launch file.
 STAND_IN = """#!/bin/sh
 echo "$@" >> {calls}
 case "$*" in
@@ -57,7 +57,7 @@ def _environment(installed, domain, tmp_path, monkeypatch):
 
 @contextmanager
 def launched(name, *arguments):
-    """Run a launch file, and leave nothing of it behind."""
+    """Run a launch file, and end all of its processes."""
     process = subprocess.Popen(
         [shutil.which('ros2'), 'launch', NAME, f'{name}.launch.py', *arguments], text=True,
         start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
@@ -70,13 +70,13 @@ def launched(name, *arguments):
 
 
 def run(name, *arguments):
-    """Run a launch file to its end; return what it said, and its exit status."""
+    """Run a launch file to its end; return its output and exit status."""
     with launched(name, *arguments) as process:
         return process.communicate(timeout=PATIENCE)[0], process.returncode
 
 
 def interrupt(process):
-    """End a launch file as Ctrl-C does; return what it said, and its exit status."""
+    """End a launch file as Ctrl-C does; return its output and exit status."""
     process.send_signal(signal.SIGINT)
     return process.communicate(timeout=PATIENCE)[0], process.returncode
 
@@ -92,8 +92,8 @@ def listener():
 
 
 def first_attitude(listener, topic):
-    heard, attitude = wait_for_message(QuaternionStamped, listener, topic, time_to_wait=PATIENCE)
-    assert heard
+    found, attitude = wait_for_message(QuaternionStamped, listener, topic, time_to_wait=PATIENCE)
+    assert found
     return attitude
 
 
@@ -107,7 +107,7 @@ def test_every_launch_file_lists_its_arguments(name, arguments):
         assert f"'{argument}':" in words
 
 
-def test_the_node_alone_heeds_its_arguments(listener):
+def test_the_node_alone_uses_its_arguments(listener):
     with launched('attitude_node', f'scene:={CONFIG / "iss.yaml"}', 'namespace:=station',
                   'torque:=/wrench') as process:
         assert first_attitude(listener, '/station/attitude').header.frame_id == 'eci'
@@ -128,13 +128,13 @@ def test_a_closed_loop_settles_and_ends(arguments):
     assert words.count('process has finished cleanly') == 2
 
 
-def test_a_closed_loop_ends_where_the_node_cannot_start(tmp_path):
+def test_a_closed_loop_ends_if_the_node_cannot_start(tmp_path):
     (tmp_path / 'scene.yaml').write_text('/**: {ros__parameters: {inertia: {ixx: -1.0}}}\n')
     words, _ = run('closed_loop', f'scene:={tmp_path / "scene.yaml"}')
     assert 'attitude_node: error: inertia.ixx: expected a finite number greater than 0' in words
 
 
-def test_a_bag_plays_once_the_node_listens_and_ends_everything(tmp_path, monkeypatch):
+def test_a_bag_plays_once_the_node_is_ready_and_ends_everything(tmp_path, monkeypatch):
     index, calls = tmp_path / INDEX, tmp_path / 'calls'
     index.mkdir(parents=True)
     (index / 'ros2bag').touch()
@@ -148,11 +148,11 @@ def test_a_bag_plays_once_the_node_listens_and_ends_everything(tmp_path, monkeyp
     assert status == 0, words
     assert words.count('process has finished cleanly') == 4
     assert 'epoch' not in words  # it waits for /clock
-    said = calls.read_text()
+    commands = calls.read_text()
     assert (f'bag play {bag} --topics /wrench --rate 1.0 --clock 100 --start-paused '
-            '--disable-keyboard-controls\n') in said
-    assert said.index('call /sat/attitude_node/get_parameters rcl_interfaces') \
-        < said.index('call /rosbag2_player/resume rosbag2_interfaces/srv/Resume')
+            '--disable-keyboard-controls\n') in commands
+    assert commands.index('call /sat/attitude_node/get_parameters rcl_interfaces') \
+        < commands.index('call /rosbag2_player/resume rosbag2_interfaces/srv/Resume')
 
 
 def test_a_bag_needs_rosbag2():
@@ -164,7 +164,7 @@ def test_a_bag_needs_rosbag2():
     assert 'process started' not in words
 
 
-def test_a_view_says_what_is_not_installed(listener):
+def test_a_view_logs_what_is_not_installed(listener):
     installed = get_packages_with_prefixes()
     if 'rviz2' in installed:
         pytest.skip('rviz2 is installed, and would open a window')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Lockstep: every torque is answered, and a closed loop gives the same numbers every time."""
+"""Lockstep: every torque gets a response, and a closed loop has the same numbers every time."""
 
 import subprocess
 import sys
@@ -29,7 +29,7 @@ from rosgraph_msgs.msg import Clock
 pytestmark = pytest.mark.ros
 LOCKSTEP = ('-p', 'mode:=lockstep', '-p', 'step:=0.02')
 STEP_NS = SECOND // 50
-#: A slew of 170 degrees about an axis that is none of the body's.
+#: A slew of 170 degrees about an axis that is not a principal axis.
 SLEW = so3.exp(np.radians(170.0) * np.array([2.0, -1.0, 2.0]) / 3.0)
 SLEW_SECONDS = 30.0
 #: Every 0.04 s.
@@ -109,32 +109,32 @@ def test_a_closed_loop_survives_lost_messages(tmp_path, domain):
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
-def answers(live):
+def responses(live):
     return [(message.stamp_ns, message.values.tolist())
             for message in decoded(live, ATTITUDE, messages.QUATERNION)]
 
 
 def ask(live, stamp_ns, torque):
-    """Publish a torque and return the first answer to it that comes."""
+    """Publish a torque and return the first response to it."""
     before = len(live.received[ATTITUDE])
     live.publish(stamp_ns, 'base_link', torque)
-    live.wait_until(lambda: answers(live)[before:]
-                    and answers(live)[-1][0] == stamp_ns + STEP_NS, 'an answer')
-    return answers(live)[-1]
+    live.wait_until(lambda: responses(live)[before:]
+                    and responses(live)[-1][0] == stamp_ns + STEP_NS, 'a response')
+    return responses(live)[-1]
 
 
-def test_each_torque_is_answered_with_the_state_one_step_later(domain):
+def test_the_response_to_each_torque_is_the_state_one_step_later(domain):
     run = scene.load(TUMBLER)
     with LiveSession(TUMBLER, domain, *LOCKSTEP) as live:
-        live.wait_until(lambda: len(answers(live)) >= 3, 'the start state, offered repeatedly')
-        assert answers(live) == len(answers(live)) * [(0, run.start.attitude.tolist())]
+        live.wait_until(lambda: len(responses(live)) >= 3, 'the start state, repeatedly')
+        assert responses(live) == len(responses(live)) * [(0, run.start.attitude.tolist())]
         start_ns = 5 * SECOND
         first = ask(live, start_ns, [0.01, 0.0, 0.0])
         second = ask(live, start_ns + STEP_NS, [0.0, 0.02, 0.0])
-        count = len(answers(live))
+        count = len(responses(live))
         again = ask(live, start_ns + STEP_NS, [0.0, 0.02, 0.0])
         live.spin(0.5)
-        assert len(answers(live)) == count + 1  # no more offers after the first torque
+        assert len(responses(live)) == count + 1  # no repetition after the first torque
         assert live.stop() == 0
     start = State(start_ns, run.start.attitude, run.start.angular_velocity)
     log = TorqueLog([start_ns, start_ns + STEP_NS], [[0.01, 0.0, 0.0], [0.0, 0.02, 0.0]])
@@ -176,19 +176,19 @@ def test_a_zero_torque_at_time_zero_is_a_torque(tmp_path, domain):
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
-def test_a_torque_whose_answer_has_no_stamp_is_refused(domain):
+def test_a_torque_whose_response_has_no_valid_stamp_is_rejected(domain):
     with LiveSession(TUMBLER, domain, *LOCKSTEP) as live:
         live.publish(messages.LAST_NS, '', [1e-3, 0.0, 0.0])
         live.spin(0.5)
         assert ask(live, SECOND, [1e-3, 0.0, 0.0])
-        assert 'refused (future, 1 so far): stamped 2147483647999999999 ns' in live.end()
+        assert 'rejected (future, 1 so far): stamped 2147483647999999999 ns' in live.end()
 
 
 def test_a_state_without_a_stamp_holds_at_the_first_torque(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *LOCKSTEP) as live:
         live.set_state(State(0, (0, 0, 1, 0), (0.5, 0.2, 0.0)))
         # Messages on two topics may come in either order.
-        live.wait_until(lambda: answers(live)[-1:] == [(0, [0, 0, 1, 0])], 'the offer of it')
+        live.wait_until(lambda: responses(live)[-1:] == [(0, [0, 0, 1, 0])], 'the new state')
         for number in range(1, 4):
             ask(live, number * SECOND // 2, [0.0, 1e-3, 0.0])
         live.dump_parameters(tmp_path / 'live.yaml')
@@ -199,7 +199,7 @@ def test_a_state_without_a_stamp_holds_at_the_first_torque(tmp_path, domain):
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
-def test_the_clock_is_that_of_the_answers(domain):
+def test_the_clock_is_that_of_the_responses(domain):
     with LiveSession(TUMBLER, domain, *LOCKSTEP, '-p', 'publish_clock:=true') as live:
         times = []
         live.node.create_subscription(Clock, '/clock', lambda clock: times.append(
@@ -215,7 +215,7 @@ def test_the_clock_is_that_of_the_answers(domain):
         assert stamp.sec * SECOND + stamp.nanosec == SECOND + 3 * STEP_NS
 
 
-def test_a_second_clock_is_refused(domain):
+def test_a_second_clock_is_rejected(domain):
     with LiveSession(TUMBLER, domain, '-p', 'use_sim_time:=true') as live:
         command = [*live.command, '-p', 'mode:=lockstep', '-p', 'publish_clock:=true',
                    '-p', 'use_sim_time:=false', '-r', '__node:=second']
@@ -227,29 +227,30 @@ def test_a_second_clock_is_refused(domain):
         'found live_session')
 
 
-def test_a_second_clock_that_comes_later_silences_the_first(domain):
+def test_a_second_clock_that_starts_later_replaces_the_first(domain):
     with LiveSession(TUMBLER, domain, *LOCKSTEP, '-p', 'publish_clock:=true') as live:
         clock = live.node.create_publisher(Clock, '/clock', 10)
-        for count in (2, 1):  # the node gives way
+        for count in (2, 1):  # the node gives up its own
             live.wait_until(lambda count=count: live.node.count_publishers('/clock') == count,
                             f'{count} clocks')
         assert clock.get_subscription_count() == 0
-        assert ask(live, SECOND, [0.0, 0.0, 1e-3])  # the node itself goes on
+        assert ask(live, SECOND, [0.0, 0.0, 1e-3])  # the node itself continues
         words = live.end()
-    assert '/clock: another node publishes it, too: this one does not any more' in words
+    assert '/clock: another node publishes it; this node stops publishing it' in words
 
 
 def test_a_state_may_be_set_before_and_between_torques(tmp_path, domain):
-    told = State(7 * SECOND, (0.5, -0.5, 0.5, 0.5), (0.1, 0.2, 0.3))
+    given = State(7 * SECOND, (0.5, -0.5, 0.5, 0.5), (0.1, 0.2, 0.3))
     with LiveSession(TUMBLER, domain, *LOCKSTEP) as live:
-        live.set_state(told)
+        live.set_state(given)
         live.wait_until(lambda: live.received[COMMITTED], 'the new epoch')
         for k in range(5):
             ask(live, 7 * SECOND + k * STEP_NS, [0.01, 0.0, 1e-3 * k])
         # Between two torques: the one in force goes on.
         later = State(7 * SECOND + 4 * STEP_NS + 12345, (0, 0, 0, 1), (0.0, 0.1, 0.0))
         live.set_state(later)
-        live.wait_until(lambda: answers(live)[-1] == (later.time_ns, [0, 0, 0, 1]), 'the offer')
+        live.wait_until(lambda: responses(live)[-1] == (later.time_ns, [0, 0, 0, 1]),
+                        'the new state')
         for k in range(5, 9):
             ask(live, 7 * SECOND + k * STEP_NS, [0.01, 0.0, 1e-3 * k])
         live.dump_parameters(tmp_path / 'live.yaml')

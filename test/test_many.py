@@ -123,6 +123,7 @@ def test_a_motion_has_the_name_of_its_recording(path, name):
     assert outputs_in('out', [path]) == [f'out/{name}.mcap']
 
 
+@pytest.mark.slow
 def test_recordings_whose_names_have_dots_are_different(tmp_path):
     names = [tmp_path / name for name in ('run.1.csv', 'run.2.csv')]
     for name in names:

@@ -97,7 +97,7 @@ def test_what_is_published_between_stamps_is_the_motion_at_those_times(domain):
     np.testing.assert_array_equal([message.values for message in published], motion.attitude)
 
 
-def test_parameters_tell_what_they_are_and_keep_the_scene(domain):
+def test_parameters_have_descriptions_and_keep_the_scene(domain):
     with LiveSession(TUMBLER, domain) as live:
         names = list(scene.PARAMETERS)
         descriptors = live.call(DescribeParameters, 'describe_parameters',
@@ -124,7 +124,7 @@ def test_parameters_tell_what_they_are_and_keep_the_scene(domain):
         assert rate.type == ParameterType.PARAMETER_INTEGER
 
 
-def test_the_start_of_an_epoch_is_shown_at_once(domain):
+def test_the_start_of_an_epoch_is_one_parameter_event(domain):
     with LiveSession(TUMBLER, domain) as live:
         events = []
         live.node.create_subscription(
@@ -184,18 +184,18 @@ def test_all_outputs_of_one_instant_have_its_stamp_and_one_attitude(domain):
              'angular_velocity': (Vector3Stamped, messages.VECTOR3),
              'imu/data': (Imu, messages.IMU), 'odometry': (Odometry, messages.ODOMETRY)}
     with LiveSession(TUMBLER, domain, '-p', 'euler_sequence:=zyx') as live:
-        heard = {topic: {} for topic in kinds}
+        received = {topic: {} for topic in kinds}
         for topic, (kind, code) in kinds.items():
             def hear(data, topic=topic, code=code):
                 message = code.decode(data)
-                heard[topic][message.stamp_ns] = message
+                received[topic][message.stamp_ns] = message
             live.node.create_subscription(kind, topic, hear, 1000, raw=True)
-        live.wait_until(lambda: all(len(messages) > 30 for messages in heard.values()), 'all')
+        live.wait_until(lambda: all(len(messages) > 30 for messages in received.values()), 'all')
         assert live.stop() == 0
-    stamps = set.intersection(*(set(messages) for messages in heard.values()))
+    stamps = set.intersection(*(set(messages) for messages in received.values()))
     assert len(stamps) > 20
     for stamp_ns in stamps:
-        attitude, angles, rates, imu, odometry = (heard[topic][stamp_ns] for topic in kinds)
+        attitude, angles, rates, imu, odometry = (received[topic][stamp_ns] for topic in kinds)
         np.testing.assert_array_equal(angles.values,
                                       euler.from_quaternion(attitude.values, 'zyx'))
         np.testing.assert_array_equal(imu.values[:4], attitude.values)
@@ -207,7 +207,7 @@ def test_all_outputs_of_one_instant_have_its_stamp_and_one_attitude(domain):
         assert odometry.child_frame_id == 'base_link'
 
 
-def test_the_inertia_comes_from_the_robot(tmp_path, domain):
+def test_the_inertia_comes_from_the_robot_description(tmp_path, domain):
     robot = """<robot name="r"><link name="base_link"><inertial><mass value="2"/>
       <origin xyz="0.1 0 0" rpy="0.3 -0.2 1.0"/>
       <inertia ixx="0.05" iyy="0.12" izz="0.14" ixy="0.002" ixz="0" iyz="0"/>
@@ -275,11 +275,12 @@ def run_node(domain, *arguments):
     (('--params-file', str(TUMBLER), '-p', 'tolerance:=tight'),
      "tolerance: expected a number, found 'tight'"),
     (('--params-file', str(TUMBLER), '-p', 'solver:=exact'),
-     "solver: expected one that takes torques, found 'exact'"),
+     "solver: 'exact' handles torque-free motion only"),
     (('--params-file', str(TUMBLER), '-p', 'interpolation:=cubic'),
-     "interpolation: expected hold, as the next torque is not known yet, found 'cubic'"),
+     "interpolation: expected 'hold', because a node does not know the next torque, "
+     "found 'cubic'"),
     (('--params-file', str(TUMBLER), '-p', 'qos_overrides./torqe.subscription.depth:=5'),
-     'qos_overrides./torqe.subscription.depth: no topic, endpoint or policy of this node; '
+     'qos_overrides./torqe.subscription.depth: not a topic, endpoint or policy of this node; '
      'did you mean qos_overrides./torque.subscription.depth?'),
     (('--params-file', str(TUMBLER), '-p', 'qos_overrides./torque.subscription.history:=all'),
      'history'),
@@ -297,7 +298,7 @@ def run_node(domain, *arguments):
     (('--params-file', str(TUMBLER), '-p', 'link:=base_link'),
      "link: found 'base_link', but robot_description is empty"),
     (('--params-file', 'none.yaml'), 'none.yaml')])
-def test_a_mistake_is_answered_by_one_line(domain, arguments, message):
+def test_a_mistake_is_reported_in_one_line(domain, arguments, message):
     result = run_node(domain, '--ros-args', *arguments)
     lines = [line for line in result.stderr.splitlines() if not line.startswith('[')]
     assert result.returncode == 2
@@ -316,7 +317,7 @@ def test_a_transform_needs_its_message(domain):
         'attitude_node: error: publish_tf: needs the package tf2_msgs, which is not installed')
 
 
-def test_unknown_arguments_are_answered_by_the_usage(domain):
+def test_unknown_arguments_print_the_usage(domain):
     result = run_node(domain, '--rate', '5')
     assert result.returncode == 2
     assert 'unrecognized arguments: --rate 5' in result.stderr

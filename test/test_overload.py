@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A load that the node cannot take, cut short: benchmarks/overload.py."""
+"""A short load beyond the capacity of the node: benchmarks/overload.py."""
 
 import overload
 import pytest
@@ -22,5 +22,5 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 def test_an_overloaded_node_accounts_for_every_torque_and_catches_up(domain):
     lines = overload.overload(rate=5000.0, seconds=5.0, domain=domain)
-    # What a busy machine has left for the node decides how long things take.
+    # How long things take depends on what else the machine is doing.
     assert not [line for line in lines if not (line.holds or line.name.endswith(', s'))]

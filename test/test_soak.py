@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A long run at 1 kHz, cut short and at half the rate: benchmarks/soak.py."""
+"""The long run of benchmarks/soak.py, shortened and at half the rate."""
 
 import pytest
 import soak
@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 
 def test_every_torque_is_accounted_for_memory_is_flat_and_live_is_replay(domain, monkeypatch):
-    # What is promised does not depend on the rate; whether a busy machine keeps up does.
+    # The promises do not depend on the rate; whether a busy machine keeps up does.
     monkeypatch.setattr(soak, 'RATE', soak.RATE // 2)
     monkeypatch.setattr(soak, 'STEP_NS', soak.STEP_NS * 2)
     monkeypatch.setattr(soak, 'LONGEST_DELAY', soak.LONGEST_DELAY // 2)

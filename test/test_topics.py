@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The topics that docs/nodes.md lists are those of a node that runs."""
+"""The topics that docs/nodes.md lists are those of a running node."""
 
 import time
 
@@ -36,7 +36,7 @@ def by_full_name(topics):
 
 
 def found(live, count, names_and_types, infos):
-    """Return types and profile of the node's topics, once there are so many."""
+    """Return types and profile of the node's topics, once there are `count` of them."""
     until = time.monotonic() + PATIENCE
     while True:
         live.spin(0.1)
@@ -50,8 +50,8 @@ def found(live, count, names_and_types, infos):
             return topics
 
 
-def promises(topic, profile):
-    """Tell whether a page's words are those of a profile; DDS does not tell the history."""
+def agrees(topic, profile):
+    """Return whether a page describes a profile; DDS does not report the history."""
     words = topic.qos.partition(', keep')[0]
     reliable = profile.reliability == ReliabilityPolicy.RELIABLE
     kept = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
@@ -75,5 +75,5 @@ def test_every_topic_of_the_page_is_there_and_no_other(domain, mode):
     assert (torque.reliability == ReliabilityPolicy.RELIABLE) == (mode == 'lockstep')
     for page, topics in ((published, writers), (subscribed, readers)):
         assert [name for name, (_, profile) in topics.items()
-                if not promises(page[name], profile)] == []
+                if not agrees(page[name], profile)] == []
     assert services[f'/{NODE}/reset'] == ['std_srvs/srv/Trigger']

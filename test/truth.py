@@ -13,21 +13,21 @@
 # limitations under the License.
 
 """
-Motions of a rigid body in fifty digits, to judge what is computed in sixteen.
+Motions of a rigid body with fifty digits, as references for results in double precision.
 
-Two ways that share nothing: `series` integrates the equations of motion by Taylor series, `free`
-evaluates the closed form of torque-free motion at any time. Both take doubles (or mpmath's
-numbers) at face value and times in whole nanoseconds, and return the attitude (x, y, z, w; body to
-space; the continuous lift from the start, not flipped) and the body rates as numpy arrays of
-mpmath's numbers.
+Two methods that share no code: `series` integrates the equations of motion by Taylor series,
+`free` evaluates the closed form of torque-free motion at any time. Both take doubles (or mpmath
+numbers) as exact and times in whole nanoseconds. They return the attitude (x, y, z, w; body to
+space; continuous from the start, not flipped) and the body rates, as numpy arrays of mpmath
+numbers.
 """
 
 from mpmath import mp
 import numpy as np
 
-#: Digits carried besides: a phase of 1e7 rad takes 7, a separatrix that doubles just miss 17.
+#: Additional digits: a phase of 1e7 rad costs 7, a motion next to the separatrix 17.
 GUARD = 25
-#: Angle of a step of `series`, rad: the least work at these digits.
+#: Angle of a step of `series`, rad: the least work for these digits.
 STEP_ANGLE = 0.4
 
 exact = np.vectorize(mp.mpf, otypes=[object])
@@ -137,7 +137,7 @@ def free(tensor, attitude, rates, time_ns, digits=50):
 
 
 def chord(truth, attitude):
-    """Return the angle, rad, between a true attitude and one in doubles; q and -q are apart."""
+    """Return the angle, rad, between a true attitude and one in doubles; q and -q differ."""
     with mp.workdps(50):
         # Rounding takes opposite ends further apart than 2.
         return float(4 * mp.asin(min(mp.one, _length(truth - _unit(exact(attitude))) / 2)))
@@ -258,7 +258,7 @@ def _times(p, q):
 
 
 def _cross(u, v):
-    # For objects np.cross takes twice as long.
+    # np.cross takes twice as long for objects.
     return u[..., [1, 2, 0]] * v[..., [2, 0, 1]] - u[..., [2, 0, 1]] * v[..., [1, 2, 0]]
 
 

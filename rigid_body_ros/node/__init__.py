@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-The ROS shell: torques of a topic in, attitude out.
+The ROS node: torques from a topic in, attitude out.
 
-`AttitudeNode` connects the parts. In: `inputs` (messages to torques), `parameters` (the scene).
-Between: `realtime` or `lockstep` (when the motion is asked for), `motion` (what waits, what is
-final), `epoch` (one start and its torques). Out: `outputs` (topics), `health` (diagnostics).
+`AttitudeNode` connects the parts. In: `drain` (the queue of the subscription), `inputs` (messages
+to torques), `parameters` (the scene). Between: `realtime` or `lockstep` (when to compute the
+motion), `closed_loop` (duplicates and republishing in lockstep), `pipeline` (what waits, what is
+final), `epoch` (one start state and its torques). Out: `outputs` (topics), `diagnostics`.
 """
 
 from rigid_body_ros.node.attitude_node import AttitudeNode, main

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""`AttitudeNode`, and the process that runs one."""
+"""`AttitudeNode`, and `main`, which runs one in a process."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 from rigid_body_ros import scene
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.node.arrivals import Arrivals, Sender
-from rigid_body_ros.node.health import Health, RECEIVED, STATES
-from rigid_body_ros.node.inputs import Inputs, RefusedError
+from rigid_body_ros.node.diagnostics import Diagnostics, RECEIVED, STATES
+from rigid_body_ros.node.drain import DrainCallback, Sender
+from rigid_body_ros.node.inputs import Inputs, RejectedError
 from rigid_body_ros.node.lockstep import Lockstep
 from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import check_qos_overrides, Parameters
@@ -56,26 +56,26 @@ try:
 except ModuleNotFoundError:  # Humble
     from rclpy.qos_event import SubscriptionEventCallbacks
 
-#: Best effort hears any publisher; in lockstep a torque that is lost stops everybody.
+#: Best effort matches any publisher; in lockstep a lost torque stops the loop.
 _TORQUE_QOS = {scene.REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),
                LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
-#: s; how long a clean end may take.
-_PATIENCE = 0.8
-#: s; period of the worker. A slice of work takes longer, so slices follow each other at once; the
-#: worker rests only while all torques wait for the clock.
-_WORK_EVERY = 0.001
-#: s; how often to look for signals.
-_HEED_EVERY = 0.1
+#: s; how long a clean shutdown may take.
+_SHUTDOWN_TIME = 0.8
+#: s; period of the worker. A slice of work takes longer, so slices follow each other immediately;
+#: the worker waits only while all torques wait for the clock.
+_WORK_PERIOD = 0.001
+#: s; period of the check for signals.
+_SIGNAL_PERIOD = 0.1
 
 
 class AttitudeNode(Node):
     """
-    Publish the attitude of a body that the torques of a topic turn.
+    Computes the attitude of a rigid body from torques on a topic, and publishes it.
 
     Raises
     ------
     InputError
-        The parameters are no valid scene.
+        The parameters are not a valid scene.
 
     """
 
@@ -86,32 +86,32 @@ class AttitudeNode(Node):
         warm_up()
         self._announce()
         try:
-            self._health = Health(self)
-            self._inputs = Inputs(self._scene, self._health.force)
-            self._outputs = Outputs(self, self._scene, self._health)
+            self._diagnostics = Diagnostics(self)
+            self._inputs = Inputs(self._scene, self._diagnostics.force)
+            self._outputs = Outputs(self, self._scene, self._diagnostics)
             mode = Lockstep if self._scene.values['mode'] == LOCKSTEP else Realtime
-            self._mode = mode(self, parameters, self._inputs, self._outputs, self._health)
+            self._mode = mode(self, parameters, self._inputs, self._outputs, self._diagnostics)
             self._subscribe()
             self._mode.connect(self._torques)
             check_qos_overrides(self, (self._torques, self._states), self._outputs.publishers)
-        except (RuntimeError, AssertionError) as error:  # such as a QoS override that is none
+        except (RuntimeError, AssertionError) as error:  # such as an invalid QoS override
             raise InputError(' '.join(str(error).split())) from error
         self.create_service(Trigger, '~/reset', self._on_reset)
-        parameters.guard()
+        parameters.make_read_only()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0, self._diagnose, clock=steady)
-        #: Runs while torques or a state wait: a slice of work in each turn of the executor.
-        self._worker = self.create_timer(_WORK_EVERY, self._work, clock=steady)
+        self.create_timer(1.0, self._publish_diagnostics, clock=steady)
+        #: Runs while torques or a state wait: one slice of work for each turn of the executor.
+        self._worker = self.create_timer(_WORK_PERIOD, self._work, clock=steady)
         self._worker.cancel()
-        self._mode.motion.wake = self._worker.reset
+        self._mode.pipeline.wake = self._worker.reset
 
     def finish(self, until: float) -> None:
-        """Publish what is pending by a time of the monotonic clock, and the last diagnosis."""
-        motion = self._mode.motion
+        """Publish what is pending, by a time of the monotonic clock, and the last diagnostics."""
+        pipeline = self._mode.pipeline
         half_time = 0.5 * (time.monotonic() + until)  # the rest is for the states held back
-        while not motion.work() and time.monotonic() < half_time:
+        while not pipeline.process() and time.monotonic() < half_time:
             pass
-        motion.end(until)
+        pipeline.end(until)
         self._report([])
         self._outputs.deliver(until)
 
@@ -128,9 +128,9 @@ class AttitudeNode(Node):
             return self.create_subscription(
                 kind, topic, callback, copy(qos), raw=True, event_callbacks=events,
                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
-        arrivals = Arrivals(self._on_torque, self._begin_work, self._health.missing)
-        self._torques = arrivals.subscription = subscription(
-            WrenchStamped, 'torque', arrivals, _TORQUE_QOS[self._scene.values['mode']],
+        callback = DrainCallback(self._on_torque, self._start_work, self._diagnostics.missing)
+        self._torques = callback.subscription = subscription(
+            WrenchStamped, 'torque', callback, _TORQUE_QOS[self._scene.values['mode']],
             SubscriptionEventCallbacks(message_lost=self._on_lost, use_default_callbacks=False))
         self._states = subscription(
             Odometry, 'initial_state', self._on_state,
@@ -138,18 +138,18 @@ class AttitudeNode(Node):
             SubscriptionEventCallbacks(use_default_callbacks=False))
 
     def _on_torque(self, data: bytes, sender: Sender) -> None:
-        self._health.count(RECEIVED)
+        self._diagnostics.count(RECEIVED)
         try:
-            self._mode.take(data, sender)
-        except RefusedError as refused:
-            self._health.refuse(refused)
+            self._mode.enqueue(data, sender)
+        except RejectedError as rejected:
+            self._diagnostics.reject(rejected)
 
-    def _begin_work(self) -> None:
-        if self._worker.is_canceled():  # or it goes on in its turn
+    def _start_work(self) -> None:
+        if self._worker.is_canceled():  # otherwise the timer continues the work
             self._work()
 
     def _work(self) -> None:
-        if self._mode.motion.work():
+        if self._mode.pipeline.process():
             self._worker.cancel()
         elif self._worker.is_canceled():
             self._worker.reset()
@@ -157,32 +157,32 @@ class AttitudeNode(Node):
     def _on_state(self, data: bytes) -> None:
         try:
             self._mode.set_state(self._inputs.state(data))
-            self._health.count(STATES)
-        except RefusedError as refused:
-            self._health.refuse_state(refused)
+            self._diagnostics.count(STATES)
+        except RejectedError as rejected:
+            self._diagnostics.reject_state(rejected)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
             response.message = self._mode.reset()
             response.success = True
-        except RefusedError as refused:
-            response.message = str(refused)
+        except RejectedError as rejected:
+            response.message = str(rejected)
         return response
 
     def _on_lost(self, event: Any) -> None:
-        self._health.lost(event.total_count_change)
+        self._diagnostics.lost(event.total_count_change)
 
-    def _diagnose(self) -> None:
-        problems = self._mode.check() + self._health.inspect(
+    def _publish_diagnostics(self) -> None:
+        problems = self._mode.problems() + self._diagnostics.connection_problems(
             self._torques, (self._torques, self._states), self._outputs.publishers,
             self._mode.several_publishers)
         self._report(problems)
 
     def _report(self, problems: list[str]) -> None:
-        motion = self._mode.motion
-        epoch = 'waiting for the start' if motion.epoch is None else \
-            f'epoch from {motion.epoch.start.time_ns} ns'
-        self._health.publish(problems, motion.waiting, epoch, self._mode.stamp())
+        pipeline = self._mode.pipeline
+        epoch = 'waiting for the start' if pipeline.epoch is None else \
+            f'epoch from {pipeline.epoch.start.time_ns} ns'
+        self._diagnostics.publish(problems, pipeline.waiting, epoch, self._mode.stamp())
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -201,21 +201,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
         node = AttitudeNode()
         executor = _executor()
         executor.add_node(node)
-        # From here on a signal does not cut a callback short.
+        # From here on a signal does not interrupt a callback.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda number, frame: stop.append(number))
         interrupts.check()
         while not stop:
-            # With a timeout, to hear signals; without one the executor of events may hang.
-            executor.spin_once(timeout_sec=_HEED_EVERY)
-        node.finish(time.monotonic() + _PATIENCE)
+            # With a timeout, to notice signals; without one EventsExecutor may hang.
+            executor.spin_once(timeout_sec=_SIGNAL_PERIOD)
+        node.finish(time.monotonic() + _SHUTDOWN_TIME)
         node.destroy_node()
     finally:
         rclpy.try_shutdown()
 
 
 def _executor() -> Executor:
-    try:  # a message costs it half of what it costs the other
+    try:  # half the processor time per message of the other
         from rclpy.experimental import EventsExecutor
     except ImportError:  # before Jazzy
         return SingleThreadedExecutor()
@@ -227,10 +227,10 @@ def _initialize(command_line: Sequence[str]) -> None:
         others = remove_ros_args(command_line)[1:]
         argparse.ArgumentParser(
             'attitude_node',
-            description='Turn the torques of a topic into attitude.',
-            epilog='The scene comes as ROS parameters: --ros-args --params-file FILE',
+            description='Compute the attitude of a rigid body from torques on a topic.',
+            epilog='Pass the scene as ROS parameters: --ros-args --params-file FILE',
         ).parse_args(others)
-        # The handlers of rclpy would shut ROS down before the last states are published.
+        # rclpy's own handlers would shut ROS down before the last states are published.
         rclpy.init(args=[*command_line, *_without_log_file()],
                    signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
@@ -238,7 +238,7 @@ def _initialize(command_line: Sequence[str]) -> None:
 
 
 def _without_log_file() -> list[str]:
-    """Return the arguments that keep rcl from its log file where there is no place for it."""
+    """Return the arguments that disable the log file of rcl if its folder is not writable."""
     home = Path(os.environ.get('ROS_HOME') or '~/.ros')
     folder = Path(os.environ.get('ROS_LOG_DIR') or home / 'log').expanduser()
     try:

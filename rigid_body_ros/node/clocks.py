@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The clock of a node: stamps for messages that have none, and whether the clock runs."""
+"""The clock of a node: stamps for messages without one, and whether the clock advances."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ import time
 
 from rclpy.node import Node
 
-#: s; a clock that stands still for longer is worth a warning.
-_LONG = 1.0
+#: s; a clock that does not advance for longer is a warning.
+_MAX_PAUSE = 1.0
 
 
 class ArrivalStamps:
     """
     Stamps messages with the time of their arrival, each later than the one before.
 
-    Simulated time advances in ticks. Between two ticks, time goes on as fast as from the tick
-    before to the last one, but by no more than one tick. A leap is not a tick.
+    Simulated time advances in ticks. Between two ticks the stamps advance as fast as simulated
+    time did between the last two ticks, but by no more than one tick. A jump is not a tick.
     """
 
     def __init__(self) -> None:
@@ -39,10 +39,10 @@ class ArrivalStamps:
         self._last_ns = 0
 
     def tick(self, now_ns: int) -> None:
-        """Note the time of the clock; to be called as often as it may change."""
+        """Record the time of the clock; call it as often as that may change."""
         if now_ns == self._now_ns:
             return
-        if now_ns < self._now_ns:  # set back: stamps follow
+        if now_ns < self._now_ns:  # set back: so are the stamps
             self._last_ns = 0
         wall_ns = time.monotonic_ns()
         tick_ns = max(0, now_ns - self._now_ns) if self._now_ns else 0
@@ -58,24 +58,24 @@ class ArrivalStamps:
         return self._last_ns
 
 
-class ClockWatch:
-    """Watches whether simulated time goes on; wall time always does."""
+class ClockMonitor:
+    """Checks that simulated time advances; wall time always does."""
 
     def __init__(self, node: Node) -> None:
         self._clock = node.get_clock()
         self._is_simulated = node.get_parameter('use_sim_time').value
         self._now_ns, self._since = 0, time.monotonic()
 
-    def check(self) -> list[str]:
-        """Return what is wrong with the clock; to be called about once a second."""
+    def problems(self) -> list[str]:
+        """Return the problems of the clock; call it about once a second."""
         if not self._is_simulated:
             return []
         now_ns = self._clock.now().nanoseconds
         if now_ns != self._now_ns:
             self._now_ns, self._since = now_ns, time.monotonic()
-        stopped = time.monotonic() - self._since
+        pause = time.monotonic() - self._since
         if not now_ns:
-            return ['no time yet: use_sim_time is set, and /clock is silent']
-        if stopped > _LONG:
-            return [f'/clock has stood still at {now_ns} ns for {stopped:.0f} s']
+            return ['no time yet: use_sim_time is true, but no time was received on /clock']
+        if pause > _MAX_PAUSE:
+            return [f'/clock has not advanced from {now_ns} ns for {pause:.0f} s']
         return []

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""One start state, and the torques taken since."""
+"""One start state, and the torques applied since."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rigid_body_ros.scene import Scene
 
 
 class Torque(NamedTuple):
-    """A torque, N m, from a stamp on; the frame is 'body' or 'space'."""
+    """A torque, N m, that acts from its stamp on; the frame is 'body' or 'space'."""
 
     stamp_ns: int
     values: Floats
@@ -47,7 +47,7 @@ class Epoch:
     scene : Scene
     start : State
     torques : iterable of Torque
-        What of an earlier epoch is still in force.
+        Torques of an earlier epoch that still act.
 
     """
 
@@ -55,16 +55,16 @@ class Epoch:
         self.start = start
         self._propagator = Propagator(scene.body, start, **scene.options,
                                       history=scene.values['history'])
-        #: The one in force `history` before the newest, and all since, by stamp.
+        #: By stamp: the one that acts `history` before the newest, and all later ones.
         self._torques: list[Torque] = []
-        #: Stamps whose states a late torque may still change, ascending.
-        self._pending: list[int] = []
+        #: Stamps, ascending, whose states are not committed yet.
+        self._uncommitted: list[int] = []
         for torque in torques:
-            self.take(torque)
+            self.apply(torque)
 
     @property
     def history_ns(self) -> int:
-        """How much older than the newest stamp a torque is dropped."""
+        """How much older than the newest stamp a torque may be; older ones are dropped."""
         return self._propagator.history_ns
 
     @property
@@ -73,37 +73,39 @@ class Epoch:
         return self._torques[-1].stamp_ns if self._torques else None
 
     def at(self, time_ns: int, within: float) -> State:
-        """Return the state at a time; errors as of `Propagator.at`."""
+        """Return the state at a time; arguments and errors are those of `Propagator.at`."""
         return self._propagator.at(time_ns, within)
 
-    def take(self, torque: Torque) -> bool:
+    def apply(self, torque: Torque) -> bool:
         """Apply a torque; return False if it is too old."""
         if not self._propagator.apply(*torque):
             return False
         place = bisect.bisect_left(self._torques, torque.stamp_ns, key=_stamp_ns)
-        repeated = self.holds(torque.stamp_ns)
-        self._torques[place:place + repeated] = [torque]
-        if not repeated and torque.stamp_ns > self.start.time_ns:
-            bisect.insort(self._pending, torque.stamp_ns)
+        is_replacement = self.has_torque_at(torque.stamp_ns)
+        self._torques[place:place + is_replacement] = [torque]
+        if not is_replacement and torque.stamp_ns > self.start.time_ns:
+            bisect.insort(self._uncommitted, torque.stamp_ns)
         horizon = self._torques[-1].stamp_ns - self.history_ns
         oldest = bisect.bisect_right(self._torques, horizon, key=_stamp_ns) - 1
         del self._torques[:max(oldest, 0)]
         return True
 
-    def holds(self, stamp_ns: int) -> bool:
-        """Return whether a torque of this stamp was taken, and may still be replaced."""
+    def has_torque_at(self, stamp_ns: int) -> bool:
+        """Return whether there is a torque of this stamp that may still be replaced."""
         place = bisect.bisect_left(self._torques, stamp_ns, key=_stamp_ns)
         return place < len(self._torques) and self._torques[place].stamp_ns == stamp_ns
 
-    def due(self, horizon_ns: int) -> list[int]:
-        """Return the stamps up to a time whose states are still to be committed."""
-        return self._pending[:bisect.bisect_right(self._pending, horizon_ns)]
+    def uncommitted(self, horizon_ns: int | None = None) -> list[int]:
+        """Return the stamps, up to a time if given, whose states are not committed yet."""
+        if horizon_ns is None:
+            return self._uncommitted.copy()
+        return self._uncommitted[:bisect.bisect_right(self._uncommitted, horizon_ns)]
 
-    def settle(self, horizon_ns: int) -> None:
-        """Take the stamps up to a time off those that are due."""
-        del self._pending[:bisect.bisect_right(self._pending, horizon_ns)]
+    def mark_committed(self, horizon_ns: int) -> None:
+        """Remove the stamps up to a time from those whose states are not committed yet."""
+        del self._uncommitted[:bisect.bisect_right(self._uncommitted, horizon_ns)]
 
-    def since(self, time_ns: int) -> list[Torque]:
-        """Return the torque in force at a time, and all later ones."""
+    def torques_since(self, time_ns: int) -> list[Torque]:
+        """Return the torque that acts at a time, and all later ones."""
         place = bisect.bisect_right(self._torques, time_ns, key=_stamp_ns)
         return self._torques[max(place - 1, 0):]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What comes in: messages to torques and states, or the reason why not."""
+"""Turns received messages into torques and states, or rejects them with a cause."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from typing import NamedTuple
 
 from rigid_body_ros import messages
 from rigid_body_ros.body import State
-from rigid_body_ros.node.arrivals import Sender
+from rigid_body_ros.node.drain import Sender
 from rigid_body_ros.node.epoch import Torque
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.scene import Scene
 
-#: rad/s^2. A torque held at this turns any body by a radian a nanosecond within a second.
+#: rad/s^2; a torque held at this brings any body to a radian a nanosecond within a second.
 _LARGEST_ACCELERATION = 1e9
-#: What messages are refused for.
+#: Causes of rejection.
 MALFORMED, FRAME, NOT_FINITE, TOO_LARGE = 'malformed', 'unknown frame', 'not finite', 'too large'
 NO_CLOCK, FUTURE, LATE, OVERLOAD = 'no clock', 'future', 'late', 'overload'
-NO_STATE, ANSWERED, STALE = 'no state', 'answered already', 'before the reset'
+NO_STATE, ANSWERED, STALE = 'state not computable', 'already answered', 'before the reset'
 CAUSES = (MALFORMED, FRAME, NOT_FINITE, TOO_LARGE, NO_CLOCK, FUTURE, LATE, OVERLOAD, NO_STATE,
           ANSWERED, STALE)
 
 
-class Arrival(NamedTuple):
-    """A message that arrived: its bytes, its sender, the time, ns, and the monotonic time, s."""
+class QueuedMessage(NamedTuple):
+    """A received message: its bytes, its sender, the time, ns, and the monotonic time, s."""
 
     data: bytes
     sender: Sender
@@ -46,20 +46,20 @@ class Arrival(NamedTuple):
     since: float
 
 
-class RefusedError(ValueError):
-    """A message that is not taken, and the cause that it is counted under."""
+class RejectedError(ValueError):
+    """A message is rejected; `cause` is the one it is counted under."""
 
     def __init__(self, cause: str, text: str) -> None:
         super().__init__(text)
         self.cause = cause
 
 
-class EarlyError(RefusedError):
-    """A torque that may have overtaken the message of /clock that was sent before it."""
+class EarlyError(RejectedError):
+    """A torque may have overtaken the /clock message that was sent before it."""
 
 
 class Inputs:
-    """Reads messages as a scene means them."""
+    """Decodes messages in the frames of a scene."""
 
     def __init__(self, scene: Scene, on_force: Callable[[], None]) -> None:
         self._on_force = on_force
@@ -68,11 +68,11 @@ class Inputs:
 
     def torque(self, data: bytes) -> Torque:
         """
-        Return the torque of a WrenchStamped in CDR, and report a force that is ignored.
+        Return the torque of a WrenchStamped in CDR, and report an ignored force.
 
         Raises
         ------
-        RefusedError
+        RejectedError
             It is malformed, in an unknown frame, not finite or far too large.
 
         """
@@ -80,14 +80,14 @@ class Inputs:
         try:
             frame = messages.torque_frame(wrench.frame_id, *self._frames)
         except ValueError as error:
-            raise RefusedError(FRAME, str(error)) from error
+            raise RejectedError(FRAME, str(error)) from error
         torque = messages.torque(wrench)
         x, y, z = torque.tolist()
         if not math.isfinite(x + y + z):
-            raise RefusedError(NOT_FINITE, f'expected a finite torque, found {[x, y, z]}')
+            raise RejectedError(NOT_FINITE, f'expected a finite torque, found {[x, y, z]}')
         if math.hypot(x, y, z) > self._largest:
-            raise RefusedError(TOO_LARGE, f'expected a torque of at most {self._largest:.3g} N m '
-                               f'for this inertia, found {[x, y, z]}')
+            raise RejectedError(TOO_LARGE, f'expected a torque of at most {self._largest:.3g} N m '
+                                f'for this inertia, found {[x, y, z]}')
         if wrench.values[:3].any():
             self._on_force()
         return Torque(wrench.stamp_ns, torque, frame)
@@ -98,28 +98,29 @@ class Inputs:
 
         Raises
         ------
-        RefusedError
-            It is malformed, in other frames than the scene's, not finite, too fast or no rotation.
+        RejectedError
+            It is malformed, in other frames than the scene's, not finite, too fast, or its
+            quaternion is zero.
 
         """
         odometry = _decoded(messages.ODOMETRY, data)
         body, space = self._frames
         found = odometry.frame_id, odometry.child_frame_id
         if found[0] not in ('', space) or found[1] not in ('', body):
-            raise RefusedError(FRAME, f"frame_id, child_frame_id: expected '{space}' and "
-                               f"'{body}', found '{found[0]}' and '{found[1]}'")
+            raise RejectedError(FRAME, f"frame_id, child_frame_id: expected '{space}' and "
+                                f"'{body}', found '{found[0]}' and '{found[1]}'")
         rates = odometry.values[messages.ANGULAR_VELOCITY]
         if math.hypot(*rates.tolist()) > FASTEST:
-            raise RefusedError(TOO_LARGE, f'expected at most {FASTEST:g} rad/s, '
-                               f'found {rates.tolist()}')
+            raise RejectedError(TOO_LARGE, f'expected at most {FASTEST:g} rad/s, '
+                                f'found {rates.tolist()}')
         try:
             return State(odometry.stamp_ns, odometry.values[messages.ORIENTATION], rates)
         except ValueError as error:
-            raise RefusedError(NOT_FINITE, str(error)) from error
+            raise RejectedError(NOT_FINITE, str(error)) from error
 
 
 def _decoded(kind: messages.MessageType, data: bytes) -> messages.Stamped:
     try:
         return kind.decode(data)
     except ValueError as error:
-        raise RefusedError(MALFORMED, str(error)) from error
+        raise RejectedError(MALFORMED, str(error)) from error

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What goes out: states and the log of the run, each topic in its message."""
+"""Publishes states and the log of the run."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rigid_body_ros import euler, messages
 from rigid_body_ros.body import State
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.node.diagnostics import Diagnostics, UNSENT
 from rigid_body_ros.node.epoch import Torque
-from rigid_body_ros.node.health import Health, UNSENT
 from rigid_body_ros.scene import Scene
 from sensor_msgs.msg import Imu
 
@@ -42,11 +42,11 @@ except ModuleNotFoundError:  # Humble
     from rclpy.qos_event import PublisherEventCallbacks
 
 _STATE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-# The log of a run: all of it counts, for a recorder that comes a moment later too, and the
-# states of the last `history` go out in one burst at the end.
+# No message of the log of a run may be lost, not even to a recorder that starts a moment later;
+# the states of the last `history` are published in one burst at the end.
 _LOG_QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)
-#: What one burst may hold.
+#: Messages in one burst, at most.
 LOG_DEPTH = _LOG_QOS.depth
 
 
@@ -54,16 +54,17 @@ class Outputs:
     """
     The publishers of a node.
 
-    A message that the middleware does not take, such as for want of memory, is counted and said.
+    A message that the middleware fails to publish, for example if out of memory, is counted and
+    logged.
     """
 
-    def __init__(self, node: Node, scene: Scene, health: Health) -> None:
-        self._node, self._health = node, health
+    def __init__(self, node: Node, scene: Scene, diagnostics: Diagnostics) -> None:
+        self._node, self._diagnostics = node, diagnostics
         values = scene.values
         space, body, sequence = (values[name] for name in (
             'space_frame', 'body_frame', 'euler_sequence'))
         self._frames = {'body': body, 'space': space}
-        #: What each topic says of a state.
+        #: The publisher of each topic, and how it encodes a state.
         self._states: list[tuple[Publisher, Callable[[State], bytes]]] = [
             (self._publisher(QuaternionStamped, 'attitude'), lambda state: (
                 messages.QUATERNION.encode(state.time_ns, space, state.attitude))),
@@ -83,51 +84,51 @@ class Outputs:
 
     @property
     def publishers(self) -> list[Publisher]:
-        """All of them."""
+        """All publishers of states and of the log."""
         return [*(publisher for publisher, _ in self._states), self._accepted, self._committed]
 
     @property
-    def reader_count(self) -> int:
-        """How many subscriptions of states are connected."""
+    def subscription_count(self) -> int:
+        """Return the number of connected subscriptions to states."""
         return sum(publisher.get_subscription_count() for publisher, _ in self._states)
 
     def publish(self, state: State) -> None:
-        """Tell a state to whoever listens."""
+        """Publish a state on every topic that has a subscription."""
         for publisher, encode in self._states:
             if publisher.get_subscription_count():
                 self._send(publisher, encode(state))
 
     def begin_log(self) -> None:
-        """Say that what follows in the log of torques does not go on from what came before."""
+        """Mark in the log of torques that a new epoch follows."""
         self._send(self._accepted, messages.new_log())
 
     def accept(self, torque: Torque) -> None:
-        """Log a torque that was taken."""
+        """Log an accepted torque."""
         self._send(self._accepted, messages.wrench(
             torque.stamp_ns, self._frames[torque.frame], torque.values))
 
     def commit(self, state: State) -> None:
-        """Log a state that will not change any more."""
+        """Log a final state."""
         self._send(self._committed, messages.odometry(
             state, self._frames['space'], self._frames['body']))
 
     def deliver(self, until: float) -> None:
-        """Wait until the log has arrived, but not beyond a time of the monotonic clock."""
+        """Wait until the log is received, or until a time of the monotonic clock."""
         for publisher in (self._committed, self._accepted):
-            rest = max(0.0, until - time.monotonic())
-            with suppress(RuntimeError):  # not every middleware can tell
-                publisher.wait_for_all_acked(Duration(nanoseconds=round(rest * 1e9)))
+            remaining = max(0.0, until - time.monotonic())
+            with suppress(RuntimeError):  # not every middleware supports it
+                publisher.wait_for_all_acked(Duration(seconds=remaining))
 
     def _send(self, publisher: Publisher, data: bytes) -> None:
         try:
             publisher.publish(data)
         except RuntimeError as error:
-            self._health.event(UNSENT, f'{publisher.topic_name}: a message was not sent: '
-                               f'{" ".join(str(error).split())}')
+            self._diagnostics.event(UNSENT, f'{publisher.topic_name}: publishing failed: '
+                                    f'{" ".join(str(error).split())}')
 
     def _publisher(self, kind: type, topic: str, qos: QoSProfile = _STATE_QOS) -> Publisher:
-        # A copy: rclpy writes the overrides of one topic into the profile it is given. Without
-        # handlers of events: rclpy asks each of them at every turn, and Health looks itself.
+        # A copy, because rclpy writes the overrides of one topic into the profile it is given. No
+        # event handlers: rclpy checks each of them in every turn, and Diagnostics does it itself.
         return self._node.create_publisher(
             kind, topic, copy(qos),
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),

@@ -37,21 +37,21 @@ from rigid_body_ros.scene import Scene
 
 _RATE = 'publish_rate'
 _QOS = 'qos_overrides.'
-#: Topics that rclpy itself connects to.
+#: Topics of rclpy itself.
 _OF_RCLPY = ('/clock.', '/parameter_events.', '/rosout.')
-#: What the node sets itself where an epoch begins, so that a dump is the scene of the epoch.
+#: Parameters that the node sets when an epoch begins, so that a dump is the scene of the epoch.
 _EPOCH = ('start_time', *(f'initial_attitude.{name}' for name in 'xyzw'),
           *(f'initial_angular_velocity.{name}' for name in 'xyz'))
 
 
 class Parameters:
     """
-    Declares the scene of a node, and keeps it.
+    Declares the parameters of a scene, and keeps the scene.
 
     Raises
     ------
     InputError
-        What was given is no valid scene for a node.
+        The given parameters are not a valid scene for a node.
 
     """
 
@@ -60,30 +60,30 @@ class Parameters:
         self.scene = self._declare()
         self._epoch = {name: self.scene.values[name] for name in _EPOCH}
 
-    def guard(self) -> None:
-        """Refuse changes from now on, except of the rate and to what `report` shows."""
+    def make_read_only(self) -> None:
+        """Reject changes from now on, except those of the rate and by `report`."""
         self._node.add_on_set_parameters_callback(self._on_set)
 
     def report(self, start: State) -> None:
-        """Show the start of an epoch."""
+        """Set the parameters of the start state to that of an epoch."""
         values = [start.time_ns, *start.attitude.tolist(), *start.angular_velocity.tolist()]
         self._epoch = dict(zip(_EPOCH, values))
         result = self._node.set_parameters_atomically(
             [Parameter(name, value=value) for name, value in self._epoch.items()])
         if not result.successful:
-            raise RuntimeError(f'the parameters cannot show the start: {result.reason}')
+            raise RuntimeError(f'cannot set the parameters of the start state: {result.reason}')
 
     def _declare(self) -> Scene:
-        # What the user gave is declared already, as the types that were given. Check it as one
-        # scene, then declare each parameter with its own type and description.
+        # The given parameters are declared already, with the types of the given values. Check all
+        # as one scene, then declare each with the type and description of the scene.
         given = {name: parameter.value
                  for name, parameter in self._node.get_parameters_by_prefix('').items()}
         checked = Scene.from_values(given)
         if checked.values['solver'] == 'exact':
-            raise InputError("solver: expected one that takes torques, found 'exact'")
+            raise InputError("solver: 'exact' handles torque-free motion only")
         if checked.values['interpolation'] != 'hold':
-            raise InputError('interpolation: expected hold, as the next torque is not known yet, '
-                             f'found {checked.values["interpolation"]!r}')
+            raise InputError("interpolation: expected 'hold', because a node does not know the "
+                             f'next torque, found {checked.values["interpolation"]!r}')
         for name, value in checked.values.items():
             if name in given:
                 self._node.undeclare_parameter(name)
@@ -99,7 +99,7 @@ class Parameters:
                                            'running node: it defines the trajectory')
             if name == 'use_sim_time' or name.startswith(_QOS):
                 return SetParametersResult(successful=False, reason=f'{name}: read-only in a '
-                                           'running node: it was used at the start')
+                                           'running node: it takes effect only at the start')
         if _RATE in values:
             try:
                 self._on_rate(scene.checked(scene.PARAMETERS[_RATE], values[_RATE]))
@@ -111,12 +111,12 @@ class Parameters:
 def check_qos_overrides(node: Node, subscriptions: Iterable[Subscription],
                         publishers: Iterable[Publisher]) -> None:
     """
-    Check that every QoS override that was given is that of an endpoint of the node.
+    Check that every given QoS override is one of an endpoint of the node.
 
     Raises
     ------
     InputError
-        One is not: its topic, endpoint or policy is misspelt, and it would have no effect.
+        One is not, so it would have no effect: its topic, endpoint or policy is misspelt.
 
     """
     known = [f'{_QOS}{endpoint.topic_name}.{kind}.{policy.name.lower()}'
@@ -126,7 +126,7 @@ def check_qos_overrides(node: Node, subscriptions: Iterable[Subscription],
     for name in node.get_parameters_by_prefix(_QOS.rstrip('.')):
         if _QOS + name not in known and not name.startswith(_OF_RCLPY):
             close = difflib.get_close_matches(_QOS + name, known, 1)
-            raise InputError(f'{_QOS}{name}: no topic, endpoint or policy of this node'
+            raise InputError(f'{_QOS}{name}: not a topic, endpoint or policy of this node'
                              + (f'; did you mean {close[0]}?' if close else ''))
 
 
@@ -137,7 +137,7 @@ def _descriptor(parameter: scene.Parameter) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         name=parameter.name, description=parameter.description + unit,
         read_only=fixed and parameter.name not in _EPOCH,
-        # The others may be given as 50 for 50.0 while running.
+        # While the node runs, 50 is accepted for 50.0.
         dynamic_typing=not fixed,
         additional_constraints='; '.join(filter(None, [
             limits and f'one of {limits}',

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Real time: the clock asks for the motion."""
+"""Real time: a timer asks for the state at the present time."""
 
 from __future__ import annotations
 
@@ -25,76 +25,77 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rigid_body_ros.body import State
-from rigid_body_ros.node.arrivals import Sender
-from rigid_body_ros.node.clocks import ArrivalStamps, ClockWatch
+from rigid_body_ros.node.clocks import ArrivalStamps, ClockMonitor
+from rigid_body_ros.node.diagnostics import Diagnostics, NOT_COMPUTABLE, TIME_JUMP
+from rigid_body_ros.node.drain import Sender
 from rigid_body_ros.node.epoch import Torque
-from rigid_body_ros.node.health import Health, TIME_JUMP, UNKNOWN
 from rigid_body_ros.node.inputs import (
-    Arrival,
     EarlyError,
     FUTURE,
     Inputs,
     LATE,
     NO_CLOCK,
-    RefusedError,
+    QueuedMessage,
+    RejectedError,
 )
-from rigid_body_ros.node.motion import Motion
 from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import Parameters
+from rigid_body_ros.node.pipeline import Pipeline
+from rigid_body_ros.propagation.options import duration_ns
 from rigid_body_ros.scene import ARRIVAL, REBASE, RESET
 
-#: A stamp further behind or ahead is that of another clock.
+#: A stamp further from the clock, either way, comes from another clock.
 _OTHER_CLOCK_NS = 3600 * 10 ** 9
-_ADVICE = ('; torques of a bag? Play it with --clock and set use_sim_time, or set '
+_ADVICE = ('; if the torques come from a bag, play it with --clock and set use_sim_time, or set '
            'time_source:=arrival')
-#: s; how long a torque waits for a message of /clock that was sent before it.
+#: s; how long a torque waits for a /clock message that was sent before it.
 _CLOCK_DELAY = 0.5
-#: A clock that leaps ahead by more is worth a word.
-_LEAP_NS = 10 ** 9
+#: A clock that jumps ahead by more is reported.
+_FORWARD_JUMP_NS = 10 ** 9
 
 
 class Realtime:
     """Publishes the state at the present time, at a rate."""
 
-    several_publishers = 'they do not add up: each torque holds only until the next one'
+    several_publishers = 'their torques do not add up: each holds only until the next'
 
     def __init__(self, node: Node, parameters: Parameters, inputs: Inputs, outputs: Outputs,
-                 health: Health) -> None:
+                 diagnostics: Diagnostics) -> None:
         self._node, self._parameters = node, parameters
-        self._inputs, self._health = inputs, health
+        self._inputs, self._diagnostics = inputs, diagnostics
         self._values = parameters.scene.values
         self._given_start_ns = parameters.scene.start.time_ns
-        self._max_future_ns = round(self._values['max_future'] * 1e9)
-        self.motion = Motion(parameters.scene, outputs, health, self._read)
+        self._max_future_ns = duration_ns(self._values['max_future'], 'max_future')
+        self.pipeline = Pipeline(parameters.scene, outputs, diagnostics, self._read)
         self._latest_ns = 0
-        self._arrivals, self._watch = ArrivalStamps(), ClockWatch(node)
-        self._simulated = node.get_parameter('use_sim_time').value
-        # A wall clock may be set back, which would stop a timer that follows it.
-        pace = node.get_clock() if self._simulated else Clock(clock_type=ClockType.STEADY_TIME)
+        self._arrivals, self._monitor = ArrivalStamps(), ClockMonitor(node)
+        self._is_simulated = node.get_parameter('use_sim_time').value
+        # A timer that follows a wall clock stops if that is set back; one of steady time does not.
+        clock = node.get_clock() if self._is_simulated else Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(1.0 / self._values['publish_rate'], self._publish,
-                                        clock=pace)
+                                        clock=clock)
         self._now_ns()
 
     def connect(self, torques: Subscription) -> None:
-        """Nothing: the clock sets the pace, whoever is connected."""
+        """Do nothing: the timer runs whoever is connected."""
 
     def set_rate(self, rate: float) -> None:
         """Publish at another rate, Hz."""
         self._timer.timer_period_ns = round(1e9 / rate)
-        self._timer.reset()  # or the next call keeps the time it was due
+        self._timer.reset()  # otherwise the next call is due after the old period
 
-    def take(self, data: bytes, sender: Sender) -> None:
+    def enqueue(self, data: bytes, sender: Sender) -> None:
         """
-        Take a torque as it arrives, from any sender.
+        Queue a torque message from any sender.
 
         Raises
         ------
-        RefusedError
-            There is no time yet, or too many wait.
+        RejectedError
+            There is no time yet, or too many torques wait.
 
         """
         self._valid_now_ns()
-        self.motion.take(data, sender, self._arrivals.stamp())
+        self.pipeline.enqueue(data, sender, self._arrivals.stamp())
 
     def set_state(self, state: State) -> None:
         """
@@ -102,128 +103,130 @@ class Realtime:
 
         Raises
         ------
-        RefusedError
-            There is no time yet, or that of the state is impossible.
+        RejectedError
+            There is no time yet, or the stamp of the state is impossible.
 
         """
         now_ns = self._valid_now_ns()
         start = replace(state, time_ns=state.time_ns or now_ns)
         self._check_stamp(start.time_ns, now_ns)
-        self._open(start, self.motion.in_force(start.time_ns), 'as told')
+        self._begin(start, self.pipeline.torques_since(start.time_ns), 'initial_state received')
 
     def reset(self) -> str:
         """
-        Begin an epoch with the initial state, and say so.
+        Begin an epoch with the initial state, and return a description.
 
         Raises
         ------
-        RefusedError
+        RejectedError
             There is no time yet.
 
         """
         now_ns = self._valid_now_ns()
         try:
-            torques = self.motion.in_force(now_ns)
-        except RefusedError:  # the clock was set back, and what was in force then is forgotten
+            torques = self.pipeline.torques_since(now_ns)
+        except RejectedError:  # the clock was set back, beyond the torques that are remembered
             torques = []
-        return self._open(self.motion.initial(now_ns), torques, 'reset')
+        return self._begin(self.pipeline.initial(now_ns), torques, 'reset')
 
-    def check(self) -> list[str]:
-        """Return what is wrong at present."""
-        problems = self._watch.check()
+    def problems(self) -> list[str]:
+        """Return the present problems."""
+        problems = self._monitor.problems()
         if not self._now_ns():
             return problems
-        newest_ns = self.motion.epoch.newest_ns
-        silent_s = 0.0 if newest_ns is None else (self._latest_ns - newest_ns) * 1e-9
-        if silent_s > self._values['torque_timeout'] > 0.0:
-            problems.append(f'silent for {silent_s:.3g} s: the torque timed out')
+        newest_ns = self.pipeline.epoch.newest_ns
+        silence = 0.0 if newest_ns is None else (self._latest_ns - newest_ns) * 1e-9
+        if silence > self._values['torque_timeout'] > 0.0:
+            problems.append(f'no torque for {silence:.3g} s: the torque timed out')
         return problems
 
     def stamp(self) -> Time:
-        """Return the time of now."""
+        """Return the present time."""
         return self._node.get_clock().now().to_msg()
 
-    def _read(self, arrival: Arrival) -> Torque:
-        torque = self._inputs.torque(arrival.data)
+    def _read(self, message: QueuedMessage) -> Torque:
+        torque = self._inputs.torque(message.data)
         if not torque.stamp_ns or self._values['time_source'] == ARRIVAL:
-            torque = torque._replace(stamp_ns=arrival.time_ns)
-        if self._simulated:
-            self._check_early(torque.stamp_ns, arrival)
+            torque = torque._replace(stamp_ns=message.time_ns)
+        if self._is_simulated:
+            self._check_early(torque.stamp_ns, message)
         else:
-            self._check_stamp(torque.stamp_ns, arrival.time_ns)
+            self._check_stamp(torque.stamp_ns, message.time_ns)
         return torque
 
-    def _check_early(self, stamp_ns: int, arrival: Arrival) -> None:
-        # A torque may overtake the message of /clock that was sent before it: it is ahead of the
-        # clock, or, where that message sets the clock back, of the epoch before.
+    def _check_early(self, stamp_ns: int, message: QueuedMessage) -> None:
+        # A torque may overtake the /clock message that was sent before it. It is then ahead of
+        # the clock, or, if that message sets the clock back, too old for the present epoch.
         now_ns = self._node.get_clock().now().nanoseconds
         try:
             self._check_stamp(stamp_ns, now_ns)
-            self.motion.check_age(stamp_ns)
-        except RefusedError as refused:
-            is_other = stamp_ns - now_ns >= _OTHER_CLOCK_NS
-            if is_other or time.monotonic() - arrival.since >= _CLOCK_DELAY:
+            self.pipeline.check_age(stamp_ns)
+        except RejectedError as rejected:
+            is_other_clock = stamp_ns - now_ns >= _OTHER_CLOCK_NS
+            if is_other_clock or time.monotonic() - message.since >= _CLOCK_DELAY:
                 raise
-            raise EarlyError(refused.cause, str(refused)) from refused
-
+            raise EarlyError(rejected.cause, str(rejected)) from rejected
 
     def _publish(self) -> None:
         now_ns = self._now_ns()
-        if now_ns and now_ns >= self.motion.epoch.start.time_ns:
-            self.motion.publish(now_ns)
+        if now_ns and now_ns >= self.pipeline.epoch.start.time_ns:
+            self.pipeline.publish(now_ns)
 
     def _valid_now_ns(self) -> int:
         now_ns = self._now_ns()
         if not now_ns:
-            raise RefusedError(NO_CLOCK, 'a message came before the first of /clock')
+            raise RejectedError(NO_CLOCK, 'no time was received on /clock yet')
         return now_ns
 
     def _now_ns(self) -> int:
-        """Return the time, with an epoch open, or 0 while there is none."""
+        """Return the time, with an epoch begun, or 0 while there is no time yet."""
         now_ns = self._node.get_clock().now().nanoseconds
-        if not now_ns:  # simulated time before the first message of /clock
+        if not now_ns:  # simulated time before the first message on /clock
             return 0
         latest_ns, self._latest_ns = self._latest_ns, now_ns
         self._arrivals.tick(now_ns)
-        # A wall clock is set back by a little now and then; late torques may be, too.
-        slack_ns = 0 if self._simulated or not self.motion.epoch else self.motion.epoch.history_ns
-        if self.motion.epoch is None:
-            self._open(self.motion.initial(self._given_start_ns or now_ns), (), 'start')
-        elif latest_ns - now_ns > slack_ns:
+        # A wall clock is sometimes set back slightly; late torques may be as late as that.
+        tolerance_ns = 0 if self._is_simulated or not self.pipeline.epoch else \
+            self.pipeline.epoch.history_ns
+        if self.pipeline.epoch is None:
+            self._begin(self.pipeline.initial(self._given_start_ns or now_ns), (), 'start')
+        elif latest_ns - now_ns > tolerance_ns:
             self._jump_back(latest_ns, now_ns)
-        elif now_ns - latest_ns > _LEAP_NS + 2 * self._timer.timer_period_ns:
-            self._health.event(TIME_JUMP, f'the clock leapt ahead by '
-                               f'{(now_ns - latest_ns) * 1e-9:.9g} s; the motion goes on under '
-                               'the last torque')
+        elif now_ns - latest_ns > _FORWARD_JUMP_NS + 2 * self._timer.timer_period_ns:
+            self._diagnostics.event(TIME_JUMP, 'the clock jumped ahead by '
+                                    f'{(now_ns - latest_ns) * 1e-9:.9g} s; the motion continues '
+                                    'under the last torque')
         return now_ns
 
     def _jump_back(self, latest_ns: int, now_ns: int) -> None:
         action = self._values['on_time_jump']
-        self.motion.sort_out()
-        self._health.event(TIME_JUMP, f'the clock jumped back by {(latest_ns - now_ns) * 1e-9:.9g}'
-                           f' s to {now_ns} ns; on_time_jump: {action}')
+        self.pipeline.set_early_aside()
+        self._diagnostics.event(TIME_JUMP, 'the clock jumped back by '
+                                f'{(latest_ns - now_ns) * 1e-9:.9g} s to {now_ns} ns; '
+                                f'on_time_jump: {action}')
         if action == REBASE and self._rebase(latest_ns, now_ns):
             return
         if action in (REBASE, RESET):
-            start_ns = self._given_start_ns if self._simulated else 0
-            self._open(self.motion.initial(start_ns or now_ns), (), 'clock jumped back')
+            start_ns = self._given_start_ns if self._is_simulated else 0
+            self._begin(self.pipeline.initial(start_ns or now_ns), (), 'clock jumped back')
 
     def _rebase(self, latest_ns: int, now_ns: int) -> bool:
-        state = self.motion.last(latest_ns)
+        state = self.pipeline.last_state(latest_ns)
         if state is None:
-            self._health.event(UNKNOWN, 'no state to go on from: back to the initial one')
+            self._diagnostics.event(NOT_COMPUTABLE, 'on_time_jump: the present state cannot be '
+                                    'computed; starting again from the initial state')
             return False
-        # Its age stays what it was, for torque_timeout.
+        # The torque keeps its age, for torque_timeout.
         torques = [torque._replace(stamp_ns=max(1, torque.stamp_ns + now_ns - latest_ns))
-                   for torque in self.motion.epoch.since(latest_ns)[:1]
+                   for torque in self.pipeline.epoch.torques_since(latest_ns)[:1]
                    if torque.stamp_ns <= latest_ns]
-        self._open(State(now_ns, state.attitude, state.angular_velocity), torques, 'rebased')
+        self._begin(State(now_ns, state.attitude, state.angular_velocity), torques, 'rebased')
         return True
 
-    def _open(self, start: State, torques: Sequence[Torque], why: str) -> str:
-        self.motion.begin(start, torques)
+    def _begin(self, start: State, torques: Sequence[Torque], reason: str) -> str:
+        self.pipeline.begin(start, torques)
         self._parameters.report(start)
-        text = f'{why}: a new epoch begins at {start.time_ns} ns'
+        text = f'{reason}: a new epoch begins at {start.time_ns} ns'
         self._node.get_logger().info(text)
         return text
 
@@ -231,8 +234,9 @@ class Realtime:
         ahead_ns = stamp_ns - now_ns
         advice = _ADVICE if abs(ahead_ns) > _OTHER_CLOCK_NS else ''
         if ahead_ns > self._max_future_ns:
-            raise RefusedError(FUTURE, f'stamped {ahead_ns * 1e-9:.9g} s ahead of the clock, '
-                               f'expected at most max_future '
-                               f'({self._values["max_future"]:g} s){advice}')
+            raise RejectedError(FUTURE, f'stamped {ahead_ns * 1e-9:.9g} s ahead of the clock, '
+                                f'expected at most max_future '
+                                f'({self._values["max_future"]:g} s){advice}')
         if advice:
-            raise RefusedError(LATE, f'stamped {-ahead_ns * 1e-9:.9g} s behind the clock{advice}')
+            raise RejectedError(LATE,
+                                f'stamped {-ahead_ns * 1e-9:.9g} s behind the clock{advice}')

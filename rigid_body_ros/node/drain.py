@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The messages of a subscription as they arrive, and how many of them never did."""
+"""A subscription callback that empties its queue and counts lost messages."""
 
 from __future__ import annotations
 
@@ -23,53 +23,53 @@ from typing import Any
 
 from rclpy.subscription import Subscription
 
-#: s; for how long one call takes messages.
+#: s; how long one call takes messages.
 _BUDGET = 0.02
-#: Publishers that are remembered; those that fell silent longest ago go first.
-_MOST_SENDERS = 100
+#: Publishers to remember; the one that was silent for longest is forgotten first.
+_MAX_SENDERS = 100
 
-#: Identity of a publisher; None where the middleware does not report it.
+#: Identity of a publisher; None if the middleware does not report it.
 Sender = bytes | None
-#: One of several publishers that cannot be told apart.
-UNKNOWN: Sender = b''
+#: One of several publishers that the middleware does not distinguish.
+UNKNOWN_SENDER: Sender = b''
 
 
-class Arrivals:
+class DrainCallback:
     """
-    A callback that takes every message that waits in a subscription, and counts lost ones.
+    A callback that takes every message waiting in a subscription and counts lost ones.
 
-    A publisher numbers its messages. A gap in the numbers is a loss, whether the network or the
-    full queue of the subscription dropped the messages. An executor hands over one message at a
-    time; this callback takes the others as well, so that the queue is empty when other work
-    begins.
+    Publishers number their messages. A gap in the numbers is a loss, whether the network or the
+    full queue of the subscription dropped the messages. An executor passes one message at a time;
+    this callback also takes all others that wait, so that the queue is empty before other work
+    starts.
 
     Parameters
     ----------
-    take : callable
+    on_message : callable
         Receives the bytes of each message and its sender.
-    done : callable
-        Called when no message waits any more.
-    missing : callable
-        Receives the number of messages in a gap.
+    on_empty : callable
+        Called when no message is waiting.
+    on_gap : callable
+        Receives the number of messages missing in a gap.
 
     Attributes
     ----------
     subscription : Subscription
-        Set once it exists.
+        Set it once it exists.
 
     """
 
-    #: rclpy passes what it knows of a message only to a callback of two parameters.
+    #: rclpy passes the information about a message only to a callback with two parameters.
     __signature__ = inspect.signature(lambda message, info: None)
 
-    def __init__(self, take: Callable[[bytes, Sender], None], done: Callable[[], None],
-                 missing: Callable[[int], None]) -> None:
-        self._take, self._done, self._missing = take, done, missing
-        self._last: dict[Sender, int] = {}
+    def __init__(self, on_message: Callable[[bytes, Sender], None], on_empty: Callable[[], None],
+                 on_gap: Callable[[int], None]) -> None:
+        self._on_message, self._on_empty, self._on_gap = on_message, on_empty, on_gap
+        self._last_number: dict[Sender, int] = {}
         self.subscription: Subscription
 
     def __call__(self, *taken: Any) -> None:
-        """Take a message and all that wait behind it."""
+        """Take a message and all that wait after it."""
         # EventsExecutor passes message and information as one tuple, other executors as two.
         found = taken if len(taken) == 2 else taken[0]
         subscription = self.subscription
@@ -78,11 +78,11 @@ class Arrivals:
             until = time.monotonic() + _BUDGET
             while found is not None:
                 message, info = found
-                self._take(message, self._sender(info))
+                self._on_message(message, self._sender(info))
                 if time.monotonic() > until:
                     break
                 found = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-        self._done()
+        self._on_empty()
 
     def _sender(self, info: dict[str, Any]) -> Sender:
         number, identity = info.get('publication_sequence_number'), info.get('publisher_gid')
@@ -90,12 +90,12 @@ class Arrivals:
             return None
         sender = identity['data'] if identity else None
         if sender is None and self.subscription.handle.get_publisher_count() > 1:
-            self._last.clear()  # the numbers of several publishers, mixed
-            return UNKNOWN
-        before = self._last.pop(sender, number - 1)
-        self._last[sender] = number
-        if len(self._last) > _MOST_SENDERS:
-            del self._last[next(iter(self._last))]
-        if number > before + 1:
-            self._missing(number - before - 1)
+            self._last_number.clear()  # the numbers of several publishers, mixed
+            return UNKNOWN_SENDER
+        previous = self._last_number.pop(sender, number - 1)
+        self._last_number[sender] = number
+        if len(self._last_number) > _MAX_SENDERS:
+            del self._last_number[next(iter(self._last_number))]
+        if number > previous + 1:
+            self._on_gap(number - previous - 1)
         return sender

@@ -1,0 +1,182 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Keeps a closed loop in lockstep a single chain of state, torque, state, torque.
+
+A controller responds to every state that it receives. If a state is published twice, the
+controller sends two torques; if the node responds to both, two chains run through the loop for
+ever. If the node does not respond, or a message is lost, the loop stops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import math
+import time
+from typing import Any
+
+import numpy as np
+from rigid_body_ros.node.drain import Sender, UNKNOWN_SENDER
+from rigid_body_ros.node.epoch import Torque
+
+#: s; a torque repeated sooner after its response was sent before the response arrived.
+_IN_FLIGHT = 0.1
+#: s; between two publications of a state while no controller is connected.
+_IDLE_PERIOD = 0.1
+#: s; how long connections must stay the same until a new controller can both receive and send.
+_CONNECTION_TIME = 0.5
+#: s; how long a controller may work on a state before it is published again. The timeout doubles
+#: with every repetition, so that few copies pile up in the queue of a slow controller.
+_TIMEOUT, _MAX_TIMEOUT = 2.0, 30.0
+
+
+class DuplicateFilter:
+    """
+    Decides which torques of an equal stamp need another response.
+
+    Parameters
+    ----------
+    history_ns : int
+        How much older than the newest stamp a torque may be.
+
+    """
+
+    def __init__(self, history_ns: int) -> None:
+        self._history_ns = history_ns
+        self._accepted: dict[int, _Accepted] = {}
+        #: How often the state of a stamp was published.
+        self._publications: dict[int, int] = {}
+
+    def clear(self) -> None:
+        """Forget everything, because a new epoch begins."""
+        self._accepted.clear()
+        self._publications.clear()
+
+    def published(self, stamp_ns: int) -> None:
+        """Record that a state was published to a controller, which then sends a torque."""
+        self._publications[stamp_ns] = self._publications.get(stamp_ns, 0) + 1
+        _drop_before(self._publications, stamp_ns - self._history_ns)
+
+    def accepted(self, torque: Torque, sender: Sender) -> None:
+        """Record that a torque was accepted and waits for its response."""
+        previous = self._accepted.get(torque.stamp_ns)
+        received = previous.received if previous else 1
+        self._accepted[torque.stamp_ns] = _Accepted(torque, sender, received)
+        _drop_before(self._accepted, torque.stamp_ns - self._history_ns)
+
+    def responded(self, torque: Torque) -> None:
+        """Record that the response to a torque was published."""
+        if torque.stamp_ns in self._accepted:
+            self._accepted[torque.stamp_ns].responded_at = time.monotonic()
+
+    def discard(self, torque: Torque) -> None:
+        """Record that a torque gets no response."""
+        self._accepted.pop(torque.stamp_ns, None)
+
+    def is_duplicate(self, torque: Torque, sender: Sender) -> bool:
+        """
+        Return whether a torque needs no response, because its stamp has one.
+
+        Call it once per torque. A controller that received a state twice sends two torques, and a
+        second controller sends its own: both are duplicates. But a sender that repeats or corrects
+        a torque by itself needs another response: it may not have received the first.
+        """
+        first = self._accepted.get(torque.stamp_ns)
+        if first is None:
+            return False
+        if sender == UNKNOWN_SENDER or sender != first.sender:
+            return True
+        first.received += 1
+        if first.received <= self._publications.get(torque.stamp_ns, 0):
+            return True
+        in_flight = first.responded_at is None \
+            or time.monotonic() - first.responded_at < _IN_FLIGHT
+        return in_flight and self.is_same(torque)
+
+    def is_same(self, torque: Torque) -> bool:
+        """Return whether a torque equals the accepted one of its stamp."""
+        other = self._accepted[torque.stamp_ns].torque
+        return torque.frame == other.frame and np.array_equal(torque.values, other.values)
+
+
+@dataclass
+class _Accepted:
+    """A torque, its sender, how many of its stamp were received, and when the response left, s."""
+
+    torque: Torque
+    sender: Sender
+    received: int
+    responded_at: float | None = None
+
+
+def _drop_before(entries: dict[int, Any], horizon_ns: int) -> None:
+    # Late stamps come after newer ones in the dict, and stay until those are dropped.
+    while entries and (oldest_ns := next(iter(entries))) < horizon_ns:
+        del entries[oldest_ns]
+
+
+class RepublishPolicy:
+    """
+    Decides when to publish the latest state again.
+
+    While nobody publishes torques: ten times a second. To a new controller: once, when both sides
+    have had time to discover each other. After that only after a long silence, because a
+    controller that is still working on a state would receive it twice. Never immediately after a
+    connection: the subscription of a controller may be connected before its publisher is.
+
+    Parameters
+    ----------
+    count : callable
+        Returns the number of connected publishers of torques and of subscriptions to states.
+
+    """
+
+    def __init__(self, count: Callable[[], tuple[int, int]]) -> None:
+        self._count = count
+        self._connected = 0, 0
+        self._changed_at = time.monotonic()
+        self._published_at = -math.inf
+        #: Whether a state was published since the connections settled.
+        self._is_delivered = False
+        self._timeout = _TIMEOUT
+
+    @property
+    def has_controller(self) -> bool:
+        """Whether a publisher of torques is known."""
+        return self._connected[0] > 0
+
+    def published(self, is_repeated: bool) -> None:
+        """Record that a state was published, for the first time or again."""
+        self._published_at = time.monotonic()
+        self._timeout = min(2.0 * self._timeout, _MAX_TIMEOUT) \
+            if is_repeated and self._is_delivered else _TIMEOUT
+        self._is_delivered |= self._published_at - self._changed_at >= _CONNECTION_TIME
+
+    def is_due(self) -> bool:
+        """Return whether to publish the latest state again now; call it regularly."""
+        now, (publishers, subscriptions) = time.monotonic(), self._count()
+        if publishers > self._connected[0] or subscriptions > self._connected[1]:
+            self._changed_at = now
+        if publishers > self._connected[0]:  # a subscription alone may be an observer
+            self._is_delivered = False
+        self._connected = publishers, subscriptions
+        if now - self._changed_at < _CONNECTION_TIME:
+            return False
+        if not publishers:
+            return now - self._published_at >= _IDLE_PERIOD
+        # A running loop needs no repetition, whoever joins it.
+        return now - self._published_at >= (
+            self._timeout if self._is_delivered else _CONNECTION_TIME)
