@@ -33,6 +33,7 @@ from rigid_body_ros import euler
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.common.errors import InputError as InputError  # handed on
 from rigid_body_ros.common.errors import listed, quoted, shortened
+from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.runtime.reading import read_yaml
 from rigid_body_ros.torque import INTERPOLATIONS
@@ -92,15 +93,15 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('time_source', HEADER, '', 'whether the node takes the time of a torque from its '
               'header or from its arrival (for bags played without --clock)',
               choices=TIME_SOURCES),
-    Parameter('solver', 'auto', '', 'how the motion is integrated', choices=SOLVERS),
-    Parameter('tolerance', 1e-15, '', 'bound on the truncation error of the attitude per radian '
-              'turned; rounding adds to it', TOLERANCES),
+    Parameter('solver', Options.solver, '', 'how the motion is integrated', choices=SOLVERS),
+    Parameter('tolerance', Options.tolerance, '', 'bound on the truncation error of the attitude '
+              'per radian turned; rounding adds to it', TOLERANCES),
     Parameter('max_step', 0.0, 's', 'longest step, which the solvers of fixed step take; 0: none',
               (0.0, _BIG)),
     Parameter('interpolation', 'hold', '', 'what a torque does between its samples; the node, '
               'which does not know the next one, holds', choices=INTERPOLATIONS),
-    Parameter('torque_timeout', 0.0, 's', 'the torque is zero from this long after a sample on; '
-              '0: it is held for ever', (0.0, LONGEST)),
+    Parameter('torque_timeout', Options.torque_timeout, 's', 'the torque is zero from this long '
+              'after a sample on; 0: it is held for ever', (0.0, LONGEST)),
     Parameter('history', 1.0, 's', 'how much older than the newest stamp a torque may be',
               (0.0, 3600.0)),
     Parameter('max_future', 0.5, 's', 'a torque stamped further ahead of the clock is refused',
@@ -156,7 +157,7 @@ class Scene:
     @property
     def timeout_ns(self) -> int:
         """Return the torque timeout, ns; 0 where a torque is held for ever."""
-        return round(self.values['torque_timeout'] * 1e9)
+        return duration_ns(self.values['torque_timeout'], 'torque_timeout')
 
     @property
     def doubts(self) -> list[str]:
@@ -291,7 +292,8 @@ def _check_together(values: Mapping[str, Any]) -> None:
     if values['publish_clock'] and values['mode'] != LOCKSTEP:
         raise InputError('publish_clock: expected mode lockstep, where torques make the time, '
                          f'found {values["mode"]!r}')
-    if not round(values['max_future'] * 1e9) < max(round(values['history'] * 1e9), 1):
+    if not duration_ns(values['max_future'], 'max_future') < max(
+            duration_ns(values['history'], 'history'), 1):
         raise InputError('max_future: expected less than history '
                          f'({values["history"]} s), found {values["max_future"]}')
 

@@ -19,6 +19,7 @@ from known import lost_momentum, ODE_LOSSES
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros.propagation.solvers import solver_named
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
 START = State(0, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9))
@@ -60,6 +61,7 @@ def drift(values):
 @pytest.mark.parametrize('solver', SOLVERS)
 def test_the_order_is_the_one_promised(solver, scene):
     order, steps = LADDERS[solver]
+    assert solver_named(solver).order == order
     truth = propagate(BODY, START, LOGS[scene], at=[END], solver='taylor')
     motions = [moved(solver, step, LOGS[scene]) for step in steps]
     attitude = [chord(truth.attitude, motion.attitude)[0] for motion in motions]

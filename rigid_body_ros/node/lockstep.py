@@ -29,6 +29,7 @@ from rclpy.subscription import Subscription
 from rigid_body_ros import messages
 from rigid_body_ros.body import State
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.node.arrivals import Sender
 from rigid_body_ros.node.chain import Answers, Offers
 from rigid_body_ros.node.clocks import ClockWatch
@@ -62,10 +63,10 @@ class Lockstep:
         self._given_start_ns = parameters.scene.start.time_ns
         self._clock = self._clock_publisher() if values['publish_clock'] else None
         self._watch = ClockWatch(node)
-        self._step_ns = max(1, round(values['step'] * 1e9))
+        self._step_ns = max(1, duration_ns(values['step'], 'step'))
         self.motion = Motion(parameters.scene, outputs, health, self._read, self._answer,
                              self._step_ns)
-        self._answers = Answers(round(values['history'] * 1e9))
+        self._answers = Answers(duration_ns(values['history'], 'history'))
         self._offers = Offers(self._connected)
         self._torques: Subscription | None = None
         #: The state that waits for a torque, and since when, s.

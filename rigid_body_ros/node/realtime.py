@@ -25,6 +25,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rigid_body_ros.body import State
+from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.node.arrivals import Sender
 from rigid_body_ros.node.clocks import ArrivalStamps, ClockWatch
 from rigid_body_ros.node.epoch import Torque
@@ -64,7 +65,7 @@ class Realtime:
         self._inputs, self._health = inputs, health
         self._values = parameters.scene.values
         self._given_start_ns = parameters.scene.start.time_ns
-        self._max_future_ns = round(self._values['max_future'] * 1e9)
+        self._max_future_ns = duration_ns(self._values['max_future'], 'max_future')
         self.motion = Motion(parameters.scene, outputs, health, self._read)
         self._latest_ns = 0
         self._arrivals, self._watch = ArrivalStamps(), ClockWatch(node)

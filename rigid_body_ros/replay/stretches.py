@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages, so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.propagation import Run, Trajectory
+from rigid_body_ros.propagation import Integration, Trajectory
 from rigid_body_ros.recording import NotInOrderError, Piece
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
@@ -80,10 +80,10 @@ class Stretches:
         self.first_ns = int(self._piece.times_ns[0])
         start = asked.scene.start
         self.start = replace(start, time_ns=start.time_ns or self.first_ns)
-        self._run = Run(asked.scene.body, self.start, **asked.scene.options)
+        self._run = Integration(asked.scene.body, self.start, **asked.scene.options)
         names = [name for name in INTERPOLATIONS if name != asked.interpolation]
         #: Other readings, and where each has got; None where it got nowhere.
-        self._others = {name: Run(asked.scene.body, self.start, **asked.scene.options)
+        self._others = {name: Integration(asked.scene.body, self.start, **asked.scene.options)
                         for name in names}
         self._ends: dict[str, Floats | None] = {}
         self._frames: set[bool] = set()
