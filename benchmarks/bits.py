@@ -17,9 +17,10 @@ Print a hash of what the engine computes, to show that a change leaves every bit
 
     python benchmarks/bits.py [--count N]
 
-Random motions with a fixed seed go through every solver, the Euler angles, the Propagator and
-Run. Each group has a SHA-256 of its own, so that a difference can be located; the last line is
-the hash of them all. Compare runs on one machine with the same versions of Python's packages.
+Random motions with a fixed seed go through every solver, the Euler angles, the Propagator and the
+Integration. Each group has a SHA-256 of its own, so that a difference can be located; the last
+line is the hash of them all. Compare runs on one machine with the same versions of Python's
+packages.
 """
 
 import argparse
@@ -28,7 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 from rigid_body_ros import propagate, Propagator, RigidBody, so3, State, TorqueLog
-from rigid_body_ros.propagation import Run
+from rigid_body_ros.propagation import Integration
 
 SEED, COUNT = 20260101, 200
 SECOND = 10 ** 9
@@ -167,10 +168,10 @@ def states(propagator, times_ns):
 
 
 def streamed(motion, solver, number):
-    """Yield attitude and rates of a Run that takes its log in pieces."""
+    """Yield attitude and rates of an Integration that takes its log in pieces."""
     random = np.random.default_rng((SEED, number, 2))
     log, at = motion.log, np.unique(motion.at)
-    run = Run(motion.body, motion.start, **motion.solver_options(solver))
+    run = Integration(motion.body, motion.start, **motion.solver_options(solver))
     cuts = np.unique(random.integers(2 * _BESIDE, len(log) - 2 * _BESIDE, 4)).tolist()
     reached, dropped, front = motion.start.time_ns - 1, 0, 0
     for cut in [*cuts, None]:

@@ -31,6 +31,7 @@ from rigid_body_ros import so3, urdf
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.common.errors import quoted
 from rigid_body_ros.common.times import instant
+from rigid_body_ros.kernels import body_layout, state_layout
 from rigid_body_ros.kernels import tensor as constants
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ class RigidBody:
         self.symmetry = _symmetry(self.principal_moments)
         #: Euler's equations (2, 3, 9), and all that the kernels need to know.
         self._coefficients = _computed(constants.euler_coefficients, self.inertia)
-        self._constants = constants.packed(self._coefficients, *self._principal)
+        self._constants = body_layout.pack(self._coefficients, *self._principal)
         self.inertia.flags.writeable = False
 
     @classmethod
@@ -258,10 +259,6 @@ def rate_in_space(rate_in_body: ArrayLike, angular_velocity: ArrayLike,
     return np.asarray(rate_in_body, float) + np.cross(w, a)
 
 
-#: Size of a state as an array.
-SIZE = 16
-
-
 @dataclass(frozen=True, eq=False, init=False)
 class State:
     """
@@ -288,8 +285,7 @@ class State:
     time_ns: int
     attitude: Floats
     angular_velocity: Floats
-    #: Angular velocity and a zero, attitude, and what rounding took from each: with all of it a
-    #: restarted run goes on bit for bit.
+    #: See `state_layout`.
     _packed: Floats = field(init=False, repr=False)
     #: And if it lies between two torque changes, where the steps to it began.
     _origin: object = field(init=False, repr=False)
@@ -299,8 +295,9 @@ class State:
         """Return a state with every bit as it is: no norm is restored."""
         state = object.__new__(cls)
         packed.flags.writeable = False
-        for name, value in (('time_ns', time_ns), ('attitude', packed[4:8]),
-                            ('angular_velocity', packed[:3]), ('_packed', packed),
+        for name, value in (('time_ns', time_ns), ('attitude', state_layout.attitude(packed)),
+                            ('angular_velocity', state_layout.angular_velocity(packed)),
+                            ('_packed', packed),
                             ('_origin', origin)):
             object.__setattr__(state, name, value)
         return state
@@ -317,8 +314,8 @@ class State:
         if abs(np.sqrt(np.sum(q * q)) - 1.0) > 4.0 * np.finfo(float).eps:
             q = so3.normalize(q)
         w = _checked_vector(angular_velocity, 3, 'angular velocity')
-        packed = np.concatenate([w, [0.0], q, np.zeros(8)])
-        self.__dict__.update(self._as_computed(instant(time_ns), packed).__dict__)
+        computed = self._as_computed(instant(time_ns), state_layout.pack(w, q))
+        self.__dict__.update(computed.__dict__)
 
     def __repr__(self) -> str:
         return (f'State(time {self.time_ns} ns, attitude xyzw {written(self.attitude)}, '

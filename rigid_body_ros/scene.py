@@ -31,8 +31,8 @@ from rigid_body_ros import euler
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.common.errors import InputError as InputError  # part of the interface
 from rigid_body_ros.common.errors import quoted
+from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
-from rigid_body_ros.propagation.options import duration_ns
 from rigid_body_ros.runtime.parameter_file import is_number, node_parameters, unknown_parameter
 from rigid_body_ros.runtime.reading import read_yaml
 from rigid_body_ros.torque import INTERPOLATIONS
@@ -94,15 +94,15 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'replies to it', (1e-9, LONGEST)),
     Parameter('time_source', HEADER, '', 'when a torque takes effect: at the stamp in its header, '
               'or on arrival (for bags played without --clock)', choices=TIME_SOURCES),
-    Parameter('solver', 'auto', '', 'integration method', choices=SOLVERS),
-    Parameter('tolerance', 1e-15, '', 'bound on the truncation error of the attitude per radian '
-              'turned; rounding adds to it', TOLERANCES),
+    Parameter('solver', Options.solver, '', 'integration method', choices=SOLVERS),
+    Parameter('tolerance', Options.tolerance, '', 'bound on the truncation error of the attitude '
+              'per radian turned; rounding adds to it', TOLERANCES),
     Parameter('max_step', 0.0, 's', 'longest step; required by the fixed-step solvers; 0: no '
               'limit', (0.0, _BIG)),
     Parameter('interpolation', 'hold', '', 'torque between two samples; the node accepts only '
               'hold, because it does not know the next sample', choices=INTERPOLATIONS),
-    Parameter('torque_timeout', 0.0, 's', 'how long a sample is held; then the torque is zero '
-              'until the next sample; 0: hold for ever', (0.0, LONGEST)),
+    Parameter('torque_timeout', Options.torque_timeout, 's', 'how long a sample is held; then the '
+              'torque is zero until the next sample; 0: hold for ever', (0.0, LONGEST)),
     Parameter('history', 1.0, 's', 'how far the stamp of a torque may lie before the newest one; '
               'older torques are rejected', (0.0, 3600.0)),
     Parameter('max_future', 0.5, 's', 'how far the stamp of a torque may lie ahead of the clock; '

@@ -54,7 +54,7 @@ NEEDS = {
     'mpmath': ['arm', 'elementary', 'elliptic', 'examples', 'extremes', 'free_motion', 'peers',
                'propagate', 'reference', 'rods', 'steppers', 'tensor', 'truth',
                'validation'],  # not known to rosdep
-    'numba': ['elementary', 'elliptic', 'four'],
+    'numba': ['elementary', 'elliptic', 'four', 'packing'],
 }
 ABSENT = {module: [f'test_{name}.py' for name in names] for module, names in NEEDS.items()
           if find_spec(module) is None}

@@ -14,19 +14,15 @@
 
 """The time loop: what a caller asks for, and in which order, changes no number."""
 
-import sys
-
 from conftest import chord, EPOCH_NS, Reference, SECOND
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, Propagator, RigidBody, so3, State, TorqueLog
-from rigid_body_ros.propagation import loop, warm_up
+from rigid_body_ros.propagation import layout, loop, warm_up
 import rigid_body_ros.torque as torque_module
 import truth
 
-#: As an attribute of the package the name is that of the function.
-MODULE = sys.modules['rigid_body_ros.propagate']
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
 START = State(EPOCH_NS, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9))
 HISTORY_NS = SECOND
@@ -268,7 +264,6 @@ def test_a_kernel_that_returns_midway_goes_on_with_the_same_bits(monkeypatch, bu
     log = TorqueLog(stamps, torques, frames)
     times = EPOCH_NS + np.arange(0, 30 * SECOND, SECOND // 3)
     whole = propagate(BODY, START, log, at=times)
-    monkeypatch.setattr(MODULE, 'BUDGET', budget)
     monkeypatch.setattr(loop, 'BUDGET', budget)
     np.testing.assert_array_equal(propagate(BODY, START, log, at=times).attitude, whole.attitude)
     propagator = Propagator(BODY, START, history=100.0)
@@ -289,13 +284,13 @@ def test_a_kernel_returns_after_a_bounded_number_of_steps_and_outputs(monkeypatc
     whole = propagate(BODY, START, log, at=at)
     progress, run = [], loop.run
 
-    def recorded(states, grid_ns, begin_ns, sample, silent, done, *rest):
-        reached = run(states, grid_ns, begin_ns, sample, silent, done, *rest)
-        progress.append((reached[2] - sample, reached[4] - done))
-        return reached
-    for module in (MODULE, loop):
-        monkeypatch.setattr(module, 'BUDGET', 1000)
-    monkeypatch.setattr(MODULE, 'run', recorded)
+    def recorded(states, place, *rest):
+        before = place.copy()
+        fast = run(states, place, *rest)
+        progress.append((place - before)[[layout.SAMPLE, layout.DONE]])
+        return fast
+    monkeypatch.setattr(loop, 'BUDGET', 1000)
+    monkeypatch.setattr(loop, 'run', recorded)
     cut = propagate(BODY, START, log, at=at)
     assert len(progress) > 1
     assert np.max(progress) <= 1000 + 2  # a first call counts from IN_FORCE
@@ -414,10 +409,11 @@ class TestPropagator:
         # An hour of coast asked for at 10 Hz: each call goes on from the one before.
         spans, run = [], loop.run
 
-        def recorded(states, grid_ns, *rest):
-            at = run(states, grid_ns, *rest)
-            spans.append(at[0] - grid_ns)
-            return at
+        def recorded(states, place, *rest):
+            before_ns = int(place[layout.GRID_NS])
+            fast = run(states, place, *rest)
+            spans.append(place[layout.GRID_NS] - before_ns)
+            return fast
         monkeypatch.setattr(loop, 'run', recorded)
         propagator = Propagator(BODY, START, solver='taylor', history=1.0)
         for number in range(0, 36_000, 3):
@@ -508,7 +504,7 @@ def test_the_trajectory_says_what_answered_and_why():
     assert model[:3] == ('taylor', EPOCH_NS, EPOCH_NS + 5)
     assert model.reason.startswith('auto: ')
     asked, = propagate(BODY, START, at=[EPOCH_NS + 5], solver='taylor').models
-    assert asked == ('taylor', EPOCH_NS, EPOCH_NS + 5, 'as asked')
+    assert asked == ('taylor', EPOCH_NS, EPOCH_NS + 5, 'as requested')
 
 
 @pytest.mark.parametrize('timeout', [0.0, 2.0])

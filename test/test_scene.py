@@ -120,7 +120,7 @@ def test_a_scene_is_printed_with_units(tmp_path):
     ({'initial_angular_velocity.x': float('inf')}, 'initial_angular_velocity.x: .*rad/s.*inf'),
     ({'start_time': 0.5}, r'start_time: expected an integer \(ns\), found 0.5'),
     ({'solver': 'rk5'}, "solver: expected one of auto, taylor, exact, .* found 'rk5'"),
-    ({'solver': 'rk4'}, "max_step: solver 'rk4' takes steps of this length, .*found none"),
+    ({'solver': 'rk4'}, "max_step: solver 'rk4' requires a step length, .*found none"),
     ({'tolerance': 0.0}, 'tolerance: expected 1e-15 to 1, found 0.0'),
     ({'interpolation': 'spline'}, 'interpolation: expected one of hold, linear, cubic'),
     ({'euler_sequence': 'ZZX'}, "Euler sequence: .*found 'ZZX'"),

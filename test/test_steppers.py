@@ -18,7 +18,8 @@ from conftest import chord, SECOND
 from known import lost_momentum, ODE_LOSSES
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
+from rigid_body_ros.propagation.solvers import solver_named
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
 START = State(0, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9))
@@ -60,6 +61,7 @@ def drift(values):
 @pytest.mark.parametrize('solver', SOLVERS)
 def test_the_order_is_the_one_promised(solver, scene):
     order, steps = LADDERS[solver]
+    assert solver_named(solver).order == order
     truth = propagate(BODY, START, LOGS[scene], at=[END], solver='taylor')
     motions = [moved(solver, step, LOGS[scene]) for step in steps]
     attitude = [chord(truth.attitude, motion.attitude)[0] for motion in motions]
@@ -69,6 +71,23 @@ def test_the_order_is_the_one_promised(solver, scene):
         found, correlation = slope(steps, errors)
         assert abs(found - order) < 0.2
         assert correlation > 0.999
+
+
+@pytest.mark.parametrize('interpolation', ['linear', 'cubic'])
+@pytest.mark.parametrize('solver', SOLVERS)
+def test_no_torque_acts_on_a_turned_rod_after_the_timeout(solver, interpolation):
+    # On a rod the kernels also use what rounding took from the coefficients of the torque.
+    axis = so3.normalize([0.3, -0.1, 0.7])
+    body = RigidBody(np.eye(3) - (1.0 - 1e-6) * np.outer(axis, axis))
+    across = TORQUES - np.outer(TORQUES @ axis, axis)
+    log = TorqueLog(STAMPS, across, interpolation=interpolation)
+    options = {'solver': solver, 'max_step': 1e-3}
+    times = [3 * SECOND + SECOND // 2, 4 * SECOND - 1]
+    motion = propagate(body, START, log, at=times, torque_timeout=0.5, **options)
+    silent = State(times[0], motion.attitude[0], motion.angular_velocity[0])
+    coast = propagate(body, silent, at=times[1:], **options)
+    np.testing.assert_array_equal(motion.attitude[1:], coast.attitude)
+    np.testing.assert_array_equal(motion.angular_velocity[1:], coast.angular_velocity)
 
 
 @pytest.mark.parametrize('solver', SOLVERS)

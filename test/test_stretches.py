@@ -20,7 +20,7 @@ from conftest import CONFIG, EPOCH_NS, RECORDINGS, SECOND
 import numpy as np
 import pytest
 from rigid_body_ros import messages, propagate, recording, RigidBody, scene, State, TorqueLog
-from rigid_body_ros.propagation import Run
+from rigid_body_ros.propagation import Integration
 from rigid_body_ros.recording import torques, writer
 from rigid_body_ros.replay import replay, stretches
 from rigid_body_ros.replay.report import summary
@@ -55,7 +55,7 @@ def test_a_run_in_pieces_has_the_bits_of_the_whole(interpolation, options):
         times = np.sort(np.append(random.integers(start_ns, int(stamps[-1]), 300), start_ns))
         whole = propagate(BODY, start, TorqueLog(stamps, values, frames, interpolation),
                           at=times, **options)
-        run, attitudes, front = Run(BODY, start, **options), [], 0
+        run, attitudes, front = Integration(BODY, start, **options), [], 0
         run.advance(TorqueLog(stamps, values, frames, interpolation), [])  # changes nothing
         reached, dropped = start.time_ns - 1, 0
         for cut in cuts:
@@ -80,7 +80,7 @@ def test_the_end_of_a_piece_may_be_asked_for_more_than_once(zero):
     log = TorqueLog(stamps, np.random.default_rng(9).normal(size=(6, 3)) * (not zero))
     start = State(EPOCH_NS, angular_velocity=(2.0, -0.1, 1.0))
     expected = propagate(BODY, start, log, at=[stamps[3]])
-    run = Run(BODY, start)
+    run = Integration(BODY, start)
     for asked in ([stamps[3], stamps[1], stamps[3], stamps[3]], [stamps[3]]):
         motion = run.advance(log, asked, stop=3)
         for row in np.flatnonzero(np.equal(asked, stamps[3])):

@@ -23,6 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 
 #: ns; later than any valid time.
 NEVER_NS = 2 ** 63 - 1
+#: Seconds that fit int64 nanoseconds at any epoch.
+LONGEST = 1e9
 
 
 def instant(time_ns: int, name: str = 'time_ns') -> int:
@@ -84,3 +86,25 @@ def instants(times_ns: ArrayLike, name: str = 'times_ns') -> NDArray[np.int64]:
     if times.dtype.kind == 'u' and times.size and times.max() > NEVER_NS:
         raise ValueError(f'{name}: expected times in int64 nanoseconds, found {times.max()}')
     return times.astype(np.int64)
+
+
+def duration_ns(seconds: float, name: str) -> int:
+    """
+    Return a duration as integer nanoseconds, rounded.
+
+    Parameters
+    ----------
+    seconds : float, s
+        From 0 to `LONGEST`.
+    name : str
+        For the message of the error.
+
+    Raises
+    ------
+    ValueError
+        The duration is out of range.
+
+    """
+    if not 0.0 <= seconds <= LONGEST:
+        raise ValueError(f'{name}: expected seconds from 0 to {LONGEST:g}, found {seconds}')
+    return round(seconds * 1e9)

@@ -13,18 +13,20 @@
 # limitations under the License.
 
 """
-Classical one-step methods of fixed step, for the trade of speed against accuracy.
+Classical one-step methods with fixed steps, for the trade of speed against accuracy.
 
-The drive is a polynomial in the fraction of the step, as for `taylor.step`. None carries rounding
-errors along: what they lose is what a program loses that uses them.
+The drive is a polynomial in the fraction of the step, as for `taylor.step`. No method compensates
+for rounding: each loses what any program loses that uses it.
 """
 
 from __future__ import annotations
 
+from fractions import Fraction
 import math
 
 from rigid_body_ros.kernels import elementary, four
 from rigid_body_ros.kernels.jit import internal
+from rigid_body_ros.kernels.tableau import Tableau
 from rigid_body_ros.kernels.vector import (
     add,
     add_scaled,
@@ -42,11 +44,22 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
+_HALF = Fraction(1, 2)
+#: Kutta's method of order 4 (1901).
+CLASSICAL = Tableau(
+    order=4, nodes=(0, _HALF, _HALF, 1), matrix=((), (_HALF,), (0, _HALF), (0, 0, 1)),
+    weights=(Fraction(1, 6), Fraction(1, 3), Fraction(1, 3), Fraction(1, 6)))
+#: What `rk4` needs of it: each stage starts from the one before, and the weights are symmetric.
+_C1, _C2, _C3, _C4 = map(float, CLASSICAL.nodes)
+_A21, _A32, _A43 = (float(row[-1]) for row in CLASSICAL.matrix[1:])
+_OUTER_DIVISOR = float(1 / CLASSICAL.weights[0])
+_INNER_RATIO = float(CLASSICAL.weights[1] / CLASSICAL.weights[0])
+
 
 @internal
 def explicit_euler(state: KernelState, seconds: float, equations: Coefficients, drive: Polynomial,
                    in_space: bool) -> KernelState:
-    """Return the state after a step of Euler's method, order 1; conserves the norm of q only."""
+    """Return the state after a step of Euler's method, order 1, with the norm of q restored."""
     w, q = state[0], state[1]
     a, v = _derivative(w, q, 0.0, equations, drive, in_space)
     return _state(add_scaled(w, seconds, a), add_scaled(q, seconds, v))
@@ -55,23 +68,22 @@ def explicit_euler(state: KernelState, seconds: float, equations: Coefficients, 
 @internal
 def rk4(state: KernelState, seconds: float, equations: Coefficients, drive: Polynomial,
         in_space: bool) -> KernelState:
-    """
-    Return the state after a step of the classical Runge-Kutta method, order 4.
-
-    Conserves the norm of q only, which is restored after the step.
-    """
+    """Return the state after a step of `CLASSICAL`, order 4, with the norm of q restored."""
     w, q = state[0], state[1]
-    half = 0.5 * seconds
-    a1, v1 = _derivative(w, q, 0.0, equations, drive, in_space)
-    a2, v2 = _derivative(add_scaled(w, half, a1), add_scaled(q, half, v1), 0.5, equations, drive,
+    a1, v1 = _derivative(w, q, _C1, equations, drive, in_space)
+    h = _A21 * seconds
+    a2, v2 = _derivative(add_scaled(w, h, a1), add_scaled(q, h, v1), _C2, equations, drive,
                          in_space)
-    a3, v3 = _derivative(add_scaled(w, half, a2), add_scaled(q, half, v2), 0.5, equations, drive,
+    h = _A32 * seconds
+    a3, v3 = _derivative(add_scaled(w, h, a2), add_scaled(q, h, v2), _C3, equations, drive,
                          in_space)
-    a4, v4 = _derivative(add_scaled(w, seconds, a3), add_scaled(q, seconds, v3), 1.0, equations,
-                         drive, in_space)
-    a = add(add(a1, a4), scale(2.0, add(a2, a3)))
-    v = add(add(v1, v4), scale(2.0, add(v2, v3)))
-    return _state(add_scaled(w, seconds / 6.0, a), add_scaled(q, seconds / 6.0, v))
+    h = _A43 * seconds
+    a4, v4 = _derivative(add_scaled(w, h, a3), add_scaled(q, h, v3), _C4, equations, drive,
+                         in_space)
+    a = add(add(a1, a4), scale(_INNER_RATIO, add(a2, a3)))
+    v = add(add(v1, v4), scale(_INNER_RATIO, add(v2, v3)))
+    h = seconds / _OUTER_DIVISOR
+    return _state(add_scaled(w, h, a), add_scaled(q, h, v))
 
 
 @internal
@@ -80,42 +92,42 @@ def strang(state: KernelState, seconds: float, equations: Coefficients, frame: P
     """
     Return the state after a symmetric splitting into rotations about principal axes, order 2.
 
-    Each rotation is exact, so that without torque the angular momentum in space is conserved to
-    rounding and the energy error stays bounded (McLachlan 1993; Reich 1994; Touma and Wisdom
-    1994). A torque kicks before and after (Strang).
+    Each rotation is exact. So without torque the angular momentum in space is conserved to
+    rounding, and the energy error stays bounded (McLachlan 1993; Reich 1994; Touma and Wisdom
+    1994). A torque acts as a kick of half a step before and after (Strang).
     """
     w, q = state[0], state[1]
     half = 0.5 * seconds
-    w = add_scaled(w, half, _push(q, 0.0, equations, drive, in_space))
+    w = add_scaled(w, half, _torque_acceleration(q, 0.0, equations, drive, in_space))
     moments, _, axes, _ = frame
     i, j, k = moments[0], moments[1], moments[2]
     m = of(i * dot(axes[0], w), j * dot(axes[1], w), k * dot(axes[2], w))
-    turn = four.of(0.0, 0.0, 0.0, 1.0)
-    m, turn = _about_1(m, turn, half / i)
-    m, turn = _about_2(m, turn, half / j)
-    m, turn = _about_3(m, turn, seconds / k)
-    m, turn = _about_2(m, turn, half / j)
-    m, turn = _about_1(m, turn, half / i)
+    rotation = four.of(0.0, 0.0, 0.0, 1.0)
+    m, rotation = _about_1(m, rotation, half / i)
+    m, rotation = _about_2(m, rotation, half / j)
+    m, rotation = _about_3(m, rotation, seconds / k)
+    m, rotation = _about_2(m, rotation, half / j)
+    m, rotation = _about_1(m, rotation, half / i)
     w = combine(axes, of(m[0] / i, m[1] / j, m[2] / k))
-    x = combine(axes, turn)
-    q = _unit(multiply(q, four.of(x[0], x[1], x[2], turn[3])))
-    return _state(add_scaled(w, half, _push(q, 1.0, equations, drive, in_space)), q)
+    x = combine(axes, rotation)
+    q = _unit(multiply(q, four.of(x[0], x[1], x[2], rotation[3])))
+    kick = _torque_acceleration(q, 1.0, equations, drive, in_space)
+    return _state(add_scaled(w, half, kick), q)
 
 
 @internal
 def _derivative(w: Vector, q: Quaternion, fraction: float, equations: Coefficients,
                 drive: Polynomial, in_space: bool) -> tuple[Vector, Quaternion]:
     columns = equations[0]
-    rate = _push(q, fraction, equations, drive, in_space)
+    rate = _torque_acceleration(q, fraction, equations, drive, in_space)
     rate = add(rate, combine(columns[:3], four.multiply(four.yzx(w), four.zxy(w))))
     rate = add(rate, combine(columns[3:6], four.multiply(w, w)))
     return rate, multiply(q, scale(0.5, w))
 
 
 @internal
-def _push(q: Quaternion, fraction: float, equations: Coefficients, drive: Polynomial,
-          in_space: bool) -> Vector:
-    # The angular acceleration by the torque.
+def _torque_acceleration(q: Quaternion, fraction: float, equations: Coefficients,
+                         drive: Polynomial, in_space: bool) -> Vector:
     value = add_scaled(drive[0], fraction, add_scaled(drive[1], fraction, add_scaled(
         drive[2], fraction, drive[3])))
     return combine(equations[0][6:], to_body(_unit(q), value)) if in_space else value
@@ -132,25 +144,25 @@ def _state(w: Vector, q: Quaternion) -> KernelState:
 
 
 @internal
-def _about_1(m: Vector, turn: Quaternion, step: float) -> tuple[Vector, Quaternion]:
-    # The flow of the energy m1^2 / 2 I1: a rotation of the body about that axis.
+def _about_1(m: Vector, rotation: Quaternion, step: float) -> tuple[Vector, Quaternion]:
+    # The flow of the energy m1^2 / 2 I1: a rotation of the body about axis 1.
     sine, cosine, s, c = _half_and_full(step * m[0])
     return (of(m[0], c * m[1] + s * m[2], c * m[2] - s * m[1]),
-            multiply(turn, four.of(sine, 0.0, 0.0, cosine)))
+            multiply(rotation, four.of(sine, 0.0, 0.0, cosine)))
 
 
 @internal
-def _about_2(m: Vector, turn: Quaternion, step: float) -> tuple[Vector, Quaternion]:
+def _about_2(m: Vector, rotation: Quaternion, step: float) -> tuple[Vector, Quaternion]:
     sine, cosine, s, c = _half_and_full(step * m[1])
     return (of(c * m[0] - s * m[2], m[1], c * m[2] + s * m[0]),
-            multiply(turn, four.of(0.0, sine, 0.0, cosine)))
+            multiply(rotation, four.of(0.0, sine, 0.0, cosine)))
 
 
 @internal
-def _about_3(m: Vector, turn: Quaternion, step: float) -> tuple[Vector, Quaternion]:
+def _about_3(m: Vector, rotation: Quaternion, step: float) -> tuple[Vector, Quaternion]:
     sine, cosine, s, c = _half_and_full(step * m[2])
     return (of(c * m[0] + s * m[1], c * m[1] - s * m[0], m[2]),
-            multiply(turn, four.of(0.0, 0.0, sine, cosine)))
+            multiply(rotation, four.of(0.0, 0.0, sine, cosine)))
 
 
 @internal

@@ -121,29 +121,6 @@ def principal(tensor: Floats) -> tuple[Floats, Floats]:
                 _split([[row[a] for a in order] for row in axes]))
 
 
-def packed(coefficients: Floats, moments: Floats, axes: Floats) -> Floats:
-    """
-    Return the constants of a body as vectors of four, the last zero, for the kernels.
-
-    Parameters
-    ----------
-    coefficients : array, shape (2, 3, 9)
-        As of `euler_coefficients`.
-    moments, axes : array, shape (2, 3), (2, 3, 3)
-        As of `principal`.
-
-    Returns
-    -------
-    array, shape (104,)
-        Nine columns of Euler's equations and their rest; principal moments and their rest; three
-        axes and their rest.
-
-    """
-    high, low = coefficients
-    vectors = np.concatenate([high.T, low.T, moments, axes[0].T, axes[1].T])
-    return np.pad(vectors, [(0, 0), (0, 1)]).ravel()
-
-
 def _rotate(matrix: list[list[Decimal]], axes: list[list[Decimal]], p: int, q: int) -> None:
     # Golub and Van Loan, Matrix Computations, section 8.5.2.
     least = min(abs(matrix[p][p]), abs(matrix[q][q]))

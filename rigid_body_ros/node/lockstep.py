@@ -29,6 +29,7 @@ from rclpy.subscription import Subscription
 from rigid_body_ros import messages
 from rigid_body_ros.body import State
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.node.clocks import ClockMonitor
 from rigid_body_ros.node.closed_loop import DuplicateFilter, RepublishPolicy
 from rigid_body_ros.node.diagnostics import APPLIED, Diagnostics, REPLACED
@@ -45,7 +46,6 @@ from rigid_body_ros.node.inputs import (
 from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import Parameters
 from rigid_body_ros.node.pipeline import Pipeline
-from rigid_body_ros.propagation.options import duration_ns
 from rosgraph_msgs.msg import Clock
 
 #: s; between two checks whether to publish the state again.

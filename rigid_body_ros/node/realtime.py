@@ -25,6 +25,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rigid_body_ros.body import State
+from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.node.clocks import ArrivalStamps, ClockMonitor
 from rigid_body_ros.node.diagnostics import Diagnostics, NOT_COMPUTABLE, TIME_JUMP
 from rigid_body_ros.node.drain import Sender
@@ -41,7 +42,6 @@ from rigid_body_ros.node.inputs import (
 from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import Parameters
 from rigid_body_ros.node.pipeline import Pipeline
-from rigid_body_ros.propagation.options import duration_ns
 from rigid_body_ros.scene import ARRIVAL, REBASE, RESET
 
 #: A stamp further from the clock, either way, comes from another clock.

@@ -15,18 +15,20 @@
 """
 The time loop: from a start state and a torque log to the motion.
 
-A *segment* runs from one torque change to the next; consecutive samples of zero torque make one
-segment, a *coast*. Inside a segment steps end on a grid that begins with the segment and depends
-only on the state there and the torque. The motion at any other time is one more step from the
-last grid point before it, and nothing later is built on that. So what a caller asks for, and in
-which order, changes no number, and `propagate` and `Propagator` agree bit for bit.
+A *segment* runs from one torque change to the next; consecutive samples of zero torque are one
+segment, a *coast*. Within a segment steps end on a grid that begins with the segment and depends
+only on the state there, the torque and the options. The motion at any other time is one more step
+from the last grid point before it, and nothing later is built on that step. So what a caller asks
+for, and in which order, changes no bit, and `propagate` and `Propagator` agree bit for bit.
 """
 
-from rigid_body_ros.propagation.integration import propagate, Run, warm_up
+from rigid_body_ros.common.times import LONGEST
+from rigid_body_ros.propagation.integration import Integration, propagate, warm_up
 from rigid_body_ros.propagation.models import Model
-from rigid_body_ros.propagation.options import LONGEST, Options, SOLVERS, TOLERANCES
+from rigid_body_ros.propagation.options import Options, TOLERANCES
 from rigid_body_ros.propagation.propagator import Propagator
+from rigid_body_ros.propagation.solvers import Solver, SOLVERS
 from rigid_body_ros.propagation.trajectory import Trajectory
 
-__all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Model', 'Options', 'Propagator', 'Run',
-           'Trajectory', 'propagate', 'warm_up']
+__all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Integration', 'Model', 'Options', 'Propagator',
+           'Solver', 'Trajectory', 'propagate', 'warm_up']

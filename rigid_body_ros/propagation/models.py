@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What answered, over which spans, and why."""
+"""Which solver was used for each span, and why."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.body import RigidBody
-from rigid_body_ros.propagation.loop import LONG_COAST
 from rigid_body_ros.propagation.options import Options
+from rigid_body_ros.propagation.solvers import AUTO, EXACT, LONG_COAST, TAYLOR
 from rigid_body_ros.torque import TorqueLog
 
 
 class Model(NamedTuple):
-    """What answered for a span of time, and why."""
+    """The solver used for a span of time, and why."""
 
     solver: str
     start_ns: int
@@ -35,14 +35,15 @@ class Model(NamedTuple):
     reason: str
 
 
-class Answers(NamedTuple):
-    """A run, and in which samples (by sample + 1) a coast was answered in closed form."""
+class SolverUsage(NamedTuple):
+    """What determines which solver was used for which span."""
 
     body: RigidBody
     log: TorqueLog
     options: Options
     start_ns: int
     end_ns: int
+    #: By sample + 1: whether a coast was answered in closed form.
     closed: NDArray[np.bool_]
 
     def models(self) -> tuple[Model, ...]:
@@ -54,38 +55,38 @@ class Answers(NamedTuple):
                      for change, begin, end in zip(changes, bounds, bounds[1:]))
 
     def _segments(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return when the rule for the torque changes, and whether the closed form answered."""
+        """Return when the torque changes, and whether the closed form was used from then on."""
         timeout_ns = self.options.timeout_ns
         starts, samples = self.log.segments(timeout_ns)
         window = slice(*np.searchsorted(starts, [self.start_ns, self.end_ns], side='right'))
-        sample, silent = self.log.in_force(self.start_ns, timeout_ns)
+        sample, timed_out = self.log.in_force(self.start_ns, timeout_ns)
         starts = np.append(self.start_ns, starts[window])
         owners = np.append(sample, np.maximum.accumulate(samples)[window])
-        samples = np.append(-1 if silent else sample, samples[window])
+        samples = np.append(-1 if timed_out else sample, samples[window])
         coasts = samples < 0
         coasts[~coasts] = ~self.log.torques[samples[~coasts]].any(axis=1)
         closed = coasts & self.closed[owners + 1]
-        # Within a coast nothing is worked out but what is asked for.
+        # Only the outputs within a coast are computed, so one of its samples stands for all.
         coast = np.cumsum(np.append(False, ~(coasts[1:] & coasts[:-1])))
-        answered = np.zeros(coast[-1] + 1, np.bool_)
-        np.logical_or.at(answered, coast, closed)
-        return starts, answered[coast]
+        used = np.zeros(coast[-1] + 1, np.bool_)
+        np.logical_or.at(used, coast, closed)
+        return starts, used[coast]
 
     def _model(self, closed: bool, start_ns: int, end_ns: int) -> Model:
-        solver = self.options.solver
-        if solver == 'auto':
+        solver = self.options.record
+        if solver == AUTO:
             if closed:
-                return Model('exact', start_ns, end_ns,
+                return Model(EXACT.name, start_ns, end_ns,
                              f'auto: coast of a body that is a{_an(self.body.symmetry)}, '
                              'in closed form from its beginning')
-            return Model('taylor', start_ns, end_ns,
-                         f'auto: torque, or a coast of up to {LONG_COAST:g} rad or too near the '
-                         f'separatrix, truncated below {self.options.tolerance:g} rad per radian '
-                         'turned')
-        if solver == 'exact' and not closed and end_ns > start_ns:
-            return Model('taylor', start_ns, end_ns,
-                         'too near the separatrix for the closed form')
-        return Model(solver, start_ns, end_ns, 'as asked')
+            return Model(TAYLOR.name, start_ns, end_ns,
+                         f'auto: torque, or a coast of up to {LONG_COAST:g} rad or too close to '
+                         f'the separatrix, truncated below {self.options.tolerance:g} rad per '
+                         'radian turned')
+        if solver == EXACT and not closed and end_ns > start_ns:
+            return Model(TAYLOR.name, start_ns, end_ns,
+                         'too close to the separatrix for the closed form')
+        return Model(solver.name, start_ns, end_ns, 'as requested')
 
 
 def _an(name: str) -> str:

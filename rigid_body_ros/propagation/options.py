@@ -12,69 +12,109 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the time loop is set to, checked."""
+"""The options of the time loop, validated."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
 
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import duration_ns, LONGEST
+from rigid_body_ros.propagation import layout
+from rigid_body_ros.propagation.solvers import AUTO, Solver, solver_named
 
-SOLVERS = ('auto', 'taylor', 'exact', 'rk4', 'strang', 'explicit_euler')
-AUTO, TAYLOR, EXACT, RK4, STRANG, EXPLICIT_EULER = range(len(SOLVERS))
-#: Those that take steps of a given length.
-FIXED_STEP = SOLVERS[RK4:]
 TOLERANCES = (1e-15, 1.0)
-#: rad/s; the series converges in a step of a nanosecond up to here.
+#: rad/s; up to this speed the series converges in a step of a nanosecond.
 FASTEST = 1e9
-#: Seconds that fit int64 nanoseconds at any epoch.
-LONGEST = 1e9
-#: A body at rest has no natural step.
-_LONGEST_NS = 10 ** 18
 
 
+@dataclass(frozen=True)
 class Options:
-    """The options of `propagate` and `Propagator`, checked, in the units of the kernels."""
+    """
+    The options of `propagate`, `Propagator` and `Integration`.
 
-    def __init__(self, solver: str, tolerance: float, max_step: float | None,
-                 torque_timeout: float) -> None:
-        if solver not in SOLVERS:
-            raise ValueError(f'solver: expected one of {", ".join(SOLVERS)}, found {solver!r}')
+    Parameters
+    ----------
+    solver : str
+        'auto', 'taylor', 'exact' (torque-free motion only), 'rk4', 'strang' or 'explicit_euler'.
+    tolerance : float
+        Bound on the truncation error of the attitude per radian turned, 1e-15 to 1.
+    max_step : float, optional, s
+        Upper limit of a step. A solver with fixed steps requires it: its steps are that long.
+    torque_timeout : float, s
+        If positive, the torque is zero from this long after a sample to the next one.
+
+    Raises
+    ------
+    ValueError
+        An option is out of its range, or `max_step` is missing.
+
+    """
+
+    solver: str = AUTO.name
+    tolerance: float = TOLERANCES[0]
+    max_step: float | None = None
+    torque_timeout: float = 0.0
+
+    def __post_init__(self) -> None:
+        record, tolerance, max_step = self.record, self.tolerance, self.max_step
         if not TOLERANCES[0] <= tolerance <= TOLERANCES[1]:
             raise ValueError('tolerance: expected a truncation error per radian turned from '
                              f'{TOLERANCES[0]:g} to {TOLERANCES[1]:g}, found {tolerance}')
         if max_step is not None and not max_step > 0.0:
             raise ValueError(f'max_step: expected seconds greater than zero, found {max_step}')
-        if max_step is None and solver in FIXED_STEP:
-            raise ValueError(f'max_step: solver {solver!r} takes steps of this length, expected '
+        if max_step is None and record.fixed_step:
+            raise ValueError(f'max_step: solver {record.name!r} requires a step length, expected '
                              'seconds greater than zero, found none')
-        self.solver = solver
-        self.code = SOLVERS.index(solver)
-        self.tolerance = float(tolerance)
-        longest = _LONGEST_NS if max_step is None else min(max_step * 1e9, _LONGEST_NS)
-        self.max_step_ns = max(1, round(longest))
-        self.timeout_ns = duration_ns(torque_timeout, 'torque_timeout')
+        duration_ns(self.torque_timeout, 'torque_timeout')
 
-    def kernel_arguments(self, body: RigidBody) -> tuple[Floats, int, float, int]:
-        """Return what every kernel needs to know."""
-        return body._constants, self.code, self.tolerance, self.max_step_ns
+    @cached_property
+    def record(self) -> Solver:
+        """Return the record of the solver."""
+        return solver_named(self.solver)
+
+    @cached_property
+    def max_step_ns(self) -> int:
+        """Return the longest step, ns, at least 1. A body at rest has no natural step."""
+        longest = LONGEST if self.max_step is None else min(self.max_step, LONGEST)
+        return max(1, duration_ns(longest, 'max_step'))
+
+    @cached_property
+    def timeout_ns(self) -> int:
+        """Return the torque timeout, ns; 0 if a torque never times out."""
+        return duration_ns(self.torque_timeout, 'torque_timeout')
+
+    @cached_property
+    def settings(self) -> Floats:
+        """Return the options as the kernels take them."""
+        record = self.record
+        return layout.pack_settings(record.code, record.fixed_step, record.closed_form_beyond,
+                                    self.tolerance, self.max_step_ns, self.timeout_ns)
 
     def rule(self, body: RigidBody, torque: Floats, in_space: bool) -> Hashable:
-        """Return what the motion under a held torque depends on, besides its start."""
-        return (body._constants.tobytes(), self.solver, self.tolerance, self.max_step_ns,
+        """Return all that the motion under a held torque depends on except its start."""
+        return (body._constants.tobytes(), self.solver, float(self.tolerance), self.max_step_ns,
                 tuple(torque.ravel().tolist()), in_space and bool(torque.any()))
 
     def too_fast(self, time_ns: int) -> ValueError:
-        """Return what to raise where a nanosecond, the shortest step, is too long."""
+        """Return the error to raise if a nanosecond, the shortest step, is too long."""
         cause = f'steps of {self.max_step_ns * 1e-9:g} s may be too long for {self.solver}' \
-            if self.solver in FIXED_STEP else \
-            'expected a torque and an inertia in N m and kg m^2 that do not lead there'
+            if self.record.fixed_step else 'check the torque (N m) and the inertia (kg m^2)'
         return ValueError(f'at {time_ns} ns the body turns faster than {FASTEST:g} rad/s: {cause}')
 
 
-def duration_ns(seconds: float, name: str) -> int:
-    """Return a duration as integer nanoseconds, or raise ValueError with its name."""
-    if not 0.0 <= seconds <= LONGEST:
-        raise ValueError(f'{name}: expected seconds from 0 to {LONGEST:g}, found {seconds}')
-    return round(seconds * 1e9)
+def validated(*values: Any) -> Options:
+    """Return the options with these values, in the order of the fields."""
+    try:
+        return _known(*values)
+    except TypeError:  # an unhashable value is invalid, and `Options` says why
+        return Options(*values)
+
+
+@lru_cache
+def _known(*values: Any) -> Options:
+    return Options(*values)  # validation takes a tenth of a short run

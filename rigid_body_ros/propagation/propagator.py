@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The motion under a torque that grows sample by sample."""
+"""The motion under torques that arrive sample by sample."""
 
 from __future__ import annotations
 
@@ -26,33 +26,34 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.times import instant, NEVER_NS
-from rigid_body_ros.propagation import loop
-from rigid_body_ros.propagation.loop import Origin
-from rigid_body_ros.propagation.options import duration_ns, Options
+from rigid_body_ros.common.times import duration_ns, instant, NEVER_NS
+from rigid_body_ros.kernels import motion_layout
+from rigid_body_ros.propagation import layout, loop
+from rigid_body_ros.propagation.options import Options
+from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
 from rigid_body_ros.torque import FRAMES
 
 _NO_TORQUE = np.zeros((1, 3))
-#: What a kernel fills and nobody reads: only its last state is wanted.
-_UNUSED = np.empty(7), np.empty(2, np.bool_)
+#: What a kernel fills and nobody reads: only its last state counts.
+_UNUSED = motion_layout.allocate(1), np.empty(2, np.bool_)
 
 
 class Propagator:
     """
-    The motion under a torque that grows sample by sample.
+    The motion under torques that arrive sample by sample.
 
-    A torque fixes the state at its stamp under the torque before it; the state between stamps
-    is a prediction that nothing later is built on. A torque that comes late, by less than
-    `history`, is put in its place and the later ones are applied again; of equal stamps the
-    last to come counts. So the states at the stamps are those of `propagate` with the whole log,
-    bit for bit, whatever the order of arrival.
+    A torque commits the state at its stamp, computed under the torque before it. A state between
+    stamps is a prediction: nothing later is built on it. A torque that arrives late, by less than
+    `history`, is inserted and the later ones are applied again; of equal stamps the last arrival
+    counts. So the states at the stamps are those of `propagate` with the whole log, bit for bit,
+    in whatever order the torques arrive.
 
     Parameters
     ----------
     body, start, solver, tolerance, max_step, torque_timeout
         As for `propagate`.
     history : float, s
-        How much older than the newest stamp a torque may be. States further back are forgotten.
+        How much older than the newest stamp a torque may be. Older states are discarded.
 
     Raises
     ------
@@ -61,36 +62,38 @@ class Propagator:
 
     """
 
-    def __init__(self, body: RigidBody, start: State, *, solver: str = 'auto',
-                 tolerance: float = 1e-15, max_step: float | None = None,
-                 torque_timeout: float = 0.0, history: float = 1.0) -> None:
+    def __init__(self, body: RigidBody, start: State, *, solver: str = Options.solver,
+                 tolerance: float = Options.tolerance,
+                 max_step: float | None = Options.max_step,
+                 torque_timeout: float = Options.torque_timeout, history: float = 1.0) -> None:
         self._options = Options(solver, tolerance, max_step, torque_timeout)
-        #: How much older than the newest stamp a torque is dropped; never that stamp itself.
+        #: A torque is dropped if it is older than the newest stamp by this much. At least 1.
         self.history_ns = max(1, duration_ns(history, 'history'))
         self._body = body
         first = _Change(start.time_ns, start.time_ns, _NO_TORQUE, False)
         self._start = start
         first.segment = self._segment(start, first.torque, False)
         self._changes = [first]
-        #: Stamp of the torque in force at the start, if one came.
+        #: Stamp of the torque in force at the start, if one arrived.
         self._before_start: int | None = None
         self._newest_ns: int | None = None
 
     @property
     def earliest_ns(self) -> int:
-        """Return the earliest time that `at` still answers for."""
+        """Return the earliest time that `at` accepts."""
         return self._changes[0].time_ns
 
     def apply(self, time_ns: int, torque: ArrayLike, frame: str = 'body') -> bool:
         """
-        Hold a torque from a stamp on, up to the next stamp.
+        Apply a torque from its stamp to the next stamp.
 
         Parameters
         ----------
         time_ns : int
-            In any order. A torque from before the start holds there, too, up to the next stamp.
+            In any order. A torque from before the start is in force at the start, up to the next
+            stamp.
         torque : array, shape (3,), N m
-            About the centre of mass; zeros end the torque.
+            About the centre of mass.
         frame : str
             'body' or 'space'.
 
@@ -104,8 +107,8 @@ class Propagator:
         ------
         ValueError
             The torque is not finite, the frame is unknown, the time does not fit int64 or lies
-            292 years or more from the start, or the torques before brought the body beyond
-            1e9 rad/s; it is not applied then.
+            292 years or more from the start, the solver is 'exact' and the torque is not zero,
+            or the torques before accelerated the body beyond 1e9 rad/s. The torque is not applied.
         TypeError
             The time is not an integer.
 
@@ -115,14 +118,14 @@ class Propagator:
         if values.shape != (1, 3) or not np.all(np.isfinite(values)):
             raise ValueError(f'torque at {time_ns} ns: expected 3 finite numbers, '
                              f'found {values[0].tolist()}')
-        if self._options.solver == 'exact' and values.any():
-            raise ValueError("solver 'exact' is for motion without torque, found a torque of "
-                             f'{values[0].tolist()} N m at {time_ns} ns')
+        if not self._options.record.takes_torque and values.any():
+            raise ValueError(f'solver {self._options.solver!r} handles torque-free motion only, '
+                             f'found a torque of {values[0].tolist()} N m at {time_ns} ns')
         if frame not in FRAMES:
             raise ValueError(f"frame: expected 'body' or 'space', found {frame!r}")
         if self._newest_ns is not None and self._newest_ns - time_ns >= self.history_ns:
             return False
-        self._forget_before(time_ns - self.history_ns)
+        self._discard_before(time_ns - self.history_ns)
         self._newest_ns = time_ns if self._newest_ns is None else max(self._newest_ns, time_ns)
         if time_ns <= self._changes[0].time_ns:
             self._apply_before_start(time_ns, values, frame == 'space')
@@ -137,20 +140,19 @@ class Propagator:
         Parameters
         ----------
         time_ns : int
-            From `earliest_ns` on; past the newest stamp its torque holds, up to the timeout.
+            From `earliest_ns` on. After the newest stamp its torque is held until it times out.
         within : float, s
-            How long to work for it.
+            Limit on the computing time.
 
         Raises
         ------
         ValueError
-            The time lies before the start, or further back than is remembered, does not fit
-            int64 or lies 292 years or more from the start, or the torques bring the body beyond
-            1e9 rad/s.
+            The time lies before `earliest_ns`, does not fit int64 or lies 292 years or more from
+            the start, or the torques accelerate the body beyond 1e9 rad/s.
         TypeError
             The time is not an integer.
         TimeoutError
-            It would have taken longer; the next call goes on from where this one got.
+            The limit was reached. The next call continues from there.
 
         """
         time_ns, until = self._checked(time_ns), time.monotonic() + within
@@ -168,8 +170,8 @@ class Propagator:
         return found
 
     def _apply_before_start(self, time_ns: int, torque: Floats, in_space: bool) -> None:
-        # Nothing is forgotten before a stamp is `history` past the start, and a stamp as old as
-        # the start is dropped from then on: so the first change is still the start.
+        # The first change is still the start: it is discarded only once a stamp is `history` after
+        # the start, and from then on a stamp as old as the start is dropped.
         if self._before_start is not None and time_ns < self._before_start:
             return
         self._before_start = time_ns
@@ -179,32 +181,32 @@ class Propagator:
             torque, in_space = _NO_TORQUE, False
         self._changes[0] = _Change(start.time_ns, time_ns, torque, in_space)
         # A torque at the start begins a segment there, even if it repeats the one before.
+        begins = time_ns == start.time_ns and torque.any()
         self._changes[0].segment = self._segment(
-            _bare(self._start) if time_ns == start.time_ns and torque.any() else self._start,
-            torque, in_space)
-        self._forget_from(1)
+            without_origin(self._start) if begins else self._start, torque, in_space)
+        self._discard_segments(1)
 
     def _insert(self, change: _Change) -> None:
         index = bisect.bisect_left(self._changes, change.time_ns, key=_time_ns)
         found = index < len(self._changes) and self._changes[index].time_ns == change.time_ns
         self._changes[index:index + found] = [change]
-        self._forget_from(index + 1)
+        self._discard_segments(index + 1)
 
-    def _forget_before(self, horizon_ns: int) -> None:
-        """Keep what a late torque may change; ValueError, and nothing is forgotten, as of `at`."""
+    def _discard_before(self, horizon_ns: int) -> None:
+        """Discard what no late torque can change, or raise ValueError as `at` does."""
         oldest = bisect.bisect_right(self._changes, horizon_ns, key=_time_ns) - 1
         if oldest > 0:
             self._resolve(oldest)
             del self._changes[:oldest]
 
-    def _forget_from(self, index: int) -> None:
-        # Segments are resolved from the front: where one is missing, the later ones are, too.
+    def _discard_segments(self, index: int) -> None:
+        # Segments are resolved from the front: if one is missing, the later ones are, too.
         while index < len(self._changes) and self._changes[index].segment is not None:
             self._changes[index].segment = self._changes[index].silence = None
             index += 1
 
     def _resolve(self, index: int, until: float = math.inf) -> None:
-        """Give every change up to this one its segment, or raise TimeoutError."""
+        """Compute the segment of every change up to this one, or raise TimeoutError."""
         first = index
         while self._changes[first].segment is None:
             first -= 1
@@ -216,10 +218,10 @@ class Propagator:
                 change.segment = self._segment(active.end_at(change.time_ns, until),
                                                change.torque, change.in_space)
             if time.monotonic() > until:
-                raise TimeoutError(f'the motion is known up to {change.time_ns} ns')
+                raise TimeoutError(f'the motion is computed up to {change.time_ns} ns')
 
     def _active(self, change: _Change, time_ns: int, until: float) -> _Segment:
-        """Return the segment that holds at a time from a change on, before the next change."""
+        """Return the segment that contains a time between a change and the next."""
         assert change.segment is not None
         due = change.stamp_ns + self._options.timeout_ns
         if not self._options.timeout_ns or change.segment.coasts or time_ns < due:
@@ -235,14 +237,14 @@ class Propagator:
 
 @dataclass
 class _Change:
-    """A torque from a time on; the stamp is earlier than the time only for the start."""
+    """A torque that comes into force. At the start its stamp may be earlier than its time."""
 
     time_ns: int
     stamp_ns: int
     torque: Floats
     in_space: bool
     segment: _Segment | None = None
-    #: The coast that follows when the torque times out.
+    #: The coast that begins when the torque times out.
     silence: _Segment | None = None
 
 
@@ -250,63 +252,66 @@ def _time_ns(change: _Change) -> int:
     return change.time_ns
 
 
-def _bare(state: State) -> State:
-    """Return a state that does not tell where it comes from."""
-    return State._as_computed(state.time_ns, state._packed)
-
-
 def _frozen(values: ArrayLike) -> NDArray[Any]:
-    """Return an array of the kind that logs hold: the kernels are compiled for one kind."""
+    """Return a read-only array, as a log has: the kernels are compiled for these."""
     array = np.array(values)
     array.flags.writeable = False
     return array
 
 
 class _Segment:
-    """The motion from a start on under one held torque, with the grid points reached so far."""
+    """The motion under one held torque, with the grid points reached so far."""
 
     def __init__(self, body: RigidBody, options: Options, history_ns: int, start: State,
                  torque: Floats, in_space: bool) -> None:
         self.coasts = not torque.any()
         self._options, self._history_ns = options, history_ns
         self._rule = options.rule(body, torque, in_space)
-        origin = loop.origin(start, self._rule)
+        origin = origin_of(start, self._rule)
         self._grid_ns = [*dict.fromkeys((origin.begin_ns, origin.grid_ns))]
         self._states = [origin.begin, origin.grid][:len(self._grid_ns)]
-        self._log = (_frozen([origin.begin_ns]), _frozen([torque]), _frozen([in_space]), 0, 1, 0)
-        self._arguments = options.kernel_arguments(body)
+        self._log = _frozen([origin.begin_ns]), _frozen([torque]), _frozen([in_space])
+        self._constants = body._constants
 
     def state_at(self, time_ns: int, until: float) -> State:
-        if time_ns == self._grid_ns[0]:
-            return State._as_computed(time_ns, self._states[0], Origin(
-                self._rule, time_ns, self._states[0], time_ns, self._states[0]))
+        begin_ns, begin = self._grid_ns[0], self._states[0]
+        if time_ns == begin_ns:
+            return State._as_computed(time_ns, begin, Origin(
+                self._rule, begin_ns, begin, begin_ns, begin))
         nearest = bisect.bisect_right(self._grid_ns, time_ns) - 1
-        states = loop.working_states(self._states[nearest], self._states[0])
-        grid, _, out = states.reshape(3, -1)
-        grid_ns, begin_ns = self._grid_ns[nearest], self._grid_ns[0]
-        sample, silent, done = 0, False, 0
-        while not done:
-            grid_ns, begin_ns, sample, silent, done, fast = loop.run(*(
-                states, grid_ns, begin_ns, sample, silent, done, np.array([time_ns]),
-                loop.IN_ORDER, *_UNUSED, *self._log, *self._arguments, loop.BUDGET))
-            if fast:
-                raise self._options.too_fast(time_ns if done else grid_ns)
-            if time.monotonic() > until:
-                break
+        states = layout.pack_states(self._states[nearest], begin)
+        progress = layout.pack_place(self._grid_ns[nearest], begin_ns, 0)
+        self._run(states, progress, time_ns, until)
+        grid, _, latest = layout.unpack_states(states)
+        grid_ns = int(progress[layout.GRID_NS])
         if grid_ns > self._grid_ns[-1]:
             self._grid_ns.append(grid_ns)
             self._states.append(grid)
             self._thin(grid_ns - self._history_ns)
-        if not done:
-            raise TimeoutError(f'the motion is known up to {grid_ns} ns, not yet to {time_ns} ns')
-        return State._as_computed(time_ns, out, Origin(
-            self._rule, self._grid_ns[0], self._states[0], grid_ns, grid))
+        if not progress[layout.DONE]:
+            raise TimeoutError(f'the motion is computed up to {grid_ns} ns, not to {time_ns} ns')
+        return State._as_computed(time_ns, latest, Origin(
+            self._rule, begin_ns, begin, grid_ns, grid))
+
+    def _run(self, states: Floats, progress: NDArray[np.int64], time_ns: int,
+             until: float) -> None:
+        """Run the loop up to a time, or until the computing time is used up."""
+        times = np.array([time_ns])
+        progress[layout.STOP] = 1
+        while not progress[layout.DONE]:
+            progress[layout.BUDGET] = loop.BUDGET
+            if loop.run(states, progress, times, loop.IN_ORDER, *_UNUSED, *self._log,
+                        self._constants, self._options.settings):
+                raise self._options.too_fast(
+                    time_ns if progress[layout.DONE] else int(progress[layout.GRID_NS]))
+            if time.monotonic() > until:
+                break
 
     def end_at(self, time_ns: int, until: float) -> State:
-        """Return a state that the next segment begins with, even if the torque stays the same."""
-        return _bare(self.state_at(time_ns, until))
+        """Return the state that the next segment begins with, even if the torque is the same."""
+        return without_origin(self.state_at(time_ns, until))
 
     def _thin(self, horizon_ns: int) -> None:
-        # A late torque asks at most `history` back; the start stays for whoever asks further.
+        # A late torque needs grid points of the last `history`; `at` may need the beginning.
         while len(self._grid_ns) > 2 and self._grid_ns[2] <= horizon_ns:
             del self._grid_ns[1], self._states[1]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How far the last digit of what is given moves a motion, whatever the solver."""
+"""How far a change in the last digit of the inputs moves a motion, whatever the solver."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.propagation.integration import propagate
+from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.torque import TorqueLog
 
 #: How often each kind of change is tried.
@@ -31,15 +32,16 @@ _ROUNDS = 2
 
 
 def last_digit_effect(body: RigidBody, start: State, log: TorqueLog | None = None, *,
-                      at: ArrayLike, torque_timeout: float = 0.0) -> float:
+                      at: ArrayLike,
+                      torque_timeout: float = Options.torque_timeout) -> float:
     """
-    Return how far a motion moves if what is given changes in the last digit.
+    Return how far a motion moves if its inputs change in the last digit.
 
-    The inertia alone, the torques alone, and both together with the start are changed, each of
-    them twice: every entry by one unit in the last place, up or down at random, the same in every
-    call. Zeros stay, and the tensor stays symmetric. Rounding within the solver, `auto`, adds to
-    the result. A change is left out if its tensor is not that of a body, or if the body then spins
-    faster than 1e9 rad/s.
+    The function changes the inertia alone, the torques alone, and both together with the start,
+    each of them twice: every entry by one unit in the last place, up or down at random, with the
+    same random numbers in every call. Zeros stay zero, and the tensor stays symmetric. Rounding
+    within the solver, `auto`, adds to the result. The function skips a change if its tensor is
+    not that of a rigid body, or if the body then spins faster than 1e9 rad/s.
 
     Parameters
     ----------
@@ -51,12 +53,12 @@ def last_digit_effect(body: RigidBody, start: State, log: TorqueLog | None = Non
     Returns
     -------
     float, rad
-        The largest angle between the attitudes of the motion and those of a changed one.
+        The largest angle between the attitudes of the motion and those of a changed motion.
 
     Raises
     ------
     ValueError
-        As `propagate`.
+        As for `propagate`.
 
     """
     log = TorqueLog([], []) if log is None else log
@@ -74,7 +76,7 @@ def last_digit_effect(body: RigidBody, start: State, log: TorqueLog | None = Non
 
 def _changes(body: RigidBody, start: State,
              log: TorqueLog) -> Iterator[tuple[Floats, State, TorqueLog]]:
-    """Generate tensors, starts and torques, some or all of which are changed."""
+    """Yield tensors, starts and torques, some or all of them changed."""
     random = np.random.default_rng(0)
     moved = bool(log.torques.any())
     for _ in range(_ROUNDS):
@@ -93,6 +95,6 @@ def _changed_tensor(tensor: Floats, random: np.random.Generator) -> Floats:
 
 
 def _changed(values: Floats, random: np.random.Generator) -> Floats:
-    # By one unit in the last place, but for zeros.
+    # By one unit in the last place; zeros stay.
     target = np.where(random.random(values.shape) < 0.5, -np.inf, np.inf)
     return np.where(values == 0.0, values, np.nextafter(values, target))

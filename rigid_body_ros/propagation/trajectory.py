@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The motion at the times that were asked for."""
+"""The motion at the requested times."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rigid_body_ros import euler, so3
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.propagation.models import Answers, Model
+from rigid_body_ros.propagation.models import Model, SolverUsage
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """
-    The motion at the times that were asked for.
+    The motion at the requested times.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Trajectory:
     times_ns: NDArray[np.int64]
     attitude: Floats
     angular_velocity: Floats
-    _answers: Answers
+    _usage: SolverUsage
 
     def __repr__(self) -> str:
         if not self.times_ns.size:
@@ -72,13 +72,13 @@ class Trajectory:
         return euler.unwrap(angles, sequence) if continuous else angles
 
     def degenerate(self, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
-        """Return where two of the Euler angles are not determined apart, shape (m,)."""
+        """Return where only a sum or difference of Euler angles is determined, shape (m,)."""
         return euler.degenerate(euler.from_quaternion(self.attitude, sequence), sequence)
 
     @cached_property
     def models(self) -> tuple[Model, ...]:
-        """Which solver answered, over which spans, and why."""
-        return self._answers.models()
+        """Which solver was used for each span, and why."""
+        return self._usage.models()
 
     @cached_property
     def angular_momentum_space(self) -> Floats:

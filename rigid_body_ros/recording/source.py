@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted, reason, shortened
+from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.messages import MessageType
-from rigid_body_ros.propagation.options import duration_ns
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.csv_file import CsvFile

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages, so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.propagation import Run, Trajectory
+from rigid_body_ros.propagation import Integration, Trajectory
 from rigid_body_ros.recording import NotInOrderError, Piece
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
@@ -80,10 +80,11 @@ class Stretches:
         self.first_ns = int(self._piece.times_ns[0])
         start = request.scene.start
         self.start = replace(start, time_ns=start.time_ns or self.first_ns)
-        self._run = Run(request.scene.body, self.start, **request.scene.options)
+        self._run = Integration(request.scene.body, self.start, **request.scene.options)
         names = [name for name in INTERPOLATIONS if name != request.interpolation]
         #: Motions with the other interpolations; removed if the body spins too fast.
-        self._others = {name: Run(request.scene.body, self.start, **request.scene.options)
+        self._others = {name: Integration(request.scene.body, self.start,
+                                          **request.scene.options)
                         for name in names}
         #: Their final attitudes; None if the body spins too fast.
         self._ends: dict[str, Floats | None] = {}

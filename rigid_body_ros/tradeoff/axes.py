@@ -27,8 +27,8 @@ import numpy as np
 from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import body_layout, state_layout, tensor
 from rigid_body_ros.kernels import double_double as dd
-from rigid_body_ros.kernels import tensor
 from rigid_body_ros.kernels.jit import njit
 from rigid_body_ros.torque import TorqueLog
 
@@ -54,7 +54,7 @@ class PrincipalAxes:
         coefficients = tensor.euler_coefficients(np.diag(exact(moments[0]) + exact(moments[1])))
         coefficients[0, 0, 1] = _NEGLIGIBLE
         self.body = RigidBody(np.diag(moments[0]))
-        self.body._constants = tensor.packed(
+        self.body._constants = body_layout.pack(
             coefficients, moments, np.stack([np.eye(3), np.zeros((3, 3))]))
         self._rotation = so3.from_matrix(self._axes[0])
 
@@ -62,7 +62,7 @@ class PrincipalAxes:
         """Return an initial state in principal axes."""
         rates = self._components(start.angular_velocity[None])[0]
         attitude = so3.multiply(start.attitude, self._rotation)
-        packed = np.concatenate([rates[:, 0], [0.0], attitude, rates[:, 1], np.zeros(5)])
+        packed = state_layout.pack(rates[:, 0], attitude, rates[:, 1])
         return State._as_computed(start.time_ns, packed)
 
     def log(self, log: TorqueLog) -> TorqueLog:

@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.times import instant
-from rigid_body_ros.propagation import LONGEST, propagate, Trajectory
+from rigid_body_ros.common.times import duration_ns, instant, LONGEST
+from rigid_body_ros.propagation import propagate, Trajectory
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.torque import TorqueLog
 from rigid_body_ros.tradeoff.axes import PrincipalAxes
@@ -177,8 +177,8 @@ def whole(body: RigidBody, start: State, log: TorqueLog | None, end_ns: int | No
     if end_ns is None and len(log):
         end_ns = int(log.times_ns[-1])
     if end_ns is None:
-        turns = min(TURNS * 2.0 * math.pi / speed, LONGEST) * 1e9
-        end_ns = start.time_ns + max(round(turns), 1)
+        turns = min(TURNS * 2.0 * math.pi / speed, LONGEST)
+        end_ns = start.time_ns + max(duration_ns(turns, 'end_ns'), 1)
     if end_ns <= start.time_ns:
         raise ValueError(f'expected torques after the start, {start.time_ns} ns, found none')
     return Problem(body, start, log, _times(log, start.time_ns, end_ns), torque_timeout)

@@ -27,6 +27,7 @@ import numpy as np
 from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody, State
 from rigid_body_ros.propagation import Trajectory, warm_up
+from rigid_body_ros.propagation.solvers import RECORDS
 from rigid_body_ros.torque import TorqueLog
 from rigid_body_ros.tradeoff.interpolation import (
     better_interpolation,
@@ -269,11 +270,12 @@ def recommend(measurements: Sequence[Measurement], target: float, floor: float, 
 
 
 def _settings(problem: Problem, motion: Trajectory) -> list[Setting]:
-    settings = [Setting('exact')] if problem.torque_free else []
-    settings += [Setting(solver, tolerance) for solver in ('auto', 'taylor')
-                 for tolerance in _TOLERANCES]
+    settings = [Setting(solver.name) for solver in RECORDS
+                if problem.torque_free and not solver.takes_torque]
+    settings += [Setting(solver.name, tolerance) for solver in RECORDS
+                 if solver.takes_torque and not solver.fixed_step for tolerance in _TOLERANCES]
     longest = problem.natural_step(motion, _LONGEST_ANGLE)
-    for solver in ('rk4', 'strang', 'explicit_euler'):
+    for solver in [solver.name for solver in RECORDS if solver.fixed_step]:
         step = longest
         while step >= 1e-9 and problem.seconds / step <= _MOST_STEPS:
             settings.append(Setting(solver, max_step=round(step * 1e9) / 1e9))

@@ -1,0 +1,82 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The layout of the constants of a body: 104 doubles.
+
+They are 26 vectors of four, the last component zero: the nine columns of Euler's equations and
+what rounding took from each, the principal moments and what rounding took from them, the three
+principal axes and what rounding took from each.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import four
+from rigid_body_ros.kernels.jit import internal
+from rigid_body_ros.kernels.vector import Coefficients, Columns, of, PrincipalFrame, Vector
+
+#: Offsets.
+_EQUATIONS, _LOST_EQUATIONS, _MOMENTS, _LOST_MOMENTS, _AXES, _LOST_AXES = 0, 36, 72, 76, 80, 92
+SIZE = 104
+#: What rounding took from J^-1, the last three columns of Euler's equations.
+LOST_INVERSE = slice(_LOST_EQUATIONS + 24, _MOMENTS)
+
+
+def pack(coefficients: Floats, moments: Floats, axes: Floats) -> Floats:
+    """
+    Return the constants of a body as an array, shape (SIZE,).
+
+    Parameters
+    ----------
+    coefficients : array, shape (2, 3, 9)
+        As returned by `tensor.euler_coefficients`.
+    moments, axes : array, shape (2, 3), (2, 3, 3)
+        As returned by `tensor.principal`.
+
+    """
+    vectors = np.concatenate([coefficients[0].T, coefficients[1].T, moments,
+                              axes[0].T, axes[1].T])
+    return np.pad(vectors, [(0, 0), (0, 1)]).ravel()
+
+
+@internal
+def coefficients(constants: Floats) -> Coefficients:
+    """Return the coefficients of Euler's equations."""
+    columns = _columns(constants, _EQUATIONS)
+    return (columns, _columns(constants, _LOST_EQUATIONS),
+            of(columns[0][0], columns[1][1], columns[2][2]),
+            of(columns[6][0], columns[7][1], columns[8][2]))
+
+
+@internal
+def principal_frame(constants: Floats) -> PrincipalFrame:
+    """Return the principal moments and axes."""
+    return (four.load(constants, _MOMENTS), four.load(constants, _LOST_MOMENTS),
+            _three(constants, _AXES), _three(constants, _LOST_AXES))
+
+
+@internal
+def _columns(constants: Floats, start: int) -> Columns:
+    a, b, c = _three(constants, start)
+    d, e, f = _three(constants, start + 12)
+    g, h, i = _three(constants, start + 24)
+    return a, b, c, d, e, f, g, h, i
+
+
+@internal
+def _three(constants: Floats, start: int) -> tuple[Vector, Vector, Vector]:
+    return (four.load(constants, start), four.load(constants, start + 4),
+            four.load(constants, start + 8))

@@ -1,0 +1,55 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The layout of a motion at m times: 7 m doubles.
+
+They are m attitudes x y z w and then m angular velocities, rad/s. The motion is one block of
+memory: the system takes back two blocks that are freed together, and getting their pages again
+costs the next run as much as its arithmetic.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import four, vector
+from rigid_body_ros.kernels.jit import inlined
+
+_ATTITUDE, _RATES = 4, 3
+#: Doubles per time.
+SIZE = _ATTITUDE + _RATES
+
+
+def allocate(count: int) -> Floats:
+    """Return the block of a motion at a number of times, not yet filled."""
+    return np.empty(SIZE * count)
+
+
+def attitude(motion: Floats) -> Floats:
+    """Return a view of the attitudes, shape (m, 4), x y z w."""
+    return motion[:len(motion) // SIZE * _ATTITUDE].reshape(-1, _ATTITUDE)
+
+
+def angular_velocity(motion: Floats) -> Floats:
+    """Return a view of the angular velocities, shape (m, 3), rad/s, body axes."""
+    return motion[len(motion) // SIZE * _ATTITUDE:].reshape(-1, _RATES)
+
+
+@inlined
+def store(state: vector.KernelState, row: int, motion: Floats) -> None:
+    """Write attitude and angular velocity of a state into a row of a motion."""
+    rates, start = state[0], len(motion) // SIZE * _ATTITUDE + _RATES * row
+    four.store(motion, _ATTITUDE * row, state[1])
+    motion[start], motion[start + 1], motion[start + 2] = rates[0], rates[1], rates[2]

@@ -1,0 +1,80 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The layout of a state: 16 doubles, which are four vectors of four.
+
+Angular velocity (rad/s, body axes) and a zero, attitude x y z w, and what rounding took from each.
+The last two let a restarted run go on bit for bit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import four, vector
+from rigid_body_ros.kernels.jit import internal
+
+#: Offsets.
+_RATES, _ATTITUDE, _LOST_RATES, _LOST_ATTITUDE = range(0, 16, 4)
+SIZE = 16
+
+
+def pack(rates: ArrayLike, attitude: ArrayLike,
+         lost_rates: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
+    """
+    Return a state as an array, shape (SIZE,).
+
+    Parameters
+    ----------
+    rates : array, shape (3,), rad/s, body axes
+        Angular velocity.
+    attitude : array, shape (4,)
+        x y z w.
+    lost_rates : array, shape (3,), rad/s, body axes
+        What rounding took from the angular velocity.
+
+    """
+    packed = np.zeros(SIZE)
+    packed[_RATES:_RATES + 3] = rates
+    packed[_ATTITUDE:_ATTITUDE + 4] = attitude
+    packed[_LOST_RATES:_LOST_RATES + 3] = lost_rates
+    return packed
+
+
+def angular_velocity(packed: Floats) -> Floats:
+    """Return a view of the angular velocity, shape (3,), rad/s, body axes."""
+    return packed[_RATES:_RATES + 3]
+
+
+def attitude(packed: Floats) -> Floats:
+    """Return a view of the attitude, shape (4,), x y z w."""
+    return packed[_ATTITUDE:_ATTITUDE + 4]
+
+
+@internal
+def load(packed: Floats, start: int) -> vector.KernelState:
+    """Return the state that begins at an index of an array."""
+    return (four.load(packed, start + _RATES), four.load(packed, start + _ATTITUDE),
+            four.load(packed, start + _LOST_RATES), four.load(packed, start + _LOST_ATTITUDE))
+
+
+@internal
+def store(state: vector.KernelState, packed: Floats, start: int) -> None:
+    """Write a state into an array, from an index on."""
+    four.store(packed, start + _RATES, state[0])
+    four.store(packed, start + _ATTITUDE, state[1])
+    four.store(packed, start + _LOST_RATES, state[2])
+    four.store(packed, start + _LOST_ATTITUDE, state[3])

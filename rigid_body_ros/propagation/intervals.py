@@ -1,0 +1,133 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The torque between two changes.
+
+A sample is in force from its stamp to the next stamp. With a timeout the torque becomes zero some
+time after the stamp. Sample -1 is the time before the first stamp. Consecutive intervals without
+torque are one *coast*.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.kernels import euler_equations, four, vector
+from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.propagation import layout
+from rigid_body_ros.propagation.layout import Body, Log
+
+
+class Interval(NamedTuple):
+    """The time in which one polynomial describes the torque."""
+
+    #: N m, in the fraction of the time from the stamp to the next stamp.
+    torque: vector.Polynomial
+    #: Whether the torque is zero throughout.
+    coasts: bool
+    #: Stamps of the sample in force (0 if none is) and of the next (NEVER_NS if there is none).
+    stamp_ns: int
+    next_ns: int
+    #: Whether the sample times out before the next.
+    times_out: bool
+    end_ns: int
+
+
+class Drive(NamedTuple):
+    """What changes the angular velocity during an interval."""
+
+    #: In the fraction of a time: J^-1 tau, rad/s^2, or, in space axes, the torque, N m.
+    polynomial: vector.Polynomial
+    #: The coefficients beyond it are zero.
+    degree: int
+    in_space: bool
+    #: Time at which the fraction is 0, and the seconds until it is 1.
+    origin_ns: int
+    span: float
+
+
+@internal
+def sample_in_force(log: Log, time_ns: int) -> tuple[int, bool]:
+    """Return the sample in force at a time, -1 for none yet, and whether it has timed out."""
+    sample = -1
+    while sample + 1 < len(log.stamps_ns) and log.stamps_ns[sample + 1] <= time_ns:
+        sample += 1
+    return sample, sample >= 0 and 0 < log.timeout_ns <= time_ns - log.stamps_ns[sample]
+
+
+@inlined
+def interval(torque: vector.Polynomial, stamp_ns: int, next_ns: int, idle: bool,
+             timeout_ns: int) -> Interval:
+    """Return the interval of a sample, before it times out or (idle) afterwards."""
+    coasts = is_zero(torque)
+    if timeout_ns > 0 and not idle and stamp_ns + timeout_ns < next_ns:
+        return Interval(torque, coasts, stamp_ns, next_ns, True, stamp_ns + timeout_ns)
+    return Interval(torque, coasts, stamp_ns, next_ns, False, next_ns)
+
+
+@inlined
+def drive(now: Interval, rests: vector.Polynomial, degree: int, in_space: bool,
+          body: Body) -> Drive:
+    """Return what changes the angular velocity. A body torque becomes an acceleration here."""
+    span = 1.0
+    if degree > 0 and now.next_ns < NEVER_NS:
+        span = (now.next_ns - now.stamp_ns) / 1e9
+    polynomial = now.torque
+    if not in_space and not now.coasts:
+        polynomial = euler_equations.acceleration_polynomial(
+            body.coefficients, body.form, polynomial, rests)
+    return Drive(polynomial, degree, in_space, now.stamp_ns, span)
+
+
+@inlined
+def row(polynomials: Floats, index: int, k: int) -> vector.Vector:
+    """Return one coefficient of a polynomial."""
+    return vector.of(polynomials[index, k, 0], polynomials[index, k, 1], polynomials[index, k, 2])
+
+
+@inlined
+def torque_of(polynomials: Floats, index: int, idle: bool) -> vector.Polynomial:
+    """Return the torque of a sample, or zeros. Inlined: an array costs half a short step."""
+    none = four.broadcast(0.0)
+    if idle:
+        return none, none, none, none
+    if polynomials.shape[1] == 1:
+        return row(polynomials, index, 0), none, none, none
+    if polynomials.shape[1] == 3:
+        return row(polynomials, index, 0), row(polynomials, index, 1), none, none
+    return (row(polynomials, index, 0), row(polynomials, index, 1), row(polynomials, index, 2),
+            row(polynomials, index, 3))
+
+
+@inlined
+def rests_of(polynomials: Floats, index: int) -> vector.Polynomial:
+    """Return what rounding took from the coefficients of a sample."""
+    none = four.broadcast(0.0)
+    if polynomials.shape[1] == 1:
+        return none, none, none, none
+    if polynomials.shape[1] == 3:
+        return none, row(polynomials, index, 2), none, none
+    return (none, row(polynomials, index, 4), row(polynomials, index, 5),
+            row(polynomials, index, 6))
+
+
+@inlined
+def is_zero(torque: vector.Polynomial) -> bool:
+    """Return whether a torque is zero throughout."""
+    a, b, c, d = torque
+    return (layout.is_zero(a) and layout.is_zero(b) and layout.is_zero(c)
+            and layout.is_zero(d))

@@ -1,0 +1,214 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The records of the time loop, and the arrays that carry them from Python into the kernel and back.
+
+A named tuple from Python costs the kernel's caller several microseconds, an array a fraction of
+one. So options, states and progress cross the boundary in three arrays; packing and unpacking of
+each stand together here. Inside the kernels records are free.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import body_layout, euler_equations, state_layout, taylor, vector
+from rigid_body_ros.kernels.jit import inlined, internal
+
+#: Offsets in the array of progress.
+GRID_NS, BEGIN_NS, SAMPLE, TIMED_OUT, DONE, FIRST, STOP, BUDGET = range(8)
+#: For SAMPLE: the one in force at the beginning of the segment. The kernel finds it.
+IN_FORCE = -2
+#: Offsets in the array of options.
+_SOLVER, _FIXED_STEP, _CLOSED_FORM_BEYOND, _TOLERANCE, _MAX_STEP_NS, _TIMEOUT_NS = range(6)
+
+
+class Body(NamedTuple):
+    """The constants of a body."""
+
+    coefficients: vector.Coefficients
+    #: DIAGONAL, FULL or THIN, see `taylor`.
+    form: int
+    frame: vector.PrincipalFrame
+
+
+class Method(NamedTuple):
+    """How steps are taken."""
+
+    #: `Solver.code`, `Solver.fixed_step` and `Solver.closed_form_beyond`.
+    solver: int
+    fixed_step: bool
+    closed_form_beyond: float
+    #: Truncation error of the attitude per radian turned.
+    tolerance: float
+    #: Of a full step of the series, rad.
+    angle: float
+    max_step_ns: int
+
+
+class Log(NamedTuple):
+    """A piece of a torque log."""
+
+    #: int64 (n,): when each sample comes into force.
+    stamps_ns: NDArray[np.int64]
+    #: float64 (k, 2 degree + 1, 3), N m, from the sample `first` on; see
+    #: `TorqueLog.polynomials`.
+    polynomials: Floats
+    #: bool (n,): whether the torque of a sample is given in space axes.
+    in_space: NDArray[np.bool_]
+    #: The sample that `polynomials` begins with.
+    first: int
+    #: The sample to stop at.
+    stop: int
+    #: How long after a sample the torque becomes zero; 0: never.
+    timeout_ns: int
+
+
+class Outputs(NamedTuple):
+    """What is asked for, and where it goes."""
+
+    #: int64 (m,): none before the beginning.
+    times_ns: NDArray[np.int64]
+    #: int (m,), which row of the motion each time in ascending order fills; or (0,) if the times
+    #: ascend.
+    rows: NDArray[np.intp]
+    #: float64 (7 m,), see `motion_layout`.
+    motion: Floats
+    #: bool (n + 1,): set by sample + 1 if a coast was answered in closed form.
+    closed: NDArray[np.bool_]
+
+
+class Place(NamedTuple):
+    """Where the loop stands."""
+
+    #: Time of the state on the step grid, and of the beginning of the segment.
+    grid_ns: int
+    begin_ns: int
+    #: The sample in force; -1: none yet.
+    sample: int
+    #: Whether that sample has timed out.
+    timed_out: bool
+    #: How many outputs are filled.
+    done: int
+
+
+class States(NamedTuple):
+    """The states of the loop."""
+
+    #: On the step grid.
+    grid: vector.KernelState
+    #: At the beginning of the segment.
+    begin: vector.KernelState
+    #: Computed last.
+    latest: vector.KernelState
+
+
+def pack_settings(solver: int, fixed_step: bool, closed_form_beyond: float, tolerance: float,
+                  max_step_ns: int, timeout_ns: int) -> Floats:
+    """Return options as an array. Doubles hold nanoseconds exactly that are rounded doubles."""
+    settings = np.empty(6)
+    settings[_SOLVER], settings[_FIXED_STEP] = solver, fixed_step
+    settings[_CLOSED_FORM_BEYOND], settings[_TOLERANCE] = closed_form_beyond, tolerance
+    settings[_MAX_STEP_NS], settings[_TIMEOUT_NS] = max_step_ns, timeout_ns
+    return settings
+
+
+@internal
+def unpack_method(settings: Floats) -> Method:
+    """Return how steps are taken."""
+    tolerance = float(settings[_TOLERANCE])
+    return Method(int(settings[_SOLVER]), settings[_FIXED_STEP] != 0.0,
+                  float(settings[_CLOSED_FORM_BEYOND]), tolerance, taylor.step_angle(tolerance),
+                  int(settings[_MAX_STEP_NS]))
+
+
+@inlined
+def unpack_timeout(settings: Floats) -> int:
+    """Return the torque timeout, ns."""
+    return int(settings[_TIMEOUT_NS])
+
+
+@internal
+def unpack_body(constants: Floats) -> Body:
+    """Return a body from its constants, see `body_layout`."""
+    coefficients = body_layout.coefficients(constants)
+    frame = body_layout.principal_frame(constants)
+    return Body(coefficients, _form(coefficients, frame[0]), frame)
+
+
+@internal
+def _form(coefficients: vector.Coefficients, moments: vector.Vector) -> int:
+    a, b, c, d, e, f, _, _, _ = coefficients[0]
+    if (a[1] == a[2] == b[0] == b[2] == c[0] == c[1] == 0.0
+            and is_zero(d) and is_zero(e) and is_zero(f)):
+        return euler_equations.DIAGONAL
+    is_thin = moments[2] > euler_equations.THIN_RATIO * moments[0]
+    return euler_equations.THIN if is_thin else euler_equations.FULL
+
+
+@inlined
+def is_zero(a: vector.Vector) -> bool:
+    """Return whether all components are zero."""
+    return a[0] == 0.0 and a[1] == 0.0 and a[2] == 0.0
+
+
+def pack_states(grid: Floats, begin: Floats) -> Floats:
+    """Return states as an array, from the state on the grid and at the segment's beginning."""
+    return np.concatenate([grid, begin, grid])
+
+
+def unpack_states(states: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return views of the state on the grid, at the segment's beginning, and computed last."""
+    size = state_layout.SIZE
+    return states[:size], states[size:2 * size], states[2 * size:]
+
+
+@internal
+def load_states(states: Floats) -> States:
+    """Return the states. None has been computed yet."""
+    grid = state_layout.load(states, 0)
+    return States(grid, state_layout.load(states, state_layout.SIZE), grid)
+
+
+@internal
+def store_states(loop: States, states: Floats) -> None:
+    """Write the states back."""
+    state_layout.store(loop.grid, states, 0)
+    state_layout.store(loop.begin, states, state_layout.SIZE)
+    state_layout.store(loop.latest, states, 2 * state_layout.SIZE)
+
+
+def pack_place(grid_ns: int, begin_ns: int, sample: int,
+               timed_out: bool = False) -> NDArray[np.int64]:
+    """Return progress as an array: nothing is done, and the limits are still to be set."""
+    return np.array([grid_ns, begin_ns, sample, timed_out, 0, 0, 0, 0], np.int64)
+
+
+@inlined
+def load_place(progress: NDArray[np.int64]) -> Place:
+    """Return where the loop stands."""
+    return Place(int(progress[GRID_NS]), int(progress[BEGIN_NS]), int(progress[SAMPLE]),
+                 progress[TIMED_OUT] != 0, int(progress[DONE]))
+
+
+@inlined
+def store_place(place: Place, progress: NDArray[np.int64]) -> None:
+    """Write back where the loop stands."""
+    progress[GRID_NS], progress[BEGIN_NS] = place.grid_ns, place.begin_ns
+    progress[SAMPLE], progress[TIMED_OUT] = place.sample, place.timed_out
+    progress[DONE] = place.done

@@ -1,0 +1,53 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Where the steps to a state began, so that a restarted run goes on with the same bits."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import NamedTuple
+
+from rigid_body_ros.body import State
+from rigid_body_ros.common.arrays import Floats
+
+
+class Origin(NamedTuple):
+    """
+    The step grid that a state between two torque changes was computed from.
+
+    The state alone does not determine it: a restart from the state itself would begin a new grid.
+    """
+
+    #: `Options.rule` of the segment.
+    rule: Hashable
+    #: Time and state at the beginning of the segment.
+    begin_ns: int
+    begin: Floats
+    #: Time and state of the last grid point before the state.
+    grid_ns: int
+    grid: Floats
+
+
+def origin_of(start: State, rule: Hashable) -> Origin:
+    """Return where steps from a state begin: at the state, unless the same rule led up to it."""
+    found = start._origin
+    if isinstance(found, Origin) and found.rule == rule:
+        return found
+    return Origin(rule, start.time_ns, start._packed, start.time_ns, start._packed)
+
+
+def without_origin(state: State) -> State:
+    """Return a state at which a new segment begins."""
+    return State._as_computed(state.time_ns, state._packed)

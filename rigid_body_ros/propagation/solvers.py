@@ -1,0 +1,59 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The solvers, one record each."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from rigid_body_ros.kernels import steppers
+
+#: rad; `auto` answers a coast in closed form if it turns by more. Up to this angle the series is
+#: as exact, and cheaper.
+LONG_COAST = 16.0
+
+
+class Solver(NamedTuple):
+    """What the loop, the options and the documentation need to know of a solver."""
+
+    name: str
+    #: Its number in the kernels.
+    code: int
+    #: Order of convergence; None if the tolerance bounds the truncation error instead.
+    order: int | None = None
+    #: Whether every step is `max_step` long.
+    fixed_step: bool = False
+    takes_torque: bool = True
+    #: rad; a coast that turns by more is answered in closed form. Negative: every coast.
+    closed_form_beyond: float = math.inf
+
+
+AUTO = Solver('auto', 0, closed_form_beyond=LONG_COAST)
+TAYLOR = Solver('taylor', 1)
+EXACT = Solver('exact', 2, takes_torque=False, closed_form_beyond=-1.0)
+RK4 = Solver('rk4', 3, order=steppers.CLASSICAL.order, fixed_step=True)
+STRANG = Solver('strang', 4, order=2, fixed_step=True)
+EXPLICIT_EULER = Solver('explicit_euler', 5, order=1, fixed_step=True)
+RECORDS = (AUTO, TAYLOR, EXACT, RK4, STRANG, EXPLICIT_EULER)
+#: Their names.
+SOLVERS = tuple(solver.name for solver in RECORDS)
+
+
+def solver_named(name: str) -> Solver:
+    """Return the record of a solver, or raise ValueError."""
+    if name not in SOLVERS:
+        raise ValueError(f'solver: expected one of {", ".join(SOLVERS)}, found {name!r}')
+    return RECORDS[SOLVERS.index(name)]
