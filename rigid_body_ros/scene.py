@@ -106,7 +106,8 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('history', 1.0, 's', 'how far the stamp of a torque may lie before the newest one; '
               'older torques are rejected', (0.0, 3600.0)),
     Parameter('max_future', 0.5, 's', 'how far the stamp of a torque may lie ahead of the clock; '
-              'torques further ahead are rejected', (0.0, 3600.0)),
+              'torques further ahead are rejected, under simulated time after a wait of 0.5 s',
+              (0.0, 3600.0)),
     Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps back: reset (start '
               'again), rebase (go on from the current state) or ignore', choices=TIME_JUMPS),
     Parameter('publish_clock', False, '', 'lockstep: publish the time of each state on /clock'),
