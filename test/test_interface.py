@@ -1,0 +1,81 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The public Python interface: every name, with its parameters and defaults."""
+
+import inspect
+
+import numpy as np
+import pytest
+import rigid_body_ros
+from rigid_body_ros import euler, propagate, Propagator, RigidBody, so3, State, TorqueLog, warm_up
+
+OPTIONS = "solver='auto', tolerance=1e-15, max_step=None, torque_timeout=0.0"
+#: Callables with their parameters, as callers may write them.
+SIGNATURES = [
+    (RigidBody, 'tensor'),
+    (RigidBody.from_moments, 'ixx, iyy, izz, ixy=0.0, ixz=0.0, iyz=0.0'),
+    (RigidBody.from_point_masses, 'masses, positions'),
+    (RigidBody.from_urdf, "text, link=''"),
+    (State, 'time_ns=0, attitude=(0.0, 0.0, 0.0, 1.0), angular_velocity=(0.0, 0.0, 0.0)'),
+    (TorqueLog, "times_ns, torques, frame='body', interpolation='hold'"),
+    (propagate, f'body, start, log=None, *, at, {OPTIONS}'),
+    (Propagator, f'body, start, *, {OPTIONS}, history=1.0'),
+    (Propagator.apply, "self, time_ns, torque, frame='body'"),
+    (warm_up, ''),
+]
+#: Attributes of a trajectory over m times: shape and type.
+TRAJECTORY = {
+    'times_ns': ((2,), np.int64), 'attitude': ((2, 4), float), 'angular_velocity': ((2, 3), float),
+    'angular_momentum_space': ((2, 3), float), 'kinetic_energy': ((2,), float),
+}
+
+
+@pytest.mark.parametrize(('function', 'parameters'), SIGNATURES,
+                         ids=[function.__qualname__ for function, _ in SIGNATURES])
+def test_parameters_and_defaults_are_those_documented(function, parameters):
+    signature = inspect.signature(function)
+    plain = signature.replace(return_annotation=inspect.Signature.empty, parameters=[
+        parameter.replace(annotation=inspect.Parameter.empty)
+        for parameter in signature.parameters.values()])
+    assert str(plain) == f'({parameters})'
+
+
+def test_the_top_level_has_these_names():
+    assert sorted(rigid_body_ros.__all__) == ['Propagator', 'RigidBody', 'State', 'TorqueLog',
+                                              'Trajectory', 'propagate', 'warm_up']
+    assert (rigid_body_ros.so3, rigid_body_ros.euler) == (so3, euler)
+
+
+def test_a_trajectory_has_these_attributes():
+    log = TorqueLog([0], [[0.0, 0.0, 1.0]], frame='space')
+    motion = propagate(RigidBody(np.diag([1.0, 2.0, 2.5])), State(), log, at=[0, 10 ** 9])
+    found = {name: (getattr(motion, name).shape, getattr(motion, name).dtype)
+             for name in TRAJECTORY}
+    assert found == TRAJECTORY
+    assert motion.rotation.as_quat().shape == (2, 4)
+    assert motion.euler_angles('ZXZ', continuous=False).shape == (2, 3)
+    assert motion.degenerate('ZXZ').tolist() == [True, True]
+    assert [model.solver for model in motion.models] == ['taylor']
+
+
+def test_a_propagator_answers_what_propagate_answers():
+    body, start = RigidBody(np.diag([1.0, 2.0, 2.5])), State(angular_velocity=(0.1, 0.2, 0.3))
+    propagator = Propagator(body, start)
+    assert propagator.apply(0, [0.0, 0.0, 1.0])
+    state = propagator.at(10 ** 9)
+    motion = propagate(body, start, TorqueLog([0], [[0.0, 0.0, 1.0]]), at=[10 ** 9])
+    assert state.time_ns == 10 ** 9
+    assert state.attitude.tolist() == motion.attitude[0].tolist()
+    assert state.angular_velocity.tolist() == motion.angular_velocity[0].tolist()
