@@ -307,8 +307,8 @@ def _hermite(times_ns: NDArray[np.int64], values: Floats, first: int, stop: int)
             end[axis, 0], end[axis, 1] = slope
             if node > first:
                 _store_cubic(result[node - 1 - first, :, axis], values[node - 1, axis],
-                      values[at, axis], dd.from_int(times_ns[at] - times_ns[node - 1]),
-                      (start[axis, 0], start[axis, 1]), slope)
+                             values[at, axis], dd.from_int(times_ns[at] - times_ns[node - 1]),
+                             (start[axis, 0], start[axis, 1]), slope)
     return result
 
 

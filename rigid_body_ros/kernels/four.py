@@ -115,7 +115,7 @@ def _permuted(order: str, signs: str = '++++') -> Callable[[Four], Four]:
 #: Four floats; one float four times.
 of = _operation(lambda *values: values, 'float float float float', _gathered)
 broadcast = _operation(lambda value: (value,) * 4, 'float',
-                   lambda builder, value: _gathered(builder, *[value] * 4))
+                       lambda builder, value: _gathered(builder, *[value] * 4))
 add = _operation(_each(operator.add), 'four four', lambda builder, a, b: builder.fadd(a, b))
 subtract = _operation(_each(operator.sub), 'four four', lambda builder, a, b: builder.fsub(a, b))
 multiply = _operation(_each(operator.mul), 'four four', lambda builder, a, b: builder.fmul(a, b))

@@ -145,7 +145,7 @@ def _follow(place: Place, reached: States, outputs: Outputs, log: Log, body: Bod
                     budget -= sample
                     continue
                 latest = short_step.step(grid, (time_ns - grid_ns) / 1e9, body.coefficients,
-                                           body.form, acceleration, method.tolerance)
+                                         body.form, acceleration, method.tolerance)
             else:
                 rests = intervals.rests_of(polynomials, index)
                 grid, grid_ns, latest, arrived, budget = stepping.advance(
@@ -208,7 +208,7 @@ def _stream(grid: vector.KernelState, place: Place, last: int, outputs: Outputs,
                 or not short_step.is_accurate(grid, seconds, acceleration, method.tolerance)):
             break
         grid = short_step.step(grid, seconds, body.coefficients, body.form, acceleration,
-                                 method.tolerance)
+                               method.tolerance)
         grid_ns = next_ns
         sample += 1
     return grid, grid_ns, sample, done

@@ -207,7 +207,7 @@ def read(path: str | Path, scene: Scene, topic: str | None = None,
 
 
 def progress(label: str, unit: str = ' stamps',
-        size: Callable[[Any], int] = lambda item: 1) -> recording.Track:
+             size: Callable[[Any], int] = lambda item: 1) -> recording.Track:
     """Return a function that shows the progress of an iteration, if stderr is a terminal."""
     def track(items: Iterable[Any], total: int) -> Iterator[Any]:
         # disable=None: no bar if standard error is not a terminal.
