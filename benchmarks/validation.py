@@ -39,47 +39,52 @@ TEXTS = {
         'NASA, JSC Engineering Orbital Dynamics (JEOD), github.com/nasa/jeod at commit 6550cf4e: '
         '`verif/SIM_dyncomp/SET_test_val/RUN_9B/log_state_ASCII.csv`, with the inertia of '
         '`verif/SIM_dyncomp/Modified_data/mass.py`.',
-        'A full tensor, eight hours, and 10 N m about body x from 1000 s to 2000 s (read off the '
-        'jumps of the logged acceleration). Rows of *32 digits* are held against a Taylor series '
-        'of so many from the same start. They tell whose the difference at the end is: the last '
-        'row is JEOD itself against them.']),
+        'The inertia is a full tensor. The run lasts eight hours, with a torque of 10 N m about '
+        'body x from 1000 s to 2000 s; the jumps of the logged acceleration show these times. The '
+        'rows *against 32 digits* compare with a Taylor series of 32 digits from the same initial '
+        'state. The last row compares JEOD with that series: it shows that the difference at the '
+        'end of the run comes from JEOD.']),
     'nesc': ("The tumbling brick of NASA's check-cases", [
         'Murri, Jackson and Shelton, Check-cases for verification of 6-degree-of-freedom flight '
         'vehicle simulations, NASA/TM-2015-218675: atmospheric case 3, tumbling brick with '
         'damping, simulation 4. Also in github.com/nasa/simupy-flight: '
         '`NESC_data/Atmospheric_checkcases/Atmos_03_TumblingBrickDamping/Atmos_03_sim_04.csv`.',
         'The logged moments are replayed with cubic interpolation. The data are not part of this '
-        'project: this needs `atmos_03_sim_04.csv` in the folder that `NESC_DATA` names, and '
-        'is skipped without.']),
+        'project. To repeat the comparison, set `NESC_DATA` to the folder that contains '
+        '`atmos_03_sim_04.csv`; otherwise the test is skipped.']),
     'toutatis': ('The asteroid Toutatis', [
-        'Moments, start and what radar saw: Takahashi, Busch and Scheeres, Spin state and moment '
-        'of inertia characterization of 4179 Toutatis, Astronomical Journal 146:95, 2013, as '
-        'in github.com/mockingbirdnest/Principia at commit f6bc70e5, '
-        '`physics/euler_solver_test.cpp`, test `Toutatis`, which also has how far off its own '
-        'solution is. Periods: Zhao, Hu and Ji, Revisit of rotational dynamics of asteroid 4179 '
-        "Toutatis from Chang'e-2's flyby, IAU Symposium 318, 156-159, 2016 (arXiv:1511.04357): "
-        '5.38 +- 0.03 and 7.40 +- 0.03 days.',
-        'No torque acts in this prediction from 1992-11-09. The periods are held to the published '
-        'errors. The principal axes, from the smallest moment on, are some degrees off what radar '
-        'saw: so are those of Principia, and by the same to the last digit it has, which is what '
-        'is compared, at its first and last time of 1992.']),
+        'Moments, initial state and radar observations: Takahashi, Busch and Scheeres, Spin state '
+        'and moment of inertia characterization of 4179 Toutatis, Astronomical Journal 146:95, '
+        '2013, as in github.com/mockingbirdnest/Principia at commit f6bc70e5, '
+        '`physics/euler_solver_test.cpp`, test `Toutatis`, which also states the deviation of '
+        "Principia's own solution from radar. Periods: Zhao, Hu and Ji, Revisit of rotational "
+        "dynamics of asteroid 4179 Toutatis from Chang'e-2's flyby, IAU Symposium 318, 156-159, "
+        '2016 (arXiv:1511.04357): 5.38 +- 0.03 and 7.40 +- 0.03 days.',
+        'The prediction starts on 1992-11-09 and is free of torque. The bounds of the periods are '
+        'their published errors. The principal axes, numbered from the smallest moment to the '
+        'largest, deviate from the radar observations by several degrees. Those of Principia '
+        'deviate by the same angles, to all the digits that its test states. The rows compare '
+        'these angles at the first and the last observation of 1992.']),
     'tops': ('Bodies without torque from the literature', [
-        'Bodies and starts: Hairer and Vilmart, Preprocessed discrete Moser-Veselov algorithm '
-        'for the full dynamics of a rigid body, J. Phys. A 39, 13225, 2006; van Zon and '
+        'Bodies and initial states: Hairer and Vilmart, Preprocessed discrete Moser-Veselov '
+        'algorithm for the full dynamics of a rigid body, J. Phys. A 39, 13225, 2006; van Zon and '
         'Schofield, Numerical implementation of the exact dynamics of free rigid bodies, J. '
         'Comput. Phys. 225, 145, 2007, in github.com/JSBSim-Team/jsbsim: '
         '`check_cases/notebooks/rotation/Rotations.ipynb`; the boxes of '
         'github.com/scpeters/benchmark.',
-        'No digits of theirs were at hand. The figures are by a Taylor series of 34 digits, from '
-        'the decimals of the literature, that agrees with the closed form; doubles begin a last '
-        'digit off. Periods are those of the rates, 4 K / lambda, measured over a million of '
-        'them: a body that flips does so every half of one.']),
+        'No published states with enough digits were available. The references come from a Taylor '
+        'series of 34 digits, which agrees with the closed form and starts from the decimals of '
+        'the literature. This package starts from the same decimals rounded to doubles. The '
+        'period of the rates, 4 K / lambda, is measured over a million periods; a body that flips '
+        'does so once every half period.']),
     'sweep': ('The sweep of Landau and Zener', [
         'Zener, Non-adiabatic crossing of energy levels, Proc. R. Soc. Lond. A 137, 696, 1932.',
-        'A sphere under constant torque, w = (1, 0, t): an attitude under torque in closed form. '
-        'Between finite times R33 has parabolic cylinder functions. In the limit it is '
-        '2 exp(-pi / 2) - 1; how nearly is a matter of how long, not of rounding. Seen along the '
-        'rates the limit comes soonest.']),
+        'For a sphere under a constant torque, with w = (1, 0, t), the attitude is known in '
+        'closed form. Over a finite time R33, the last entry of the rotation matrix, is given by '
+        'parabolic cylinder functions. Over an infinite time it is 2 exp(-pi / 2) - 1. The '
+        'difference in the last row comes from the finite time, not from rounding. That row '
+        'compares the cosine of the angle between the final and the reversed initial angular '
+        'velocity, in space axes, because it approaches the limit faster than R33.']),
 }
 
 
@@ -98,8 +103,8 @@ def source_lines(source):
     lines = [f'## {title}', '']
     for paragraph in paragraphs:
         lines += [paragraph, '']
-    lines += [f'Again: `pytest test/test_validation.py -k {source}`', '',
-              *header('what', 'reference', 'here', 'difference', 'held to')]
+    lines += [f'To repeat: `pytest test/test_validation.py -k {source}`', '',
+              *header('quantity', 'reference', 'computed', 'difference', 'bound')]
     lines += [row(*cells(name, *how)) for name, how in ROWS[source].items()]
     return [*lines, '']
 

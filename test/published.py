@@ -96,11 +96,11 @@ def station_rows():
     for row, seconds in enumerate(STATION_SECONDS, start=1):
         yield (f'rates after {seconds} s, relative', lambda row=row: station_rates(row),
                3e-14 if seconds < 28800 else 3e-13)
-    yield ('attitude after 28800 s, 32 digits, rad',
+    yield ('attitude after 28800 s, against 32 digits, rad',
            lambda: attitudes(STATION_ATTITUDE, station()[1].attitude[-1]), 1e-14)
-    yield ('rates after 28800 s, 32 digits, relative',
+    yield ('rates after 28800 s, against 32 digits, relative',
            lambda: rates(STATION_RATES, station()[1].angular_velocity[-1]), 1e-14)
-    yield ("JEOD's attitude after 28800 s, 32 digits, rad",
+    yield ("JEOD's attitude after 28800 s, against 32 digits, rad",
            lambda: attitudes(STATION_ATTITUDE, station()[0].attitude[-1]), 2e-12)
 
 
@@ -153,8 +153,8 @@ def brick_motion(times_ns, moments):
 def brick_rows():
     # The data stay where they are: the differences are all that is shown.
     cells = 'logged at 10 Hz', 'replayed'
-    yield 'attitude, worst of 30 s, degrees', lambda: (*cells, brick()[0]), 1e-5
-    yield 'rates, worst of 30 s, degrees/s', lambda: (*cells, brick()[1]), 1e-6
+    yield 'attitude, largest in 30 s, degrees', lambda: (*cells, brick()[0]), 1e-5
+    yield 'rates, largest in 30 s, degrees/s', lambda: (*cells, brick()[1]), 1e-6
 
 
 # The asteroid Toutatis.
@@ -208,10 +208,10 @@ def toutatis_axes(seen):
 
 
 def toutatis_rows():
-    yield 'period about the long axis, days', lambda: toutatis_period(0, 5.38), 0.03
-    yield 'period of its precession, days', lambda: toutatis_period(1, 7.40), 0.03
+    yield 'period of rotation about the long axis, days', lambda: toutatis_period(0, 5.38), 0.03
+    yield 'period of precession of that axis, days', lambda: toutatis_period(1, 7.40), 0.03
     for seen in TOUTATIS_SEEN:
-        yield (f'axes 1, 2, 3 off radar on {seen[:10]}, degrees',
+        yield (f'axes 1, 2, 3 against radar on {seen[:10]}, degrees',
                lambda seen=seen: toutatis_axes(seen), 0.1)
 
 
