@@ -116,20 +116,22 @@ infinity are never published.
 
 ### What happens to a torque
 
-A torque fixes the state at its stamp, under the torques before it. States published between
-stamps are predictions, and nothing later is computed from them. So torques may arrive late, by
-less than `history`, and in any order: the committed states have the same bits, and a replay of
-`~/accepted_torque` reproduces them. If two torques have one stamp, the one that arrives later
-replaces the other. A message that is not finite, in an unknown frame, too old, or has an
-impossible stamp is rejected as a whole, counted, and logged at most every 5 s.
+The state at the stamp of a torque depends only on the torques before it. States published between
+stamps are predictions, and nothing later is computed from them. Torques may therefore arrive in
+any order, and late by less than `history`: the committed states have the same bits, and a replay
+of `~/accepted_torque` reproduces them. If two torques have the same stamp, the one that arrives
+later replaces the other. A message is rejected as a whole if its values are not finite, its frame
+is unknown, or its stamp is too old or impossible. Rejected messages are counted, and logged at
+most every 5 s.
 
 `/diagnostics` counts every torque sent exactly once: as applied, waiting, rejected by cause, lost
-in transit, or dropped because the queue of the subscription was full. While more than 5000
-torques wait in `realtime`, the first for longer than 2 s, new ones are rejected (`overload`), so
-that the motion catches up with real time.
+in transit, or dropped because the queue of the subscription was full. In `realtime`, while more
+than 5000 torques wait and the first of them has waited for more than 2 s, new torques are rejected
+(`overload`), so that the motion catches up with real time.
 
-A torque without a stamp, or with `time_source:=arrival`, acts from its arrival on. Each gets its
-own stamp; between two ticks of simulated time the stamps advance as fast as time did before.
+A torque without a stamp, or with `time_source:=arrival`, acts from its arrival on. Each such
+torque gets its own stamp. Between two ticks of simulated time these stamps advance at the rate of
+the previous ticks.
 
 With `use_sim_time` the node waits for `/clock`, and `on_time_jump` decides what happens when that
 clock jumps back. For a bag that is played without `--clock`, use `time_source:=arrival`.
@@ -143,23 +145,23 @@ one torque for each state.
 
 - While no node publishes torques, the latest state is published again at 10 Hz. A controller that
   starts or restarts receives it once, half a second after it connects.
-- A controller may take its time. The state is published again only after 2 s of silence, then
-  after 4 s, and so on. A controller that works for longer receives it twice, and the torque that
-  it sends for the second copy has no effect.
+- A controller may be slow. The state is published again only after 2 s without a torque, then
+  after 4 s, and so on. A controller that takes longer than that receives the state twice, and the
+  torque that it sends for the second copy has no effect.
 - If the same controller repeats a torque more than 0.1 s after the response, the node responds
   again, because the response may have been lost. If it sends a different torque with the same
   stamp, that replaces the first and also gets a response.
 - Torques of a second controller are rejected (`already answered`), and diagnostics name both.
-- `~/reset` begins again with the initial state. The torque that responds to a state from before
-  the reset is rejected (`before the reset`), so that time can go back.
+- `~/reset` restarts the loop with the initial state. A torque that responds to a state published
+  before the reset is rejected (`before the reset`), so that time can go back.
 
-Diagnostics warn of silence and of a response that takes long to compute.
+Diagnostics warn if no torques arrive, and if a response takes long to compute.
 
 ## Parameters
 
 The node, `attitude_replay` and `attitude_tradeoff` (`--scene`) read the same file. Integers are
-accepted for numbers; unknown keys are rejected. In a running node all parameters but
-`publish_rate` are read-only. `ros2 param describe` prints the descriptions of this table, and
+accepted for floating-point parameters; unknown keys are rejected. In a running node all parameters
+but `publish_rate` are read-only. `ros2 param describe` prints the descriptions of this table, and
 `ros2 param dump` writes a file that is a scene.
 
 {parameters}
