@@ -15,8 +15,8 @@
 """
 The rigid body, its state, and the relations between torque, momentum and rotation.
 
-Vectors are in body axes unless their name ends in `_space`. Formulas as in Goldstein, Classical
-Mechanics, chapters 4 and 5.
+Vectors are in body axes unless their name ends in `_space`. The formulas are those of Goldstein,
+Classical Mechanics, chapters 4 and 5.
 """
 
 from __future__ import annotations
@@ -39,10 +39,11 @@ if TYPE_CHECKING:
 
 Result = TypeVar('Result')
 
-#: Relative rounding error that is accepted in a tensor that was rotated or summed in doubles.
+#: Accepted relative asymmetry of a tensor, and relative difference up to which moments count as
+#: equal: an upper limit for the rounding error of a tensor that was rotated or summed in doubles.
 ROUNDING = 1e-12
-#: Largest accepted `triangle_excess`. Published tensors are rounded to two or three digits, so
-#: those of thin plates may be slightly unphysical; their motion is well defined.
+#: Largest accepted `triangle_excess`. Published tensors have two or three digits, so the tensor of
+#: a thin plate may be slightly unphysical. Its motion is still well defined.
 TRIANGLE_EXCESS = 0.03
 #: Bound on the relative rounding error of a weighted sum over up to a million point masses with
 #: numpy's pairwise summation.
@@ -56,8 +57,8 @@ class RigidBody:
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
-        Inertia about the centre of mass, body axes. The products of inertia are the entries of
-        the matrix itself, with their sign there (as in URDF).
+        Inertia about the centre of mass, body axes. The off-diagonal entries have the sign of the
+        matrix: ixy is minus the integral of x y dm (as in URDF).
 
     Attributes
     ----------
@@ -70,24 +71,26 @@ class RigidBody:
         Excess of the largest principal moment over the sum of the other two, relative to the
         sum: zero for any real body, up to `TRIANGLE_EXCESS` for a tensor with rounded digits.
     symmetry : str
-        'sphere', 'symmetric top' or 'asymmetric top': how many moments agree within rounding.
+        'sphere' if all three moments are equal within rounding, 'symmetric top' if two are, else
+        'asymmetric top'.
 
     Raises
     ------
     ValueError
-        The tensor is not 3 by 3, finite, symmetric and positive definite, or its largest
-        principal moment exceeds the sum of the others by more than `TRIANGLE_EXCESS`.
+        The tensor is not 3 by 3, finite, symmetric and positive definite; its largest principal
+        moment exceeds the sum of the others by more than `TRIANGLE_EXCESS`; or a moment or its
+        inverse does not fit a double.
 
     """
 
     def __init__(self, tensor: ArrayLike) -> None:
         self.inertia = _checked_tensor(tensor)
-        #: Principal moments (2, 3) and axes (2, 3, 3), each with the low-order parts.
+        #: Principal moments, shape (2, 3), and axes, shape (2, 3, 3): high and low-order parts.
         self._principal = _computed(constants.principal, self.inertia)
         self.principal_moments, self.principal_axes = (high.copy() for high, _ in self._principal)
         self.triangle_excess = _checked_excess(self.principal_moments)
         self.symmetry = _symmetry(self.principal_moments)
-        #: Euler's equations (2, 3, 9), and all that the kernels need to know.
+        #: Coefficients of Euler's equations, shape (2, 3, 9), and all constants for the kernels.
         self._coefficients = _computed(constants.euler_coefficients, self.inertia)
         self._constants = body_layout.pack(self._coefficients, *self._principal)
         self.inertia.flags.writeable = False
@@ -96,12 +99,12 @@ class RigidBody:
     def from_moments(cls, ixx: float, iyy: float, izz: float,
                      ixy: float = 0.0, ixz: float = 0.0, iyz: float = 0.0) -> RigidBody:
         """
-        Build a body from the six entries of its inertia tensor; errors as for the class.
+        Build a body from the six entries of its inertia tensor, with the errors of the class.
 
         Parameters
         ----------
         ixx, iyy, izz, ixy, ixz, iyz : float, kg m^2
-            About the centre of mass, body axes; the entries of the matrix itself (as in URDF).
+            About the centre of mass, body axes, with the signs of the matrix (as in URDF).
 
         """
         return cls([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
@@ -125,9 +128,9 @@ class RigidBody:
         Raises
         ------
         ValueError
-            A mass is not positive and finite, the shapes do not match, or the masses lie on one
-            line within rounding: closer to it than about 1e-7 of its length, or 1e-14 of the
-            distance from the origin.
+            A mass is not positive and finite, the shapes do not match, or the masses are
+            collinear within rounding: their distance from a common line is less than about 1e-7
+            of its length, or 1e-14 of the distance from the origin.
 
         """
         masses, positions = np.asarray(masses, float), np.asarray(positions, float)
@@ -165,7 +168,7 @@ class RigidBody:
         Raises
         ------
         ValueError
-            As `urdf.inertia`, or the tensor is not that of a body; see the class.
+            `urdf.inertia` raises it, or the tensor is not valid for a rigid body (see the class).
 
         """
         return cls(urdf.inertia(text, link))
@@ -175,7 +178,7 @@ class RigidBody:
                 f'{written(self.principal_moments)} kg m^2)')
 
     def moment_about(self, axis: ArrayLike) -> float:
-        """Return the moment of inertia n . J n, kg m^2, about an axis, shape (3,), any length."""
+        """Return the moment of inertia n . J n, kg m^2, about a body axis, shape (3,)."""
         direction = so3.normalize(axis)
         return float(np.sum(direction * self.angular_momentum(direction)))
 
@@ -228,7 +231,7 @@ class RigidBody:
 
 
 def _combined(factors: Floats, rows: Floats) -> Floats:
-    # The product factors @ rows, summed in order: the order of BLAS depends on the processor.
+    # Return factors @ rows, summed in a fixed order: in BLAS the order depends on the processor.
     total = factors[..., :1] * rows[0]
     for k in range(1, len(rows)):
         total = total + factors[..., k:k + 1] * rows[k]
@@ -287,12 +290,12 @@ class State:
     angular_velocity: Floats
     #: See `state_layout`.
     _packed: Floats = field(init=False, repr=False)
-    #: And if it lies between two torque changes, where the steps to it began.
+    #: The step grid that the state was computed from (an `Origin`), or None.
     _origin: object = field(init=False, repr=False)
 
     @classmethod
     def _as_computed(cls, time_ns: int, packed: Floats, origin: object = None) -> State:
-        """Return a state with every bit as it is: no norm is restored."""
+        """Return a state with exactly these bits; the quaternion is not normalised."""
         state = object.__new__(cls)
         packed.flags.writeable = False
         for name, value in (('time_ns', time_ns), ('attitude', state_layout.attitude(packed)),
@@ -305,7 +308,7 @@ class State:
     def __init__(self, time_ns: int = 0,
                  attitude: ArrayLike | Rotation = (0.0, 0.0, 0.0, 1.0),
                  angular_velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        if hasattr(attitude, 'as_quat'):  # a SciPy Rotation: SciPy itself takes long to import
+        if hasattr(attitude, 'as_quat'):  # a SciPy Rotation; to import SciPy takes long
             attitude = attitude.as_quat()
         q = _checked_vector(attitude, 4, 'attitude quaternion (x, y, z, w)')
         if not q.any():

@@ -21,9 +21,9 @@ axis of the rotated body), lower case for extrinsic ones (about axes fixed in sp
 and active: the rotation maps body vectors to space vectors.
 
 Conversions are computed with at least 65 bits and rounded once. A conversion to angles and back
-changes an attitude by less than 1e-15 rad, at the poles too. Nearly all of that is the rounding
-of the angles: neighbouring doubles are 4.4e-16 to 8.9e-16 apart. All results have the same bits on
-every machine.
+changes an attitude by less than 1e-15 rad, at the poles too. Nearly all of this change comes from
+rounding the angles: neighbouring doubles are 4.4e-16 to 8.9e-16 apart. All results have the same
+bits on every machine.
 """
 
 from __future__ import annotations
@@ -42,9 +42,10 @@ from rigid_body_ros.kernels.jit import njit
 #: only the sum or the difference of the first and third angle is determined.
 DEGENERATE = 1e-7
 _TURN = 2.0 * np.pi
-#: Below, a rate divided by it may overflow.
+#: sin(theta) below which a rate divided by it may overflow.
 _VANISHING = 1e-290
-#: The same within rounding: the sum or the difference is not determined at all.
+#: sin(theta) below which theta is at a pole within rounding: of the sum and the difference of the
+#: first and third angle, one is not determined at all.
 _UNDETERMINED = 1e-15
 
 
@@ -54,6 +55,7 @@ class _Axes(NamedTuple):
     i: int
     j: int
     k: int
+    #: Whether the first and third axis are the same.
     proper: bool
     #: 1 if i, j and the third axis are right-handed, else -1.
     parity: int
@@ -117,8 +119,8 @@ def from_quaternion(attitude: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     ONE 2022; for 'ZXZ': `theta = 2 atan2(|x, y|, |w, z|)`, (phi + psi) / 2 = atan2(z, w),
     (phi - psi) / 2 = atan2(y, x)). If only one of the two is determined, it is kept exact and
     split evenly. Near a pole the first and third rotation have nearly the same axis, so their
-    rounding errors would add up: the third angle corrects the component of the first one's error
-    along its own axis.
+    rounding errors would add up. Therefore the third angle compensates for the rounding error of
+    the first angle, as far as that error is a rotation about the third axis.
 
     Parameters
     ----------
@@ -161,7 +163,13 @@ def degenerate(angles: ArrayLike, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
     Returns
     -------
     array of bool, shape (...)
-        Whether the sine (cosine, if all axes differ) of the middle angle is below `DEGENERATE`.
+        Whether the sine (cosine, if all axes differ) of the middle angle is below `DEGENERATE` in
+        absolute value.
+
+    Raises
+    ------
+    ValueError
+        The sequence is not one of the twelve.
 
     """
     middle = np.asarray(angles, float)[..., 1]
@@ -187,6 +195,11 @@ def rotation_axes(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     -------
     array, shape (..., 3, 3)
         One axis per row, in the order of the sequence.
+
+    Raises
+    ------
+    ValueError
+        The sequence is not one of the twelve.
 
     """
     axes = _axes(sequence)
@@ -217,6 +230,11 @@ def angular_velocity(angles: ArrayLike, rates: ArrayLike, sequence: str = 'ZXZ')
     -------
     array, shape (..., 3), rad/s, body axes
 
+    Raises
+    ------
+    ValueError
+        The sequence is not one of the twelve.
+
     """
     return np.sum(np.asarray(rates, float)[..., None] * rotation_axes(angles, sequence), axis=-2)
 
@@ -244,6 +262,11 @@ def rates(angles: ArrayLike, angular_velocity: ArrayLike, sequence: str = 'ZXZ')
     -------
     array, shape (..., 3), rad/s
         In the order of the sequence; always finite.
+
+    Raises
+    ------
+    ValueError
+        The sequence is not one of the twelve.
 
     """
     axes = _axes(sequence)
@@ -281,6 +304,11 @@ def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     -------
     array, shape (m, 3), rad
 
+    Raises
+    ------
+    ValueError
+        The sequence is not one of the twelve.
+
     """
     result, axes = np.array(angles, float, order='C'), _axes(sequence)
     sine, cosine = _sine_cosine(result[:, 1], axes)
@@ -292,7 +320,7 @@ def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
 @njit
 def _chain(angles: Floats, anchor: int, poles: Floats, proper: bool) -> None:
-    # Each row follows its neighbour on the side of the anchor.
+    # Make each row continuous with its neighbour on the side of the anchor, itself a row.
     for row in range(anchor + 1, len(angles)):
         _follow(angles[row], angles[row - 1], poles[row], proper)
     for row in range(anchor - 1, -1, -1):
@@ -302,7 +330,7 @@ def _chain(angles: Floats, anchor: int, poles: Floats, proper: bool) -> None:
 @njit
 def _follow(triple: Floats, last: Floats, pole: float, proper: bool) -> None:
     a, b, c = triple
-    if pole != 0.0:  # a + pole c is determined; a - pole c is not, and stays as it was
+    if pole != 0.0:  # a + pole c is determined; a - pole c is not, and is copied
         free = last[0] - pole * last[2]
         determined = _nearest(a + pole * c, last[0] + pole * last[2])
         triple[0] = 0.5 * (determined + free)
@@ -333,8 +361,9 @@ def _intrinsic(angles: ArrayLike, axes: _Axes) -> Floats:
 
 
 def _triad(angles: ArrayLike, axes: _Axes) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    # Body axis of the last rotation, line of nodes, and the unit vector perpendicular to both, of
-    # the sign for which the first axis is cosine * outer + sine * across.
+    # Return the body axis of the last rotation (outer), the line of nodes, the unit vector
+    # perpendicular to both (across), and the sine and the cosine of the angle between the first
+    # and the last axis: the first axis is cosine * outer + sine * across.
     _, middle, last = np.moveaxis(_intrinsic(angles, axes), -1, 0)
     unit = np.eye(3)
     sine, cosine = _sine_cosine(middle, axes)
@@ -346,6 +375,6 @@ def _triad(angles: ArrayLike, axes: _Axes) -> tuple[Floats, Floats, Floats, Floa
 
 
 def _sine_cosine(middle: Floats, axes: _Axes) -> tuple[Floats, Floats]:
-    # Sine and cosine of the angle between the first and the last axis.
+    # Return the sine and the cosine of the angle between the first and the last axis.
     sine, cosine = sines_cosines(middle)
     return (sine, cosine) if axes.proper else (cosine, axes.parity * sine)

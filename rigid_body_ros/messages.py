@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-ROS messages as bytes: the only module that knows message fields, CDR and message definitions.
+ROS messages as bytes: the only module with message fields, CDR and message definitions.
 
 All types here have one structure: a header, in some types a second name, then doubles. There are
 three exceptions. A Wrench has no header. A TFMessage is a list of transforms, here always of one.
@@ -252,9 +252,9 @@ BOX = _marker(1, 0.70, 0.75, 0.80, 0.8)
 ORANGE_ARROW, BLUE_ARROW = _marker(0, 0.90, 0.62, 0.0, 1.0), _marker(0, 0.0, 0.27, 0.70, 1.0)
 TYPES = {kind.name: kind for kind in (WRENCH, QUATERNION, VECTOR3, IMU, ODOMETRY, TRANSFORM, BOX)}
 
-#: Where the orientation is among the doubles of an Odometry.
+#: Position of the orientation in the doubles of an Odometry.
 ORIENTATION = slice(3, 7)
-#: Where the angular velocity is among the doubles of an Odometry; all others are 0.
+#: Position of the angular velocity in the doubles of an Odometry. `odometry` sets all others to 0.
 ANGULAR_VELOCITY = slice(46, 49)
 
 
@@ -319,7 +319,7 @@ def imu_values(attitude: Floats, angular_velocity: Floats) -> Floats:
 
 
 def transform(state: State, space_frame: str, body_frame: str) -> bytes:
-    """Return the transform from body coordinates to space coordinates at a state."""
+    """Return the transform from body coordinates to space coordinates, as a TFMessage."""
     return TRANSFORM.encode(state.time_ns, space_frame, transform_values(state.attitude[None])[0],
                             body_frame)
 
@@ -331,7 +331,7 @@ def transform_values(attitude: Floats) -> Floats:
 
 @lru_cache
 def _around_stamp(kind: MessageType, frame_id: str, child_frame_id: str) -> tuple[bytes, bytes]:
-    # The bytes of a message before its stamp, and those between its stamp and its doubles.
+    # Return the bytes of a message before its stamp, and between its stamp and its doubles.
     head = b'\1\0\0\0' if kind.is_list else b''
     begin, body = len(head) + 8, b''
     for name in (frame_id, child_frame_id)[:1 + kind.has_child_frame]:
@@ -342,7 +342,7 @@ def _around_stamp(kind: MessageType, frame_id: str, child_frame_id: str) -> tupl
 
 
 def _nested(name: str) -> list[str]:
-    # The types that a definition uses, each once, after the type that uses it first.
+    # Return the types that a definition uses, each once, after the type that uses it first.
     found: list[str] = []
     for line in _FIELDS[name].splitlines():
         field = line.split()[0].removesuffix('[]')

@@ -42,7 +42,7 @@ NODE = 'attitude_node'
 
 
 class Parameter(NamedTuple):
-    """A parameter of a scene; one without a default is a required float."""
+    """A parameter of a scene. If it has no default, it is a required float."""
 
     name: str
     default: bool | int | float | str | None
@@ -64,9 +64,9 @@ _MOMENT = 'moment of inertia about the centre of mass, body axes'
 _PRODUCT = 'off-diagonal entry of the inertia tensor, with the sign of the matrix as in URDF'
 _QUATERNION = 'initial attitude quaternion, body to space'
 _VELOCITY = 'initial angular velocity, body axes'
-#: How far the norm of a unit quaternion is from 1 if it is written with three digits.
+#: Accepted difference from 1 of the norm of a quaternion, for components with three digits.
 _UNIT = 1e-2
-#: rad/s; a faster body is a toy top, a flywheel, or a vehicle with rates in degrees per second.
+#: rad/s; a faster body is a spinning top or a flywheel, or its rates are in degrees per second.
 _FAST = 10.0
 MODES = REALTIME, LOCKSTEP = 'realtime', 'lockstep'
 TIME_SOURCES = HEADER, ARRIVAL = 'header', 'arrival'
@@ -126,7 +126,7 @@ _ROS, _QOS = ('use_sim_time', 'start_type_description_service'), 'qos_overrides.
 @dataclass(frozen=True)
 class Scene:
     """
-    Everything but the torques that a motion depends on, validated.
+    The validated inputs of a motion, except the torques.
 
     Attributes
     ----------
@@ -203,7 +203,7 @@ def load(path: str | Path) -> Scene:
     Read a scene from a ROS 2 parameter file, such as `ros2 param dump` writes.
 
     Parameters of `/**` apply to every node, and those of `attitude_node` override them. A file
-    without either is taken if it has parameters for one node only.
+    without either is accepted if it has parameters for one node only.
 
     Raises
     ------
@@ -247,7 +247,7 @@ def checked(parameter: Parameter, given: Any) -> Any:
 
 
 def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
-    """Return the entries of the tensor if a URDF has them; numbers that are given must agree."""
+    """Return the entries of the tensor of a URDF, if there is one; given entries must agree."""
     text, link = (checked(PARAMETERS[name], given.get(name, ''))
                   for name in ('robot_description', 'link'))
     if not text:

@@ -46,7 +46,7 @@ class TorqueLog:
     Parameters
     ----------
     times_ns : array of int, shape (n,), ns
-        In any order. Of samples with equal stamps, the last one in the arrays counts.
+        In any order. Of samples with equal stamps, only the last one in the arrays is used.
     torques : array, shape (n, 3), N m
         About the centre of mass.
     frame : str, sequence of n str, or array of bool, shape (n,)
@@ -139,7 +139,7 @@ class TorqueLog:
 
     def segments(self, timeout_ns: int = 0) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
         """
-        Return the times from which each sample is in force, or none is.
+        Return the times at which a sample comes into force or times out.
 
         Parameters
         ----------
@@ -150,7 +150,7 @@ class TorqueLog:
         -------
         starts_ns : array of int64, shape (m,), ns
         samples : array of int, shape (m,)
-            Index of the sample in force from then on, or -1 after a timeout.
+            Index of the sample in force from each time on, or -1 after a timeout.
 
         """
         samples = np.arange(len(self))
@@ -287,8 +287,9 @@ def _checked_frames(frame: str | Sequence[str] | NDArray[np.bool_],
 
 @njit
 def _hermite(times_ns: NDArray[np.int64], values: Floats, first: int, stop: int) -> Floats:
-    # Cubics through the samples. Their slopes there are those of polynomials through the nearest
-    # samples. The low-order parts matter for a thin rod, where torques may cancel.
+    # Return cubics through the samples. At each sample, the slope is that of the polynomial
+    # through the nearest samples. The low-order parts matter for a thin rod, where torques may
+    # cancel.
     last = len(times_ns) - 1
     count = min(_NEAREST, last + 1)
     result = np.empty((stop - first, 7, 3))
@@ -315,8 +316,8 @@ def _hermite(times_ns: NDArray[np.int64], values: Floats, first: int, stop: int)
 @internal
 def _update_weights(times_ns: NDArray[np.int64], node: int, begin: int, count: int,
                     weights: Floats, spacing: NDArray[np.int64]) -> None:
-    # Weights, 1/ns, of the differences between the samples and a node in the slope there: the
-    # derivatives of Lagrange polynomials. With the same spacing, those of the last node hold.
+    # Update the weights, 1/ns, of the differences between the samples and a node in the slope at
+    # the node: derivatives of Lagrange polynomials. If the spacing is unchanged, so are they.
     same = True
     for k in range(count):
         span = times_ns[begin + k] - times_ns[node]
@@ -336,7 +337,7 @@ def _update_weights(times_ns: NDArray[np.int64], node: int, begin: int, count: i
 @internal
 def _store_cubic(row: Floats, here: float, following: float, span: DoubleDouble,
                  start: DoubleDouble, end: DoubleDouble) -> None:
-    # The coefficients on one axis, from the values and the slopes, 1/ns, at both ends.
+    # Store the coefficients on one axis, from the values and the slopes, 1/ns, at both ends.
     delta = dd.two_sum(following, -here)
     start, end = dd.multiply(start, span), dd.multiply(end, span)
     curved = dd.subtract(delta, start)

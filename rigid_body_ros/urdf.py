@@ -15,8 +15,9 @@
 """
 The inertia of a link in a URDF file.
 
-The format is specified in http://wiki.ros.org/urdf/XML/link. Where that leaves a choice, this
-module follows urdfdom, the parser of ROS (`parseInertial` in urdf_parser/src/link.cpp).
+The format is specified in http://wiki.ros.org/urdf/XML/link. Where the specification leaves a
+choice, this module follows urdfdom, the parser of ROS (`parseInertial` in
+urdf_parser/src/link.cpp).
 """
 
 from __future__ import annotations
@@ -43,16 +44,16 @@ def inertia(text: str, link: str = '') -> Floats:
     """
     Return the inertia of a link about its centre of mass, in the axes of the link.
 
-    This is R I R^T, where I has the entries of <inertia>, and R is the rotation by the roll, pitch
-    and yaw of <origin> about the fixed axes x, y, z. Without a rotation, the entries are
+    The result is R I R^T, where I has the entries of <inertia>, and R is the rotation by the roll,
+    pitch and yaw of <origin> about the fixed axes x, y, z. Without a rotation the entries are
     those of the file; a rotation rounds them by about 1e-16 of the largest moment. The position
-    xyz of the centre of mass does not change the tensor: it is only checked. The mass is ignored.
+    xyz of the centre of mass is checked, but does not change the tensor. The mass is ignored.
 
     Parameters
     ----------
     text : str
         Contents of the file, after xacro. All six entries of <inertia> are required: neither the
-        specification nor urdfdom has defaults for them. <origin>, its xyz and its rpy default to
+        specification nor urdfdom has defaults for them. The xyz and rpy of <origin> default to
         zero.
     link : str
         Name of the link; may be empty if only one link has an <inertial>.

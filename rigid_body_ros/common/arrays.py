@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Array types and how to write arrays for a reader."""
+"""The type of floating-point arrays, and short arrays as text."""
 
 import numpy as np
 from numpy.typing import NDArray

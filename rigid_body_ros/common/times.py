@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 #: ns; later than any valid time.
 NEVER_NS = 2 ** 63 - 1
-#: Seconds that fit int64 nanoseconds at any epoch.
+#: s; longest valid duration, about 32 years.
 LONGEST = 1e9
 
 
@@ -97,7 +97,11 @@ def duration_ns(seconds: float, name: str) -> int:
     seconds : float, s
         From 0 to `LONGEST`.
     name : str
-        For the message of the error.
+        Name of the value in error messages.
+
+    Returns
+    -------
+    int, ns
 
     Raises
     ------

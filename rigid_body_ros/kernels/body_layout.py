@@ -15,9 +15,9 @@
 """
 The layout of the constants of a body: 104 doubles.
 
-They are 26 vectors of four, the last component zero: the nine columns of Euler's equations and
-what rounding took from each, the principal moments and what rounding took from them, the three
-principal axes and what rounding took from each.
+They form 26 vectors of four doubles, the last of which is zero: the nine columns of coefficients
+of Euler's equations and the low-order part of each, the principal moments and their low-order
+parts, the three principal axes and the low-order part of each.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from rigid_body_ros.kernels.vector import Coefficients, Columns, of, PrincipalFr
 #: Offsets.
 _EQUATIONS, _LOST_EQUATIONS, _MOMENTS, _LOST_MOMENTS, _AXES, _LOST_AXES = 0, 36, 72, 76, 80, 92
 SIZE = 104
-#: What rounding took from J^-1, the last three columns of Euler's equations.
+#: Low-order parts of J^-1, the last three columns of coefficients of Euler's equations.
 LOST_INVERSE = slice(_LOST_EQUATIONS + 24, _MOMENTS)
 
 

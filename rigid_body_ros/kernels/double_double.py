@@ -15,8 +15,8 @@
 """
 Double-double arithmetic for the compiled kernels: a number is the sum of two doubles.
 
-This gives about 32 digits. Algorithms as in Hida, Li and Bailey, "Algorithms for quad-double
-precision floating point arithmetic", 2001, with fused products.
+Such a number has about 32 digits. The algorithms are those of Hida, Li and Bailey, "Algorithms for
+quad-double precision floating point arithmetic", 2001, with fused multiply-add.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ PI = tables.PI
 
 @internal
 def quick_two_sum(a: float, b: float) -> DoubleDouble:
-    """Return the exact sum of two doubles; |a| >= |b|, or a is zero."""
+    """Return the exact sum of two doubles, provided that |a| >= |b| or a is zero."""
     total = a + b
     return total, b - (total - a)
 

@@ -15,17 +15,18 @@
 """
 Elementary functions for the compiled kernels, with the same bits on every machine.
 
-The functions of C libraries differ between machines in the last bit. These use only operations
-whose results IEEE 754 defines to the last bit: + - * /, square root and fused multiply-add.
+The functions of C libraries differ between machines in the last bit. The functions here use only
+operations whose results IEEE 754 defines to the last bit: + - * /, square root and fused
+multiply-add.
 
 A function is evaluated in two phases, as in CORE-MATH (Sibidanov, Zimmermann and Glondu, "The
-CORE-MATH project", 2022). A quick evaluation with about 65 bits decides how nearly all results
-round. The few that it leaves open (Ziv, "Fast evaluation of elementary mathematical functions
-with correctly rounded last bit", 1991) come from a careful one with an error below 1e-31. That
-rounds to the wrong neighbour only if the true value is as close to the middle between two
+CORE-MATH project", 2022). A quick evaluation with about 65 bits determines the rounded result for
+nearly all arguments. For the others a careful evaluation has an error below 1e-31 (Ziv, "Fast
+evaluation of elementary mathematical functions with correctly rounded last bit", 1991). Its result
+is wrong in the last bit only if the true value lies within this error of the midpoint between two
 doubles, which is expected for about one argument in 10^15.
 
-Angles are reduced by the nearest multiple of pi / 128, and ratios by that of 1 / 128. Tables hold
+Angles are reduced by the nearest multiple of pi / 128, ratios by that of 1 / 128. Tables hold
 the functions of these multiples (Gal and Bachelis, "An accurate elementary mathematical library
 for the IEEE floating point standard", 1991).
 """
@@ -68,11 +69,12 @@ from rigid_body_ros.kernels.jit import fma, inlined, internal
 
 #: Bounds on the relative error of the quick evaluations.
 _SINE_ERROR, _ANGLE_ERROR = 2.0 ** -65, 2.0 ** -66
-#: Below, a sine rounds to its angle and a cosine to 1; an arctangent to its ratio.
+#: Below the first, the sine rounds to the angle and the cosine to 1; below the second, the
+#: arctangent rounds to the ratio.
 _TINY_ANGLE, _TINY_RATIO = 2.0 ** -27, 2.0 ** -60
-#: Above, the reduction of an angle takes more bits of pi than `STEP` has.
+#: Above this, the reduction of an angle requires more bits of pi than `STEP` has.
 _LARGE_ANGLE = 2.0 ** 20
-#: Elements of `TURN_PARTS` that reduce one angle: the rest is 2^-179 of a step.
+#: Number of elements of `TURN_PARTS` that reduce one angle; later ones add 2^-179 of a step.
 _PARTS = 11
 #: Between these, the square of a number, times 2^-60, is far inside the range of doubles.
 _SMALL, _LARGE = 2.0 ** -400, 2.0 ** 400
@@ -160,8 +162,8 @@ def tanh_sech(x: float) -> tuple[float, float]:
     """
     Return hyperbolic tangent and secant, correctly rounded.
 
-    A secant below 1e-270 has an error of up to one unit in the last place. For |x| > 709, where
-    it leaves the range of normal doubles, it is zero.
+    A secant below 1e-270 has an error of up to one unit in the last place. For |x| > 709 the
+    secant is below the range of normal doubles, and zero is returned.
     """
     if abs(x) < _TINY_ANGLE:
         return x, 1.0
@@ -192,8 +194,8 @@ def _polynomial(coefficients: Floats, x: DoubleDouble) -> DoubleDouble:
 
 @inlined
 def _reduce(angle: float) -> tuple[int, DoubleDouble]:
-    # The nearest step, and the rest. The first product and difference are exact: the angle has
-    # bits below those of the step only if there are few steps.
+    # Return the nearest step, and the rest. The first product and difference are exact: the angle
+    # has bits below those of the step only if there are few steps.
     count = round(angle * _STEPS_OF_RADIAN)
     steps = float(count)
     product, rest = two_product(steps, STEP[1])
@@ -203,8 +205,8 @@ def _reduce(angle: float) -> tuple[int, DoubleDouble]:
 
 @internal
 def _reduce_large(angle: float) -> tuple[int, DoubleDouble]:
-    # The same for any angle, with 100 bits (Payne and Hanek, "Radian reduction for trigonometric
-    # functions", 1983). Steps are counted modulo a whole turn, exactly.
+    # Do the same for any angle, with 100 bits (Payne and Hanek, "Radian reduction for
+    # trigonometric functions", 1983). The count of steps is exact, modulo a whole turn.
     if not abs(angle) < math.inf:
         return 0, (math.nan, math.nan)
     fraction, exponent = math.frexp(abs(angle))
@@ -248,7 +250,7 @@ def _of_small_angle(x: float) -> tuple[DoubleDouble, DoubleDouble]:
 
 @inlined
 def _sine_of_sum(sine: DoubleDouble, cosine: DoubleDouble, rest: DoubleDouble) -> DoubleDouble:
-    # The sine of the sum of a table's angle and a rest of at most half a step.
+    # Return the sine of the sum of a tabulated angle and a rest of at most half a step.
     x, low = rest
     square, more = two_product(x, x)
     half = 0.5 * square
@@ -278,8 +280,8 @@ def _careful_sine_cosine(angle: float) -> tuple[DoubleDouble, DoubleDouble]:
 
 @internal
 def _ratio(a: float, b: float) -> float:
-    # The arctangent of a tiny ratio: the ratio itself. If it is half way between two subnormal
-    # doubles, the lower one, because the arctangent is smaller.
+    # Return the arctangent of a tiny ratio: the ratio itself. If the ratio is half way between two
+    # subnormal doubles, return the lower one, because the arctangent is less than the ratio.
     if a == 0.0:
         return 0.0
     ratio = a / b
@@ -306,8 +308,8 @@ def _nearest_ratio(a: float, b: float) -> int:
 
 @inlined
 def _quick_arctangent(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
-    # The arctangent of a / b, 0 to 1: that of the nearest ratio in the table, plus that of
-    # (a - b ratio) / (b + a ratio), whose numerator is exact.
+    # Return the arctangent of a / b, where a / b is 0 to 1: the arctangent of the nearest ratio in
+    # the table, plus the arctangent of (a - b ratio) / (b + a ratio), whose numerator is exact.
     row = _nearest_ratio(a[0], b[0])
     ratio = float(row) / STEPS
     above, above_rest = fma(-ratio, b[0], a[0]), fma(-ratio, b[1], a[1])
@@ -334,8 +336,8 @@ def _careful_arctangent(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
 
 @internal
 def _expm1(x: float) -> DoubleDouble:
-    # exp(x) - 1 for x from 0 to 709: powers of 2 are split off, the series gives exp - 1 of a
-    # 64th of the rest, and 1 + growth is squared six times.
+    # Return exp(x) - 1 for x from 0 to 709: split off a power of 2, sum the series of exp - 1 for
+    # a 64th of the rest, and square 1 + growth six times.
     power = float(round(x / LN_2[0]))
     rest = subtract(subtract((x, 0.0), two_product(power, LN_2[0])),
                     two_product(power, LN_2[1]))

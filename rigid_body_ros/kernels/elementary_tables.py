@@ -32,7 +32,7 @@ Pair = tuple[float, float]
 
 #: Steps per half turn in the table of sines, and from 0 to 1 in the table of arctangents.
 STEPS = 128
-#: Bits in each of `TURN_PARTS`: a product with half of a double's bits is exact.
+#: Bits in each of `TURN_PARTS`. Its product with half of the bits of a double is exact.
 PART_BITS = 24
 #: The last part is 2^-200 of a step for the largest double.
 _PARTS = 52
@@ -55,7 +55,7 @@ def _thrice(value: int) -> tuple[float, float, float]:
 
 
 def _inverse_tangent(above: int, below: int, one: int, sign: int) -> int:
-    """Return the arctangent (sign -1) or area tangent (1) of a fraction, by its series."""
+    """Return the arctangent (sign -1) or inverse hyperbolic tangent (1), by its series."""
     power, total, odd = one * above // below, 0, 1
     while power:
         total += power // odd
@@ -66,7 +66,7 @@ def _inverse_tangent(above: int, below: int, one: int, sign: int) -> int:
 
 
 def _sine(angle: int) -> int:
-    """Return the sine of at most a quarter turn, by its series."""
+    """Return the sine of an angle of at most a quarter turn, by its series."""
     power, total, order = angle, 0, 2
     while abs(power) > 1:
         total += power
@@ -95,7 +95,7 @@ def _arctangents() -> list[Pair]:
 
 
 def _turn_parts() -> list[float]:
-    """Return STEPS / pi in parts of PART_BITS each, the first before the point."""
+    """Return STEPS / pi in parts of PART_BITS bits each; the first is the integer part."""
     rest, parts = _FINE * _FINE * STEPS // _half_turn(_FINE), []
     for _ in range(_PARTS):
         parts.append(float(rest // _FINE))
@@ -119,9 +119,9 @@ LOG10_2, LOG10_E = _split(_LN_2 * _ONE // _LN_10), _split(_ONE * _ONE // _LN_10)
 #: sin(k pi / STEPS) for a whole turn, and atan(k / STEPS); shape (n, 2), the second column is the
 #: low-order part of the first.
 SINES, ARCTANGENTS = np.array(_sines()), np.array(_arctangents())
-#: Coefficients of power series, likewise: sin x / x and (1 - cos x) / x^2 in -x^2, (e^x - 1) / x,
-#: arctan x / x in -x^2, and artanh x / x in x^2. They reach 100 bits for |x| up to half a step,
-#: ln 2 / 128, 1 / 256 and 0.18.
+#: Coefficients of power series, in the same format: sin x / x and (1 - cos x) / x^2 in -x^2,
+#: (e^x - 1) / x, arctan x / x in -x^2, and artanh x / x in x^2. They reach 100 bits for |x| up to
+#: half a step, ln 2 / 128, 1 / 256 and 0.18.
 SINE_SERIES = _inverses(math.factorial(k) for k in range(1, 18, 2))
 COSINE_SERIES = _inverses(math.factorial(k) for k in range(2, 17, 2))
 GROWTH_SERIES = _inverses(math.factorial(k) for k in range(1, 13))

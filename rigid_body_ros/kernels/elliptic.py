@@ -13,15 +13,16 @@
 # limitations under the License.
 
 """
-Elliptic integrals and functions for the compiled kernels, by the complementary parameter.
+Elliptic integrals and functions for the compiled kernels, as functions of 1 - m.
 
-The argument is m_c = 1 - m, because near the separatrix, where m_c is 1e-12 or 1e-20, m rounds
-to 1. Complete integrals, which are multiplied by long times, have 32 digits.
+The argument is the complementary parameter m_c = 1 - m, because near the separatrix, where m_c is
+1e-12 or 1e-20, m rounds to 1. Complete integrals have 32 digits, because a long motion multiplies
+their errors by the number of periods.
 
 SciPy's functions cannot be called from kernels, and their last bits depend on the machine.
-`scipy.special.ellipj` takes m, so its relative error is 1e-8 at m_c = 1e-9 and 3e-3 at 1e-15,
-where that of `jacobi` is 5e-15. `elliprf` and `elliprj` are as accurate as `carlson_f` and
-`carlson_j`, all within 1e-15; R_J takes 1.2 us there and 0.5 us here.
+`scipy.special.ellipj` takes m, so its relative error is 1e-8 at m_c = 1e-9 and 3e-3 at 1e-15; the
+error of `jacobi` is 5e-15. `elliprf` and `elliprj` are as accurate as `carlson_f` and `carlson_j`,
+all within 1e-15; R_J takes 1.2 us in SciPy and 0.5 us here.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from rigid_body_ros.kernels import elementary
 from rigid_body_ros.kernels.double_double import DoubleDouble
 from rigid_body_ros.kernels.jit import internal
 
-#: Limit of iterations. Landen's transformation squares the difference: m_c = 1e-300 takes 13.
+#: Limit of iterations. Landen's transformation converges quadratically: m_c = 1e-300 takes 13.
 _MOST = 16
 
 
@@ -73,8 +74,8 @@ def jacobi(u: float, complement: float) -> tuple[float, float, float]:
     """
     Return sn, cn and dn of u, |u| <= K, each with a small relative error.
 
-    By the arithmetic-geometric mean (Bulirsch, "Numerical calculation of elliptic integrals and
-    elliptic functions", 1965).
+    The method is the arithmetic-geometric mean (Bulirsch, "Numerical calculation of elliptic
+    integrals and elliptic functions", 1965).
     """
     if complement == 0.0:
         tangent, secant = elementary.tanh_sech(u)
@@ -106,7 +107,7 @@ def jacobi(u: float, complement: float) -> tuple[float, float, float]:
 
 @internal
 def carlson_f(x: float, y: float, z: float) -> float:
-    """Return R_F (B. C. Carlson, Numerical Algorithms 10, 1995)."""
+    """Return the symmetric integral R_F (B. C. Carlson, Numerical Algorithms 10, 1995)."""
     mean = (x + y + z) / 3.0
     bound = 400.0 * max(abs(mean - x), abs(mean - y), abs(mean - z))
     dx, dy, scale = mean - x, mean - y, 1.0
@@ -126,7 +127,7 @@ def carlson_f(x: float, y: float, z: float) -> float:
 
 @internal
 def carlson_j(x: float, y: float, z: float, p: float) -> float:
-    """Return R_J for p >= x, y, z (Carlson 1995, duplication theorem with R_C(1, 1 + e))."""
+    """Return the integral R_J, p >= x, y, z (Carlson 1995; duplication, with R_C(1, 1 + e))."""
     mean = (x + y + z + 2.0 * p) / 5.0
     bound = 400.0 * max(abs(mean - x), abs(mean - y), abs(mean - z), abs(mean - p))
     dx, dy, dz = mean - x, mean - y, mean - z

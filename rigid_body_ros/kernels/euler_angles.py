@@ -118,7 +118,7 @@ def _rotated(a: DoubleDouble, b: DoubleDouble, sine: DoubleDouble,
 @internal
 def _angles(w: float, x: float, y: float, z: float,
             proper: bool) -> tuple[DoubleDouble, DoubleDouble, DoubleDouble, float]:
-    # The angles of a proper sequence, and the cosine of the middle one.
+    # Return the angles of a proper sequence, and the cosine of the middle one.
     a, b, c, d = (w, 0.0), (x, 0.0), (y, 0.0), (z, 0.0)
     if not proper:  # a quarter turn about the middle axis makes it proper
         a, b, c, d = (dd.two_sum(w, -y), dd.two_sum(x, -z), dd.two_sum(w, y), dd.two_sum(x, z))
@@ -133,7 +133,7 @@ def _angles(w: float, x: float, y: float, z: float,
 
 @internal
 def _scale(size: float) -> float:
-    # A power of two that scales numbers of this size to where their squares keep all digits.
+    # Return a power of two. The squares of numbers of this size, scaled by it, keep all digits.
     return _SCALE if size < _SMALL else 1.0 / _SCALE if size > _LARGE else 1.0
 
 
@@ -147,12 +147,12 @@ def _hypotenuse(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
 
 @internal
 def _rounded(angle: DoubleDouble, low: float, high: float) -> float:
-    # The nearest double in the range, modulo whole turns; never -0.0.
+    # Return the nearest double in the range, modulo whole turns; never -0.0.
     return min(max(_folded(angle, 0.5 * (low + high))[0], low), high) + 0.0
 
 
 @internal
 def _folded(angle: DoubleDouble, centre: float) -> DoubleDouble:
-    # The angle less whole turns, within half a turn of the centre.
+    # Return the angle less whole turns, within half a turn of the centre.
     turns = 2.0 * float(round((angle[0] - centre) / (2.0 * dd.PI[0])))
     return dd.subtract(angle, (turns * dd.PI[0], turns * dd.PI[1]))

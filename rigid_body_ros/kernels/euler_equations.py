@@ -42,8 +42,8 @@ from rigid_body_ros.kernels.vector import (
 #: Products (y z, z x, x y) and (x x, y y, z z) of the components of two vectors, or sums of these.
 Products = tuple[Vector, Vector]
 
-#: Form of the inertia tensor: diagonal; full; full, with a smallest moment so much smaller than
-#: the others that cancellation in J^-1 tau may cost more than a digit.
+#: Form of the inertia tensor: diagonal; full; or full and thin, where the smallest moment is so
+#: much less than the others that cancellation in J^-1 tau may cost more than a digit.
 DIAGONAL, FULL, THIN = range(3)
 #: Ratio of the largest moment to the smallest above which a full tensor is THIN. A loss of 16 eps
 #: is a tenth of the other rounding errors of a motion.
@@ -73,7 +73,7 @@ def acceleration_from_torque(coefficients: Coefficients, form: int, torque: Vect
     """
     Return J^-1 tau, rad/s^2, of a torque in body axes.
 
-    For a thin rod it may be a difference of terms a million times larger, so the sum is
+    For a thin rod the result may be a difference of terms a million times larger, so it is
     computed in twice the working precision.
     """
     columns, low, _, diagonal = coefficients
@@ -88,7 +88,7 @@ def acceleration_from_torque(coefficients: Coefficients, form: int, torque: Vect
 @inlined
 def acceleration_polynomial(coefficients: Coefficients, form: int, torque: Polynomial,
                             low: Polynomial) -> Polynomial:
-    """Return J^-1 tau, rad/s^2, of a torque in body axes and its low-order parts."""
+    """Return J^-1 tau, rad/s^2, of a torque polynomial in body axes with low-order parts."""
     a, b, c, d = torque
     if form != THIN:
         return (acceleration_from_torque(coefficients, form, a),
@@ -134,13 +134,13 @@ def products(a: Vector, b: Vector) -> Products:
 
 @inlined
 def symmetric_products(a: Vector, b: Vector) -> Products:
-    """Return the products of a and b plus those of b and a."""
+    """Return `products(a, b)` plus `products(b, a)`."""
     return (four.fma(four.yzx(a), four.zxy(b), four.multiply(four.zxy(a), four.yzx(b))),
             scale(2.0, four.multiply(a, b)))
 
 
 @inlined
 def add_symmetric_products(sums: Products, a: Vector, b: Vector) -> Products:
-    """Return the sums plus the products of a and b plus those of b and a."""
+    """Return the sums plus `products(a, b)` plus `products(b, a)`."""
     return (four.fma(four.yzx(a), four.zxy(b), four.fma(four.zxy(a), four.yzx(b), sums[0])),
             four.fma(scale(2.0, a), b, sums[1]))

@@ -15,9 +15,9 @@
 """
 Four doubles in one SIMD register, for the compiled kernels: a quaternion, or a vector and a zero.
 
-Operations work on each of the four and round as for a single double, so results do not depend on
-the size of a machine's registers. Kernels read the elements as a[0] to a[3]. Without numba, four
-doubles are a tuple.
+Operations act on each element and round as operations on single doubles do, so results do not
+depend on the size of a machine's registers. Kernels read the elements as a[0] to a[3]. Without
+numba, four doubles are a tuple.
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ Four = tuple[float, float, float, float]
 
 def _operation(plain: Callable[..., Any], kinds: str,
                generate: Callable[..., Any]) -> Callable[..., Four]:
-    # An operation of the kernels, from its Python form, the types of its arguments, and a function
-    # that generates its LLVM instructions.
+    # Return an operation for the kernels. It is given by its Python form, the types of its
+    # arguments, and a function that generates its LLVM instructions.
     if not jit.COMPILES:
         return plain
     arguments = [_TYPES[kind] for kind in kinds.split()]
@@ -98,7 +98,7 @@ def _gathered(builder: Any, *values: Any) -> Any:
 
 
 def _permuted(order: str, signs: str = '++++') -> Callable[[Four], Four]:
-    # The elements in another order, with these signs.
+    # Return an operation that reorders the elements and applies these signs.
     places = ['xyzw'.index(letter) for letter in order]
     factors = [-1.0 if sign == '-' else 1.0 for sign in signs]
 
@@ -112,7 +112,7 @@ def _permuted(order: str, signs: str = '++++') -> Callable[[Four], Four]:
         generate)
 
 
-#: Four floats; one float four times.
+#: Build four doubles from four floats, or from one float four times.
 of = _operation(lambda *values: values, 'float float float float', _gathered)
 broadcast = _operation(lambda value: (value,) * 4, 'float',
                        lambda builder, value: _gathered(builder, *[value] * 4))
@@ -121,12 +121,12 @@ subtract = _operation(_each(operator.sub), 'four four', lambda builder, a, b: bu
 multiply = _operation(_each(operator.mul), 'four four', lambda builder, a, b: builder.fmul(a, b))
 negative = _operation(_each(operator.neg), 'four', lambda builder, a: builder.fneg(a))
 absolute = _operation(_each(abs), 'four', lambda builder, a: _called(builder, 'llvm.fabs', a))
-#: a b + c of each, rounded once.
+#: a b + c of each element, rounded once.
 fma = _operation(_each(jit.fma), 'four four four',
                  lambda builder, *values: _called(builder, 'llvm.fma', *values))
 #: The components of a vector in the order y, z, x and z, x, y.
 yzx, zxy = _permuted('yzxw'), _permuted('zxyw')
-#: Hamilton's product of a quaternion and i, j or k.
+#: Hamilton's product q i, q j and q k of a quaternion q.
 times_i, times_j, times_k = (_permuted('wzyx', '++--'), _permuted('zwxy', '-++-'),
                              _permuted('yxwz', '+-+-'))
 

@@ -16,16 +16,16 @@
 Exact torque-free motion: any body, any start, any time in one evaluation.
 
 In principal axes 1, 2, 3 the angular momentum m is an elliptic function of time; the attitude
-needs one angle more, an integral of the third kind. Formulas as in Celledoni, Fasso, Saefstroem
-and Zanna, "The exact computation of the free rigid body motion and its use in splitting
-methods", 2008, with the corrections of Principia's `Celledoni.tex`, brought to a form in which
-nothing cancels:
+requires one more angle, an integral of the third kind. The formulas are those of Celledoni, Fasso,
+Saefstroem and Zanna, "The exact computation of the free rigid body motion and its use in splitting
+methods", 2008, with the corrections of Principia's `Celledoni.tex`, rearranged so that nothing
+cancels:
 
     m = (B1 cn u, -B2 sn u, B3 dn u),   u = u0 + lambda t,
     q(t) = q(0) conj(P(0)) exp(psi e3 / 2) P(t),
 
-where P turns m to axis 3 the shortest way. The axes are named such that m stays in the half
-space around axis 3: that of the largest moment, or, beyond the separatrix, that of the smallest.
+where P is the shortest rotation from m to axis 3. The axes are numbered such that m stays in the
+half space around axis 3: the axis of the largest moment or, beyond the separatrix, the smallest.
 With G = |m|, n = -I3 (I2 - I1) / (I1 (I3 - I2)) and C = G (I3 - I1) / (lambda I1 I3),
 
     psi = (G / I3) t + [C Pi(n; u) + atan2(sqrt(1 - n) sn u, cn u)] from u0 to u,
@@ -37,8 +37,8 @@ With G = |m|, n = -I3 (I2 - I1) / (I1 (I3 - I2)) and C = G (I3 - I1) / (lambda I
 with Carlson's symmetric integrals (DLMF 19.21.12 leads from one line to the other). In the first
 case C u and (G / I3) t together make (G / I1) t.
 
-The error must not grow with time. What multiplies the time is the number of half periods and the
-angle of each, so these constants are computed to 32 digits.
+A long motion multiplies the errors of the half period and of its angle by the number of half
+periods. These constants are computed to 32 digits, so the error does not grow with time.
 """
 
 from __future__ import annotations
@@ -65,11 +65,11 @@ from rigid_body_ros.kernels.vector import (
 )
 
 #: Relative rounding error of numbers of 32 digits, and largest accepted relative error of m_c,
-#: which near the separatrix is a difference of such numbers. Above, the series is more accurate.
+#: which near the separatrix is a difference of such numbers. Above it the series is more accurate.
 _ROUNDING, _ACCEPTED = 1e-31, 1e-12
 #: Delta_1 or Delta_3 below which a body turns about a principal axis.
 _NEGLIGIBLE = 1e-70
-#: Below, the low-order part of a double-double leaves the range of doubles.
+#: Below this, the low-order part of a double-double leaves the range of doubles.
 _UNDERFLOW = 1e-250
 
 NEAR_SEPARATRIX, STEADY, PERIODIC, SEPARATRIX = range(4)
@@ -125,8 +125,8 @@ class _Invariants(NamedTuple):
     """
     Constants of a motion, which determine its kind.
 
-    Delta_k = G^2 - 2 T I_k as in the paper, with angular momentum G and kinetic energy T, here
-    from sums in which nothing cancels but the two terms of Delta_2.
+    Delta_k = G^2 - 2 T I_k as in the paper, with angular momentum G and kinetic energy T. They are
+    computed from sums in which only the two terms of Delta_2 can cancel.
     """
 
     #: |I2 - I1|, |I3 - I1| and |I3 - I2|.
@@ -142,7 +142,7 @@ class _Invariants(NamedTuple):
 @internal
 def prepare(state: KernelState, frame: PrincipalFrame) -> Motion:
     """
-    Return the torque-free motion from a state on.
+    Return the torque-free motion that starts with a state.
 
     Parameters
     ----------
@@ -154,8 +154,8 @@ def prepare(state: KernelState, frame: PrincipalFrame) -> Motion:
     Returns
     -------
     Motion
-        Of kind NEAR_SEPARATRIX if it is too close to the separatrix for the closed form, but not
-        on it: the rounding error of the 32nd digit would show.
+        Of kind NEAR_SEPARATRIX if it is not on the separatrix, but so close to it that rounding in
+        the 32nd digit makes the closed form inaccurate.
 
     """
     body = _principal(state, frame)
@@ -197,7 +197,7 @@ def _is_steady(w: Triple, invariants: _Invariants) -> bool:
 
 @internal
 def _is_near_separatrix(body: _Principal, invariants: _Invariants, frame: PrincipalFrame) -> bool:
-    # Whether rounding may change too much of Delta_2, which is a difference of two terms.
+    # Whether the relative rounding error of Delta_2, a difference of two terms, may be too large.
     w, m, e = body.rates, body.momentum, body.energies
     i21, i32, delta_2 = invariants.i21[0], invariants.i32[0], invariants.delta_2[0]
     uncertain = terms = abs(e[2][0] * i32) + abs(e[0][0] * i21)
@@ -210,7 +210,7 @@ def _is_near_separatrix(body: _Principal, invariants: _Invariants, frame: Princi
 
 @internal
 def _renamed(body: _Principal, invariants: _Invariants) -> tuple[_Principal, _Invariants]:
-    # Name the axes such that m stays in the half space around axis 3.
+    # Number the axes such that m stays in the half space around axis 3.
     w, m, e, i, axes, scale, sign = body
     if invariants.delta_2[0] < 0.0:  # axes 3, -2, 1: all differences change their signs
         i, e = (i[2], i[1], i[0]), (e[2], e[1], e[0])
@@ -258,7 +258,7 @@ def _canonical(state: KernelState, body: _Principal, invariants: _Invariants) ->
 
 @internal
 def _gain(complement: DoubleDouble, n: DoubleDouble, factor: DoubleDouble) -> DoubleDouble:
-    # What a half period adds to psi.
+    # Return the increment of psi per half period.
     p = dd.subtract(_ONE, n)
     if n[0] >= -1.0:
         gain = dd.multiply(n, elliptic.complete(complement, p, _ZERO, _ONE))
@@ -269,7 +269,7 @@ def _gain(complement: DoubleDouble, n: DoubleDouble, factor: DoubleDouble) -> Do
 
 @internal
 def _phase(sine: float, cosine: float, odd: bool, complement: float) -> float:
-    # u0, from sn and |cn| there, which rounding has brought a little off the unit circle.
+    # Return u0 from sn and |cn| at u0, which rounding has moved slightly off the unit circle.
     norm = dd.sqrt(dd.add(dd.two_product(sine, sine), dd.two_product(cosine, cosine)))[0]
     sine, cosine = (-sine / norm if odd else sine / norm), cosine / norm
     return sine * elliptic.carlson_f(cosine * cosine, cosine * cosine
@@ -301,7 +301,7 @@ def at(motion: Motion, span_ns: int) -> KernelState:
 
 @internal
 def _periodic_part(motion: Motion, u: float, odd: bool) -> tuple[float, Quaternion, Vector]:
-    # The periodic part of psi, the quaternion P and the angular velocity, for |u| <= K.
+    # Return the periodic part of psi, the quaternion P and the angular velocity, for |u| <= K.
     sn, cn, dn = elliptic.jacobi(u, motion.complement)
     n, m, cube = motion.n, 1.0 - motion.complement, sn * sn * sn
     if motion.kind == SEPARATRIX:
@@ -340,7 +340,7 @@ def _steady_rotation(motion: Motion, span_ns: int) -> KernelState:
 
 @internal
 def _state(motion: Motion, w: Vector, rotation: Quaternion) -> KernelState:
-    # The state with these rates, rotated since the start.
+    # Return the state with these rates, and with the attitude at the start times this rotation.
     _, q, _, low = motion.start
     q = add(multiply(q, rotation), multiply(low, rotation))
     return w, add_scaled(q, -0.5 * (dot(q, q) - 1.0), q), four.broadcast(0.0), four.broadcast(0.0)
@@ -367,7 +367,7 @@ def _principal(state: KernelState, frame: PrincipalFrame) -> _Principal:
 
 @internal
 def _power_of_two(value: float) -> float:
-    # The largest power of two that does not exceed a value, at least 2^-1000; 1 for zero.
+    # Return the largest power of two up to a value, but at least 2^-1000; 1 for zero.
     return math.ldexp(1.0, max(math.frexp(value)[1] - 1, -1000)) if value > 0.0 else 1.0
 
 
@@ -389,7 +389,7 @@ def _along_body_axes(frame: PrincipalFrame) -> bool:
 
 @internal
 def _modulo(angle: DoubleDouble) -> DoubleDouble:
-    # The angle less a multiple of 4 pi, the period of a quaternion.
+    # Return the angle less a multiple of 4 pi, the period of a quaternion.
     turns = float(round(angle[0] / (4.0 * dd.PI[0])))
     return dd.subtract(angle, dd.multiply((4.0 * turns, 0.0), dd.PI))
 

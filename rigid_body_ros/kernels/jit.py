@@ -59,28 +59,29 @@ def njit(kernel: Kernel) -> Kernel:
     except RuntimeError:
         _warn_uncached()
         return numba.njit(**options)(kernel)
-    # numba compares time and size of the kernel's own file only, not of the files it inlines
-    # from. And a copied file may have the time of the file it replaces.
+    # numba compares only time and size of the kernel's own file, not of the files whose functions
+    # it inlines. Also, a copied file may have the time of the file that it replaces.
     compiled._cache._cache_file._source_stamp = _sources_hash()
     return compiled
 
 
 def internal(kernel: Kernel) -> Kernel:
-    """Compile an internal function of kernels: only they can call it, and they cache it."""
+    """Compile a function that only kernels can call; their cached code includes it."""
     return _internal(kernel)
 
 
 def inlined(kernel: Kernel) -> Kernel:
     """
-    Compile an internal function of kernels into each caller.
+    Compile a function that only kernels can call into each of its callers.
 
-    A call passes tuples in memory, which takes as long as the arithmetic of a short step.
+    Without inlining, a call passes tuples in memory, which takes as long as the arithmetic of a
+    short step.
     """
     return _internal(kernel, forceinline=True)
 
 
 def _internal(kernel: Kernel, **options: bool) -> Kernel:
-    # Wrappers for calls from Python and C take as long to compile as the function itself.
+    # Without wrappers for calls from Python and C, which take as long to compile as the function.
     if not COMPILES:
         return kernel
     compiled = numba.njit(error_model='numpy', no_cpython_wrapper=True, no_cfunc_wrapper=True,
@@ -98,7 +99,7 @@ def _internal_type() -> Any:
 
 
 def _warn_uncached() -> None:
-    # With a constant text and place, Python's own filter shows it once per process.
+    # Because text and place are constant, Python's own filter shows the warning once per process.
     warnings.warn(
         'no writable cache folder: every start compiles the kernels again; '
         'set NUMBA_CACHE_DIR to a writable folder',
@@ -116,7 +117,7 @@ def _sources_hash() -> str:
 
 
 def _sources(folder: Any) -> Iterator[Any]:
-    """Yield the sources in a folder and its subfolders, sorted; it may lie in a zip file."""
+    """Yield the sources in a folder, which may be in a zip file, and its subfolders, sorted."""
     for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
         if entry.name.endswith('.py'):
             yield entry
@@ -137,7 +138,7 @@ def _generate_fma(_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 #: fma(a, b, c) returns a b + c, rounded once. It takes half the time of a product and a sum, and
-#: fma(a, b, -(a * b)) is the rounding error of a product. Kernels call it by name instead of
-#: leaving it to the compiler, which may fuse the same formula in one place and not in another.
+#: fma(a, b, -(a * b)) is the rounding error of a product. Kernels call it explicitly, because a
+#: compiler may fuse a formula in one place and not in another.
 fma: Callable[[float, float, float], float] = \
     intrinsic(_generate_fma) if COMPILES else _exact_fma

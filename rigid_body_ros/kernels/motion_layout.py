@@ -15,9 +15,9 @@
 """
 The layout of a motion at m times: 7 m doubles.
 
-They are m attitudes x y z w and then m angular velocities, rad/s. The motion is one block of
-memory: the system takes back two blocks that are freed together, and getting their pages again
-costs the next run as much as its arithmetic.
+The block holds m attitudes x y z w, then m angular velocities, rad/s, body axes. It is a single
+block, because the system reclaims the memory of two blocks that are freed together, and the next
+run would take as long to get their pages again as to do its arithmetic.
 """
 
 from __future__ import annotations

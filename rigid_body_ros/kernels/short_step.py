@@ -15,8 +15,8 @@
 """
 Short step of Euler's equations and the attitude quaternion, of order 3 to 5.
 
-Where torque samples are close together, a step needs few terms of the Taylor series, and the
-loops of `taylor.step` cost more than the terms do. Here the terms are written out. The rotation
+If torque samples are close together, a step requires few terms of the Taylor series, and the
+loops of `taylor.step` take longer than the terms. Here the terms are written out. The rotation
 vector is integrated instead of the quaternion:
 
     d theta / dt = w + theta x w / 2 + theta x (theta x w) / 12 + ...
@@ -65,12 +65,12 @@ _LARGEST = 1e-4
 def is_accurate(state: KernelState, seconds: float, torque_acceleration: Vector,
                 tolerance: float) -> bool:
     """
-    Return whether `step` keeps to the tolerance under a torque held in body axes.
+    Return whether one `step` meets the tolerance under a torque held in body axes.
 
     Parameters
     ----------
     state : KernelState
-        Start of the step. Only its angular velocity counts.
+        Start of the step. Only its angular velocity is used.
     seconds : float
         Length of the step.
     torque_acceleration : Vector
@@ -90,8 +90,8 @@ def is_accurate(state: KernelState, seconds: float, torque_acceleration: Vector,
 @inlined
 def _squares(state: KernelState, seconds: float, torque_acceleration: Vector,
              tolerance: float) -> tuple[float, float]:
-    # Squares of the size of a step, rad^4, and of the error bound, rad^2. Square roots would take
-    # a noticeable part of a short step.
+    # Return the squares of the size of a step, rad^4, and of the error bound, rad^2. Square roots
+    # would take a noticeable part of the time of a short step.
     factor = seconds * seconds
     square = dot(state[0], state[0])
     gain = factor * dot(torque_acceleration, torque_acceleration)
@@ -128,7 +128,7 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     size, error_bound = _squares(state, seconds, torque_acceleration, tolerance)
     w = state[0]
     # w0 = w, w1, w2 ... are the terms of w, rad/s, and u0, u1, u2 ... the same in radians per
-    # step. Factors multiply what is known early, so that the next term need not wait for them.
+    # step. Factors multiply operands that are known early, so that no later term waits for them.
     u0 = scale(seconds, w)
     w1 = add_scaled(gyroscopic_acceleration(coefficients, form, products(u0, w)), seconds,
                     torque_acceleration)
@@ -157,7 +157,7 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
 @inlined
 def _order_4_products(u0: Vector, u1: Vector, u2: Vector, w2: Vector, w3: Vector,
                       w4: Vector) -> Products:
-    # The products of the terms of w that add up to order 4, over 5.
+    # Return the products of the terms of w whose orders add up to 4, divided by 5.
     return add_symmetric_products(add_symmetric_products(
         products(scale(1 / 5, u2), w2), scale(1 / 5, u1), w3), scale(1 / 5, u0), w4)
 
@@ -165,7 +165,7 @@ def _order_4_products(u0: Vector, u1: Vector, u2: Vector, w2: Vector, w3: Vector
 @inlined
 def _order_5_rotation(u0: Vector, u1: Vector, u2: Vector, u3: Vector, u0_x_u1: Vector,
                       u0_x_u2: Vector) -> Vector:
-    # The term of order 5 of the rotation vector, but for that of w.
+    # Return the term of order 5 of the rotation vector, without the contribution of w4.
     inner = add_scaled(scale(3 / 40, u3), 1 / 360, u0_x_u2)
     return add(cross(u0, add_scaled(inner, -1 / 720, cross(u0, u0_x_u1))),
                scale(1 / 60, cross(u1, add_scaled(u2, -1 / 4, u0_x_u1))))
@@ -173,7 +173,7 @@ def _order_5_rotation(u0: Vector, u1: Vector, u2: Vector, u3: Vector, u0_x_u1: V
 
 @inlined
 def _delta_q(rotation: Vector) -> Quaternion:
-    # The quaternion of a small rotation vector, minus 1.
+    # Return the quaternion of a small rotation vector, minus 1.
     half = scale(0.5, rotation)
     square = dot(half, half)
     sinc = fma(-square, fma(-square, fma(-square, 1 / 5040, 1 / 120), 1 / 6), 1.0)

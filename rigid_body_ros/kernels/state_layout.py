@@ -15,8 +15,8 @@
 """
 The layout of a state: 16 doubles, which are four vectors of four.
 
-Angular velocity (rad/s, body axes) and a zero, attitude x y z w, and what rounding took from each.
-The last two let a restarted run go on bit for bit.
+They are the angular velocity (rad/s, body axes) and a zero, the attitude x y z w, and the
+low-order parts of both, with which a restarted run continues bit for bit.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def pack(rates: ArrayLike, attitude: ArrayLike,
     attitude : array, shape (4,)
         x y z w.
     lost_rates : array, shape (3,), rad/s, body axes
-        What rounding took from the angular velocity.
+        Low-order part of the angular velocity.
 
     """
     packed = np.zeros(SIZE)

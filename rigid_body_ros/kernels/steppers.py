@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Classical one-step methods with fixed steps, for the trade of speed against accuracy.
+Classical one-step methods with fixed steps, to compare speed and accuracy.
 
 The drive is a polynomial in the fraction of the step, as for `taylor.step`. No method compensates
-for rounding: each loses what any program loses that uses it.
+for rounding, so that each has the rounding error of its usual implementation.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _HALF = Fraction(1, 2)
 CLASSICAL = Tableau(
     order=4, nodes=(0, _HALF, _HALF, 1), matrix=((), (_HALF,), (0, _HALF), (0, 0, 1)),
     weights=(Fraction(1, 6), Fraction(1, 3), Fraction(1, 3), Fraction(1, 6)))
-#: What `rk4` needs of it: each stage starts from the one before, and the weights are symmetric.
+#: Coefficients for `rk4`: each stage uses only the previous one, and the weights are symmetric.
 _C1, _C2, _C3, _C4 = map(float, CLASSICAL.nodes)
 _A21, _A32, _A43 = (float(row[-1]) for row in CLASSICAL.matrix[1:])
 _OUTER_DIVISOR = float(1 / CLASSICAL.weights[0])
@@ -145,7 +145,7 @@ def _state(w: Vector, q: Quaternion) -> KernelState:
 
 @internal
 def _about_1(m: Vector, rotation: Quaternion, step: float) -> tuple[Vector, Quaternion]:
-    # The flow of the energy m1^2 / 2 I1: a rotation of the body about axis 1.
+    # The flow of the kinetic energy m1^2 / (2 I1): a rotation of the body about axis 1.
     sine, cosine, s, c = _half_and_full(step * m[0])
     return (of(m[0], c * m[1] + s * m[2], c * m[2] - s * m[1]),
             multiply(rotation, four.of(sine, 0.0, 0.0, cosine)))

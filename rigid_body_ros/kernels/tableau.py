@@ -33,11 +33,11 @@ class Tableau:
     order : int
         From 1 to 4.
     nodes : sequence of n numbers
-        Where in the step each stage lies, c.
+        c: the time of each stage, as a fraction of the step.
     matrix : sequence of n rows
-        What each stage takes of those before it, A: row i has i numbers.
+        A: row i has the i coefficients of the stages before stage i.
     weights : sequence of n numbers
-        What the step takes of each stage, b.
+        b: the weight of each stage in the step.
 
     Raises
     ------

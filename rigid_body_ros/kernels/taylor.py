@@ -24,9 +24,9 @@ The coefficients of the solution in powers of time follow from Cauchy products (
 methods", 2005). A torque fixed in space is the series of v = R(q)^T tau, where dv/dt = v x w.
 There is no singular case: spheres, symmetric tops and the separatrix are like any other motion.
 
-The unit of time is the step: u = w h is the angular velocity in radians per step. The attitude is
-the series of the rotation since the start of the step, which is 1 there whatever q is. Only the
-increments are summed, and added to the state by compensated summation.
+The unit of time is the step: u = w h is the angular velocity in radians per step. The series of
+the attitude is that of the rotation since the start of the step, whose first term is 1 for any q.
+Only the increments are summed, and added to the state by compensated summation.
 """
 
 from __future__ import annotations
@@ -75,14 +75,18 @@ def step_angle(tolerance: float) -> float:
 
     Work per angle, the order squared over the angle, has a flat minimum: about 0.5 rad at the
     tightest tolerance, where shorter steps also round less, and above 1 rad at loose
-    tolerances, where the fixed cost of a step counts for more.
+    tolerances, where the fixed cost of a step is a larger part of the work.
     """
     return 0.5 + 0.09 * elementary.log10(tolerance / 1e-15)
 
 
 @inlined
 def step_seconds(square: float, acceleration: float, angle: float) -> float:
-    """Return the time, s, in which a body of |w|^2 turns by an angle, or infinity at rest."""
+    """
+    Return the time, s, in which a body turns by an angle, rad, or infinity at rest.
+
+    The square is |w|^2, rad^2/s^2. The acceleration, rad/s^2, is a bound on |J^-1 tau|.
+    """
     rate = math.sqrt(square) + math.sqrt(fma(2.0 * angle, acceleration, square))
     return 2.0 * angle / rate if rate > 0.0 else math.inf
 
@@ -110,7 +114,7 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     degree : int
         Degree of the polynomial: the coefficients above are zero.
     in_space : bool
-        Whether it is a torque in space axes.
+        Whether the drive is a torque in space axes.
     acceleration_bound : float
         Bound on |J^-1 tau|, rad/s^2.
     tolerance : float
@@ -162,7 +166,7 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
         factor = 0.5 / (k + 1)
         rotation = scale(factor, rotation)
         latest = _keep(table, k + 1, u, rotation)
-        # Errors of w get a smaller share: the errors of attitude they cause add up.
+        # The bound on errors of w is tighter, because the errors of attitude they cause add up.
         if total(add_scaled(four.absolute(rotation), 4.0, four.absolute(u))) > error_bound:
             small = 0
         else:
@@ -196,8 +200,8 @@ def _kept(table: Floats, row: int) -> Term:
 @inlined
 def _cauchy(table: Floats, k: int, first: Term, latest: Term,
             form: int) -> tuple[Products, Quaternion]:
-    # The terms of order k of the products of u, and of the rotation times (u, 0). The products
-    # with the latest term come last, and from registers: the others need not wait for it.
+    # Return the terms of order k of the products of u, and of the rotation times (u, 0). Products
+    # with the latest term come last, and from registers, so that the others do not wait for it.
     zero = four.broadcast(0.0)
     sums = (zero, zero, zero, zero, zero)
     row = _TERM * k
@@ -223,7 +227,7 @@ def _add_term(sums: _Sums, one: Term, other: Term, form: int) -> _Sums:
 
 @inlined
 def _torque_term(table: Floats, k: int, degree: int) -> Vector:
-    # The term of order k, in body axes, of a torque in space axes.
+    # Return the term of order k, in body axes, of a torque in space axes.
     term = four.broadcast(0.0)
     for i in range(degree + 1):
         if i <= k:

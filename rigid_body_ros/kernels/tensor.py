@@ -28,10 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 
-#: Digits of the principal axes: twice those of a double, and as many again for cancellation.
+#: Digits for the principal axes: 32, twice the digits of a double, and 32 more for cancellation.
 _DIGITS = 64
 _SWEEPS = 20
-#: Off-diagonal entry, relative to the smaller moment, below which a rotation changes no digit.
+#: Off-diagonal entry, relative to the smaller moment, below which no rotation is necessary.
 _NEGLIGIBLE = Decimal(1).scaleb(10 - _DIGITS)
 
 
@@ -40,8 +40,8 @@ def euler_coefficients(tensor: NDArray[Any]) -> Floats:
     Return the coefficients of Euler's equations, solved for the acceleration.
 
     dw/dt is linear in the products (w2 w3, w3 w1, w1 w2, w1^2, w2^2, w3^2) and in the torque
-    (tau1, tau2, tau3), because (J w) x w only has differences of moments, and products of
-    inertia. For a diagonal tensor the first three make (I2 - I3) / I1 and so on.
+    (tau1, tau2, tau3): (J w) x w contains only products of inertia and differences of moments.
+    For a diagonal tensor the first three products have the coefficients (I2 - I3) / I1 and so on.
 
     Parameters
     ----------
@@ -59,6 +59,8 @@ def euler_coefficients(tensor: NDArray[Any]) -> Floats:
     ------
     OverflowError
         An entry is too large for a double.
+    ZeroDivisionError
+        The tensor is singular.
 
     """
     # Doubles are integers over a power of two. Integer arithmetic takes a fraction of the time of
@@ -84,7 +86,7 @@ def euler_coefficients(tensor: NDArray[Any]) -> Floats:
 
 
 def _rest(dividend: int, divisor: int, quotient: float) -> float:
-    # The rounding error of a quotient.
+    # Return the rounding error of a quotient.
     above, below = quotient.as_integer_ratio()
     return (dividend * below - above * divisor) / (divisor * below)
 

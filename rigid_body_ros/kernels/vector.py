@@ -93,9 +93,10 @@ def combine_compensated(axes: tuple[Vector, Vector, Vector],
                         low_axes: tuple[Vector, Vector, Vector],
                         a: Vector) -> tuple[Vector, Vector]:
     """
-    Return `combine` of axes and their low-order parts, and its low-order part.
+    Return the high-order and the low-order part of `combine`, for axes with low-order parts.
 
-    In twice the working precision (Ogita, Rump and Oishi, "Accurate sum and dot product", 2005).
+    The precision is twice that of a double (Ogita, Rump and Oishi, "Accurate sum and dot product",
+    2005).
     """
     x, y, z = four.broadcast(a[0]), four.broadcast(a[1]), four.broadcast(a[2])
     i, j, k = four.multiply(x, axes[0]), four.multiply(y, axes[1]), four.multiply(z, axes[2])
@@ -136,8 +137,8 @@ def accumulate(total: Four, carry: Four, increment: Four) -> tuple[Four, Four]:
     """
     Return total + increment and its rounding error (Kahan).
 
-    The error is exact if the increment is the smaller of the two. Otherwise it is off by no more
-    than the rounding error of the increment itself.
+    The returned error is exact if the increment is less than the total. Otherwise it differs from
+    the exact one by at most the rounding error of the increment.
     """
     increment = four.add(increment, carry)
     new = four.add(total, increment)

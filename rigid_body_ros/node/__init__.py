@@ -13,12 +13,13 @@
 # limitations under the License.
 
 """
-The ROS node: torques from a topic in, attitude out.
+The ROS node: it receives torques on a topic and publishes the attitude.
 
-`AttitudeNode` connects the parts. In: `drain` (the queue of the subscription), `inputs` (messages
-to torques), `parameters` (the scene). Between: `realtime` or `lockstep` (when to compute the
-motion), `closed_loop` (duplicates and republishing in lockstep), `pipeline` (what waits, what is
-final), `epoch` (one start state and its torques). Out: `outputs` (topics), `diagnostics`.
+`AttitudeNode` connects the modules. Input: `drain` (the queue of the subscription), `inputs`
+(messages to torques), `parameters` (the scene). Processing: `realtime` or `lockstep` (when to
+compute the motion), `closed_loop` (duplicates and republishing in lockstep), `pipeline` (the queue
+of torques, and the final states), `epoch` (one start state and its torques). Output: `outputs`
+(topics), `diagnostics`.
 """
 
 from rigid_body_ros.node.attitude_node import AttitudeNode, main

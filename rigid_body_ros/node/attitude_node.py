@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""`AttitudeNode`, and `main`, which runs one in a process."""
+"""`AttitudeNode`, and `main`, which runs the node."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ _TORQUE_QOS = {scene.REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPol
                LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
 #: s; how long a clean shutdown may take.
 _SHUTDOWN_TIME = 0.8
-#: s; period of the worker. A slice of work takes longer, so slices follow each other immediately;
-#: the worker waits only while all torques wait for the clock.
+#: s; period of the worker. A slice of work takes longer, so slices follow each other immediately.
+#: The worker is idle between slices only while all torques wait for the clock.
 _WORK_PERIOD = 0.001
 #: s; period of the check for signals.
 _SIGNAL_PERIOD = 0.1
@@ -70,7 +70,7 @@ _SIGNAL_PERIOD = 0.1
 
 class AttitudeNode(Node):
     """
-    Computes the attitude of a rigid body from torques on a topic, and publishes it.
+    Compute the attitude of a rigid body from torques on a topic, and publish it.
 
     Raises
     ------
@@ -100,13 +100,13 @@ class AttitudeNode(Node):
         parameters.make_read_only()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
-        #: Runs while torques or a state wait: one slice of work for each turn of the executor.
+        #: Active while torques or a state wait: one slice of work in each cycle of the executor.
         self._worker = self.create_timer(_WORK_PERIOD, self._work, clock=steady)
         self._worker.cancel()
         self._mode.pipeline.wake = self._worker.reset
 
     def finish(self, until: float) -> None:
-        """Publish what is pending, by a time of the monotonic clock, and the last diagnostics."""
+        """Publish pending states and the last diagnostics by `until`, s, monotonic clock."""
         pipeline = self._mode.pipeline
         half_time = 0.5 * (time.monotonic() + until)  # the rest is for the states held back
         while not pipeline.process() and time.monotonic() < half_time:
@@ -215,7 +215,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _executor() -> Executor:
-    try:  # half the processor time per message of the other
+    try:  # takes half the processor time per message
         from rclpy.experimental import EventsExecutor
     except ImportError:  # before Jazzy
         return SingleThreadedExecutor()

@@ -20,13 +20,13 @@ import time
 
 from rclpy.node import Node
 
-#: s; a clock that does not advance for longer is a warning.
+#: s; if the clock does not advance for longer, that is reported as a warning.
 _MAX_PAUSE = 1.0
 
 
 class ArrivalStamps:
     """
-    Stamps messages with the time of their arrival, each later than the one before.
+    Stamp messages with the time of their arrival; each stamp is later than the previous one.
 
     Simulated time advances in ticks. Between two ticks the stamps advance as fast as simulated
     time did between the last two ticks, but by no more than one tick. A jump is not a tick.
@@ -39,10 +39,10 @@ class ArrivalStamps:
         self._last_ns = 0
 
     def tick(self, now_ns: int) -> None:
-        """Record the time of the clock; call it as often as that may change."""
+        """Record the clock time, ns; call this whenever the clock may have changed."""
         if now_ns == self._now_ns:
             return
-        if now_ns < self._now_ns:  # set back: so are the stamps
+        if now_ns < self._now_ns:  # the clock was set back: so are the stamps
             self._last_ns = 0
         wall_ns = time.monotonic_ns()
         tick_ns = max(0, now_ns - self._now_ns) if self._now_ns else 0
@@ -59,7 +59,7 @@ class ArrivalStamps:
 
 
 class ClockMonitor:
-    """Checks that simulated time advances; wall time always does."""
+    """Check that simulated time advances; wall time always does."""
 
     def __init__(self, node: Node) -> None:
         self._clock = node.get_clock()
@@ -67,7 +67,7 @@ class ClockMonitor:
         self._now_ns, self._since = 0, time.monotonic()
 
     def problems(self) -> list[str]:
-        """Return the problems of the clock; call it about once a second."""
+        """Return the problems of the clock; call this about once a second."""
         if not self._is_simulated:
             return []
         now_ns = self._clock.now().nanoseconds

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Keeps a closed loop in lockstep a single chain of state, torque, state, torque.
+Keep a closed loop in lockstep a single chain of alternating states and torques.
 
 A controller responds to every state that it receives. If a state is published twice, the
-controller sends two torques; if the node responds to both, two chains run through the loop for
-ever. If the node does not respond, or a message is lost, the loop stops.
+controller sends two torques; if the node responds to both, the loop has two chains from then on.
+If the node does not respond, or a message is lost, the loop stops.
 """
 
 from __future__ import annotations
@@ -32,11 +32,13 @@ import numpy as np
 from rigid_body_ros.node.drain import Sender, UNKNOWN_SENDER
 from rigid_body_ros.node.epoch import Torque
 
-#: s; a torque repeated sooner after its response was sent before the response arrived.
+#: s; a torque that is repeated within this time after its response was published is assumed to
+#: have been sent before the response arrived.
 _IN_FLIGHT = 0.1
-#: s; between two publications of a state while no controller is connected.
+#: s; period at which a state is published while no controller is connected.
 _IDLE_PERIOD = 0.1
-#: s; how long connections must stay the same until a new controller can both receive and send.
+#: s; connections that have not changed for this long are complete: a new controller can both
+#: receive and send.
 _CONNECTION_TIME = 0.5
 #: s; how long a controller may work on a state before it is published again. The timeout doubles
 #: with every repetition, so that few copies pile up in the queue of a slow controller.
@@ -45,7 +47,7 @@ _TIMEOUT, _MAX_TIMEOUT = 2.0, 30.0
 
 class DuplicateFilter:
     """
-    Decides which torques of an equal stamp need another response.
+    Decide which torques with equal stamps require another response.
 
     Parameters
     ----------
@@ -57,11 +59,11 @@ class DuplicateFilter:
     def __init__(self, history_ns: int) -> None:
         self._history_ns = history_ns
         self._accepted: dict[int, _Accepted] = {}
-        #: How often the state of a stamp was published.
+        #: By stamp, how often the state was published.
         self._publications: dict[int, int] = {}
 
     def clear(self) -> None:
-        """Forget everything, because a new epoch begins."""
+        """Clear all records, because a new epoch begins."""
         self._accepted.clear()
         self._publications.clear()
 
@@ -88,11 +90,12 @@ class DuplicateFilter:
 
     def is_duplicate(self, torque: Torque, sender: Sender) -> bool:
         """
-        Return whether a torque needs no response, because its stamp has one.
+        Return whether a torque requires no response, because an earlier one of its stamp gets it.
 
-        Call it once per torque. A controller that received a state twice sends two torques, and a
-        second controller sends its own: both are duplicates. But a sender that repeats or corrects
-        a torque by itself needs another response: it may not have received the first.
+        Call this once per torque. A controller that received a state twice sends two torques, and
+        a second controller sends its own: both are duplicates. But if a sender repeats or corrects
+        a torque without having received a state twice, it requires another response, because it
+        may not have received the first.
         """
         first = self._accepted.get(torque.stamp_ns)
         if first is None:
@@ -114,7 +117,7 @@ class DuplicateFilter:
 
 @dataclass
 class _Accepted:
-    """A torque, its sender, how many of its stamp were received, and when the response left, s."""
+    """A torque, its sender, the number received with its stamp, and when it got a response, s."""
 
     torque: Torque
     sender: Sender
@@ -130,12 +133,13 @@ def _drop_before(entries: dict[int, Any], horizon_ns: int) -> None:
 
 class RepublishPolicy:
     """
-    Decides when to publish the latest state again.
+    Decide when to publish the latest state again.
 
-    While nobody publishes torques: ten times a second. To a new controller: once, when both sides
-    have had time to discover each other. After that only after a long silence, because a
-    controller that is still working on a state would receive it twice. Never immediately after a
-    connection: the subscription of a controller may be connected before its publisher is.
+    While no publisher of torques is connected, the state is published ten times a second. A new
+    controller receives it once, when both sides have had time to discover each other. After that
+    it is published only after a long silence, because a controller that is still working on a
+    state would receive it twice. It is never published immediately after a connection, because the
+    subscription of a controller may be connected before its publisher is.
 
     Parameters
     ----------
@@ -155,7 +159,7 @@ class RepublishPolicy:
 
     @property
     def has_controller(self) -> bool:
-        """Whether a publisher of torques is known."""
+        """Whether a publisher of torques is connected."""
         return self._connected[0] > 0
 
     def published(self, is_repeated: bool) -> None:
@@ -166,7 +170,7 @@ class RepublishPolicy:
         self._is_delivered |= self._published_at - self._changed_at >= _CONNECTION_TIME
 
     def is_due(self) -> bool:
-        """Return whether to publish the latest state again now; call it regularly."""
+        """Return whether to publish the latest state again now; call this regularly."""
         now, (publishers, subscriptions) = time.monotonic(), self._count()
         if publishers > self._connected[0] or subscriptions > self._connected[1]:
             self._changed_at = now
@@ -177,6 +181,6 @@ class RepublishPolicy:
             return False
         if not publishers:
             return now - self._published_at >= _IDLE_PERIOD
-        # A running loop needs no repetition, whoever joins it.
+        # A running loop requires no repetition, even if another controller joins.
         return now - self._published_at >= (
             self._timeout if self._is_delivered else _CONNECTION_TIME)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Counts events and problems, and reports them in the log and on /diagnostics."""
+"""Count events and problems, and report them in the log and on /diagnostics."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # Lyrical has it in rclpy.endpoint_info
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 RECEIVED, APPLIED, WAITING = 'received', 'applied', 'waiting'
-#: What is counted in addition to rejected torques.
+#: Names of the counts other than those of rejected torques.
 REPLACED, FORCE = 'replaced (same stamp)', 'force ignored'
 LOST, OVERFLOW = 'lost in transit', 'dropped (queue full)'
 MISSED, NOT_COMPUTABLE, UNSENT = 'deadlines missed', 'states not computable', 'publish failures'
@@ -42,10 +42,10 @@ STATES, STATES_REJECTED = 'initial states', 'initial states rejected'
 _SEVERAL_PUBLISHERS, _QOS = 'several publishers', 'incompatible QoS'
 _OF_TORQUES = (REPLACED, FORCE, LOST, OVERFLOW)
 _OF_MOTION = (MISSED, NOT_COMPUTABLE, UNSENT, TIME_JUMP, STATES, STATES_REJECTED)
-#: Counts that make a status an error, or a warning, in the second in which they grow.
+#: Counts that make a status an error, or a warning, in any second in which they increase.
 _ERRORS, _WARNINGS = (MISSED, NOT_COMPUTABLE, UNSENT, STATES_REJECTED), (TIME_JUMP,)
 _TORQUE_WARNINGS = (REPLACED, LOST, OVERFLOW)
-#: s; between two log messages of one kind.
+#: s; shortest time between two log messages of one kind.
 _LOG_PERIOD = 5.0
 
 
@@ -56,7 +56,7 @@ def rejections(cause: str) -> str:
 
 class Diagnostics:
     """
-    Counts what happens to torques and motion.
+    Count events of torques and of the motion.
 
     Every torque sent is either lost in transit, dropped from the full queue, or received. Every
     torque received is applied, rejected for a cause, or waiting.
@@ -104,10 +104,10 @@ class Diagnostics:
 
     def missing(self, number: int) -> None:
         """
-        Count torques that are missing between two from one publisher.
+        Count torques that are missing between two torques from one publisher.
 
-        Those that the middleware does not report as lost in transit were dropped from the full
-        queue.
+        Missing torques that the middleware does not report as lost in transit were dropped from
+        the full queue.
         """
         self._missing += number
         self._counts[OVERFLOW] = max(0, self._missing - self._counts[LOST])
@@ -123,13 +123,17 @@ class Diagnostics:
         Parameters
         ----------
         torques : Subscription
-            The one that receives torques.
+            The subscription to torques.
         inputs : iterable of Subscription
             All subscriptions of the node.
         outputs : iterable of Publisher
             All publishers of the node.
         several : str
-            What happens to the torques of several publishers.
+            Text for the log: what happens to the torques of several publishers.
+
+        Returns
+        -------
+        list of str
 
         """
         problems = []
@@ -150,7 +154,7 @@ class Diagnostics:
 
     def _incompatible(self, topic: str, peers: Iterable[TopicEndpointInfo],
                       own: str) -> list[str]:
-        # Both profiles as DDS reports them, in which defaults are resolved.
+        # Compare the profiles as DDS reports them, with defaults resolved.
         endpoints = getattr(self._node, f'get_{own}_info_by_topic')(topic)
         profile = next((info.qos_profile for info in endpoints
                         if _full_name(info) == self._node.get_fully_qualified_name()), None)
@@ -167,7 +171,7 @@ class Diagnostics:
         return problems
 
     def publish(self, problems: list[str], waiting: int, epoch: str, stamp: Time) -> None:
-        """Publish all counts; those that grew since the last time are errors or warnings."""
+        """Publish all counts; those that have increased since the last call set the levels."""
         counts, new = self._counts, self._counts - self._published_counts
         self._published_counts = counts.copy()
         rejected = [rejections(cause) for cause in CAUSES if new[cause]]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A subscription callback that empties its queue and counts lost messages."""
+"""A callback that empties the queue of its subscription and counts lost messages."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from typing import Any
 
 from rclpy.subscription import Subscription
 
-#: s; how long one call takes messages.
+#: s; time limit for taking messages in one call.
 _BUDGET = 0.02
-#: Publishers to remember; the one that was silent for longest is forgotten first.
+#: Largest number of known publishers; the one that was silent for longest is removed first.
 _MAX_SENDERS = 100
 
 #: Identity of a publisher; None if the middleware does not report it.
@@ -55,7 +55,7 @@ class DrainCallback:
     Attributes
     ----------
     subscription : Subscription
-        Set it once it exists.
+        To be set when the subscription exists.
 
     """
 
@@ -74,7 +74,7 @@ class DrainCallback:
         found = taken if len(taken) == 2 else taken[0]
         subscription = self.subscription
         with subscription.handle:
-            # A publisher that is faster than this loop must not keep it from ending.
+            # The limit ends the loop even if messages arrive faster than it takes them.
             until = time.monotonic() + _BUDGET
             while found is not None:
                 message, info = found
@@ -90,7 +90,7 @@ class DrainCallback:
             return None
         sender = identity['data'] if identity else None
         if sender is None and self.subscription.handle.get_publisher_count() > 1:
-            self._last_number.clear()  # the numbers of several publishers, mixed
+            self._last_number.clear()  # the numbers of several publishers are mixed
             return UNKNOWN_SENDER
         previous = self._last_number.pop(sender, number - 1)
         self._last_number[sender] = number

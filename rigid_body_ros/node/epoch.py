@@ -55,7 +55,7 @@ class Epoch:
         self.start = start
         self._propagator = Propagator(scene.body, start, **scene.options,
                                       history=scene.values['history'])
-        #: By stamp: the one that acts `history` before the newest, and all later ones.
+        #: Sorted by stamp: the torque in force `history` before the newest stamp, and later ones.
         self._torques: list[Torque] = []
         #: Stamps, ascending, whose states are not committed yet.
         self._uncommitted: list[int] = []
@@ -64,12 +64,12 @@ class Epoch:
 
     @property
     def history_ns(self) -> int:
-        """How much older than the newest stamp a torque may be; older ones are dropped."""
+        """How much older than the newest stamp a torque may be, ns; older ones are dropped."""
         return self._propagator.history_ns
 
     @property
     def newest_ns(self) -> int | None:
-        """Return the newest stamp, or None before the first torque."""
+        """Return the newest stamp, ns, or None before the first torque."""
         return self._torques[-1].stamp_ns if self._torques else None
 
     def at(self, time_ns: int, within: float) -> State:
@@ -77,7 +77,7 @@ class Epoch:
         return self._propagator.at(time_ns, within)
 
     def apply(self, torque: Torque) -> bool:
-        """Apply a torque; return False if it is too old."""
+        """Apply a torque; return False if it is too old, and raise as `Propagator.apply` does."""
         if not self._propagator.apply(*torque):
             return False
         place = bisect.bisect_left(self._torques, torque.stamp_ns, key=_stamp_ns)

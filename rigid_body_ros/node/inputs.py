@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Turns received messages into torques and states, or rejects them with a cause."""
+"""Turn received messages into torques and states, or reject them with a cause."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rigid_body_ros.node.epoch import Torque
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.scene import Scene
 
-#: rad/s^2; a torque held at this brings any body to a radian a nanosecond within a second.
+#: rad/s^2; an acceleration that reaches FASTEST, a radian per nanosecond, within a second.
 _LARGEST_ACCELERATION = 1e9
 #: Causes of rejection.
 MALFORMED, FRAME, NOT_FINITE, TOO_LARGE = 'malformed', 'unknown frame', 'not finite', 'too large'
@@ -38,7 +38,7 @@ CAUSES = (MALFORMED, FRAME, NOT_FINITE, TOO_LARGE, NO_CLOCK, FUTURE, LATE, OVERL
 
 
 class QueuedMessage(NamedTuple):
-    """A received message: its bytes, its sender, the time, ns, and the monotonic time, s."""
+    """A received message: bytes, sender, and time of arrival, ns and monotonic clock, s."""
 
     data: bytes
     sender: Sender
@@ -47,7 +47,7 @@ class QueuedMessage(NamedTuple):
 
 
 class RejectedError(ValueError):
-    """A message is rejected; `cause` is the one it is counted under."""
+    """A message is rejected; `cause` is the name under which it is counted."""
 
     def __init__(self, cause: str, text: str) -> None:
         super().__init__(text)
@@ -59,7 +59,7 @@ class EarlyError(RejectedError):
 
 
 class Inputs:
-    """Decodes messages in the frames of a scene."""
+    """Decode messages in the frames of a scene."""
 
     def __init__(self, scene: Scene, on_force: Callable[[], None]) -> None:
         self._on_force = on_force
@@ -73,7 +73,7 @@ class Inputs:
         Raises
         ------
         RejectedError
-            It is malformed, in an unknown frame, not finite or far too large.
+            The message is malformed, in an unknown frame, not finite or far too large.
 
         """
         wrench = _decoded(messages.WRENCH, data)
@@ -99,8 +99,8 @@ class Inputs:
         Raises
         ------
         RejectedError
-            It is malformed, in other frames than the scene's, not finite, too fast, or its
-            quaternion is zero.
+            The message is malformed, in frames other than the scene's, not finite, or too fast; or
+            its quaternion is zero.
 
         """
         odometry = _decoded(messages.ODOMETRY, data)

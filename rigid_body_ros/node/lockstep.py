@@ -48,9 +48,9 @@ from rigid_body_ros.node.parameters import Parameters
 from rigid_body_ros.node.pipeline import Pipeline
 from rosgraph_msgs.msg import Clock
 
-#: s; between two checks whether to publish the state again.
+#: s; period of the check whether to publish the state again.
 _CHECK_PERIOD = 0.1
-#: s; a silence, or a computation of one response, that lasts longer is a warning.
+#: s; a longer silence, or a longer computation of one response, is reported as a warning.
 _WARN_AFTER = 1.0
 #: s; how long to look for another publisher of /clock, and then to wait for its name.
 _DISCOVERY_TIME, _NAME_DELAY = 3.0, 0.5
@@ -58,7 +58,7 @@ _CLOCK = '/clock'
 
 
 class Lockstep:
-    """Publishes the state `step` after every torque as soon as the torque arrives."""
+    """Publish the state `step` after every torque as soon as the torque arrives."""
 
     several_publishers = 'only the first torque for each state is used'
 
@@ -76,17 +76,17 @@ class Lockstep:
         self._duplicates = DuplicateFilter(duration_ns(values['history'], 'history'))
         self._republishing = RepublishPolicy(self._connected)
         self._torques: Subscription | None = None
-        #: The state that waits for a torque, and since when, s.
+        #: The state that waits for a torque, the start state, and since when it waits, s.
         self._latest = self._start = self.pipeline.initial(self._given_start_ns)
         self._since = time.monotonic()
-        #: The stamp of the state that waited when the motion was reset.
+        #: The stamp of the state that waited for a torque when the motion was reset.
         self._stale_ns: int | None = None
         self._timer = node.create_timer(_CHECK_PERIOD, self._republish,
                                         clock=RosClock(clock_type=ClockType.STEADY_TIME))
         self._begin_at_given_start()
 
     def connect(self, torques: Subscription) -> None:
-        """Keep the subscription that receives torques, to count its publishers."""
+        """Set the subscription to torques, whose publishers are counted."""
         self._torques = torques
 
     def set_rate(self, rate: float) -> None:
@@ -106,12 +106,12 @@ class Lockstep:
 
     def set_state(self, state: State) -> None:
         """
-        Begin an epoch with a state; one without a stamp holds at the stamp of the next torque.
+        Begin an epoch with a state; without a stamp it is the state at the next torque's stamp.
 
         Raises
         ------
         RejectedError
-            It is older than the newest torque by `history` or more.
+            The state is older than the newest torque by `history` or more.
 
         """
         if state.time_ns:
@@ -151,7 +151,7 @@ class Lockstep:
         return problems
 
     def stamp(self) -> Time:
-        """Return the present time: that of the clock published here, if there is one."""
+        """Return the present time, from the clock that this node publishes if it does."""
         if self._clock is None:
             return self._node.get_clock().now().to_msg()
         return _time(self._latest.time_ns)

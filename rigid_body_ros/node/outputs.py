@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Publishes states and the log of the run."""
+"""Publish states and the log of the run."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _STATE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 # the states of the last `history` are published in one burst at the end.
 _LOG_QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)
-#: Messages in one burst, at most.
+#: Largest number of messages in one burst.
 LOG_DEPTH = _LOG_QOS.depth
 
 
@@ -54,8 +54,8 @@ class Outputs:
     """
     The publishers of a node.
 
-    A message that the middleware fails to publish, for example if out of memory, is counted and
-    logged.
+    If the middleware fails to publish a message, for example because memory is exhausted, the
+    failure is counted and logged.
     """
 
     def __init__(self, node: Node, scene: Scene, diagnostics: Diagnostics) -> None:
@@ -113,7 +113,7 @@ class Outputs:
             state, self._frames['space'], self._frames['body']))
 
     def deliver(self, until: float) -> None:
-        """Wait until the log is received, or until a time of the monotonic clock."""
+        """Wait until subscribers acknowledge the log, at most to `until`, s, monotonic clock."""
         for publisher in (self._committed, self._accepted):
             remaining = max(0.0, until - time.monotonic())
             with suppress(RuntimeError):  # not every middleware supports it
@@ -127,8 +127,9 @@ class Outputs:
                                     f'{" ".join(str(error).split())}')
 
     def _publisher(self, kind: type, topic: str, qos: QoSProfile = _STATE_QOS) -> Publisher:
-        # A copy, because rclpy writes the overrides of one topic into the profile it is given. No
-        # event handlers: rclpy checks each of them in every turn, and Diagnostics does it itself.
+        # Pass a copy, because rclpy writes the overrides of a topic into the profile. Disable the
+        # event handlers, because rclpy checks each of them in every cycle, and Diagnostics reports
+        # the same problems.
         return self._node.create_publisher(
             kind, topic, copy(qos),
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),

@@ -46,7 +46,7 @@ _EPOCH = ('start_time', *(f'initial_attitude.{name}' for name in 'xyzw'),
 
 class Parameters:
     """
-    Declares the parameters of a scene, and keeps the scene.
+    Declare the parameters of a scene, and store the scene.
 
     Raises
     ------
@@ -61,11 +61,11 @@ class Parameters:
         self._epoch = {name: self.scene.values[name] for name in _EPOCH}
 
     def make_read_only(self) -> None:
-        """Reject changes from now on, except those of the rate and by `report`."""
+        """Reject changes from now on, except changes of the rate and changes by `report`."""
         self._node.add_on_set_parameters_callback(self._on_set)
 
     def report(self, start: State) -> None:
-        """Set the parameters of the start state to that of an epoch."""
+        """Set the parameters of the start state to those of an epoch, or raise RuntimeError."""
         values = [start.time_ns, *start.attitude.tolist(), *start.angular_velocity.tolist()]
         self._epoch = dict(zip(_EPOCH, values))
         result = self._node.set_parameters_atomically(
@@ -74,8 +74,8 @@ class Parameters:
             raise RuntimeError(f'cannot set the parameters of the start state: {result.reason}')
 
     def _declare(self) -> Scene:
-        # The given parameters are declared already, with the types of the given values. Check all
-        # as one scene, then declare each with the type and description of the scene.
+        # rclpy has declared the given parameters, with the types of their values. Check all of
+        # them as one scene, then declare each again with the type and description of the scene.
         given = {name: parameter.value
                  for name, parameter in self._node.get_parameters_by_prefix('').items()}
         checked = Scene.from_values(given)
@@ -111,12 +111,12 @@ class Parameters:
 def check_qos_overrides(node: Node, subscriptions: Iterable[Subscription],
                         publishers: Iterable[Publisher]) -> None:
     """
-    Check that every given QoS override is one of an endpoint of the node.
+    Check that every given QoS override applies to an endpoint of the node.
 
     Raises
     ------
     InputError
-        One is not, so it would have no effect: its topic, endpoint or policy is misspelt.
+        An override would have no effect: its topic, endpoint or policy is misspelt.
 
     """
     known = [f'{_QOS}{endpoint.topic_name}.{kind}.{policy.name.lower()}'

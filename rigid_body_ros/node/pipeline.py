@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Applies queued torques and computes states, in slices short enough for other callbacks."""
+"""Apply queued torques and compute states, in slices short enough for other callbacks."""
 
 from __future__ import annotations
 
@@ -37,20 +37,20 @@ from rigid_body_ros.node.inputs import (
 from rigid_body_ros.node.outputs import LOG_DEPTH, Outputs
 from rigid_body_ros.scene import Scene
 
-#: s; a slice of work, after which all other callbacks get their turn.
+#: s; length of a slice of work, after which all other callbacks run.
 _BUDGET = 0.02
 #: s; how long computing the last states of an epoch may take.
 _END_BUDGET = 0.2
 #: Torques that may wait in the queue.
 _MAX_QUEUE = 100_000
-#: In real time, if more torques than this wait, the first for longer than this (s), new ones are
-#: rejected, so that the motion catches up.
+#: In real time, new torques are rejected if more than this number wait and the first has waited
+#: for longer than this, s. So the motion catches up.
 _BACKLOG, _MAX_WAIT = 5000, 2.0
 
 
 class Pipeline:
     """
-    Queues torques, applies and logs them, and computes the states.
+    Queue torques, apply and log them, and compute the states.
 
     `enqueue` only appends a message to the queue. `process` reads and applies waiting messages for
     one slice of time; call it again until it returns True. Neither order nor results depend on how
@@ -66,8 +66,9 @@ class Pipeline:
         RejectedError, or EarlyError for a message to read again later.
     respond : callable, optional
         Lockstep: receives each torque and the state `step` later, as soon as the torque is
-        applied; None if it is rejected or the state cannot be computed.
+        applied. The state is None if the torque is rejected or the state cannot be computed.
     step_ns : int
+        Lockstep: `step`, ns.
 
     """
 
@@ -81,14 +82,15 @@ class Pipeline:
         #: Whether the log has torques of an earlier epoch.
         self._is_logged = False
         self._queue: deque[QueuedMessage] = deque()
-        #: Messages that wait for the clock, by the cause of a rejection; others overtake them.
+        #: Messages that wait for the clock, by the cause for which they would be rejected now.
+        #: Later messages overtake them.
         self._early: dict[str, deque[QueuedMessage]] = {FUTURE: deque(), LATE: deque()}
         #: The torque of the first message of the queue, once read, and whether it is applied.
         self._torque: Torque | None = None
         self._is_applied = False
         #: Time, ns, of the state to publish as soon as it is known; 0 if there is none.
         self._deferred_ns = 0
-        #: Called if there is work to do that no message announces.
+        #: Called if there is work that no message starts.
         self.wake: Callable[[], None] = lambda: None
         #: Final states that are not logged yet.
         self._final: list[State] = []
@@ -141,10 +143,10 @@ class Pipeline:
         """
         End the epoch, if there is one, and reject all torques that still wait.
 
-        Torques that are too old for it are kept: the next epoch may begin earlier.
-        Its states are committed by `until`, a time of the monotonic clock, or within 0.2 s.
+        Torques that are too old for the epoch are kept, because the next epoch may begin earlier.
+        The states of the epoch are committed by `until`, s, monotonic clock, or within 0.2 s.
         """
-        if self._is_applied:  # but its response takes too long
+        if self._is_applied:  # the first torque is applied, but its response takes too long
             self._log(self._torque)
             self._queue.popleft()
         for queue, cause, event in (
@@ -177,7 +179,7 @@ class Pipeline:
         queue.append(QueuedMessage(data, sender, time_ns, now))
 
     def set_early_aside(self) -> None:
-        """Let the early ones of the queue wait for the clock, before the epoch ends."""
+        """Before the epoch ends, move torques that wait for the clock out of the queue."""
         messages = list(self._queue)
         self._queue.clear()
         for place, message in enumerate(messages):
@@ -205,10 +207,10 @@ class Pipeline:
 
     def publish(self, time_ns: int) -> None:
         """
-        Publish the state at a time, at once if one slice of work is enough to compute it.
+        Publish the state at a time, immediately if one slice of work is enough to compute it.
 
         Otherwise, or while torques wait in the queue, `process` publishes the state at the last
-        time asked for: simulated time may stand still, so that nobody asks again.
+        requested time: if simulated time stands still, there is no further request.
         """
         self._deferred_ns = time_ns if self._queue else 0
         if self._deferred_ns:
@@ -230,7 +232,7 @@ class Pipeline:
         Raises
         ------
         TimeoutError
-            It is not computed by `until`, a time of the monotonic clock.
+            The state is not computed by `until`, s, monotonic clock.
 
         """
         try:
@@ -266,7 +268,7 @@ class Pipeline:
                 place += 1
 
     def _early_cause(self, message: QueuedMessage) -> str | None:
-        """Return the cause to reject a torque for that may wait for the clock, else None."""
+        """Return the cause for rejecting a torque if it may wait for the clock, else None."""
         try:
             self._read(message)
         except EarlyError as early:
@@ -294,7 +296,7 @@ class Pipeline:
         self._commit()
 
     def _finish(self, until: float) -> None:
-        """Commit the states that were held back for late torques."""
+        """Commit the states that late torques could still change."""
         try:
             while stamps := self.epoch.uncommitted()[:LOG_DEPTH]:  # what the queue holds
                 self._finalize(stamps[-1], until)
@@ -331,7 +333,7 @@ class Pipeline:
         return True
 
     def _finalize(self, horizon_ns: int, until: float) -> None:
-        """Compute the states up to a time, which no torque changes any more."""
+        """Compute the states up to a time, which no torque can change any more."""
         for stamp_ns in self.epoch.uncommitted(horizon_ns):
             state = self.state(stamp_ns, until)
             self.epoch.mark_committed(stamp_ns)

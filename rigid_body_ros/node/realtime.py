@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Real time: a timer asks for the state at the present time."""
+"""Real time: a timer publishes the state at the present time."""
 
 from __future__ import annotations
 
@@ -44,18 +44,18 @@ from rigid_body_ros.node.parameters import Parameters
 from rigid_body_ros.node.pipeline import Pipeline
 from rigid_body_ros.scene import ARRIVAL, REBASE, RESET
 
-#: A stamp further from the clock, either way, comes from another clock.
+#: A stamp further ahead of or behind the clock is assumed to come from another clock.
 _OTHER_CLOCK_NS = 3600 * 10 ** 9
 _ADVICE = ('; if the torques come from a bag, play it with --clock and set use_sim_time, or set '
            'time_source:=arrival')
 #: s; how long a torque waits for a /clock message that was sent before it.
 _CLOCK_DELAY = 0.5
-#: A clock that jumps ahead by more is reported.
+#: A larger jump of the clock ahead is reported.
 _FORWARD_JUMP_NS = 10 ** 9
 
 
 class Realtime:
-    """Publishes the state at the present time, at a rate."""
+    """Publish the state at the present time, at a rate."""
 
     several_publishers = 'their torques do not add up: each holds only until the next'
 
@@ -70,14 +70,14 @@ class Realtime:
         self._latest_ns = 0
         self._arrivals, self._monitor = ArrivalStamps(), ClockMonitor(node)
         self._is_simulated = node.get_parameter('use_sim_time').value
-        # A timer that follows a wall clock stops if that is set back; one of steady time does not.
+        # If a wall clock is set back, a timer that follows it stops; a steady timer does not.
         clock = node.get_clock() if self._is_simulated else Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(1.0 / self._values['publish_rate'], self._publish,
                                         clock=clock)
         self._now_ns()
 
     def connect(self, torques: Subscription) -> None:
-        """Do nothing: the timer runs whoever is connected."""
+        """Do nothing: the timer runs whether or not a publisher is connected."""
 
     def set_rate(self, rate: float) -> None:
         """Publish at another rate, Hz."""
@@ -104,7 +104,8 @@ class Realtime:
         Raises
         ------
         RejectedError
-            There is no time yet, or the stamp of the state is impossible.
+            There is no time yet, or the stamp of the state is too far ahead of the clock, too far
+            behind it, or older than the newest torque by `history` or more.
 
         """
         now_ns = self._valid_now_ns()
@@ -125,7 +126,7 @@ class Realtime:
         now_ns = self._valid_now_ns()
         try:
             torques = self.pipeline.torques_since(now_ns)
-        except RejectedError:  # the clock was set back, beyond the torques that are remembered
+        except RejectedError:  # the clock was set back by `history` or more
             torques = []
         return self._begin(self.pipeline.initial(now_ns), torques, 'reset')
 
@@ -179,13 +180,14 @@ class Realtime:
         return now_ns
 
     def _now_ns(self) -> int:
-        """Return the time, with an epoch begun, or 0 while there is no time yet."""
+        """Return the time, ns, and begin an epoch if necessary; return 0 if there is no time."""
         now_ns = self._node.get_clock().now().nanoseconds
         if not now_ns:  # simulated time before the first message on /clock
             return 0
         latest_ns, self._latest_ns = self._latest_ns, now_ns
         self._arrivals.tick(now_ns)
-        # A wall clock is sometimes set back slightly; late torques may be as late as that.
+        # A wall clock is sometimes set back slightly. Up to `history` that is not a jump, because
+        # torques may be late by as much.
         tolerance_ns = 0 if self._is_simulated or not self.pipeline.epoch else \
             self.pipeline.epoch.history_ns
         if self.pipeline.epoch is None:
@@ -216,7 +218,7 @@ class Realtime:
             self._diagnostics.event(NOT_COMPUTABLE, 'on_time_jump: the present state cannot be '
                                     'computed; starting again from the initial state')
             return False
-        # The torque keeps its age, for torque_timeout.
+        # Shift the stamp, so that the torque keeps its age for torque_timeout.
         torques = [torque._replace(stamp_ns=max(1, torque.stamp_ns + now_ns - latest_ns))
                    for torque in self.pipeline.epoch.torques_since(latest_ns)[:1]
                    if torque.stamp_ns <= latest_ns]

@@ -18,8 +18,9 @@ The time loop: from a start state and a torque log to the motion.
 A *segment* runs from one torque change to the next; consecutive samples of zero torque are one
 segment, a *coast*. Within a segment steps end on a grid that begins with the segment and depends
 only on the state there, the torque and the options. The motion at any other time is one more step
-from the last grid point before it, and nothing later is built on that step. So what a caller asks
-for, and in which order, changes no bit, and `propagate` and `Propagator` agree bit for bit.
+from the last grid point before it, and no later state depends on that step. Therefore the
+requested times and their order do not change any bit, and `propagate` and `Propagator` agree bit
+for bit.
 """
 
 from rigid_body_ros.common.times import LONGEST

@@ -46,12 +46,12 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
     Parameters
     ----------
     body : RigidBody
-        It rotates about its centre of mass, which may move in any way.
+        The body. It rotates about its centre of mass, which may move in any way.
     start : State
-        Its time is the earliest that can be asked for. A state that `Propagator.at` returned
-        continues its motion with the same bits.
+        The state at the earliest time of the motion. From a state that `Propagator.at` returned,
+        the motion continues with the same bits.
     log : TorqueLog, optional
-        None: torque-free. Before its first sample the torque is zero.
+        None for torque-free motion. Before the first sample the torque is zero.
     at : array of int, shape (m,), ns
         Times to return, in any order, none before the start.
     solver : str
@@ -106,28 +106,32 @@ class Integration:
                  torque_timeout: float = Options.torque_timeout) -> None:
         self._body, self._start = body, start
         self._options = validated(solver, tolerance, max_step, torque_timeout)
-        #: States and progress of the loop, once there is any.
+        #: States and progress of the loop; None before the first step.
         self._reached: tuple[Floats, NDArray[np.int64]] | None = None
         self._reached_ns = start.time_ns
 
     def advance(self, log: TorqueLog, at: ArrayLike, *, dropped: int = 0,
                 stop: int | None = None) -> Trajectory:
         """
-        Return the motion at times, none before those of the last call.
+        Return the motion at times, none of them before those of the previous call.
 
         Parameters
         ----------
         log : TorqueLog
-            A piece of the log. It begins with the sample in force at the end of the piece before,
-            or at the start.
+            A piece of the log. It begins with the sample in force at the end of the previous
+            piece, or at the start.
         at : array of int, shape (m,), ns
             In any order.
         dropped : int
-            How many samples at the front of the piece before are left out of this one.
+            How many samples at the front of the previous piece are not in this one.
         stop : int, optional
-            The sample that the next piece continues from: the motion is computed up to its stamp,
-            and no time of `at` comes after it. None: this is the last piece, or the next call
+            The sample from which the next piece continues: the motion is computed up to its stamp,
+            and no time of `at` is later. None if this is the last piece, or if the next call
             continues within it.
+
+        Returns
+        -------
+        Trajectory
 
         Raises
         ------
@@ -147,18 +151,18 @@ class Integration:
         self._reached_ns = end_ns
         attitude = motion_layout.attitude(motion)
         rates = motion_layout.angular_velocity(motion)
-        if times.size > count:  # the end of the piece was not asked for
+        if times.size > count:  # the end of the piece was not requested
             times, attitude, rates = times[:count], attitude[:count], rates[:count]
         return Trajectory(self._body, times, attitude, rates, SolverUsage(
             self._body, log, self._options, begin_ns, end_ns, closed))
 
     def _fill(self, log: TorqueLog, times: NDArray[np.int64], rows: NDArray[np.intp],
               motion: Floats, dropped: int, stop: int) -> NDArray[np.bool_]:
-        """Fill the motion; return in which samples a coast was answered in closed form."""
+        """Fill the motion; return in which samples a coast was computed in closed form."""
         closed = np.zeros(len(log) + 1, np.bool_)
         states, progress = self._continued(dropped) if self._reached else self._begun(log)
         begins_later = stop < len(log) and log.times_ns[stop] <= self._start.time_ns
-        if begins_later:  # only the start itself can be asked for
+        if begins_later:  # `at` can have no time but the start
             stop = len(log)
         progress[layout.DONE] = 0
         for first, end, polynomials in log.polynomials(int(progress[layout.SAMPLE])):
@@ -170,7 +174,7 @@ class Integration:
                             self._options.settings):
                     raise self._options.too_fast(int(progress[layout.GRID_NS]))
         done = int(progress[layout.DONE])
-        if done < times.size:  # the end of the piece, asked for again
+        if done < times.size:  # the end of the piece, requested again
             again = (np.arange(times.size) if len(rows) == 0 else rows)[done:]
             grid, _, _ = layout.unpack_states(states)
             motion_layout.attitude(motion)[again] = state_layout.attitude(grid)
@@ -182,7 +186,8 @@ class Integration:
     def _continued(self, dropped: int) -> tuple[Floats, NDArray[np.int64]]:
         assert self._reached is not None
         states, progress = self._reached
-        # In a coast that continues, an earlier sample may be in force. It has no torque, like -1.
+        # In a coast that continues, the sample in force may have been dropped. It has no torque,
+        # so -1 has the same effect.
         progress[layout.SAMPLE] = max(int(progress[layout.SAMPLE]) - dropped, -1)
         return states, progress
 
@@ -200,11 +205,11 @@ class Integration:
 
 
 def _checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], bool, int]:
-    """Return times, whether they ascend, and the last of them."""
+    """Return times, whether they ascend, and the latest of them."""
     times = instants(at, 'at')
     if times.size > 1:
         ascends, first_ns, last_ns = _order(times)
-    else:  # a call of a kernel takes as long as the rest here
+    else:  # calling a kernel takes as long as all the rest
         ascends, (first_ns, last_ns) = True, 2 * (times.tolist() or [start_ns])
     for time_ns in (first_ns, last_ns):
         if not start_ns <= time_ns < NEVER_NS:
@@ -218,7 +223,7 @@ def _checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], boo
 
 @njit
 def _order(times_ns: NDArray[np.int64]) -> tuple[bool, int, int]:
-    # Whether times ascend, the first and the last of them.
+    # Return whether times ascend, the earliest and the latest of them.
     ascends, first, last = True, times_ns[0], times_ns[0]
     for k in range(1, len(times_ns)):
         ascends = ascends and times_ns[k] >= times_ns[k - 1]
@@ -246,7 +251,7 @@ def _rule_at_start(body: RigidBody, start: State, log: TorqueLog, options: Optio
 
 
 def warm_up() -> None:
-    """Compile every kernel, or load what an earlier process compiled."""
+    """Compile every kernel, or load the code that an earlier process compiled."""
     body, start = RigidBody(np.eye(3)), State()
     propagate(body, start, TorqueLog([0], [[1.0, 0.0, 0.0]]), at=[1, 2]).euler_angles()
     Propagator(body, start).at(1)

@@ -15,9 +15,9 @@
 """
 The torque between two changes.
 
-A sample is in force from its stamp to the next stamp. With a timeout the torque becomes zero some
-time after the stamp. Sample -1 is the time before the first stamp. Consecutive intervals without
-torque are one *coast*.
+A sample is in force from its stamp to the next stamp. If there is a timeout, the torque becomes
+zero that long after the stamp. Sample -1 stands for the time before the first stamp. Consecutive
+intervals without torque are one *coast*.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from rigid_body_ros.propagation.layout import Body, Log
 
 
 class Interval(NamedTuple):
-    """The time in which one polynomial describes the torque."""
+    """A span of time in which one polynomial describes the torque."""
 
     #: N m, in the fraction of the time from the stamp to the next stamp.
     torque: vector.Polynomial
@@ -48,11 +48,11 @@ class Interval(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """What changes the angular velocity during an interval."""
+    """The acceleration or the torque in Euler's equations during an interval."""
 
     #: In the fraction of a time: J^-1 tau, rad/s^2, or, in space axes, the torque, N m.
     polynomial: vector.Polynomial
-    #: The coefficients beyond it are zero.
+    #: Coefficients of higher degree are zero.
     degree: int
     in_space: bool
     #: Time at which the fraction is 0, and the seconds until it is 1.
@@ -82,7 +82,7 @@ def interval(torque: vector.Polynomial, stamp_ns: int, next_ns: int, idle: bool,
 @inlined
 def drive(now: Interval, rests: vector.Polynomial, degree: int, in_space: bool,
           body: Body) -> Drive:
-    """Return what changes the angular velocity. A body torque becomes an acceleration here."""
+    """Return the drive of an interval: the acceleration by a body torque, or a space torque."""
     span = 1.0
     if degree > 0 and now.next_ns < NEVER_NS:
         span = (now.next_ns - now.stamp_ns) / 1e9
@@ -101,7 +101,7 @@ def row(polynomials: Floats, index: int, k: int) -> vector.Vector:
 
 @inlined
 def torque_of(polynomials: Floats, index: int, idle: bool) -> vector.Polynomial:
-    """Return the torque of a sample, or zeros. Inlined: an array costs half a short step."""
+    """Return the torque of a sample, or zeros. An array would cost half a short step."""
     none = four.broadcast(0.0)
     if idle:
         return none, none, none, none
@@ -115,7 +115,7 @@ def torque_of(polynomials: Floats, index: int, idle: bool) -> vector.Polynomial:
 
 @inlined
 def rests_of(polynomials: Floats, index: int) -> vector.Polynomial:
-    """Return what rounding took from the coefficients of a sample."""
+    """Return the low-order parts of the coefficients of a sample."""
     none = four.broadcast(0.0)
     if polynomials.shape[1] == 1:
         return none, none, none, none

@@ -15,9 +15,9 @@
 """
 The records of the time loop, and the arrays that carry them from Python into the kernel and back.
 
-A named tuple from Python costs the kernel's caller several microseconds, an array a fraction of
-one. So options, states and progress cross the boundary in three arrays; packing and unpacking of
-each stand together here. Inside the kernels records are free.
+To pass a named tuple from Python to a kernel takes several microseconds; an array takes a fraction
+of one. So options, states and progress are passed in three arrays, which this module packs and
+unpacks. Inside the kernels records cost nothing.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from rigid_body_ros.kernels.jit import inlined, internal
 
 #: Offsets in the array of progress.
 GRID_NS, BEGIN_NS, SAMPLE, TIMED_OUT, DONE, FIRST, STOP, BUDGET = range(8)
-#: For SAMPLE: the one in force at the beginning of the segment. The kernel finds it.
+#: Value of SAMPLE that makes the kernel find the sample in force at the beginning of the segment.
 IN_FORCE = -2
 #: Offsets in the array of options.
 _SOLVER, _FIXED_STEP, _CLOSED_FORM_BEYOND, _TOLERANCE, _MAX_STEP_NS, _TIMEOUT_NS = range(6)
@@ -42,7 +42,7 @@ class Body(NamedTuple):
     """The constants of a body."""
 
     coefficients: vector.Coefficients
-    #: DIAGONAL, FULL or THIN, see `taylor`.
+    #: DIAGONAL, FULL or THIN, see `euler_equations`.
     form: int
     frame: vector.PrincipalFrame
 
@@ -56,7 +56,7 @@ class Method(NamedTuple):
     closed_form_beyond: float
     #: Truncation error of the attitude per radian turned.
     tolerance: float
-    #: Of a full step of the series, rad.
+    #: Angle of a full step of the series, rad.
     angle: float
     max_step_ns: int
 
@@ -75,26 +75,26 @@ class Log(NamedTuple):
     first: int
     #: The sample to stop at.
     stop: int
-    #: How long after a sample the torque becomes zero; 0: never.
+    #: How long after a sample the torque becomes zero, ns; 0: never.
     timeout_ns: int
 
 
 class Outputs(NamedTuple):
-    """What is asked for, and where it goes."""
+    """The requested times, and the arrays for the results."""
 
-    #: int64 (m,): none before the beginning.
+    #: int64 (m,), ns: requested times, none before the beginning.
     times_ns: NDArray[np.int64]
-    #: int (m,), which row of the motion each time in ascending order fills; or (0,) if the times
+    #: int (m,): rows of `times_ns` and of the motion in ascending order of time; (0,) if the times
     #: ascend.
     rows: NDArray[np.intp]
     #: float64 (7 m,), see `motion_layout`.
     motion: Floats
-    #: bool (n + 1,): set by sample + 1 if a coast was answered in closed form.
+    #: bool (n + 1,): at index sample + 1, whether a coast was computed in closed form.
     closed: NDArray[np.bool_]
 
 
 class Place(NamedTuple):
-    """Where the loop stands."""
+    """Progress of the loop."""
 
     #: Time of the state on the step grid, and of the beginning of the segment.
     grid_ns: int
@@ -120,7 +120,7 @@ class States(NamedTuple):
 
 def pack_settings(solver: int, fixed_step: bool, closed_form_beyond: float, tolerance: float,
                   max_step_ns: int, timeout_ns: int) -> Floats:
-    """Return options as an array. Doubles hold nanoseconds exactly that are rounded doubles."""
+    """Return options as an array. A double holds nanoseconds rounded from seconds exactly."""
     settings = np.empty(6)
     settings[_SOLVER], settings[_FIXED_STEP] = solver, fixed_step
     settings[_CLOSED_FORM_BEYOND], settings[_TOLERANCE] = closed_form_beyond, tolerance
@@ -180,7 +180,7 @@ def unpack_states(states: Floats) -> tuple[Floats, Floats, Floats]:
 
 @internal
 def load_states(states: Floats) -> States:
-    """Return the states. None has been computed yet."""
+    """Return the states; the latest is that on the grid until another is computed."""
     grid = state_layout.load(states, 0)
     return States(grid, state_layout.load(states, state_layout.SIZE), grid)
 
@@ -195,20 +195,20 @@ def store_states(loop: States, states: Floats) -> None:
 
 def pack_place(grid_ns: int, begin_ns: int, sample: int,
                timed_out: bool = False) -> NDArray[np.int64]:
-    """Return progress as an array: nothing is done, and the limits are still to be set."""
+    """Return progress as an array, with no output filled; the caller sets the limits."""
     return np.array([grid_ns, begin_ns, sample, timed_out, 0, 0, 0, 0], np.int64)
 
 
 @inlined
 def load_place(progress: NDArray[np.int64]) -> Place:
-    """Return where the loop stands."""
+    """Return the progress of the loop from an array."""
     return Place(int(progress[GRID_NS]), int(progress[BEGIN_NS]), int(progress[SAMPLE]),
                  progress[TIMED_OUT] != 0, int(progress[DONE]))
 
 
 @inlined
 def store_place(place: Place, progress: NDArray[np.int64]) -> None:
-    """Write back where the loop stands."""
+    """Write the progress of the loop back to an array."""
     progress[GRID_NS], progress[BEGIN_NS] = place.grid_ns, place.begin_ns
     progress[SAMPLE], progress[TIMED_OUT] = place.sample, place.timed_out
     progress[DONE] = place.done

@@ -17,17 +17,17 @@ The loop from one torque change to the next.
 
 The contract of `run`, whatever the solver:
 
-1. The motion is a function of the start, the torque and the options. What is asked for, how often
-   `run` is called and how large its budget is change no bit.
+1. The motion is a function of the start, the torque and the options. No bit of it depends on the
+   other requested times, on the number of calls of `run`, or on its budget.
 2. A *segment* runs from one torque change to the next; consecutive intervals without torque are
-   one segment, a *coast*. Its state at the beginning is kept.
+   one segment, a *coast*. The state at the beginning of a segment is kept.
 3. Steps end on a grid that begins with the segment and depends only on the state there, the
-   torque and the method. The last grid point reached is kept, so that a later call costs only
-   what is new. A state between grid points is one more step, and nothing later is built on it.
+   torque and the method. The last grid point reached is kept, so that a later call computes only
+   new steps. A state between grid points is one more step, and no later state depends on it.
 4. A coast in closed form is always computed from its beginning.
 5. `run` returns when it has filled all outputs, has reached the sample to stop at, has used up its
-   budget, or finds the body too fast. It leaves states and progress such that another call goes
-   on from there.
+   budget, or finds that the body is too fast. Another call continues from the states and the
+   progress that it leaves.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from rigid_body_ros.kernels.jit import inlined, internal, njit
 from rigid_body_ros.propagation import intervals, layout, stepping
 from rigid_body_ros.propagation.layout import Body, Log, Method, Outputs, Place, States
 
-#: For `rows` of `run`: the times ascend.
+#: Value of `rows` of `run` if the times ascend.
 IN_ORDER = np.empty(0, np.intp)
 #: Units of work, at most about 0.1 s, after which a kernel returns so that Python handles signals.
 BUDGET = 20_000 * stepping.FULL
@@ -60,7 +60,7 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
         stamps_ns: NDArray[np.int64], polynomials: Floats, in_space: NDArray[np.bool_],
         constants: Floats, settings: Floats) -> bool:
     """
-    Go from torque change to torque change, and fill the motion at times.
+    Advance from torque change to torque change, and fill the motion at the requested times.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def _follow(place: Place, reached: States, outputs: Outputs, log: Log, body: Bod
 
 @inlined
 def _is_closed(method: Method, begin: vector.KernelState, span_ns: int) -> bool:
-    # Whether a coast is answered in closed form.
+    # Return whether a coast is computed in closed form.
     if span_ns == 0:
         return False
     speed = method.closed_form_beyond * 1e9 / span_ns
@@ -176,7 +176,7 @@ def _is_closed(method: Method, begin: vector.KernelState, span_ns: int) -> bool:
 @inlined
 def _is_short(grid: vector.KernelState, rest_ns: int, acceleration: vector.Vector,
               method: Method) -> bool:
-    # Whether one short step is enough, if the torque is held in body axes.
+    # Return whether one short step is enough, if the torque is held in body axes.
     return (rest_ns < method.max_step_ns and not method.fixed_step
             and short_step.is_accurate(grid, rest_ns / 1e9, acceleration, method.tolerance))
 
@@ -184,10 +184,10 @@ def _is_short(grid: vector.KernelState, rest_ns: int, acceleration: vector.Vecto
 @internal
 def _stream(grid: vector.KernelState, place: Place, last: int, outputs: Outputs, log: Log,
             body: Body, method: Method) -> tuple[vector.KernelState, int, int, int]:
-    # Go from stamp to stamp, at most to that of the sample `last`, under held body torques for as
-    # long as one short step each is enough, and nothing is asked for in between. Apart from
-    # `_follow`: in a loop of its own the compiler keeps the state in registers. Returns state,
-    # grid_ns, sample, done.
+    # Step from stamp to stamp, at most to the stamp of the sample `last`, under held body torques,
+    # as long as one short step is enough and no output lies between the stamps. This loop is not
+    # part of `_follow`, so that the compiler keeps the state in registers. Return state, grid_ns,
+    # sample, done.
     grid_ns, sample, done = place.grid_ns, place.sample, place.done
     times_ns, rows, motion, _ = outputs
     stamps_ns, polynomials, in_space, _, _, timeout_ns = log

@@ -36,18 +36,18 @@ class Model(NamedTuple):
 
 
 class SolverUsage(NamedTuple):
-    """What determines which solver was used for which span."""
+    """The data that determine which solver was used for each span."""
 
     body: RigidBody
     log: TorqueLog
     options: Options
     start_ns: int
     end_ns: int
-    #: By sample + 1: whether a coast was answered in closed form.
+    #: At index sample + 1, whether a coast was computed in closed form.
     closed: NDArray[np.bool_]
 
     def models(self) -> tuple[Model, ...]:
-        """Return the spans from the start to the last time asked for, in order."""
+        """Return the spans from the start to the last requested time, in order."""
         starts, closed = self._segments()
         changes = np.flatnonzero(np.append(True, closed[1:] != closed[:-1]))
         bounds = [*starts[changes].tolist(), self.end_ns]
@@ -66,7 +66,7 @@ class SolverUsage(NamedTuple):
         coasts = samples < 0
         coasts[~coasts] = ~self.log.torques[samples[~coasts]].any(axis=1)
         closed = coasts & self.closed[owners + 1]
-        # Only the outputs within a coast are computed, so one of its samples stands for all.
+        # Within a coast only the outputs are computed, so any of its samples may have the mark.
         coast = np.cumsum(np.append(False, ~(coasts[1:] & coasts[:-1])))
         used = np.zeros(coast[-1] + 1, np.bool_)
         np.logical_or.at(used, coast, closed)

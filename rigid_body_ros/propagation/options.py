@@ -90,13 +90,13 @@ class Options:
 
     @cached_property
     def settings(self) -> Floats:
-        """Return the options as the kernels take them."""
+        """Return the options as an array for the kernels."""
         record = self.record
         return layout.pack_settings(record.code, record.fixed_step, record.closed_form_beyond,
                                     self.tolerance, self.max_step_ns, self.timeout_ns)
 
     def rule(self, body: RigidBody, torque: Floats, in_space: bool) -> Hashable:
-        """Return all that the motion under a held torque depends on except its start."""
+        """Return everything except the start that the motion under a held torque depends on."""
         return (body._constants.tobytes(), self.solver, float(self.tolerance), self.max_step_ns,
                 tuple(torque.ravel().tolist()), in_space and bool(torque.any()))
 
@@ -111,7 +111,7 @@ def validated(*values: Any) -> Options:
     """Return the options with these values, in the order of the fields."""
     try:
         return _known(*values)
-    except TypeError:  # an unhashable value is invalid, and `Options` says why
+    except TypeError:  # an unhashable value is invalid, and `Options` reports why
         return Options(*values)
 
 

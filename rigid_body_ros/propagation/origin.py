@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Where the steps to a state began, so that a restarted run goes on with the same bits."""
+"""Where the steps to a state began, so that a restarted run continues with the same bits."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from rigid_body_ros.common.arrays import Floats
 
 class Origin(NamedTuple):
     """
-    The step grid that a state between two torque changes was computed from.
+    The step grid from which a state between two torque changes was computed.
 
-    The state alone does not determine it: a restart from the state itself would begin a new grid.
+    The state alone does not determine the grid: a restart from the state would begin a new one.
     """
 
     #: `Options.rule` of the segment.

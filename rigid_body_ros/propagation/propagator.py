@@ -34,7 +34,7 @@ from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
 from rigid_body_ros.torque import FRAMES
 
 _NO_TORQUE = np.zeros((1, 3))
-#: What a kernel fills and nobody reads: only its last state counts.
+#: Outputs of a kernel that are not read: only its last state is used.
 _UNUSED = motion_layout.allocate(1), np.empty(2, np.bool_)
 
 
@@ -43,10 +43,10 @@ class Propagator:
     The motion under torques that arrive sample by sample.
 
     A torque commits the state at its stamp, computed under the torque before it. A state between
-    stamps is a prediction: nothing later is built on it. A torque that arrives late, by less than
-    `history`, is inserted and the later ones are applied again; of equal stamps the last arrival
-    counts. So the states at the stamps are those of `propagate` with the whole log, bit for bit,
-    in whatever order the torques arrive.
+    stamps is a prediction: no later state depends on it. A torque that arrives late, by less than
+    `history`, is inserted, and the later torques are applied again; of torques with equal stamps
+    the last to arrive is used. So the states at the stamps are those of `propagate` with the whole
+    log, bit for bit, in whatever order the torques arrive.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Propagator:
                  max_step: float | None = Options.max_step,
                  torque_timeout: float = Options.torque_timeout, history: float = 1.0) -> None:
         self._options = Options(solver, tolerance, max_step, torque_timeout)
-        #: A torque is dropped if it is older than the newest stamp by this much. At least 1.
+        #: ns, at least 1; a torque older than the newest stamp by this much or more is dropped.
         self.history_ns = max(1, duration_ns(history, 'history'))
         self._body = body
         first = _Change(start.time_ns, start.time_ns, _NO_TORQUE, False)
@@ -90,8 +90,8 @@ class Propagator:
         Parameters
         ----------
         time_ns : int
-            In any order. A torque from before the start is in force at the start, up to the next
-            stamp.
+            The stamp, ns, in any order. A torque from before the start is in force from the start
+            to the next stamp.
         torque : array, shape (3,), N m
             About the centre of mass.
         frame : str
@@ -108,7 +108,7 @@ class Propagator:
         ValueError
             The torque is not finite, the frame is unknown, the time does not fit int64 or lies
             292 years or more from the start, the solver is 'exact' and the torque is not zero,
-            or the torques before accelerated the body beyond 1e9 rad/s. The torque is not applied.
+            or earlier torques accelerate the body beyond 1e9 rad/s. The torque is not applied.
         TypeError
             The time is not an integer.
 
@@ -140,9 +140,14 @@ class Propagator:
         Parameters
         ----------
         time_ns : int
-            From `earliest_ns` on. After the newest stamp its torque is held until it times out.
+            In ns, from `earliest_ns` on. After the newest stamp the torque is held until it times
+            out.
         within : float, s
             Limit on the computing time.
+
+        Returns
+        -------
+        State
 
         Raises
         ------
@@ -152,7 +157,7 @@ class Propagator:
         TypeError
             The time is not an integer.
         TimeoutError
-            The limit was reached. The next call continues from there.
+            The limit on the computing time was reached. The next call continues from there.
 
         """
         time_ns, until = self._checked(time_ns), time.monotonic() + within
@@ -170,8 +175,8 @@ class Propagator:
         return found
 
     def _apply_before_start(self, time_ns: int, torque: Floats, in_space: bool) -> None:
-        # The first change is still the start: it is discarded only once a stamp is `history` after
-        # the start, and from then on a stamp as old as the start is dropped.
+        # The first change is still the start: it is discarded only when a stamp is `history` after
+        # the start, and then `apply` drops every torque with a stamp as old as the start.
         if self._before_start is not None and time_ns < self._before_start:
             return
         self._before_start = time_ns
@@ -193,14 +198,14 @@ class Propagator:
         self._discard_segments(index + 1)
 
     def _discard_before(self, horizon_ns: int) -> None:
-        """Discard what no late torque can change, or raise ValueError as `at` does."""
+        """Discard changes that no late torque can affect; raise ValueError as `at` does."""
         oldest = bisect.bisect_right(self._changes, horizon_ns, key=_time_ns) - 1
         if oldest > 0:
             self._resolve(oldest)
             del self._changes[:oldest]
 
     def _discard_segments(self, index: int) -> None:
-        # Segments are resolved from the front: if one is missing, the later ones are, too.
+        # Segments are computed from the front: if one is missing, all later ones are, too.
         while index < len(self._changes) and self._changes[index].segment is not None:
             self._changes[index].segment = self._changes[index].silence = None
             index += 1
@@ -237,7 +242,7 @@ class Propagator:
 
 @dataclass
 class _Change:
-    """A torque that comes into force. At the start its stamp may be earlier than its time."""
+    """A torque that comes into force at a time. At the start its stamp may be earlier."""
 
     time_ns: int
     stamp_ns: int
@@ -253,7 +258,7 @@ def _time_ns(change: _Change) -> int:
 
 
 def _frozen(values: ArrayLike) -> NDArray[Any]:
-    """Return a read-only array, as a log has: the kernels are compiled for these."""
+    """Return a read-only array, like those of a log, for which the kernels are compiled."""
     array = np.array(values)
     array.flags.writeable = False
     return array
@@ -312,6 +317,6 @@ class _Segment:
         return without_origin(self.state_at(time_ns, until))
 
     def _thin(self, horizon_ns: int) -> None:
-        # A late torque needs grid points of the last `history`; `at` may need the beginning.
+        # A late torque requires grid points of the last `history`; `at` may require the beginning.
         while len(self._grid_ns) > 2 and self._grid_ns[2] <= horizon_ns:
             del self._grid_ns[1], self._states[1]

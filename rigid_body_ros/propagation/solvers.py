@@ -21,13 +21,13 @@ from typing import NamedTuple
 
 from rigid_body_ros.kernels import steppers
 
-#: rad; `auto` answers a coast in closed form if it turns by more. Up to this angle the series is
-#: as exact, and cheaper.
+#: rad; `auto` computes a coast in closed form if the body turns by more. Up to this angle the
+#: series is as exact, and cheaper.
 LONG_COAST = 16.0
 
 
 class Solver(NamedTuple):
-    """What the loop, the options and the documentation need to know of a solver."""
+    """The properties of a solver for the loop, the options and the documentation."""
 
     name: str
     #: Its number in the kernels.
@@ -37,7 +37,8 @@ class Solver(NamedTuple):
     #: Whether every step is `max_step` long.
     fixed_step: bool = False
     takes_torque: bool = True
-    #: rad; a coast that turns by more is answered in closed form. Negative: every coast.
+    #: rad; a coast in which the body turns by more is computed in closed form. Negative: every
+    #: coast.
     closed_form_beyond: float = math.inf
 
 

@@ -27,8 +27,8 @@ A step must leave:
 1. A state at the end of the step that depends on the state at its beginning, the torque, the
    length and the method only, bit for bit.
 2. A unit attitude on the continuous path from the start: no change of sign.
-3. What rounding took from both, or zeros.
-4. The state that it starts from: a step to an output is discarded afterwards.
+3. The low-order parts of both, or zeros.
+4. The state that it starts from unchanged: a step to an output is discarded afterwards.
 """
 
 from __future__ import annotations
@@ -50,16 +50,16 @@ FULL = 16
 
 
 class Reached(NamedTuple):
-    """How far `advance` got."""
+    """The result of `advance`."""
 
     #: The last state on the grid, and its time.
     grid: vector.KernelState
     grid_ns: int
-    #: The state at the time asked for, if it was reached.
+    #: The state at the requested time, if that was reached.
     latest: vector.KernelState
-    #: Whether it was reached before the budget was used up or the body became too fast.
+    #: Whether the time was reached before the budget was used up or the body became too fast.
     arrived: bool
-    #: What is left of the budget.
+    #: The budget that is left.
     budget: int
 
 
@@ -67,20 +67,24 @@ class Reached(NamedTuple):
 def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, body: Body,
             method: Method, table: Floats, budget: int) -> Reached:
     """
-    Go to the last grid point before a time, and from there to the time.
+    Step to the last grid point before a time, and from there to the time.
 
     Parameters
     ----------
-    grid, grid_ns : State, int
+    grid, grid_ns : KernelState, int
         The last grid point reached, and its time.
     time_ns : int
         Within the segment.
     drive, body, method : Drive, Body, Method
-        What a step depends on.
+        The drive of the interval, the body and the method of a step.
     table : float64 (taylor.WORKSPACE,)
         Workspace.
     budget : int
         Units of work after which to return; a step costs `FULL`.
+
+    Returns
+    -------
+    Reached
 
     """
     bound = euler_equations.acceleration_bound(drive.polynomial, drive.in_space, body.coefficients)
@@ -112,7 +116,8 @@ def is_too_fast(state: vector.KernelState) -> bool:
 
 @inlined
 def _natural_ns(state: vector.KernelState, rest_ns: int, bound: float, method: Method) -> int:
-    # Length of the next step on the grid, whatever is left to go, if it is not longer than that.
+    # Return the length of the next step on the grid. It depends on the time left only if the step
+    # would be longer than that.
     if method.fixed_step:
         return method.max_step_ns
     square, rest = vector.dot(state[0], state[0]), rest_ns / 1e9
@@ -142,7 +147,7 @@ def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive,
 
 @internal
 def _shifted(polynomial: vector.Polynomial, offset: float, ratio: float) -> vector.Polynomial:
-    # From p(s) to p(offset + ratio s), by Horner's rule (a Taylor shift).
+    # Return p(offset + ratio s) for a polynomial p(s), by Horner's rule (a Taylor shift).
     a, b, c, d = polynomial
     a = vector.add_scaled(a, offset, vector.add_scaled(b, offset, vector.add_scaled(c, offset, d)))
     b = vector.add_scaled(b, offset, vector.add_scaled(vector.scale(2.0, c), 3.0 * offset, d))

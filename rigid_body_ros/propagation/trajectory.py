@@ -41,7 +41,7 @@ class Trajectory:
     body : RigidBody
     times_ns : array of int64, shape (m,)
     attitude : array, shape (m, 4)
-        x y z w, body to space; the continuous lift from the start, never flipped.
+        x y z w, body to space; the continuous lift from the start, so the sign never flips.
     angular_velocity : array, shape (m, 3), rad/s, body axes
 
     """
@@ -62,17 +62,41 @@ class Trajectory:
 
     @cached_property
     def rotation(self) -> Rotation:
-        """Attitudes as a SciPy Rotation, body to space; it normalises them in the last digit."""
+        """Attitudes as a SciPy Rotation, body to space; SciPy normalises them again."""
         from scipy.spatial.transform import Rotation  # takes as long to import as this package
         return Rotation.from_quat(self.attitude)
 
     def euler_angles(self, sequence: str = 'ZXZ', continuous: bool = False) -> Floats:
-        """Return Euler angles, rad, shape (m, 3); see `euler.from_quaternion`, `euler.unwrap`."""
+        """
+        Return Euler angles, rad, shape (m, 3).
+
+        Parameters
+        ----------
+        sequence : str
+            As for `euler.to_quaternion`.
+        continuous : bool
+            Whether to remove jumps, see `euler.unwrap`; otherwise the ranges are those of
+            `euler.from_quaternion`.
+
+        Raises
+        ------
+        ValueError
+            The sequence is not one of the twelve.
+
+        """
         angles = euler.from_quaternion(self.attitude, sequence)
         return euler.unwrap(angles, sequence) if continuous else angles
 
     def degenerate(self, sequence: str = 'ZXZ') -> NDArray[np.bool_]:
-        """Return where only a sum or difference of Euler angles is determined, shape (m,)."""
+        """
+        Return where only a sum or difference of Euler angles is determined, shape (m,).
+
+        Raises
+        ------
+        ValueError
+            The sequence is not one of the twelve; see `euler.degenerate`.
+
+        """
         return euler.degenerate(euler.from_quaternion(self.attitude, sequence), sequence)
 
     @cached_property

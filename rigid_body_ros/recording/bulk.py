@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Many messages at once: from bytes to arrays.
+Decode many messages at once, from bytes to arrays.
 
 A compiled loop decodes the messages, a hundred times faster than Python. A message that it cannot
 decode is passed to `MessageType.decode`, which raises an error with the reason.
@@ -99,7 +99,7 @@ class Decoded(NamedTuple):
 
 
 def decode(kind: MessageType, raw: Raw) -> Decoded:
-    """Return the contents of messages; raise BadMessageError at the first that is invalid."""
+    """Return the contents of messages; raise BadMessageError at the first invalid one."""
     count = len(raw.starts)
     stamps, bits = np.zeros(count, np.int64), np.empty((count, kind.doubles), np.int64)
     texts, changes = np.zeros((count, 2), np.int64), np.zeros(count, np.bool_)
@@ -126,9 +126,9 @@ def decode(kind: MessageType, raw: Raw) -> Decoded:
 def _decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: bool,
             has_child_frame: bool, before_doubles: int, stamps: Ints, bits: Ints, texts: Ints,
             changes: NDArray[np.bool_]) -> int:
-    # Fill the stamps, the bits of the doubles, the start and size of each frame_id in `texts`, and
-    # whether it differs from the one before in `changes`. Return the number of valid messages
-    # before the first invalid one.
+    # Fill `stamps`, `bits` (of the doubles), `texts` (start and size of each frame_id), and
+    # `changes` (whether the frame_id differs from the previous one). Return the number of valid
+    # messages before the first invalid one.
     for row in range(len(starts)):
         start, end = starts[row], starts[row] + sizes[row]
         if sizes[row] < 4 or data[start] != 0 or data[start + 1] > 1:
@@ -169,7 +169,7 @@ def _decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: b
 
 @inlined
 def _int(data: Bytes, start: int, size: int, little: bool) -> Any:
-    # Little or big endian; eight bytes are signed, fewer are unsigned.
+    # Return an integer, little or big endian; eight bytes are signed, fewer are unsigned.
     value = np.int64(0)
     for k in range(size):
         place = size - 1 - k if little else k

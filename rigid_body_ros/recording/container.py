@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The records of an MCAP file, written front to back: chunks, their indexes, the summary."""
+"""Write the records of an MCAP file from front to back: chunks, their indexes, the summary."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ class Container:
     """
     Write an MCAP file with the profile of ROS 2.
 
-    A second thread compresses the chunks. `add_chunk` returns while its chunk is compressed; the
-    next call writes and flushes that chunk first.
+    A second thread compresses the chunks. `add_chunk` returns before its chunk is compressed; the
+    next call first writes and flushes that chunk.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Container:
 
     def add_channel(self, topic: str, schema: Schema | None, metadata: dict[str, str],
                     encoding: str = 'cdr') -> int:
-        """Add a topic and return its channel id; the schema gets a new id, too."""
+        """Add a topic and return its channel id; a schema that is new gets a new id, too."""
         schema_id = 0
         if schema:
             content = schema.name, schema.encoding, schema.data
@@ -140,7 +140,7 @@ class Container:
         self.close()
 
     def close(self) -> None:
-        """Stop the second thread; a chunk that was not written is dropped."""
+        """Stop the second thread; a chunk that is not yet written is lost."""
         self._compressor.shutdown(cancel_futures=True)
 
     def _finish_chunk(self) -> None:
@@ -148,7 +148,7 @@ class Container:
             return
         chunk, indexed = self._compressed.result()
         self._compressed = None
-        # Chunk and index in one write, so that a file that breaks off rarely ends between them.
+        # Write chunk and index at once, so that a truncated file rarely ends between them.
         start, data = self._position, _record(chunk)
         length, index_offsets = len(data), {}
         for channel, times_ns, offsets in indexed:

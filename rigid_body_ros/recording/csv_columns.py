@@ -39,7 +39,7 @@ _PREFIXES = {'': 0, 'n': -9, 'u': -6, 'µ': -6, 'μ': -6, 'm': -3, 'k': 3, 'M': 
 #: Names that may mean time, torque or frame: such a column is never ignored.
 _AMBIGUOUS = re.compile(r'time|stamp|torque|frame|(?<![a-z])(?:(?:nano)?sec(?:ond)?s?|tau|moments?'
                         r'|[tm][xyz]?)(?![a-z])')
-#: Length of a column name up to which it is interpreted, in characters.
+#: Length of the longest column name that is interpreted, in characters.
 _LONGEST = 200
 _ACCEPTED = ('expected time, t or stamp (s, ms, us, ns) and tx ty tz or torque_x torque_y '
              'torque_z (N m, mN m, uN m, kN m), with units as in "tx (mN m)" or "time_ms"')

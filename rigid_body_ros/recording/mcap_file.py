@@ -55,7 +55,7 @@ class DamageError(Exception):
 
 
 class McapFile(File):
-    """An MCAP file. Without a usable summary all of it is scanned to find its topics."""
+    """An MCAP file. Without a usable summary, the whole file is scanned to find its topics."""
 
     def __init__(self, path: Path, unpacked: Path | None = None) -> None:
         super().__init__(path, unpacked)
@@ -137,7 +137,7 @@ class McapFile(File):
                              f'format ({reason(error)})') from error
 
     def _blocks(self) -> Iterator[tuple[bulk.Bytes, Ints, tuple[Ints, Ints, Ints, Ints]]]:
-        # The data of each block; for each message its channel; then its position, size and times.
+        # Generate blocks: the data, and for each message its channel, position, size and times.
         self.damage = ''
         self._counts = {}
         messages = 0
@@ -158,7 +158,7 @@ class McapFile(File):
                              f'{reason(error)}') from error
 
     def _record_blocks(self, stream: IO[bytes]) -> Iterator[tuple[int, bulk.Bytes]]:
-        # Offset and records of each chunk, and of each run of records outside of chunks.
+        # Generate the offset and records of each chunk and of each run of records outside chunks.
         loose, begin = bytearray(), 0
         damage = None
         try:
@@ -183,7 +183,7 @@ class McapFile(File):
 
     def _records(self, stream: IO[bytes],
                  wanted: Collection[int] = _MESSAGES) -> Iterator[tuple[int, int, bytes]]:
-        # Offset, opcode and content of the records with the wanted opcodes.
+        # Generate offset, opcode and content of the records with the wanted opcodes.
         offset = MAGIC_SIZE
         while True:
             head = stream.read(_RECORD.size)
@@ -270,7 +270,7 @@ def _decompressed(offset: int, record: bytes) -> bulk.Bytes:
 
 
 def _summary(stream: IO[bytes]) -> Summary | None:
-    # Parsed in memory, so that a wrong length cannot make mcap allocate more than the file has.
+    # Parse in memory, so that a wrong length cannot make mcap allocate more than the file's size.
     try:
         end = stream.seek(-_ENDING, os.SEEK_END)
         _, _, start, _, _, magic = struct.unpack('<BQQQI8s', stream.read())

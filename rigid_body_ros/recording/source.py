@@ -60,8 +60,8 @@ class Messages:
     ----------
     topic : str
     stamps_ns : array of int64, shape (n,)
-        Stamps of the headers, or times of the recording if these were requested or the type has
-        no header.
+        Stamps of the headers in ns. Times of the recording instead, if these were requested or
+        the type has no header.
     frames : array of int, shape (n,)
         Index into `names` for each message.
     names : list of str
@@ -96,7 +96,7 @@ class Messages:
 
 class Source:
     """
-    A topic of a recording: a context manager that is iterated for blocks of `Messages`.
+    A topic of a recording: a context manager whose iteration yields blocks of `Messages`.
 
     Parameters
     ----------
@@ -292,7 +292,7 @@ def _select(path: str | Path, types: dict[str, str], topic: str | None,
 
 
 def _files(path: Path, stack: ExitStack) -> tuple[list[File], bool, str]:
-    # The files, whether each message is compressed on its own, and why later files are missing.
+    # Return the files, whether each message is compressed by itself, and why files are missing.
     if not os.path.isdir(path):  # Path.is_dir raises an error if the name is too long
         return [_file(path, stack)], False, ''
     about = _metadata(path / 'metadata.yaml')

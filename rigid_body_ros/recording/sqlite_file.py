@@ -37,10 +37,11 @@ _LARGEST = 2 ** 24
 #: Position of the journal mode in a file, and its value for a write-ahead log.
 _MODE_OFFSET, _WRITE_AHEAD = 18, b'\2\2'
 #: SQLite instructions between two checks, and the limit per byte of a file (a message of 30 bytes
-#: takes about 30). Without a limit, damaged pages that refer to each other never end.
+#: takes about 30). Without a limit, reading damaged pages that refer to each other never ends.
 _STEPS, _STEPS_A_BYTE = 100_000, 100
 _TOO_MUCH = 'its pages are damaged: they yield more data than the file can hold'
-#: Explanations of errors of SQLite. A -journal is not applied: it may delete any file it names.
+#: Explanations of errors of SQLite. A -journal is not applied, because that may delete any file
+#: that the journal names.
 _REASONS = {'interrupted': _TOO_MUCH, 'attempt to write a readonly database':
             'the recorder was killed and left a -journal; apply it with: sqlite3 FILE .tables'}
 _MESSAGES = """
@@ -53,8 +54,8 @@ class SqliteFile(File):
     """
     A SQLite file of rosbag2.
 
-    It is opened read-only, and nothing is written next to it: if a killed recorder left a
-    write-ahead log, both are copied to a temporary folder that is removed with the stack.
+    The file is opened read-only, and nothing is written next to it. If a killed recorder left a
+    write-ahead log, file and log are copied to a temporary folder that is removed with the stack.
     """
 
     def __init__(self, path: Path, unpacked: Path, stack: ExitStack) -> None:

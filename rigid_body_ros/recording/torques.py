@@ -39,9 +39,9 @@ _NEIGHBOURS = 2
 def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_frame: str,
                interpolation: str = 'hold') -> TorqueLog:
     """
-    Return the torque log of WrenchStamped messages: the last one if there are several.
+    Return the torque log of WrenchStamped messages; if they form several logs, the last one.
 
-    A node starts a new log with a marker, see `messages.new_log`.
+    A node starts a new log with a marker; see `messages.new_log`.
 
     Parameters
     ----------
@@ -71,7 +71,8 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
         raise InputError(f'{where}: expected torques, found no messages{lost}')
     torques = recorded.values[:, 3:]
     axes = _checked(where, recorded, body_frame, space_frame)
-    # From the torque after the last marker; if there is none, from the marker, a zero torque.
+    # The log begins with the torque after the last marker or, if no torque follows, with the
+    # marker itself, a zero torque.
     first = min(int(np.append(0, new_logs(recorded) + 1)[-1]), len(torques) - 1)
     _check_stamped(where, recorded.stamps_ns, first)
     frames = axes[0] if len(set(axes)) == 1 else \
@@ -103,7 +104,7 @@ def _checked(where: str, recorded: Messages, body_frame: str, space_frame: str,
 def _check_stamped(where: str, stamps_ns: NDArray[np.int64], first: int) -> None:
     """Raise InputError if a torque from row `first` on has no stamp."""
     unstamped = first + np.flatnonzero(stamps_ns[first:] == 0)
-    # Simulated time may start at 0; it never reaches wall-clock time.
+    # Simulated time, which may start with the stamp 0, is always less than wall-clock time.
     begins = stamps_ns[first] == 0 < stamps_ns.max() < _SIMULATED_NS
     if unstamped.size and not begins and len(stamps_ns) > 1:
         raise InputError(f'{where}: message {unstamped[0] + 1}: expected a stamp in the header, '
@@ -133,7 +134,7 @@ class Piece(NamedTuple):
     in_space : array of bool, shape (n,)
         Whether a torque is given in space axes.
     dropped : int
-        How many samples of the previous piece come before the first one of this piece.
+        Number of samples of the previous piece before the first sample of this piece.
     stop : int, optional
         Index of the sample at which the next piece continues; None in the last piece.
 
@@ -157,10 +158,10 @@ class Piece(NamedTuple):
 def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str,
                   space_frame: str) -> Iterator[Piece]:
     """
-    Generate the log of blocks of torques in pieces, so that it need not fit in memory.
+    Generate the log of blocks of torques in pieces, so that the log need not fit in memory.
 
-    Samples are sorted by stamp within two neighbouring blocks; of equal stamps the later message
-    replaces the earlier.
+    Samples are sorted by stamp within two neighbouring blocks; of samples with equal stamps the
+    later message replaces the earlier.
 
     Raises
     ------

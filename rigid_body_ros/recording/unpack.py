@@ -113,7 +113,7 @@ def _copy(path: Path, stream: BinaryIO | zstandard.ZstdDecompressionReader, targ
                                      'found more; if this is intended, decompress it first '
                                      '(zstd -d)')
                 free = shutil.disk_usage(target.parent).free
-                if written > 9 * free:  # leave a tenth of the free space to others
+                if written > 9 * free:  # leave a tenth of the free space unused
                     raise InputError(f'{path}: too little space in {target.parent.parent} for a '
                                      f'copy, {free} bytes left after {written}; set TMPDIR to '
                                      'another folder')

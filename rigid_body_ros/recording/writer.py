@@ -65,8 +65,8 @@ class Writer:
     """
     Write an MCAP file; a context manager.
 
-    The file appears under its name when it is complete. If writing fails, an existing file of
-    that name is unchanged, and no partial file is left unless `keep_partial` is set.
+    The file gets its name when it is complete. If writing fails, an existing file of that name is
+    unchanged, and no partial file is left unless `keep_partial` is set.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class Writer:
         self._append(topic, time_ns, time_ns, data)
 
     def copy(self, channel: Channel, schema: Schema | None, raw: Raw) -> None:
-        """Append messages of another file, with their channel and schema."""
+        """Append messages of another file, with the channel and schema that they have there."""
         topic = channel.topic
         if topic not in self._channels:
             self._channels[topic] = self._container.add_channel(

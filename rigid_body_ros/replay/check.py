@@ -42,7 +42,7 @@ _GAUSS_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 
 class Check(NamedTuple):
-    """A finding, and the time from the start of the motion that it covers, of the total, s."""
+    """A finding, the time from the start that it covers, and the length of the motion, s."""
 
     finding: str
     covered: float
@@ -61,7 +61,7 @@ class LastDigits(NamedTuple):
     effect: float
     #: Expected rounding error over the same angle, rad.
     rounding: float
-    #: Time from the start of the motion that this covers, of the total, s.
+    #: Time from the start that this covers, and length of the motion, s.
     covered: float
     total: float
 
@@ -74,7 +74,11 @@ class LastDigits(NamedTuple):
 
 def last_digits(scene: Scene, log: TorqueLog, start: State,
                 trajectory: Trajectory) -> LastDigits | None:
-    """Return the effect of the last digits on the beginning of a motion, None if it is empty."""
+    """
+    Return the effect of the last digits on the beginning of a motion.
+
+    Return None if the motion has no length, or if the solver `auto` spins the body too fast.
+    """
     begin_ns, end_ns = start.time_ns, int(trajectory.times_ns[-1])
     speed = float(np.linalg.norm(trajectory.angular_velocity, axis=1).max())
     covered_ns = end_ns - begin_ns
@@ -88,7 +92,7 @@ def last_digits(scene: Scene, log: TorqueLog, start: State,
     try:
         effect = last_digit_effect(scene.body, start, log, at=begin_ns + times,
                                    torque_timeout=scene.values['torque_timeout'])
-    except ValueError:  # with another solver the body spins too fast
+    except ValueError:  # with the solver `auto` the body spins too fast
         return None
     if not covered_ns:
         return None
@@ -98,7 +102,7 @@ def last_digits(scene: Scene, log: TorqueLog, start: State,
 
 
 def drift(scene: Scene, log: TorqueLog, start: State, trajectory: Trajectory) -> Check:
-    """Return by how much a motion of at least one output violates the conservation laws."""
+    """Return how much a motion, of at least one output, violates the conservation laws."""
     seconds = float(trajectory.times_ns[-1] - start.time_ns) * 1e-9
     if not log.torques.any():
         momentum = trajectory.angular_momentum_space
@@ -148,7 +152,7 @@ def energy_balance(scene: Scene, log: TorqueLog, start: State,
 
 def _piece_edges(log: TorqueLog, start: State, trajectory: Trajectory,
                  timeout_ns: int) -> NDArray[np.int64]:
-    # Every change of the torque, and enough points between to keep each interval short.
+    # Return every change of the torque, and enough points in between to keep each interval short.
     changes, _ = log.segments(timeout_ns)
     start_ns, end_ns = start.time_ns, int(trajectory.times_ns[-1])
     inside = changes[(changes > start_ns) & (changes < end_ns)]

@@ -193,7 +193,7 @@ class _Worker:
     """
 
     def __init__(self, inputs: Sequence[str]) -> None:
-        # Spawned, because a fork would copy the state of threads that it does not copy.
+        # Spawn, because a fork would copy the locks of threads but not the threads.
         context = multiprocessing.get_context('spawn')
         self.connection, theirs = context.Pipe()
         self._process = context.Process(
@@ -230,7 +230,7 @@ class _Worker:
 
 
 def _serve(connection: Connection, inputs: Sequence[str], overwrite: bool) -> None:
-    # The default lock, a semaphore, is left behind if the process is killed.
+    # Replace the default lock, a semaphore, which stays in the system if the process is killed.
     tqdm.set_lock(threading.RLock())
     with suppress(KeyboardInterrupt), interrupts.deferred(until_exit=True), \
             files.reading(*inputs), files.overwriting(overwrite):

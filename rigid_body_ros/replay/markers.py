@@ -27,14 +27,14 @@ BODY, ANGULAR_MOMENTUM, ANGULAR_VELOCITY = '/marker/body', '/marker/angular_mome
     '/marker/angular_velocity'
 TOPICS = {BODY: messages.BOX, ANGULAR_MOMENTUM: messages.ORANGE_ARROW,
           ANGULAR_VELOCITY: messages.BLUE_ARROW}
-#: m; the length of an arrow says nothing: rates of all sizes are to be seen.
+#: m; all arrows have the same length, so that small rates are visible.
 _LENGTH, _THICKNESS = 1.0, 0.03
-#: rviz refuses what has no size.
+#: m; smallest size, because rviz rejects markers of size zero.
 _LEAST = 1e-3
 
 
 def columns(trajectory: Trajectory, frame: str) -> list[Column]:
-    """Return the markers of a motion in the space frame of this name."""
+    """Return the markers of a motion in the space frame with a frame_id."""
     attitude, body = trajectory.attitude, trajectory.body
     turned = so3.multiply(attitude, so3.from_matrix(body.principal_axes))
     momentum = trajectory.angular_momentum_space

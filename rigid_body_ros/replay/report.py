@@ -22,7 +22,6 @@ from rigid_body_ros.replay.check import LastDigits
 from rigid_body_ros.replay.single import Replay
 from rigid_body_ros.report.text import interpolation_row
 
-#: The effect of the last digits is reported where it is so many times that of rounding.
 #: The effect of the last digits is printed if it exceeds the rounding error by this factor.
 _WORTH_A_LINE = 10.0
 

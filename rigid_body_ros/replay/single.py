@@ -15,7 +15,7 @@
 """
 Replay one recording: read torques, compute the motion, write it.
 
-Torques are read and the motion is computed piece by piece, so memory holds neither as a whole. The
+Torques are read and the motion is computed piece by piece, so neither has to fit in memory. The
 exceptions are recordings with stamps far out of order, or with several logs of a node.
 """
 
@@ -69,22 +69,22 @@ class Replay:
     messages : int
         Number of torque messages.
     unordered : int
-        Number of messages whose stamp is not later than the one before.
+        Number of messages whose stamp is not later than the stamp of the previous message.
     logs : int
         Number of logs in the recording, of which the last was replayed.
     first_ns, last_ns : int
-        First and last torque stamp.
+        First and last torque stamp, ns.
     damage : str
         Which part of the recording was lost; '' if none.
     start, last : State
         First and last state of the motion.
     solvers : dict
-        By solver and reason, the time that it was used for, ns.
+        By solver and reason, the length of the motion computed with it, ns.
     interpolation_differences : dict
-        By interpolation, the angle, rad, between the final attitudes with it and with the one in
-        use; None if it spins the body too fast to compute the motion.
+        By other interpolation, the angle, rad, between its final attitude and that of the motion;
+        None if the body spins too fast to compute.
     check : Check, optional
-        How far the motion, or the part of it that is checked, violates the conservation laws.
+        How much the motion, or the part of it that is checked, violates the conservation laws.
     last_digits : LastDigits, optional
         How far the motion, or the beginning of it, moves if the last digits of inertia, torques
         and start change; None if that was not estimated.
@@ -152,6 +152,10 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     keep : bool, optional
         Whether to return log and trajectory, which takes memory; by default if there is no output.
 
+    Returns
+    -------
+    Replay
+
     Raises
     ------
     InputError
@@ -190,7 +194,7 @@ def suffix_of(output: str | Path) -> str:
 def read(path: str | Path, scene: Scene, topic: str | None = None,
          interpolation: str | None = None) -> tuple[recording.Messages, TorqueLog, State]:
     """
-    Return the torques of a recording, the log that they make, and the start of its motion.
+    Return the torques of a recording, their log, and the initial state of the motion.
 
     Raises
     ------
@@ -369,7 +373,7 @@ def _write(writer: recording.Writer, request: Request, trajectory: Trajectory) -
 
 
 def _joined(stretches: list[Stretch]) -> Trajectory:
-    """Return the joined motion of stretches under one log; `models` are those of the last."""
+    """Return the joined motion of stretches under one log, with the `models` of the last."""
     parts = [stretch.trajectory for stretch in stretches]
     return replace(parts[-1], times_ns=np.concatenate([part.times_ns for part in parts]),
                    attitude=np.concatenate([part.attitude for part in parts]),

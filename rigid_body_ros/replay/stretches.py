@@ -33,9 +33,9 @@ from rigid_body_ros.recording import NotInOrderError, Piece
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
 
-#: Most outputs in a stretch.
+#: Largest number of outputs in a stretch.
 _BATCH = 2 ** 16
-#: Most outputs of a replay; more would fill the disk.
+#: Largest number of outputs of a replay; more would fill the disk.
 _MOST_OUTPUTS = 10 ** 8
 
 
@@ -108,7 +108,7 @@ class Stretches:
             piece = next(self._pieces) if stop is not None else None
 
     def differences(self, end: Floats) -> dict[str, float | None]:
-        """Return the angle, rad, from an attitude to the end of each other interpolation."""
+        """Return the angle, rad, from an attitude to the final one of each other interpolation."""
         self._wait()
         return {name: None if other is None else float(so3.angle_between(other, end))
                 for name, other in self._ends.items()}

@@ -82,6 +82,10 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *, topic: st
     interpolation : str, optional
         Interpolation between samples; otherwise the scene's.
 
+    Returns
+    -------
+    Verified
+
     Raises
     ------
     InputError
@@ -94,7 +98,7 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *, topic: st
         made_by = source.metadata(NAME)
     is_state = source.kind is messages.ODOMETRY
     begun = np.flatnonzero(recorded.stamps_ns == start.time_ns)
-    # A node records the start of each epoch; only the last epoch counts.
+    # A node records the start of each epoch; only the last epoch is compared.
     first = int(begun[-1]) if is_state and begun.size else 0
     stamps, values = recorded.stamps_ns[first:], recorded.values[first:]
     try:

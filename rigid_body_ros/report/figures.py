@@ -38,9 +38,9 @@ _COLOURS = ('#0072B2', '#D55E00', '#009E73', '#000000', '#CC79A7', '#56B4E9')
 _STYLES = ('-', '--', '-.', ':')
 _MARKERS = ('o', 's', '^', 'D', 'v', 'x')
 _GREYS = ('#333333', '#999999')
-#: Most points of a curve; more are not visible.
+#: Largest number of points in a curve; more would not be visible.
 _POINTS = 20_000
-#: Characters of a title that fit into the picture, wide ones included.
+#: Number of characters, even wide ones, of a title that fits into the picture.
 _TITLE = 50
 
 
@@ -52,7 +52,7 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog, sequence: s
     Parameters
     ----------
     path : str or Path
-        A PNG file whatever its name; an existing file is overwritten.
+        The PNG file, with any suffix; an existing file is overwritten.
     trajectory : Trajectory
         In ascending order of time.
     log : TorqueLog
@@ -63,6 +63,11 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog, sequence: s
         Drawn literally: a $ does not start a formula.
     timeout_ns : int
         As for `TorqueLog.segments`.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
 
     """
     rows = np.unique(np.linspace(0, len(trajectory.times_ns) - 1, _POINTS).astype(int))
@@ -92,14 +97,19 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
     Parameters
     ----------
     path : str or Path
-        A PNG file whatever its name; an existing file is overwritten.
+        The PNG file, with any suffix; an existing file is overwritten.
     curves : dict
-        By solver, attitude errors, rad, and costs, wall time in s per simulated second, in the
-        order of the settings.
+        By solver, attitude errors in rad and costs in seconds of wall time per simulated second,
+        both in the order of the settings.
     title : str
         Drawn literally: a $ does not start a formula.
     lines : dict
-        By description, attitude errors, rad, drawn as vertical lines.
+        By description, attitude errors in rad to draw as vertical lines.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
 
     """
     figure = Figure(figsize=(7.2, 5.0), layout='constrained')
@@ -185,7 +195,7 @@ def _without_jumps(angles: Floats) -> Floats:
 
 def _torque_times(log: TorqueLog, start_ns: int, end_ns: int,
                   timeout_ns: int) -> NDArray[np.int64]:
-    # Both sides of every change, so that steps are drawn vertical; a grid if there are too many.
+    # Return both sides of every change, so that steps are vertical; a grid if there are too many.
     changes, _ = log.segments(timeout_ns)
     grid = start_ns + np.linspace(0, end_ns - start_ns, _POINTS // 4).astype(np.int64)
     if 2 * len(changes) <= _POINTS:

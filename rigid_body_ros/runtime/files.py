@@ -77,7 +77,7 @@ def may_overwrite() -> bool:
 @contextmanager
 def protected(role: str, *paths: str | Path | None) -> Iterator[None]:
     """
-    Reject, within the context, any output that would replace these files or lie in these folders.
+    Reject, in the context, any output that would replace these files or be in these folders.
 
     A path covers every name of its file: relative paths, symbolic links and hard links.
 
@@ -254,7 +254,7 @@ class Part:
         Raises
         ------
         InputError
-            Since the output was opened, a file that must not be replaced has taken the name.
+            A file that must not be replaced has got the name since the output was opened.
         OSError
             The output cannot be written.
 

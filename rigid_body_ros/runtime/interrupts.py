@@ -31,9 +31,9 @@ from types import FrameType
 from typing import Any
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-#: s. If the work does not check for a signal for this long, the handler raises the exception ...
+#: s; if the work does not check for a signal for this long, KeyboardInterrupt is raised.
 _PATIENCE = 1.0
-#: ... and raises it again after this long, in case it was lost; cleaning up takes less.
+#: s; it is raised again after this time, in case it was lost; a cleanup takes less time.
 _AGAIN = 5.0
 
 #: The number of the first signal.
@@ -43,12 +43,12 @@ _received: list[int] = []
 @contextmanager
 def deferred(until_exit: bool) -> Iterator[None]:
     """
-    Record SIGINT and SIGTERM, and raise KeyboardInterrupt at the end at the latest.
+    Record SIGINT and SIGTERM; `check`, or else the end of the context, raises KeyboardInterrupt.
 
     Parameters
     ----------
     until_exit : bool
-        Whether the process exits after the context: signals are then ignored from there on.
+        Whether the process exits after the context. If so, later signals are ignored.
 
     """
     before = {number: signal.signal(number, _record) for number in _SIGNALS}
@@ -74,8 +74,8 @@ def check() -> None:
     Raises
     ------
     KeyboardInterrupt
-        A signal was received; its number is the argument. No second exception disturbs the
-        cleanup that follows.
+        A signal was received; its number is the argument. It is raised only once, so that it does
+        not interrupt the cleanup that follows.
 
     """
     if _received:

@@ -15,9 +15,9 @@
 """
 ROS 2 parameter files: YAML as rcl_yaml_param_parser reads it, which differs from PyYAML.
 
-A number is what rcl takes for one: 1e-9 is a number there and text to PyYAML. The same holds for
-Booleans, for a group of parameters that occurs twice (its entries are merged), and for names of
-nodes with wildcards and namespaces.
+Numbers and Booleans are recognized as by rcl: 1e-9 is a number, although PyYAML reads it as text.
+As in rcl, the entries of a group of parameters that occurs twice are merged, and names of nodes
+may have wildcards and namespaces.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _TRUE = ('y', 'Y', 'yes', 'Yes', 'YES', 'true', 'True', 'TRUE', 'on', 'On', 'ON'
 _FALSE = ('n', 'N', 'no', 'No', 'NO', 'false', 'False', 'FALSE', 'off', 'Off', 'OFF')
 #: Parameters of all nodes.
 _ANY_NODE = '**'
-#: Characters of the full name of a parameter.
+#: Largest number of characters in the full name of a parameter.
 _LONGEST = 500
 
 
@@ -47,7 +47,7 @@ def node_parameters(root: yaml.Node | None, node: str) -> dict[str, Any]:
     Return the parameters that a parameter file has for a node, by full name.
 
     Parameters of `/**` apply to every node, and those of the node itself override them. A file
-    without either is taken if it has parameters for one node only: a node can be renamed.
+    without either is accepted if it has parameters for one node only, which may be renamed.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def unknown_parameter(name: str, value: Any, known: Collection[str]) -> InputErr
 
 
 def is_number(text: str) -> bool:
-    """Return whether rcl reads an unquoted text as a number."""
+    """Return whether rcl interprets an unquoted text as a number."""
     return _FLOAT.fullmatch(text) is not None
 
 

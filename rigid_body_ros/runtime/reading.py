@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Input files: opened only if they are regular files; YAML only within limits."""
+"""Open input files only if they are regular files, and read YAML only within limits."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def read_yaml(path: str | Path, what: str, aliases: bool = False) -> yaml.Node |
         What the file contains, for the error message, such as 'scene'.
     aliases : bool
         Whether anchors and aliases are allowed; PyYAML writes them when it writes one object
-        twice. The values of an alias count every time. An alias must not contain another one,
+        twice. Each use of an alias counts all its values. An alias must not contain another one,
         because then 1 kB can expand to gigabytes.
 
     Raises

@@ -67,7 +67,7 @@ def better_interpolation(errors: Sequence[InterpolationError],
 
 def final_differences(problem: Problem) -> dict[str, float | None]:
     """
-    Return how far from the final attitude the other interpolations end.
+    Return how far the final attitudes with the other interpolations are from the scene's.
 
     `attitude_replay` prints the same differences.
 
@@ -99,10 +99,11 @@ def _can_interpolate(problem: Problem) -> bool:
 
 
 def _change(problem: Problem, interpolation: str, spacing: int) -> float:
-    """Return the largest change of the attitude, rad, if one of so many samples is kept."""
+    """Return the largest change of the attitude, rad, if one of `spacing` samples is kept."""
     rows = np.arange(len(problem.log))
     full = _motion(problem, interpolation, rows)
-    # From each first sample: a pulse of an even number of samples would otherwise not change.
+    # Try each first sample, because thinning from only one may not change a pulse of an even
+    # number of samples.
     thinned = [_motion(problem, interpolation, np.union1d(rows[first::spacing], rows[[0, -1]]))
                for first in range(spacing)]
     return max(float(so3.angle_between(full.attitude, motion.attitude).max())

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The motion to measure: all of it, a stretch that takes little time, and the reference.
+The motion to measure: the whole motion, a stretch that is quick to compute, and the reference.
 
 The reference is the Taylor series at its tightest tolerance with shorter steps.
 """
@@ -41,7 +41,7 @@ TIGHTEST = 1e-15
 TURNS = 50.0
 #: Typical angle of a step of the Taylor series, rad.
 _SERIES_ANGLE = 0.5
-#: Most samples and series steps in a stretch; they take about a tenth of a second.
+#: Largest number of samples and series steps in a stretch; they take about a tenth of a second.
 _WORK = 4000
 #: Outputs in addition to the torque stamps, to catch errors between stamps that are far apart.
 _OUTPUTS = 100
@@ -77,7 +77,7 @@ class Problem:
 
     @property
     def torque_free(self) -> bool:
-        """Whether there is no torque at all."""
+        """Whether all torques are zero."""
         return not self.log.torques.any()
 
     def run(self, **options: Any) -> Trajectory:
@@ -99,7 +99,7 @@ class Problem:
         return replace(self, log=part, times_ns=_times(part, self.start.time_ns, end_ns))
 
     def stretch(self) -> Problem:
-        """Return the longest of the whole, half, quarter ... that takes little time."""
+        """Return the longest of the whole motion, its half, its quarter ... that is quick."""
         start_ns, span_ns = self.start.time_ns, int(self.times_ns[-1]) - self.start.time_ns
         # Shortest first: the cost of the whole is not known in advance.
         shorter = self.until(start_ns + max(span_ns >> 30, 1))
@@ -132,7 +132,7 @@ class Reference:
         Largest difference between this motion and others that round differently: the series with
         other steps and in principal axes, and, without torque, the closed form.
     last_digits : float, rad
-        How far a change of the last digits of inertia, torques and start moves it; see
+        How far a change of the last digits of inertia, torques and start moves the motion; see
         `last_digit_effect`.
 
     """
@@ -165,7 +165,15 @@ class Reference:
 
 def whole(body: RigidBody, start: State, log: TorqueLog | None, end_ns: int | None,
           torque_timeout: float) -> Problem:
-    """Return the whole motion: to the last stamp, or for some turns if there are no torques."""
+    """
+    Return the whole motion: to `end_ns`, to the last stamp, or for `TURNS` turns without a log.
+
+    Raises
+    ------
+    ValueError
+        The body does not rotate and has no torques, or the end is not after the start.
+
+    """
     speed = float(np.linalg.norm(start.angular_velocity))
     moved = log is not None and log.torques.any()
     if not speed and not moved:

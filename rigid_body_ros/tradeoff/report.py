@@ -77,8 +77,8 @@ def curves(result: Tradeoff) -> dict[str, tuple[list[float], list[float]]]:
     """
     Return the points of each solver's curve, in the order of its settings.
 
-    Errors below the rounding floor cannot be told from it and are raised to it: their differences
-    would bend the end of a curve.
+    Errors below the rounding floor are replaced by the floor: they are not significant, and would
+    bend the end of a curve.
 
     Returns
     -------

@@ -41,7 +41,7 @@ from rigid_body_ros.tradeoff.problem import Problem, Reference, TIGHTEST, turned
 Track = Callable[[Iterable[Any], int], Iterable[Any]]
 
 _TOLERANCES = tuple(float(f'1e-{k}') for k in range(2, 16))
-#: Angle of the longest step of a ladder, rad; most steps of one run, about a tenth of a second.
+#: Angle of the longest fixed step, rad; largest number of steps in a run, which take about 0.1 s.
 _LONGEST_ANGLE, _MOST_STEPS = 1.0, 1_000_000
 _FEWEST_REPEATS, _MOST_REPEATS = 3, 15
 #: Cost of a reference, in runs of the Taylor series.
@@ -65,7 +65,7 @@ class Setting(NamedTuple):
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Return the scene lines that select this setting, whatever else the scene has."""
+        """Return the lines of a scene that select this setting in any scene."""
         if self.max_step is not None:
             return f'solver: {self.solver}', f'max_step: {self.max_step!r}'
         return (f'solver: {self.solver}', f'tolerance: {self.tolerance or TIGHTEST!r}',
@@ -73,14 +73,14 @@ class Setting(NamedTuple):
 
 
 class Error(NamedTuple):
-    """Largest difference from the reference over all outputs, unless the name says final."""
+    """Largest differences from the reference over all outputs, and the final one in attitude."""
 
     #: rad
     attitude_final: float
     attitude: float
     #: rad/s
     angular_velocity: float
-    #: Relative to the largest value; without torque the change since the start.
+    #: Relative to the largest value; without torque, the relative change since the start.
     momentum: float
     energy: float
 
@@ -144,7 +144,8 @@ class Tradeoff:
     interpolation_errors : tuple of InterpolationError
         On the stretch.
     interpolation_differences : dict
-        By interpolation, how far from the scene's it ends, rad; see `final_differences`.
+        By interpolation, the angle of its final attitude from the scene's, rad; see
+        `final_differences`.
     choices : dict
         By target, rad, the recommended setting, or None if no setting meets the target.
     load_seconds : float
@@ -175,7 +176,7 @@ class Tradeoff:
         return better_interpolation(self.interpolation_errors, own) if own else None
 
     def dominant(self, target: float) -> str:
-        """Return the largest source of error of the setting for a target, or of the best one."""
+        """Return the largest source of error of the setting for a target, else of the best one."""
         floor, own = self.reference.floor, self.interpolation_error
         choice = self.choices[target]
         errors = [one.error.attitude for one in self.measurements if not one.failure]
@@ -212,10 +213,15 @@ def measure(body: RigidBody, start: State, log: TorqueLog | None = None, *,
     track : callable, optional
         Wraps the iteration over the settings to show progress.
 
+    Returns
+    -------
+    Tradeoff
+
     Raises
     ------
     ValueError
-        Nothing moves, or the torques spin the body too fast to compute its motion.
+        The body does not rotate and has no torques, the end is not after the start, or the torques
+        spin the body too fast to compute its motion.
 
     """
     began = time.perf_counter()
@@ -246,8 +252,8 @@ def recommend(measurements: Sequence[Measurement], target: float, floor: float, 
     measurements : sequence of Measurement
         On the stretch. A setting that misses the target there also misses it on the whole log.
     target, floor : float, rad
-        The floor counts as an error of every setting. It is `Reference.certain`: rounding, or the
-        effect of the last digits if that is larger.
+        The floor is added to the error of every setting. It is `Reference.certain`: rounding, or
+        the effect of the last digits if that is larger.
     growth : float
         Length of the whole log relative to the stretch.
     error_on_whole : callable
