@@ -89,9 +89,9 @@ def test_a_signal_ends_all_of_them(tmp_path, two_long_ones, number, send):
         time.sleep(0.03)
     _, words = two_long_ones.communicate(timeout=30)
     assert two_long_ones.returncode == 128 + number
-    partial = sorted(map(str, (tmp_path / 'out').glob('*.partial.mcap')))
-    kept = f'what was written so far is in {", ".join(partial)}' if partial else \
-        'no partial output was left'
+    partial = sorted(path.name for path in (tmp_path / 'out').glob('*.partial.mcap'))
+    kept = f'what was written so far is in {tmp_path / "out"}: {", ".join(partial)}' \
+        if partial else 'no partial output was left'
     assert words.splitlines() == [f'attitude_replay: interrupted; {kept}']
     assert not list((tmp_path / 'out').glob('[ab].mcap'))
     assert not list((tmp_path / 'out').glob('.*.part'))

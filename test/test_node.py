@@ -239,7 +239,7 @@ def test_a_read_only_install_without_a_home_works(domain, read_only_package, mon
                          'PYTHONPATH': str(read_only_package)}
     with live:
         assert decoded(live, ATTITUDE, messages.QUATERNION)
-        assert 'every start compiles them again' in live.end()
+        assert 'every start compiles the kernels again' in live.end()
         assert live.process.returncode == 0
 
 

@@ -320,7 +320,7 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, count):
 
 @pytest.mark.parametrize(('path', 'message'), [
     ('none/out.mcap', 'none/out.mcap: cannot write: No such file or directory'),
-    ('.', 'expected a file to write, found a folder')])
+    ('.', 'expected a regular file, found a folder')])
 def test_a_place_that_cannot_be_written_is_named(tmp_path, path, message):
     with pytest.raises(InputError, match=message), recording.Writer(tmp_path / path):
         pass

@@ -361,7 +361,7 @@ def test_a_signal_is_heard_while_the_motion_is_worked_out(tmp_path, output, numb
     assert process.returncode == 128 + number
     last, = words.splitlines()
     assert warning.startswith(
-        f'attitude_replay: warning: {config}: initial_angular_velocity: 6000 rad/s are 955')
+        f'attitude_replay: warning: {config}: initial_angular_velocity: 6000 rad/s is 955')
     assert last == 'attitude_replay: interrupted; no partial output was left'
 
 

@@ -358,6 +358,6 @@ def test_of_several_topics_one_is_named(tmp_path, capsys):
                 writer.write(topic, stamp_ns, messages.wrench(stamp_ns, '', (0.01, 0.0, 0.0)))
     arguments = [*TUMBLER, '--recording', str(path), '--json', str(figures)]
     assert cli.attitude_tradeoff(arguments) == 2
-    assert 'the name of one with --topic; found /one, /other' in capsys.readouterr().err
+    assert 'found /one, /other; choose one with --topic' in capsys.readouterr().err
     assert cli.attitude_tradeoff([*arguments, '--topic', '/other']) == 0
     assert json.loads(figures.read_text())['whole_s'] == 5.0

@@ -103,7 +103,7 @@ class AttitudeNode(Node):
         #: Active while torques or a state wait: one slice of work in each cycle of the executor.
         self._worker = self.create_timer(_WORK_PERIOD, self._work, clock=steady)
         self._worker.cancel()
-        self._mode.pipeline.wake = self._worker.reset
+        self._mode.pipeline.wake = self._start_worker
 
     def finish(self, until: float) -> None:
         """Publish pending states and the last diagnostics by `until`, s, monotonic clock."""
@@ -151,7 +151,11 @@ class AttitudeNode(Node):
     def _work(self) -> None:
         if self._mode.pipeline.process():
             self._worker.cancel()
-        elif self._worker.is_canceled():
+        else:
+            self._start_worker()
+
+    def _start_worker(self) -> None:
+        if self._worker.is_canceled():  # a reset would postpone a running one
             self._worker.reset()
 
     def _on_state(self, data: bytes) -> None:

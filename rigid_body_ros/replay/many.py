@@ -149,9 +149,9 @@ def _partial_outputs_reported(folder: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as interrupt:
-        partial = sorted(str(path) for path in {*folder.glob(_PARTIAL)} - before)
+        partial = sorted(path.name for path in {*folder.glob(_PARTIAL)} - before)
         if partial:
-            interrupt.args += (f'; what was written so far is in {listed(partial)}',)
+            interrupt.args += (f'; what was written so far is in {folder}: {listed(partial)}',)
         raise
 
 
