@@ -242,7 +242,7 @@ def test_an_observer_causes_no_repetition_of_a_state(monkeypatch):
     monkeypatch.setattr(closed_loop.time, 'monotonic', lambda: now)
     policy, repeated = RepublishPolicy(lambda: connected), []
     for now in np.arange(0.0, 20.0, 0.125).tolist():
-        connected = (1, 1) if now < 10.0 else (1, 2)
+        connected = (1, 1) if now < 9.125 else (1, 2)  # while the controller works
         if now % 1.5 == 0.0:  # a slow controller
             policy.published(is_repeated=False)
         if policy.is_due():
