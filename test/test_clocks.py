@@ -232,6 +232,17 @@ def test_a_torque_that_is_late_is_rejected_where_the_clock_goes_on(domain):
     assert 5 * SECOND + 1 not in accepted(live)
 
 
+def test_a_state_that_takes_long_is_published_while_the_clock_stands(domain):
+    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+        settle(live, 5 * SECOND)
+        live.set_state(State(5 * SECOND, (0.0, 0.0, 0.0, 1.0), (1e4, 2e4, 3e4)))
+        live.publish(5 * SECOND, '', [1e-3, 0.0, 0.0])
+        live.wait_until(lambda: accepted(live), 'the torque')
+        settle(live, 10 * SECOND)
+        live.wait_until(lambda: live.diagnosis('motion')[0]['deadlines missed'], 'a diagnosis')
+        assert live.stop() == 0
+
+
 def test_a_torque_ahead_of_a_clock_that_jumps_back(domain):
     with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=rebase',
                      '-p', 'max_future:=0.999') as live:
