@@ -230,3 +230,31 @@ def test_a_signal_while_kernels_are_compiled_is_not_lost(whole, output, tmp_path
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + signal.SIGINT
     assert words == 'attitude_replay: interrupted; no partial output was left\n'
+
+
+def test_an_interrupted_compilation_does_not_crash_in_llvm():
+    # LLVM frees a module that it links into another, and only then does llvmlite note it. An
+    # exception in between has the module freed twice.
+    program = """
+import os, signal
+from llvmlite import binding
+from rigid_body_ros.runtime import interrupts
+
+interrupts._PATIENCE = 0.01
+module = binding.parse_assembly(
+    ' '.join(f'define i64 @f{i}(i64 %x) {{ ret i64 %x }}' for i in range(300)))
+for _ in range(30):
+    try:
+        with interrupts.deferred(until_exit=False):
+            os.kill(os.getpid(), signal.SIGINT)
+            while True:
+                binding.parse_assembly('').link_in(module.clone())
+                sum(range(10_000))
+    except KeyboardInterrupt:
+        print('interrupted')
+"""
+    run = subprocess.run([sys.executable, '-c', program], text=True, capture_output=True,
+                         timeout=300)
+    assert run.stderr == ''
+    assert run.stdout.split() == ['interrupted'] * 30
+    assert run.returncode == 0
