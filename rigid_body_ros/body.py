@@ -32,7 +32,7 @@ from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.common.errors import quoted
 from rigid_body_ros.common.times import instant
 from rigid_body_ros.kernels import body_layout, state_layout
-from rigid_body_ros.kernels import tensor as constants
+from rigid_body_ros.kernels import tensor as tensor_constants
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -86,12 +86,12 @@ class RigidBody:
     def __init__(self, tensor: ArrayLike) -> None:
         self.inertia = _checked_tensor(tensor)
         #: Principal moments, shape (2, 3), and axes, shape (2, 3, 3): high and low-order parts.
-        self._principal = _computed(constants.principal, self.inertia)
+        self._principal = _checked_constants(tensor_constants.principal, self.inertia)
         self.principal_moments, self.principal_axes = (high.copy() for high, _ in self._principal)
         self.triangle_excess = _checked_excess(self.principal_moments)
         self.symmetry = _symmetry(self.principal_moments)
         #: Coefficients of Euler's equations, shape (2, 3, 9), and all constants for the kernels.
-        self._coefficients = _computed(constants.euler_coefficients, self.inertia)
+        self._coefficients = _checked_constants(tensor_constants.euler_coefficients, self.inertia)
         self._constants = body_layout.pack(self._coefficients, *self._principal)
         self.inertia.flags.writeable = False
 
@@ -135,10 +135,11 @@ class RigidBody:
         """
         masses, positions = np.asarray(masses, float), np.asarray(positions, float)
         if masses.ndim != 1 or positions.shape != (masses.size, 3):
-            raise ValueError('expected masses of shape (n,) and positions of shape (n, 3), '
+            raise ValueError('masses and positions: expected shapes (n,) and (n, 3), '
                              f'found {masses.shape} and {positions.shape}')
         if not (masses.size and np.all(masses > 0.0) and np.isfinite(masses).all()):
-            raise ValueError(f'expected finite masses greater than zero, found {masses.tolist()}')
+            raise ValueError('masses: expected at least one, each finite and greater than zero, '
+                             f'found {quoted(masses.tolist())}')
         columns = np.ascontiguousarray(positions.T)  # numpy sums in pairs along rows only
         arms = columns - (masses * columns).sum(axis=1)[:, None] / masses.sum()
         squares = ((masses * arms)[:, None] * arms).sum(axis=2)
@@ -184,7 +185,7 @@ class RigidBody:
 
     def angular_momentum(self, angular_velocity: ArrayLike) -> Floats:
         """Return the angular momentum J w, N m s, body axes, shape (..., 3), of w in rad/s."""
-        return _combined(np.asarray(angular_velocity, float), self.inertia)
+        return _product(np.asarray(angular_velocity, float), self.inertia)
 
     def kinetic_energy(self, angular_velocity: ArrayLike) -> Floats:
         """Return the kinetic energy w . J w / 2, J, shape (...), of w in rad/s, (..., 3)."""
@@ -210,7 +211,7 @@ class RigidBody:
         """
         w, torque = np.broadcast_arrays(np.asarray(angular_velocity, float), torque)
         products = np.concatenate([np.roll(w, -1, -1) * np.roll(w, -2, -1), w * w, torque], -1)
-        return _combined(products, self._coefficients[0].T)
+        return _product(products, self._coefficients[0].T)
 
     def torque(self, angular_velocity: ArrayLike, angular_acceleration: ArrayLike) -> Floats:
         """
@@ -230,7 +231,7 @@ class RigidBody:
         return rate_in_space(change, angular_velocity, self.angular_momentum(angular_velocity))
 
 
-def _combined(factors: Floats, rows: Floats) -> Floats:
+def _product(factors: Floats, rows: Floats) -> Floats:
     # Return factors @ rows, summed in a fixed order: in BLAS the order depends on the processor.
     total = factors[..., :1] * rows[0]
     for k in range(1, len(rows)):
@@ -336,7 +337,8 @@ def _checked_vector(values: ArrayLike, size: int, what: str) -> Floats:
 def _checked_tensor(values: ArrayLike) -> Floats:
     tensor = np.array(values, float)
     if tensor.shape != (3, 3) or not np.all(np.isfinite(tensor)):
-        raise ValueError(f'inertia: expected 3 by 3 finite numbers, found {tensor.tolist()}')
+        raise ValueError('inertia: expected 3 by 3 finite numbers, '
+                         f'found {quoted(tensor.tolist())}')
     if np.max(np.abs(tensor - tensor.T)) > ROUNDING * np.max(np.abs(tensor)):
         raise ValueError(f'inertia: expected a symmetric tensor, found {tensor.tolist()}')
     return 0.5 * tensor + 0.5 * tensor.T
@@ -369,7 +371,7 @@ def _symmetry(moments: Floats) -> str:
     return ('asymmetric top', 'symmetric top', 'sphere')[int(close.sum())]
 
 
-def _computed(constant: Callable[[Floats], Result], tensor: Floats) -> Result:
+def _checked_constants(constant: Callable[[Floats], Result], tensor: Floats) -> Result:
     try:
         return constant(tensor)
     except ArithmeticError:

@@ -314,21 +314,23 @@ def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     sine, cosine = _sine_cosine(result[:, 1], axes)
     free = np.abs(sine) < _UNDETERMINED
     if free.size:
-        _chain(result, int(np.argmin(free)), np.where(free, np.sign(cosine), 0.0), axes.proper)
+        poles = np.where(free, np.sign(cosine), 0.0)
+        _make_rows_continuous(result, int(np.argmin(free)), poles, axes.proper)
     return result
 
 
 @njit
-def _chain(angles: Floats, anchor: int, poles: Floats, proper: bool) -> None:
-    # Make each row continuous with its neighbour on the side of the anchor, itself a row.
+def _make_rows_continuous(angles: Floats, anchor: int, poles: Floats, proper: bool) -> None:
+    # Starting at the row `anchor`, make each row continuous with the one before it, up to the
+    # last row, and down to the first.
     for row in range(anchor + 1, len(angles)):
-        _follow(angles[row], angles[row - 1], poles[row], proper)
+        _make_continuous(angles[row], angles[row - 1], poles[row], proper)
     for row in range(anchor - 1, -1, -1):
-        _follow(angles[row], angles[row + 1], poles[row], proper)
+        _make_continuous(angles[row], angles[row + 1], poles[row], proper)
 
 
 @njit
-def _follow(triple: Floats, last: Floats, pole: float, proper: bool) -> None:
+def _make_continuous(triple: Floats, last: Floats, pole: float, proper: bool) -> None:
     a, b, c = triple
     if pole != 0.0:  # a + pole c is determined; a - pole c is not, and is copied
         free = last[0] - pole * last[2]

@@ -119,7 +119,7 @@ def test_a_thin_plate_is_a_body_and_rounded_digits_are_told():
     ([1.0, -1.0], np.eye(3)[:2], 'greater than zero'), ([], np.zeros((0, 3)), 'greater than zero'),
     ([1.0], np.eye(3), 'shape'), ([1.0, 1.0], [[0, 0, 0], [0, 0, 1]], 'positive definite'),
     ([1.0], [[1.0, 2.0, 3.0]], 'on one line'),
-    ([1.0, np.inf, 1.0], np.eye(3), 'finite masses greater than zero'),
+    ([1.0, np.inf, 1.0], np.eye(3), 'masses: expected at least one, each finite and greater'),
     ([1.0, 1.0, 1.0], np.diag([1.0, np.nan, 1.0]), 'finite numbers')])
 def test_point_masses_that_make_no_body_are_refused(masses, positions, message):
     with pytest.raises(ValueError, match=message):

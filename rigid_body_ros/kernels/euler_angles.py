@@ -103,7 +103,7 @@ def fill_angles(attitudes: Floats, angles: Floats, i: int, j: int, proper: bool,
             middle = dd.subtract(middle, (0.5 * dd.PI[0], 0.5 * dd.PI[1]))
             third, cosine = (-parity * third[0], -parity * third[1]), -parity * cosine
         rounded = _rounded(first, low, high)
-        change = cosine * _folded(dd.subtract((rounded, 0.0), first), 0.0)[0]
+        change = cosine * _wrapped(dd.subtract((rounded, 0.0), first), 0.0)[0]
         angles[row, 0], angles[row, 1] = rounded, middle[0]
         angles[row, 2] = _rounded(dd.subtract(third, (change, 0.0)), low, high)
 
@@ -148,11 +148,11 @@ def _hypotenuse(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
 @internal
 def _rounded(angle: DoubleDouble, low: float, high: float) -> float:
     # Return the nearest double in the range, modulo whole turns; never -0.0.
-    return min(max(_folded(angle, 0.5 * (low + high))[0], low), high) + 0.0
+    return min(max(_wrapped(angle, 0.5 * (low + high))[0], low), high) + 0.0
 
 
 @internal
-def _folded(angle: DoubleDouble, centre: float) -> DoubleDouble:
+def _wrapped(angle: DoubleDouble, centre: float) -> DoubleDouble:
     # Return the angle less whole turns, within half a turn of the centre.
     turns = 2.0 * float(round((angle[0] - centre) / (2.0 * dd.PI[0])))
     return dd.subtract(angle, (turns * dd.PI[0], turns * dd.PI[1]))

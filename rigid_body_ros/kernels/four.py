@@ -81,23 +81,23 @@ def _operation(plain: Callable[..., Any], kinds: str,
     return intrinsic(by_count[len(arguments) - 1])
 
 
-def _each(operation: Callable[..., float]) -> Callable[..., tuple[float, ...]]:
+def _elementwise(operation: Callable[..., float]) -> Callable[..., tuple[float, ...]]:
     return lambda *operands: tuple(map(operation, *operands))
 
 
-def _called(builder: Any, name: str, *values: Any) -> Any:
+def _call_intrinsic(builder: Any, name: str, *values: Any) -> Any:
     kind = ir.FunctionType(_REGISTER, [_REGISTER] * len(values))
     return builder.call(get_or_insert_function(builder.module, kind, f'{name}.v4f64'), values)
 
 
-def _gathered(builder: Any, *values: Any) -> Any:
+def _build_register(builder: Any, *values: Any) -> Any:
     register = ir.Constant(_REGISTER, ir.Undefined)
     for place, value in enumerate(values):
         register = builder.insert_element(register, value, ir.Constant(ir.IntType(32), place))
     return register
 
 
-def _permuted(order: str, signs: str = '++++') -> Callable[[Four], Four]:
+def _permutation(order: str, signs: str = '++++') -> Callable[[Four], Four]:
     # Return an operation that reorders the elements and applies these signs.
     places = ['xyzw'.index(letter) for letter in order]
     factors = [-1.0 if sign == '-' else 1.0 for sign in signs]
@@ -113,22 +113,26 @@ def _permuted(order: str, signs: str = '++++') -> Callable[[Four], Four]:
 
 
 #: Build four doubles from four floats, or from one float four times.
-of = _operation(lambda *values: values, 'float float float float', _gathered)
+of = _operation(lambda *values: values, 'float float float float', _build_register)
 broadcast = _operation(lambda value: (value,) * 4, 'float',
-                       lambda builder, value: _gathered(builder, *[value] * 4))
-add = _operation(_each(operator.add), 'four four', lambda builder, a, b: builder.fadd(a, b))
-subtract = _operation(_each(operator.sub), 'four four', lambda builder, a, b: builder.fsub(a, b))
-multiply = _operation(_each(operator.mul), 'four four', lambda builder, a, b: builder.fmul(a, b))
-negative = _operation(_each(operator.neg), 'four', lambda builder, a: builder.fneg(a))
-absolute = _operation(_each(abs), 'four', lambda builder, a: _called(builder, 'llvm.fabs', a))
+                       lambda builder, value: _build_register(builder, *[value] * 4))
+add = _operation(_elementwise(operator.add), 'four four',
+                 lambda builder, a, b: builder.fadd(a, b))
+subtract = _operation(_elementwise(operator.sub), 'four four',
+                      lambda builder, a, b: builder.fsub(a, b))
+multiply = _operation(_elementwise(operator.mul), 'four four',
+                      lambda builder, a, b: builder.fmul(a, b))
+negative = _operation(_elementwise(operator.neg), 'four', lambda builder, a: builder.fneg(a))
+absolute = _operation(_elementwise(abs), 'four',
+                      lambda builder, a: _call_intrinsic(builder, 'llvm.fabs', a))
 #: a b + c of each element, rounded once.
-fma = _operation(_each(jit.fma), 'four four four',
-                 lambda builder, *values: _called(builder, 'llvm.fma', *values))
+fma = _operation(_elementwise(jit.fma), 'four four four',
+                 lambda builder, *values: _call_intrinsic(builder, 'llvm.fma', *values))
 #: The components of a vector in the order y, z, x and z, x, y.
-yzx, zxy = _permuted('yzxw'), _permuted('zxyw')
+yzx, zxy = _permutation('yzxw'), _permutation('zxyw')
 #: Hamilton's product q i, q j and q k of a quaternion q.
-times_i, times_j, times_k = (_permuted('wzyx', '++--'), _permuted('zwxy', '-++-'),
-                             _permuted('yxwz', '+-+-'))
+times_i, times_j, times_k = (_permutation('wzyx', '++--'), _permutation('zwxy', '-++-'),
+                             _permutation('yxwz', '+-+-'))
 
 
 def _plain_load(values: NDArray[np.float64], start: int) -> Four:

@@ -97,12 +97,12 @@ class Motion(NamedTuple):
     factor: float
     #: u0, and whether cn is negative at the start: u is counted from the nearest zero of sn.
     phase: float
-    odd: bool
+    cn_negative: bool
     #: lambda; 2 K; rate of the linear part of psi; increment of psi per half period, rad.
     speed: DoubleDouble
     half_period: DoubleDouble
-    drift: DoubleDouble
-    gain: DoubleDouble
+    psi_rate: DoubleDouble
+    psi_increment: DoubleDouble
 
 
 class _Principal(NamedTuple):
@@ -164,7 +164,7 @@ def prepare(state: KernelState, frame: PrincipalFrame) -> Motion:
         return start_only(state, STEADY)
     if _is_near_separatrix(body, invariants, frame):
         return start_only(state, NEAR_SEPARATRIX)
-    body, invariants = _renamed(body, invariants)
+    body, invariants = _renumber_axes(body, invariants)
     return _canonical(state, body, invariants)
 
 
@@ -201,7 +201,7 @@ def _is_near_separatrix(body: _Principal, invariants: _Invariants, frame: Princi
     w, m, e = body.rates, body.momentum, body.energies
     i21, i32, delta_2 = invariants.i21[0], invariants.i32[0], invariants.delta_2[0]
     uncertain = terms = abs(e[2][0] * i32) + abs(e[0][0] * i21)
-    if not _along_body_axes(frame):
+    if not _is_along_body_axes(frame):
         speed = abs(w[0][0]) + abs(w[1][0]) + abs(w[2][0])
         uncertain += speed * (abs(m[2][0] * i32) + abs(m[0][0] * i21))
     return terms < _UNDERFLOW or (
@@ -209,7 +209,7 @@ def _is_near_separatrix(body: _Principal, invariants: _Invariants, frame: Princi
 
 
 @internal
-def _renamed(body: _Principal, invariants: _Invariants) -> tuple[_Principal, _Invariants]:
+def _renumber_axes(body: _Principal, invariants: _Invariants) -> tuple[_Principal, _Invariants]:
     # Number the axes such that m stays in the half space around axis 3.
     w, m, e, i, axes, scale, sign = body
     if invariants.delta_2[0] < 0.0:  # axes 3, -2, 1: all differences change their signs
@@ -242,36 +242,38 @@ def _canonical(state: KernelState, body: _Principal, invariants: _Invariants) ->
     n = dd.negative(dd.divide(dd.multiply(i[2], invariants.i21), dd.multiply(i[0], i32)))
     factor = dd.divide(dd.multiply(momentum, (sign * i31[0], sign * i31[1])),
                        dd.multiply(speed, dd.multiply(i[0], i[2])))
-    half_period, gain = _ZERO, _ZERO
+    half_period, psi_increment = _ZERO, _ZERO
     if kind == PERIODIC:
         half_period = _doubled(elliptic.complete(complement, _ONE, _ONE, _ONE))
-        gain = _gain(complement, n, factor)
-    odd = m[0][0] < 0.0
+        psi_increment = _psi_increment(complement, n, factor)
+    cn_negative = m[0][0] < 0.0
     return Motion(
         kind, state, body.scale, body.axes,
         of(b[0][0] / i[0][0], b[1][0] / i[1][0], b[2][0] / i[2][0]),
         of(b[0][0] / momentum[0], b[1][0] / momentum[0], b[2][0] / momentum[0]),
         complement[0], n[0], factor[0],
-        _phase(-m[1][0] / b[1][0], abs(m[0][0]) / b[0][0], odd, complement[0]), odd, speed,
-        half_period, dd.divide(momentum, i[0] if n[0] >= -1.0 else i[2]), gain)
+        _phase(-m[1][0] / b[1][0], abs(m[0][0]) / b[0][0], cn_negative, complement[0]),
+        cn_negative, speed, half_period,
+        dd.divide(momentum, i[0] if n[0] >= -1.0 else i[2]), psi_increment)
 
 
 @internal
-def _gain(complement: DoubleDouble, n: DoubleDouble, factor: DoubleDouble) -> DoubleDouble:
+def _psi_increment(complement: DoubleDouble, n: DoubleDouble,
+                   factor: DoubleDouble) -> DoubleDouble:
     # Return the increment of psi per half period.
     p = dd.subtract(_ONE, n)
     if n[0] >= -1.0:
-        gain = dd.multiply(n, elliptic.complete(complement, p, _ZERO, _ONE))
+        integral = dd.multiply(n, elliptic.complete(complement, p, _ZERO, _ONE))
     else:
-        gain = elliptic.complete(complement, p, _ONE, _ONE)
-    return dd.add(_doubled(dd.multiply(factor, gain)), dd.PI)
+        integral = elliptic.complete(complement, p, _ONE, _ONE)
+    return dd.add(_doubled(dd.multiply(factor, integral)), dd.PI)
 
 
 @internal
-def _phase(sine: float, cosine: float, odd: bool, complement: float) -> float:
+def _phase(sine: float, cosine: float, cn_negative: bool, complement: float) -> float:
     # Return u0 from sn and |cn| at u0, which rounding has moved slightly off the unit circle.
     norm = dd.sqrt(dd.add(dd.two_product(sine, sine), dd.two_product(cosine, cosine)))[0]
-    sine, cosine = (-sine / norm if odd else sine / norm), cosine / norm
+    sine, cosine = (-sine / norm if cn_negative else sine / norm), cosine / norm
     return sine * elliptic.carlson_f(cosine * cosine, cosine * cosine
                                      + complement * sine * sine, 1.0)
 
@@ -288,10 +290,10 @@ def at(motion: Motion, span_ns: int) -> KernelState:
     if motion.kind == PERIODIC:
         count = float(round(u[0] / motion.half_period[0]))
         u = dd.subtract(u, dd.multiply((count, 0.0), motion.half_period))
-    psi = dd.add(dd.multiply(motion.drift, t), dd.multiply((count, 0.0), motion.gain))
-    before, first, _ = _periodic_part(motion, motion.phase, motion.odd)
-    after, last, rates = _periodic_part(motion, u[0], motion.odd != (count % 2.0 != 0.0))
-    half = 0.5 * dd.add(_modulo(psi), dd.two_sum(after, -before))[0]
+    psi = dd.add(dd.multiply(motion.psi_rate, t), dd.multiply((count, 0.0), motion.psi_increment))
+    before, first, _ = _periodic_part(motion, motion.phase, motion.cn_negative)
+    after, last, rates = _periodic_part(motion, u[0], motion.cn_negative != (count % 2.0 != 0.0))
+    half = 0.5 * dd.add(_modulo_4_pi(psi), dd.two_sum(after, -before))[0]
     sine, cosine = elementary.sine_cosine(half)
     rotation = multiply(multiply(four.of(-first[0], -first[1], -first[2], first[3]),
                                  four.of(0.0, 0.0, sine, cosine)), last)
@@ -300,7 +302,8 @@ def at(motion: Motion, span_ns: int) -> KernelState:
 
 
 @internal
-def _periodic_part(motion: Motion, u: float, odd: bool) -> tuple[float, Quaternion, Vector]:
+def _periodic_part(motion: Motion, u: float,
+                   cn_negative: bool) -> tuple[float, Quaternion, Vector]:
     # Return the periodic part of psi, the quaternion P and the angular velocity, for |u| <= K.
     sn, cn, dn = elliptic.jacobi(u, motion.complement)
     n, m, cube = motion.n, 1.0 - motion.complement, sn * sn * sn
@@ -316,7 +319,7 @@ def _periodic_part(motion: Motion, u: float, odd: bool) -> tuple[float, Quaterni
         integral = elementary.arctangent(g * sn, cn * dn) / g - m * cube / (
             3.0 * n) * elliptic.carlson_j(cn * cn, dn * dn, 1.0, 1.0 - m * sn * sn / n)
     psi = motion.factor * integral + elementary.arctangent(math.sqrt(1.0 - n) * sn, cn)
-    if odd:
+    if cn_negative:
         sn, cn = -sn, -cn
     along = motion.directions
     cosine = math.sqrt(0.5 * (1.0 + along[2] * dn))
@@ -333,7 +336,7 @@ def _steady_rotation(motion: Motion, span_ns: int) -> KernelState:
     speed = dd.sqrt(square)
     if speed[0] == 0.0:
         return motion.start
-    half = 0.5 * _modulo(dd.multiply(speed, dd.seconds(span_ns)))[0]
+    half = 0.5 * _modulo_4_pi(dd.multiply(speed, dd.seconds(span_ns)))[0]
     sine, cosine = elementary.sine_cosine(half)
     return _state(motion, w, add(scale(sine / speed[0], w), four.of(0.0, 0.0, 0.0, cosine)))
 
@@ -358,8 +361,8 @@ def _principal(state: KernelState, frame: PrincipalFrame) -> _Principal:
          (w[2] / scale, low[2] / scale))
     i = ((high[0] / size, low_moments[0] / size), (high[1] / size, low_moments[1] / size),
          (high[2] / size, low_moments[2] / size))
-    rates = (_along(v, axes[0], low_axes[0]), _along(v, axes[1], low_axes[1]),
-             _along(v, axes[2], low_axes[2]))
+    rates = (_component(v, axes[0], low_axes[0]), _component(v, axes[1], low_axes[1]),
+             _component(v, axes[2], low_axes[2]))
     m = (dd.multiply(i[0], rates[0]), dd.multiply(i[1], rates[1]), dd.multiply(i[2], rates[2]))
     e = (dd.multiply(m[0], rates[0]), dd.multiply(m[1], rates[1]), dd.multiply(m[2], rates[2]))
     return _Principal(rates, m, e, i, axes, scale, 1.0)
@@ -372,14 +375,14 @@ def _power_of_two(value: float) -> float:
 
 
 @internal
-def _along(v: Triple, axis: Vector, low: Vector) -> DoubleDouble:
+def _component(v: Triple, axis: Vector, low: Vector) -> DoubleDouble:
     total = dd.multiply((axis[0], low[0]), v[0])
     total = dd.add(total, dd.multiply((axis[1], low[1]), v[1]))
     return dd.add(total, dd.multiply((axis[2], low[2]), v[2]))
 
 
 @internal
-def _along_body_axes(frame: PrincipalFrame) -> bool:
+def _is_along_body_axes(frame: PrincipalFrame) -> bool:
     # Whether the principal axes are body axes: products with zeros and ones are exact.
     total = 0.0
     for axis in frame[2]:
@@ -388,7 +391,7 @@ def _along_body_axes(frame: PrincipalFrame) -> bool:
 
 
 @internal
-def _modulo(angle: DoubleDouble) -> DoubleDouble:
+def _modulo_4_pi(angle: DoubleDouble) -> DoubleDouble:
     # Return the angle less a multiple of 4 pi, the period of a quaternion.
     turns = float(round(angle[0] / (4.0 * dd.PI[0])))
     return dd.subtract(angle, dd.multiply((4.0 * turns, 0.0), dd.PI))

@@ -83,20 +83,20 @@ def is_accurate(state: KernelState, seconds: float, torque_acceleration: Vector,
     bool
 
     """
-    size, error_bound = _squares(state, seconds, torque_acceleration, tolerance)
+    size, error_bound = _size_and_bound(state, seconds, torque_acceleration, tolerance)
     return size < _LARGEST and _SQUARE_5 * (size * (size * size)) <= error_bound
 
 
 @inlined
-def _squares(state: KernelState, seconds: float, torque_acceleration: Vector,
-             tolerance: float) -> tuple[float, float]:
+def _size_and_bound(state: KernelState, seconds: float, torque_acceleration: Vector,
+                    tolerance: float) -> tuple[float, float]:
     # Return the squares of the size of a step, rad^4, and of the error bound, rad^2. Square roots
     # would take a noticeable part of the time of a short step.
     factor = seconds * seconds
     square = dot(state[0], state[0])
-    gain = factor * dot(torque_acceleration, torque_acceleration)
-    return (factor * fma(factor, square * square, gain),
-            tolerance * tolerance * factor * fma(0.25, gain, square))
+    torque_part = factor * dot(torque_acceleration, torque_acceleration)
+    return (factor * fma(factor, square * square, torque_part),
+            tolerance * tolerance * factor * fma(0.25, torque_part, square))
 
 
 @inlined
@@ -125,7 +125,7 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     KernelState
 
     """
-    size, error_bound = _squares(state, seconds, torque_acceleration, tolerance)
+    size, error_bound = _size_and_bound(state, seconds, torque_acceleration, tolerance)
     w = state[0]
     # w0 = w, w1, w2 ... are the terms of w, rad/s, and u0, u1, u2 ... the same in radians per
     # step. Factors multiply operands that are known early, so that no later term waits for them.

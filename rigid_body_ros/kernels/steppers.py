@@ -103,11 +103,11 @@ def strang(state: KernelState, seconds: float, equations: Coefficients, frame: P
     i, j, k = moments[0], moments[1], moments[2]
     m = of(i * dot(axes[0], w), j * dot(axes[1], w), k * dot(axes[2], w))
     rotation = four.of(0.0, 0.0, 0.0, 1.0)
-    m, rotation = _about_1(m, rotation, half / i)
-    m, rotation = _about_2(m, rotation, half / j)
-    m, rotation = _about_3(m, rotation, seconds / k)
-    m, rotation = _about_2(m, rotation, half / j)
-    m, rotation = _about_1(m, rotation, half / i)
+    m, rotation = _rotate_about_1(m, rotation, half / i)
+    m, rotation = _rotate_about_2(m, rotation, half / j)
+    m, rotation = _rotate_about_3(m, rotation, seconds / k)
+    m, rotation = _rotate_about_2(m, rotation, half / j)
+    m, rotation = _rotate_about_1(m, rotation, half / i)
     w = combine(axes, of(m[0] / i, m[1] / j, m[2] / k))
     x = combine(axes, rotation)
     q = _unit(multiply(q, four.of(x[0], x[1], x[2], rotation[3])))
@@ -144,28 +144,28 @@ def _state(w: Vector, q: Quaternion) -> KernelState:
 
 
 @internal
-def _about_1(m: Vector, rotation: Quaternion, step: float) -> tuple[Vector, Quaternion]:
+def _rotate_about_1(m: Vector, rotation: Quaternion, step: float) -> tuple[Vector, Quaternion]:
     # The flow of the kinetic energy m1^2 / (2 I1): a rotation of the body about axis 1.
-    sine, cosine, s, c = _half_and_full(step * m[0])
+    sine, cosine, s, c = _sines_cosines(step * m[0])
     return (of(m[0], c * m[1] + s * m[2], c * m[2] - s * m[1]),
             multiply(rotation, four.of(sine, 0.0, 0.0, cosine)))
 
 
 @internal
-def _about_2(m: Vector, rotation: Quaternion, step: float) -> tuple[Vector, Quaternion]:
-    sine, cosine, s, c = _half_and_full(step * m[1])
+def _rotate_about_2(m: Vector, rotation: Quaternion, step: float) -> tuple[Vector, Quaternion]:
+    sine, cosine, s, c = _sines_cosines(step * m[1])
     return (of(c * m[0] - s * m[2], m[1], c * m[2] + s * m[0]),
             multiply(rotation, four.of(0.0, sine, 0.0, cosine)))
 
 
 @internal
-def _about_3(m: Vector, rotation: Quaternion, step: float) -> tuple[Vector, Quaternion]:
-    sine, cosine, s, c = _half_and_full(step * m[2])
+def _rotate_about_3(m: Vector, rotation: Quaternion, step: float) -> tuple[Vector, Quaternion]:
+    sine, cosine, s, c = _sines_cosines(step * m[2])
     return (of(c * m[0] + s * m[1], c * m[1] - s * m[0], m[2]),
             multiply(rotation, four.of(0.0, 0.0, sine, cosine)))
 
 
 @internal
-def _half_and_full(angle: float) -> tuple[float, float, float, float]:
+def _sines_cosines(angle: float) -> tuple[float, float, float, float]:
     sine, cosine = elementary.sine_cosine(0.5 * angle)
     return sine, cosine, 2.0 * sine * cosine, 1.0 - 2.0 * sine * sine

@@ -72,20 +72,21 @@ class Tableau:
         # One condition for each rooted tree with up to four nodes.
         c = self.nodes
         squares = [node * node for node in c]
-        inner = self._applied(c)
+        inner = self._matrix_times(c)
         return [
-            (1, 'sum b', self._summed([1] * len(c)), Fraction(1)),
-            (2, 'sum b c', self._summed(c), Fraction(1, 2)),
-            (3, 'sum b c^2', self._summed(squares), Fraction(1, 3)),
-            (3, 'sum b A c', self._summed(inner), Fraction(1, 6)),
-            (4, 'sum b c^3', self._summed([node ** 3 for node in c]), Fraction(1, 4)),
-            (4, 'sum b c A c', self._summed([a * b for a, b in zip(c, inner)]), Fraction(1, 8)),
-            (4, 'sum b A c^2', self._summed(self._applied(squares)), Fraction(1, 12)),
-            (4, 'sum b A A c', self._summed(self._applied(inner)), Fraction(1, 24)),
+            (1, 'sum b', self._weighted_sum([1] * len(c)), Fraction(1)),
+            (2, 'sum b c', self._weighted_sum(c), Fraction(1, 2)),
+            (3, 'sum b c^2', self._weighted_sum(squares), Fraction(1, 3)),
+            (3, 'sum b A c', self._weighted_sum(inner), Fraction(1, 6)),
+            (4, 'sum b c^3', self._weighted_sum([node ** 3 for node in c]), Fraction(1, 4)),
+            (4, 'sum b c A c', self._weighted_sum([a * b for a, b in zip(c, inner)]),
+             Fraction(1, 8)),
+            (4, 'sum b A c^2', self._weighted_sum(self._matrix_times(squares)), Fraction(1, 12)),
+            (4, 'sum b A A c', self._weighted_sum(self._matrix_times(inner)), Fraction(1, 24)),
         ]
 
-    def _summed(self, values: _Row) -> Fraction | int:
+    def _weighted_sum(self, values: _Row) -> Fraction | int:
         return sum(weight * value for weight, value in zip(self.weights, values))
 
-    def _applied(self, values: _Row) -> list[Fraction | int]:
+    def _matrix_times(self, values: _Row) -> list[Fraction | int]:
         return [sum(entry * value for entry, value in zip(row, values)) for row in self.matrix]

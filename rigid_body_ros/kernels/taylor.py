@@ -146,10 +146,10 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
             drive: Polynomial, degree: int, in_space: bool, error_bound: float,
             table: Floats) -> int:
     # Fill the table with the terms of u and of the rotation, and return the order needed.
-    first = latest = _keep(table, 0, scale(seconds, state[0]), four.of(0.0, 0.0, 0.0, 1.0))
+    first = latest = _store_term(table, 0, scale(seconds, state[0]), four.of(0.0, 0.0, 0.0, 1.0))
     if in_space:
         for i in range(degree + 1):
-            _keep_permuted(table, _TORQUES + _TORQUE * i, to_body(state[1], drive[i]))
+            _store_permuted(table, _TORQUES + _TORQUE * i, to_body(state[1], drive[i]))
     # The series of a body at rest under a torque ~ t^degree has a non-zero term only every
     # degree + 2 orders, so the sum has converged only after that many small terms.
     small = 0
@@ -165,7 +165,7 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
         u = scale(1.0 / (k + 1), u)
         factor = 0.5 / (k + 1)
         rotation = scale(factor, rotation)
-        latest = _keep(table, k + 1, u, rotation)
+        latest = _store_term(table, k + 1, u, rotation)
         # The bound on errors of w is tighter, because the errors of attitude they cause add up.
         if total(add_scaled(four.absolute(rotation), 4.0, four.absolute(u))) > error_bound:
             small = 0
@@ -177,22 +177,22 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
 
 
 @inlined
-def _keep(table: Floats, k: int, u: Vector, rotation: Quaternion) -> Term:
+def _store_term(table: Floats, k: int, u: Vector, rotation: Quaternion) -> Term:
     row = _TERM * k
-    _keep_permuted(table, row + _U, u)
+    _store_permuted(table, row + _U, u)
     four.store(table, row + _ROTATION, rotation)
     return u, four.yzx(u), four.zxy(u), rotation
 
 
 @inlined
-def _keep_permuted(table: Floats, row: int, vector: Vector) -> None:
+def _store_permuted(table: Floats, row: int, vector: Vector) -> None:
     four.store(table, row, vector)
     four.store(table, row + 4, four.yzx(vector))
     four.store(table, row + 8, four.zxy(vector))
 
 
 @inlined
-def _kept(table: Floats, row: int) -> Term:
+def _load_term(table: Floats, row: int) -> Term:
     return (four.load(table, row + _U), four.load(table, row + _U_YZX),
             four.load(table, row + _U_ZXY), four.load(table, row + _ROTATION))
 
@@ -206,7 +206,7 @@ def _cauchy(table: Floats, k: int, first: Term, latest: Term,
     sums = (zero, zero, zero, zero, zero)
     row = _TERM * k
     for j in range(_TERM, row, _TERM):
-        sums = _add_term(sums, _kept(table, row - j), _kept(table, j), form)
+        sums = _add_term(sums, _load_term(table, row - j), _load_term(table, j), form)
     if k > 0:
         sums = _add_term(sums, first, latest, form)
     products, squares, x, y, z = _add_term(sums, latest, first, form)
@@ -244,5 +244,5 @@ def _expand_torque(table: Floats, k: int, place: int) -> None:
         row, i = _TERM * j + place, _TERM * (k - j)
         one = four.fma(four.load(table, row + 4), four.load(table, i + _U_ZXY), one)
         other = four.fma(four.load(table, row + 8), four.load(table, i + _U_YZX), other)
-    _keep_permuted(table, _TERM * (k + 1) + place,
-                   scale(1.0 / (k + 1), four.subtract(one, other)))
+    _store_permuted(table, _TERM * (k + 1) + place,
+                    scale(1.0 / (k + 1), four.subtract(one, other)))

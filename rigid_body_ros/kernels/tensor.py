@@ -81,11 +81,12 @@ def euler_coefficients(tensor: NDArray[Any]) -> Floats:
               + [entry * scale for entry in row]
               for row in cofactors]  # the tensor is symmetric, and so are its cofactors
     high = [[entry / determinant for entry in row] for row in solved]
-    return np.array([high, [[_rest(entry, determinant, value) for entry, value in zip(*rows)]
-                            for rows in zip(solved, high)]])
+    low = [[_rounding_error(entry, determinant, value) for entry, value in zip(*rows)]
+           for rows in zip(solved, high)]
+    return np.array([high, low])
 
 
-def _rest(dividend: int, divisor: int, quotient: float) -> float:
+def _rounding_error(dividend: int, divisor: int, quotient: float) -> float:
     # Return the rounding error of a quotient.
     above, below = quotient.as_integer_ratio()
     return (dividend * below - above * divisor) / (divisor * below)

@@ -106,9 +106,9 @@ class Integration:
                  torque_timeout: float = Options.torque_timeout) -> None:
         self._body, self._start = body, start
         self._options = validated(solver, tolerance, max_step, torque_timeout)
-        #: States and progress of the loop; None before the first step.
-        self._reached: tuple[Floats, NDArray[np.int64]] | None = None
-        self._reached_ns = start.time_ns
+        #: States and progress of the loop at the end of the last piece; None before the first.
+        self._loop_arrays: tuple[Floats, NDArray[np.int64]] | None = None
+        self._end_ns = start.time_ns
 
     def advance(self, log: TorqueLog, at: ArrayLike, *, dropped: int = 0,
                 stop: int | None = None) -> Trajectory:
@@ -123,7 +123,7 @@ class Integration:
         at : array of int, shape (m,), ns
             In any order.
         dropped : int
-            How many samples at the front of the previous piece are not in this one.
+            Number of samples at the front of the previous piece that this one does not contain.
         stop : int, optional
             The sample from which the next piece continues: the motion is computed up to its stamp,
             and no time of `at` is later. None if this is the last piece, or if the next call
@@ -139,16 +139,16 @@ class Integration:
             As for `propagate`.
 
         """
-        times, ascends, end_ns = _checked_times(at, self._reached_ns)
+        times, ascends, end_ns = _checked_times(at, self._end_ns)
         _check_solver(self._options, log)
-        count, begin_ns = times.size, self._reached_ns
+        count, begin_ns = times.size, self._end_ns
         if stop is not None and end_ns < log.times_ns[stop]:
             end_ns = int(log.times_ns[stop])
             times = np.append(times, end_ns)
         rows = loop.IN_ORDER if ascends else np.argsort(times, kind='stable')
         motion = motion_layout.allocate(times.size)
         closed = self._fill(log, times, rows, motion, dropped, len(log) if stop is None else stop)
-        self._reached_ns = end_ns
+        self._end_ns = end_ns
         attitude = motion_layout.attitude(motion)
         rates = motion_layout.angular_velocity(motion)
         if times.size > count:  # the end of the piece was not requested
@@ -158,9 +158,10 @@ class Integration:
 
     def _fill(self, log: TorqueLog, times: NDArray[np.int64], rows: NDArray[np.intp],
               motion: Floats, dropped: int, stop: int) -> NDArray[np.bool_]:
-        """Fill the motion; return in which samples a coast was computed in closed form."""
+        """Fill the motion, and return `SolverUsage.closed`."""
         closed = np.zeros(len(log) + 1, np.bool_)
-        states, progress = self._continued(dropped) if self._reached else self._begun(log)
+        states, progress = (self._resumed_arrays(dropped) if self._loop_arrays
+                            else self._initial_arrays(log))
         begins_later = stop < len(log) and log.times_ns[stop] <= self._start.time_ns
         if begins_later:  # `at` can have no time but the start
             stop = len(log)
@@ -179,19 +180,19 @@ class Integration:
             grid, _, _ = layout.unpack_states(states)
             motion_layout.attitude(motion)[again] = state_layout.attitude(grid)
             motion_layout.angular_velocity(motion)[again] = state_layout.angular_velocity(grid)
-        if self._reached or (times.size and not begins_later):
-            self._reached = states, progress
+        if self._loop_arrays or (times.size and not begins_later):
+            self._loop_arrays = states, progress
         return closed
 
-    def _continued(self, dropped: int) -> tuple[Floats, NDArray[np.int64]]:
-        assert self._reached is not None
-        states, progress = self._reached
-        # In a coast that continues, the sample in force may have been dropped. It has no torque,
-        # so -1 has the same effect.
+    def _resumed_arrays(self, dropped: int) -> tuple[Floats, NDArray[np.int64]]:
+        assert self._loop_arrays is not None
+        states, progress = self._loop_arrays
+        # The sample in force may be among the dropped ones if a coast continues. Its torque is
+        # zero, as before the first sample, so -1 can stand for it.
         progress[layout.SAMPLE] = max(int(progress[layout.SAMPLE]) - dropped, -1)
         return states, progress
 
-    def _begun(self, log: TorqueLog) -> tuple[Floats, NDArray[np.int64]]:
+    def _initial_arrays(self, log: TorqueLog) -> tuple[Floats, NDArray[np.int64]]:
         start = self._start
         if start._origin is None and log.interpolation == 'hold':
             return (layout.pack_states(start._packed, start._packed),
@@ -211,12 +212,13 @@ def _checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], boo
         ascends, first_ns, last_ns = _order(times)
     else:  # calling a kernel takes as long as all the rest
         ascends, (first_ns, last_ns) = True, 2 * (times.tolist() or [start_ns])
-    for time_ns in (first_ns, last_ns):
-        if not start_ns <= time_ns < NEVER_NS:
-            raise ValueError(f'at: expected times from the start, {start_ns} ns, on, '
-                             f'found {time_ns} ns')
+    if first_ns < start_ns:
+        raise ValueError(f'at: expected no time before the start ({start_ns} ns), '
+                         f'found {first_ns} ns')
+    if last_ns == NEVER_NS:
+        raise ValueError(f'at: expected times before {NEVER_NS} ns, found {last_ns} ns')
     if last_ns - start_ns >= NEVER_NS:
-        raise ValueError(f'at: expected times within 292 years of the start, {start_ns} ns, '
+        raise ValueError(f'at: expected times within 292 years of the start ({start_ns} ns), '
                          f'found {last_ns} ns')
     return times, ascends, int(last_ns)  # a numpy integer if numba is absent
 

@@ -35,7 +35,7 @@ from rigid_body_ros.propagation.layout import Body, Log
 class Interval(NamedTuple):
     """A span of time in which one polynomial describes the torque."""
 
-    #: N m, in the fraction of the time from the stamp to the next stamp.
+    #: N m; its variable is 0 at the stamp and 1 at the next stamp.
     torque: vector.Polynomial
     #: Whether the torque is zero throughout.
     coasts: bool
@@ -50,12 +50,12 @@ class Interval(NamedTuple):
 class Drive(NamedTuple):
     """The acceleration or the torque in Euler's equations during an interval."""
 
-    #: In the fraction of a time: J^-1 tau, rad/s^2, or, in space axes, the torque, N m.
+    #: J^-1 tau, rad/s^2, or, in space axes, the torque, N m.
     polynomial: vector.Polynomial
     #: Coefficients of higher degree are zero.
     degree: int
     in_space: bool
-    #: Time at which the fraction is 0, and the seconds until it is 1.
+    #: Time at which the variable of the polynomial is 0, and the seconds until it is 1.
     origin_ns: int
     span: float
 
@@ -72,7 +72,7 @@ def sample_in_force(log: Log, time_ns: int) -> tuple[int, bool]:
 @inlined
 def interval(torque: vector.Polynomial, stamp_ns: int, next_ns: int, idle: bool,
              timeout_ns: int) -> Interval:
-    """Return the interval of a sample, before it times out or (idle) afterwards."""
+    """Return the interval of a sample until it times out, or, if it is idle, after that."""
     coasts = is_zero(torque)
     if timeout_ns > 0 and not idle and stamp_ns + timeout_ns < next_ns:
         return Interval(torque, coasts, stamp_ns, next_ns, True, stamp_ns + timeout_ns)
@@ -80,7 +80,7 @@ def interval(torque: vector.Polynomial, stamp_ns: int, next_ns: int, idle: bool,
 
 
 @inlined
-def drive(now: Interval, rests: vector.Polynomial, degree: int, in_space: bool,
+def drive(now: Interval, low: vector.Polynomial, degree: int, in_space: bool,
           body: Body) -> Drive:
     """Return the drive of an interval: the acceleration by a body torque, or a space torque."""
     span = 1.0
@@ -89,45 +89,49 @@ def drive(now: Interval, rests: vector.Polynomial, degree: int, in_space: bool,
     polynomial = now.torque
     if not in_space and not now.coasts:
         polynomial = euler_equations.acceleration_polynomial(
-            body.coefficients, body.form, polynomial, rests)
+            body.coefficients, body.form, polynomial, low)
     return Drive(polynomial, degree, in_space, now.stamp_ns, span)
 
 
 @inlined
-def row(polynomials: Floats, index: int, k: int) -> vector.Vector:
+def coefficient(polynomials: Floats, index: int, k: int) -> vector.Vector:
     """Return one coefficient of a polynomial."""
     return vector.of(polynomials[index, k, 0], polynomials[index, k, 1], polynomials[index, k, 2])
 
 
 @inlined
 def torque_of(polynomials: Floats, index: int, idle: bool) -> vector.Polynomial:
-    """Return the torque of a sample, or zeros. An array would cost half a short step."""
+    """
+    Return the torque of a sample, or zeros if it is idle.
+
+    To return an array would take half the time of a short step.
+    """
     none = four.broadcast(0.0)
     if idle:
         return none, none, none, none
     if polynomials.shape[1] == 1:
-        return row(polynomials, index, 0), none, none, none
+        return coefficient(polynomials, index, 0), none, none, none
     if polynomials.shape[1] == 3:
-        return row(polynomials, index, 0), row(polynomials, index, 1), none, none
-    return (row(polynomials, index, 0), row(polynomials, index, 1), row(polynomials, index, 2),
-            row(polynomials, index, 3))
+        return coefficient(polynomials, index, 0), coefficient(polynomials, index, 1), none, none
+    return (coefficient(polynomials, index, 0), coefficient(polynomials, index, 1),
+            coefficient(polynomials, index, 2), coefficient(polynomials, index, 3))
 
 
 @inlined
-def rests_of(polynomials: Floats, index: int) -> vector.Polynomial:
+def low_order_parts(polynomials: Floats, index: int) -> vector.Polynomial:
     """Return the low-order parts of the coefficients of a sample."""
     none = four.broadcast(0.0)
     if polynomials.shape[1] == 1:
         return none, none, none, none
     if polynomials.shape[1] == 3:
-        return none, row(polynomials, index, 2), none, none
-    return (none, row(polynomials, index, 4), row(polynomials, index, 5),
-            row(polynomials, index, 6))
+        return none, coefficient(polynomials, index, 2), none, none
+    return (none, coefficient(polynomials, index, 4), coefficient(polynomials, index, 5),
+            coefficient(polynomials, index, 6))
 
 
 @inlined
 def is_zero(torque: vector.Polynomial) -> bool:
     """Return whether a torque is zero throughout."""
     a, b, c, d = torque
-    return (layout.is_zero(a) and layout.is_zero(b) and layout.is_zero(c)
-            and layout.is_zero(d))
+    return (layout.is_zero_vector(a) and layout.is_zero_vector(b) and layout.is_zero_vector(c)
+            and layout.is_zero_vector(d))

@@ -155,14 +155,14 @@ def unpack_body(constants: Floats) -> Body:
 def _form(coefficients: vector.Coefficients, moments: vector.Vector) -> int:
     a, b, c, d, e, f, _, _, _ = coefficients[0]
     if (a[1] == a[2] == b[0] == b[2] == c[0] == c[1] == 0.0
-            and is_zero(d) and is_zero(e) and is_zero(f)):
+            and is_zero_vector(d) and is_zero_vector(e) and is_zero_vector(f)):
         return euler_equations.DIAGONAL
     is_thin = moments[2] > euler_equations.THIN_RATIO * moments[0]
     return euler_equations.THIN if is_thin else euler_equations.FULL
 
 
 @inlined
-def is_zero(a: vector.Vector) -> bool:
+def is_zero_vector(a: vector.Vector) -> bool:
     """Return whether all components are zero."""
     return a[0] == 0.0 and a[1] == 0.0 and a[2] == 0.0
 
@@ -186,11 +186,11 @@ def load_states(states: Floats) -> States:
 
 
 @internal
-def store_states(loop: States, states: Floats) -> None:
+def store_states(reached: States, states: Floats) -> None:
     """Write the states back."""
-    state_layout.store(loop.grid, states, 0)
-    state_layout.store(loop.begin, states, state_layout.SIZE)
-    state_layout.store(loop.latest, states, 2 * state_layout.SIZE)
+    state_layout.store(reached.grid, states, 0)
+    state_layout.store(reached.begin, states, state_layout.SIZE)
+    state_layout.store(reached.latest, states, 2 * state_layout.SIZE)
 
 
 def pack_place(grid_ns: int, begin_ns: int, sample: int,

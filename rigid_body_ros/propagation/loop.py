@@ -51,7 +51,7 @@ from rigid_body_ros.propagation.layout import Body, Log, Method, Outputs, Place,
 #: Value of `rows` of `run` if the times ascend.
 IN_ORDER = np.empty(0, np.intp)
 #: Units of work, at most about 0.1 s, after which a kernel returns so that Python handles signals.
-BUDGET = 20_000 * stepping.FULL
+BUDGET = 20_000 * stepping.STEP_COST
 
 
 @njit
@@ -91,9 +91,9 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
         sample, timed_out = intervals.sample_in_force(log, place.grid_ns)
         place = Place(place.grid_ns, place.grid_ns, sample, timed_out, place.done)
         reached = States(reached.grid, reached.grid, reached.grid)
-    place, reached = _follow(place, reached, Outputs(times_ns, rows, motion, closed), log,
-                             layout.unpack_body(constants), layout.unpack_method(settings),
-                             progress[layout.BUDGET])
+    place, reached = _run_segments(place, reached, Outputs(times_ns, rows, motion, closed), log,
+                                   layout.unpack_body(constants),
+                                   layout.unpack_method(settings), progress[layout.BUDGET])
     layout.store_place(place, progress)
     layout.store_states(reached, states)
     return stepping.is_too_fast(reached.latest)
@@ -102,8 +102,8 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
 # Arrays are taken out of the records before the loop: otherwise numba counts references in each
 # pass, which costs a third of a step.
 @internal
-def _follow(place: Place, reached: States, outputs: Outputs, log: Log, body: Body,
-            method: Method, budget: int) -> tuple[Place, States]:
+def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, body: Body,
+                  method: Method, budget: int) -> tuple[Place, States]:
     grid, begin, latest = reached
     grid_ns, begin_ns, sample, timed_out, done = place
     times_ns, rows, motion, closed = outputs
@@ -131,14 +131,14 @@ def _follow(place: Place, reached: States, outputs: Outputs, log: Log, body: Bod
             if by_formula and coast.kind != free_motion.NEAR_SEPARATRIX:
                 latest = free_motion.at(coast, time_ns - begin_ns)
                 closed[sample + 1] = True
-                budget -= stepping.FULL
+                budget -= stepping.STEP_COST
             elif time_ns == grid_ns:
                 latest = grid
             elif (grid_ns == begin_ns and degree == 0 and not space
                   and _is_short(grid, time_ns - grid_ns, acceleration, method)):
                 if not (asked or now.coasts or now.times_out):
                     budget += sample
-                    grid, grid_ns, sample, done = _stream(
+                    grid, grid_ns, sample, done = _run_short_steps(
                         grid, Place(grid_ns, begin_ns, sample, timed_out, done),
                         min(budget, len(stamps_ns) - 1), outputs, log, body, method)
                     begin, begin_ns, prepared = grid, grid_ns, False
@@ -147,9 +147,9 @@ def _follow(place: Place, reached: States, outputs: Outputs, log: Log, body: Bod
                 latest = short_step.step(grid, (time_ns - grid_ns) / 1e9, body.coefficients,
                                          body.form, acceleration, method.tolerance)
             else:
-                rests = intervals.rests_of(polynomials, index)
+                low = intervals.low_order_parts(polynomials, index)
                 grid, grid_ns, latest, arrived, budget = stepping.advance(
-                    grid, grid_ns, time_ns, intervals.drive(now, rests, degree, space, body),
+                    grid, grid_ns, time_ns, intervals.drive(now, low, degree, space, body),
                     body, method, table, budget)
                 if not arrived:
                     break
@@ -182,12 +182,13 @@ def _is_short(grid: vector.KernelState, rest_ns: int, acceleration: vector.Vecto
 
 
 @internal
-def _stream(grid: vector.KernelState, place: Place, last: int, outputs: Outputs, log: Log,
-            body: Body, method: Method) -> tuple[vector.KernelState, int, int, int]:
+def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs: Outputs,
+                     log: Log, body: Body,
+                     method: Method) -> tuple[vector.KernelState, int, int, int]:
     # Step from stamp to stamp, at most to the stamp of the sample `last`, under held body torques,
-    # as long as one short step is enough and no output lies between the stamps. This loop is not
-    # part of `_follow`, so that the compiler keeps the state in registers. Return state, grid_ns,
-    # sample, done.
+    # as long as one short step is enough and no output lies between the stamps. Return state,
+    # grid_ns, sample and done. In a function of its own, the compiler keeps the state in
+    # registers.
     grid_ns, sample, done = place.grid_ns, place.sample, place.done
     times_ns, rows, motion, _ = outputs
     stamps_ns, polynomials, in_space, _, _, timeout_ns = log
@@ -197,13 +198,13 @@ def _stream(grid: vector.KernelState, place: Place, last: int, outputs: Outputs,
             motion_layout.store(grid, row, motion)
             done += 1
             continue
-        next_ns, torque = stamps_ns[sample + 1], intervals.row(polynomials, sample, 0)
+        next_ns, torque = stamps_ns[sample + 1], intervals.coefficient(polynomials, sample, 0)
         acceleration = euler_equations.acceleration_from_torque(
             body.coefficients, body.form, torque)
         span_ns = next_ns - grid_ns
         seconds = span_ns / 1e9
         if (times_ns[row] < next_ns or span_ns >= method.max_step_ns
-                or in_space[sample] or layout.is_zero(torque)
+                or in_space[sample] or layout.is_zero_vector(torque)
                 or 0 < timeout_ns < next_ns - stamps_ns[sample]
                 or not short_step.is_accurate(grid, seconds, acceleration, method.tolerance)):
             break

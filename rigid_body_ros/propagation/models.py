@@ -66,7 +66,7 @@ class SolverUsage(NamedTuple):
         coasts = samples < 0
         coasts[~coasts] = ~self.log.torques[samples[~coasts]].any(axis=1)
         closed = coasts & self.closed[owners + 1]
-        # Within a coast only the outputs are computed, so any of its samples may have the mark.
+        # The loop marks only the samples of a coast in which an output lies.
         coast = np.cumsum(np.append(False, ~(coasts[1:] & coasts[:-1])))
         used = np.zeros(coast[-1] + 1, np.bool_)
         np.logical_or.at(used, coast, closed)
@@ -77,7 +77,7 @@ class SolverUsage(NamedTuple):
         if solver == AUTO:
             if closed:
                 return Model(EXACT.name, start_ns, end_ns,
-                             f'auto: coast of a body that is a{_an(self.body.symmetry)}, '
+                             f'auto: coast of a body that is {_with_article(self.body.symmetry)}, '
                              'in closed form from its beginning')
             return Model(TAYLOR.name, start_ns, end_ns,
                          f'auto: torque, or a coast of up to {LONG_COAST:g} rad or too close to '
@@ -89,5 +89,5 @@ class SolverUsage(NamedTuple):
         return Model(solver.name, start_ns, end_ns, 'as requested')
 
 
-def _an(name: str) -> str:
-    return f'n {name}' if name[0] in 'aeiou' else f' {name}'
+def _with_article(name: str) -> str:
+    return f'an {name}' if name[0] in 'aeiou' else f'a {name}'

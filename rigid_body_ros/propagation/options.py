@@ -110,11 +110,11 @@ class Options:
 def validated(*values: Any) -> Options:
     """Return the options with these values, in the order of the fields."""
     try:
-        return _known(*values)
+        return _cached_options(*values)
     except TypeError:  # an unhashable value is invalid, and `Options` reports why
         return Options(*values)
 
 
 @lru_cache
-def _known(*values: Any) -> Options:
-    return Options(*values)  # validation takes a tenth of a short run
+def _cached_options(*values: Any) -> Options:
+    return Options(*values)  # to validate them again would take a tenth of a short run

@@ -34,7 +34,7 @@ from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
 from rigid_body_ros.torque import FRAMES
 
 _NO_TORQUE = np.zeros((1, 3))
-#: Outputs of a kernel that are not read: only its last state is used.
+#: Outputs of the loop that are not read: only its latest state is used.
 _UNUSED = motion_layout.allocate(1), np.empty(2, np.bool_)
 
 
@@ -75,7 +75,7 @@ class Propagator:
         first.segment = self._segment(start, first.torque, False)
         self._changes = [first]
         #: Stamp of the torque in force at the start, if one arrived.
-        self._before_start: int | None = None
+        self._start_stamp_ns: int | None = None
         self._newest_ns: int | None = None
 
     @property
@@ -113,7 +113,7 @@ class Propagator:
             The time is not an integer.
 
         """
-        time_ns = self._checked(time_ns)
+        time_ns = self._checked_time(time_ns)
         values = np.array(torque, float).reshape(1, -1)
         if values.shape != (1, 3) or not np.all(np.isfinite(values)):
             raise ValueError(f'torque at {time_ns} ns: expected 3 finite numbers, '
@@ -160,26 +160,27 @@ class Propagator:
             The limit on the computing time was reached. The next call continues from there.
 
         """
-        time_ns, until = self._checked(time_ns), time.monotonic() + within
+        time_ns, until = self._checked_time(time_ns), time.monotonic() + within
         index = bisect.bisect_right(self._changes, time_ns, key=_time_ns) - 1
         if index < 0:
-            raise ValueError(f'expected a time from {self.earliest_ns} ns on, found {time_ns} ns')
-        self._resolve(index, until)
-        return self._active(self._changes[index], time_ns, until).state_at(time_ns, until)
+            raise ValueError(f'time_ns: expected {self.earliest_ns} ns or later, '
+                             f'found {time_ns} ns')
+        self._compute_segments(index, until)
+        return self._segment_at(self._changes[index], time_ns, until).state_at(time_ns, until)
 
-    def _checked(self, time_ns: int) -> int:
+    def _checked_time(self, time_ns: int) -> int:
         found = instant(time_ns)
         if abs(found - self._start.time_ns) >= NEVER_NS:
-            raise ValueError('time_ns: expected a time within 292 years of the start, '
-                             f'{self._start.time_ns} ns, found {found} ns')
+            raise ValueError('time_ns: expected a time within 292 years of the start '
+                             f'({self._start.time_ns} ns), found {found} ns')
         return found
 
     def _apply_before_start(self, time_ns: int, torque: Floats, in_space: bool) -> None:
         # The first change is still the start: it is discarded only when a stamp is `history` after
         # the start, and then `apply` drops every torque with a stamp as old as the start.
-        if self._before_start is not None and time_ns < self._before_start:
+        if self._start_stamp_ns is not None and time_ns < self._start_stamp_ns:
             return
-        self._before_start = time_ns
+        self._start_stamp_ns = time_ns
         start = self._changes[0]
         timeout = self._options.timeout_ns
         if timeout and time_ns + timeout <= start.time_ns:
@@ -201,40 +202,40 @@ class Propagator:
         """Discard changes that no late torque can affect; raise ValueError as `at` does."""
         oldest = bisect.bisect_right(self._changes, horizon_ns, key=_time_ns) - 1
         if oldest > 0:
-            self._resolve(oldest)
+            self._compute_segments(oldest)
             del self._changes[:oldest]
 
     def _discard_segments(self, index: int) -> None:
         # Segments are computed from the front: if one is missing, all later ones are, too.
         while index < len(self._changes) and self._changes[index].segment is not None:
-            self._changes[index].segment = self._changes[index].silence = None
+            self._changes[index].segment = self._changes[index].after_timeout = None
             index += 1
 
-    def _resolve(self, index: int, until: float = math.inf) -> None:
+    def _compute_segments(self, index: int, until: float = math.inf) -> None:
         """Compute the segment of every change up to this one, or raise TimeoutError."""
         first = index
         while self._changes[first].segment is None:
             first -= 1
         for before, change in zip(self._changes[first:index], self._changes[first + 1:index + 1]):
-            active = self._active(before, change.time_ns, until)
+            active = self._segment_at(before, change.time_ns, until)
             if active.coasts and not change.torque.any():
                 change.segment = active
             else:
                 change.segment = self._segment(active.end_at(change.time_ns, until),
                                                change.torque, change.in_space)
             if time.monotonic() > until:
-                raise TimeoutError(f'the motion is computed up to {change.time_ns} ns')
+                raise _timed_out(change.time_ns)
 
-    def _active(self, change: _Change, time_ns: int, until: float) -> _Segment:
+    def _segment_at(self, change: _Change, time_ns: int, until: float) -> _Segment:
         """Return the segment that contains a time between a change and the next."""
         assert change.segment is not None
         due = change.stamp_ns + self._options.timeout_ns
         if not self._options.timeout_ns or change.segment.coasts or time_ns < due:
             return change.segment
-        if change.silence is None:
-            change.silence = self._segment(change.segment.end_at(due, until), _NO_TORQUE,
-                                           False)
-        return change.silence
+        if change.after_timeout is None:
+            change.after_timeout = self._segment(change.segment.end_at(due, until), _NO_TORQUE,
+                                                 False)
+        return change.after_timeout
 
     def _segment(self, start: State, torque: Floats, in_space: bool) -> _Segment:
         return _Segment(self._body, self._options, self.history_ns, start, torque, in_space)
@@ -250,15 +251,20 @@ class _Change:
     in_space: bool
     segment: _Segment | None = None
     #: The coast that begins when the torque times out.
-    silence: _Segment | None = None
+    after_timeout: _Segment | None = None
 
 
 def _time_ns(change: _Change) -> int:
     return change.time_ns
 
 
-def _frozen(values: ArrayLike) -> NDArray[Any]:
-    """Return a read-only array, like those of a log, for which the kernels are compiled."""
+def _timed_out(reached_ns: int) -> TimeoutError:
+    return TimeoutError(f'the limit on the computing time was reached at {reached_ns} ns of the '
+                        'motion: call again to continue from there, or raise the limit')
+
+
+def _read_only(values: ArrayLike) -> NDArray[Any]:
+    """Return a read-only array: the kernels are compiled for logs, whose arrays are."""
     array = np.array(values)
     array.flags.writeable = False
     return array
@@ -275,7 +281,7 @@ class _Segment:
         origin = origin_of(start, self._rule)
         self._grid_ns = [*dict.fromkeys((origin.begin_ns, origin.grid_ns))]
         self._states = [origin.begin, origin.grid][:len(self._grid_ns)]
-        self._log = _frozen([origin.begin_ns]), _frozen([torque]), _frozen([in_space])
+        self._log = _read_only([origin.begin_ns]), _read_only([torque]), _read_only([in_space])
         self._constants = body._constants
 
     def state_at(self, time_ns: int, until: float) -> State:
@@ -292,9 +298,9 @@ class _Segment:
         if grid_ns > self._grid_ns[-1]:
             self._grid_ns.append(grid_ns)
             self._states.append(grid)
-            self._thin(grid_ns - self._history_ns)
+            self._discard_grid_points(grid_ns - self._history_ns)
         if not progress[layout.DONE]:
-            raise TimeoutError(f'the motion is computed up to {grid_ns} ns, not to {time_ns} ns')
+            raise _timed_out(grid_ns)
         return State._as_computed(time_ns, latest, Origin(
             self._rule, begin_ns, begin, grid_ns, grid))
 
@@ -316,7 +322,8 @@ class _Segment:
         """Return the state that the next segment begins with, even if the torque is the same."""
         return without_origin(self.state_at(time_ns, until))
 
-    def _thin(self, horizon_ns: int) -> None:
-        # A late torque requires grid points of the last `history`; `at` may require the beginning.
+    def _discard_grid_points(self, horizon_ns: int) -> None:
+        # Keep those of the last `history`, which `at` resumes from after a late torque, and the
+        # beginning, from which it computes any earlier time.
         while len(self._grid_ns) > 2 and self._grid_ns[2] <= horizon_ns:
             del self._grid_ns[1], self._states[1]

@@ -78,15 +78,15 @@ def _changes(body: RigidBody, start: State,
              log: TorqueLog) -> Iterator[tuple[Floats, State, TorqueLog]]:
     """Yield tensors, starts and torques, some or all of them changed."""
     random = np.random.default_rng(0)
-    moved = bool(log.torques.any())
+    has_torque = bool(log.torques.any())
     for _ in range(_ROUNDS):
         yield _changed_tensor(body.inertia, random), start, log
-        if moved:
+        if has_torque:
             yield body.inertia, start, log.with_torques(_changed(log.torques, random))
         yield (_changed_tensor(body.inertia, random),
                State(start.time_ns, _changed(start.attitude, random),
                      _changed(start.angular_velocity, random)),
-               log.with_torques(_changed(log.torques, random)) if moved else log)
+               log.with_torques(_changed(log.torques, random)) if has_torque else log)
 
 
 def _changed_tensor(tensor: Floats, random: np.random.Generator) -> Floats:

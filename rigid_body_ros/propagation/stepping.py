@@ -46,7 +46,7 @@ from rigid_body_ros.propagation.options import FASTEST
 _RK4, _STRANG = solvers.RK4.code, solvers.STRANG.code
 _EXPLICIT_EULER = solvers.EXPLICIT_EULER.code
 #: Cost of a full step, or a state in closed form, in units of the budget; anything else costs 1.
-FULL = 16
+STEP_COST = 16
 
 
 class Reached(NamedTuple):
@@ -80,7 +80,7 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
     table : float64 (taylor.WORKSPACE,)
         Workspace.
     budget : int
-        Units of work after which to return; a step costs `FULL`.
+        Units of work after which to return; a step costs `STEP_COST`.
 
     Returns
     -------
@@ -92,9 +92,9 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
     while grid_ns < time_ns:
         if budget <= 0:
             return Reached(grid, grid_ns, latest, False, budget)
-        budget -= FULL
+        budget -= STEP_COST
         rest_ns = time_ns - grid_ns
-        step_ns = _natural_ns(grid, rest_ns, bound, method)
+        step_ns = _step_length_ns(grid, rest_ns, bound, method)
         last = step_ns >= rest_ns
         if last:
             step_ns = rest_ns
@@ -115,7 +115,7 @@ def is_too_fast(state: vector.KernelState) -> bool:
 
 
 @inlined
-def _natural_ns(state: vector.KernelState, rest_ns: int, bound: float, method: Method) -> int:
+def _step_length_ns(state: vector.KernelState, rest_ns: int, bound: float, method: Method) -> int:
     # Return the length of the next step on the grid. It depends on the time left only if the step
     # would be longer than that.
     if method.fixed_step:
