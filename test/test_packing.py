@@ -105,9 +105,8 @@ def test_a_kernel_reads_and_writes_progress():
     read = callable_(layout.load_place)(layout.pack_place(2 ** 62 + 1, -5, -1, True))
     assert read == (2 ** 62 + 1, -5, -1, True, 0)
     progress = layout.pack_place(0, 0, 0)
-    progress[[layout.FIRST, layout.STOP, layout.BUDGET]] = limits = [7, 8, 9]
     numba.njit(lambda place, progress: layout.store_place(place, progress))(read, progress)
-    assert progress.tolist() == [2 ** 62 + 1, -5, -1, 1, 0, *limits]
+    assert progress.tolist() == [2 ** 62 + 1, -5, -1, 1, 0]
 
 
 def test_the_options_are_frozen_and_their_defaults_are_those_of_every_entry():

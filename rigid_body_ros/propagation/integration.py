@@ -166,13 +166,13 @@ class Integration:
         if begins_later:  # `at` can have no time but the start
             stop = len(log)
         progress[layout.DONE] = 0
-        for first, end, polynomials in log.polynomials(int(progress[layout.SAMPLE])):
-            last = progress[layout.STOP] = min(end, stop)
-            progress[layout.FIRST], progress[layout.BUDGET] = first, loop.BUDGET
-            while progress[layout.SAMPLE] < last and progress[layout.DONE] < times.size:
-                if loop.run(states, progress, times, rows, motion, closed, log.times_ns,
-                            polynomials, log.in_space, self._body._constants,
-                            self._options.settings):
+        chunks = log.polynomials(int(progress[layout.SAMPLE])) if times.size else ()
+        for first, end, polynomials in chunks:
+            while result := loop.run(
+                    states, progress, times, rows, motion, closed, log.times_ns, polynomials,
+                    log.in_space, first, min(end, stop), self._body._constants,
+                    self._options.settings, loop.BUDGET):
+                if result == loop.TOO_FAST:
                     raise self._options.too_fast(int(progress[layout.GRID_NS]))
         done = int(progress[layout.DONE])
         if done < times.size:  # the end of the piece, requested again
@@ -195,7 +195,7 @@ class Integration:
     def _initial_arrays(self, log: TorqueLog) -> tuple[Floats, NDArray[np.int64]]:
         start = self._start
         if start._origin is None and log.interpolation == 'hold':
-            return (layout.pack_states(start._packed, start._packed),
+            return (layout.pack_states(start._packed),
                     layout.pack_place(start.time_ns, start.time_ns, layout.IN_FORCE))
         sample, timed_out = log.in_force(start.time_ns, self._options.timeout_ns)
         rule = None if start._origin is None else _rule_at_start(

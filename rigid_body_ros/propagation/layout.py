@@ -31,7 +31,9 @@ from rigid_body_ros.kernels import body_layout, euler_equations, state_layout, t
 from rigid_body_ros.kernels.jit import inlined, internal
 
 #: Offsets in the array of progress.
-GRID_NS, BEGIN_NS, SAMPLE, TIMED_OUT, DONE, FIRST, STOP, BUDGET = range(8)
+GRID_NS, BEGIN_NS, SAMPLE, TIMED_OUT, DONE = range(5)
+#: Size of the array of states.
+_STATES = 3 * state_layout.SIZE
 #: Value of SAMPLE that makes the kernel find the sample in force at the beginning of the segment.
 IN_FORCE = -2
 #: Offsets in the array of options.
@@ -167,9 +169,24 @@ def is_zero_vector(a: vector.Vector) -> bool:
     return a[0] == 0.0 and a[1] == 0.0 and a[2] == 0.0
 
 
-def pack_states(grid: Floats, begin: Floats) -> Floats:
-    """Return states as an array, from the state on the grid and at the segment's beginning."""
-    return np.concatenate([grid, begin, grid])
+def pack_states(grid: Floats, begin: Floats | None = None) -> Floats:
+    """
+    Return states as an array.
+
+    Parameters
+    ----------
+    grid : array, shape (state_layout.SIZE,)
+        The state on the grid.
+    begin : array, shape (state_layout.SIZE,), optional
+        The state at the beginning of the segment. Not used with a SAMPLE of IN_FORCE: the segment
+        then begins with the state on the grid.
+
+    """
+    states = np.empty(_STATES)
+    states[:state_layout.SIZE] = grid
+    if begin is not None:
+        states[state_layout.SIZE:2 * state_layout.SIZE] = begin
+    return states
 
 
 def unpack_states(states: Floats) -> tuple[Floats, Floats, Floats]:
@@ -195,8 +212,8 @@ def store_states(reached: States, states: Floats) -> None:
 
 def pack_place(grid_ns: int, begin_ns: int, sample: int,
                timed_out: bool = False) -> NDArray[np.int64]:
-    """Return progress as an array, with no output filled; the caller sets the limits."""
-    return np.array([grid_ns, begin_ns, sample, timed_out, 0, 0, 0, 0], np.int64)
+    """Return progress as an array, with no output filled."""
+    return np.array((grid_ns, begin_ns, sample, timed_out, 0), np.int64)
 
 
 @inlined

@@ -48,6 +48,9 @@ from rigid_body_ros.kernels.jit import inlined, internal, njit
 from rigid_body_ros.propagation import intervals, layout, stepping
 from rigid_body_ros.propagation.layout import Body, Log, Method, Outputs, Place, States
 
+#: Results of `run`: it has filled all outputs or has reached the sample to stop at; it has used up
+#: its budget, and another call continues; the body is too fast, beyond FASTEST.
+FINISHED, UNFINISHED, TOO_FAST = range(3)
 #: Value of `rows` of `run` if the times ascend.
 IN_ORDER = np.empty(0, np.intp)
 #: Units of work, at most about 0.1 s, after which a kernel returns so that Python handles signals.
@@ -58,7 +61,7 @@ BUDGET = 20_000 * stepping.STEP_COST
 def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64],
         rows: NDArray[np.intp], motion: Floats, closed: NDArray[np.bool_],
         stamps_ns: NDArray[np.int64], polynomials: Floats, in_space: NDArray[np.bool_],
-        constants: Floats, settings: Floats) -> bool:
+        first: int, stop: int, constants: Floats, settings: Floats, budget: int) -> int:
     """
     Advance from torque change to torque change, and fill the motion at the requested times.
 
@@ -66,26 +69,26 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
     ----------
     states : float64 (48,)
         See `layout.pack_states`; changed.
-    progress : int64 (8,)
-        See `layout.pack_place`; changed. FIRST, STOP and BUDGET are limits: the sample that
-        `polynomials` begins with, the one to stop at, and the units of work, at least 1.
+    progress : int64 (5,)
+        See `layout.pack_place`; changed.
     times_ns, rows, motion, closed
         See `layout.Outputs`.
-    stamps_ns, polynomials, in_space
+    stamps_ns, polynomials, in_space, first, stop
         See `layout.Log`.
     constants : float64 (104,)
         See `body_layout.pack`.
     settings : float64 (6,)
         See `layout.pack_settings`.
+    budget : int
+        Units of work, at least 1, after which to return; see `stepping.STEP_COST`.
 
     Returns
     -------
-    bool
-        Whether the body is too fast: beyond FASTEST.
+    int
+        FINISHED, UNFINISHED or TOO_FAST.
 
     """
-    log = Log(stamps_ns, polynomials, in_space, progress[layout.FIRST], progress[layout.STOP],
-              layout.unpack_timeout(settings))
+    log = Log(stamps_ns, polynomials, in_space, first, stop, layout.unpack_timeout(settings))
     place, reached = layout.load_place(progress), layout.load_states(states)
     if place.sample == layout.IN_FORCE:
         sample, timed_out = intervals.sample_in_force(log, place.grid_ns)
@@ -93,10 +96,12 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
         reached = States(reached.grid, reached.grid, reached.grid)
     place, reached = _run_segments(place, reached, Outputs(times_ns, rows, motion, closed), log,
                                    layout.unpack_body(constants),
-                                   layout.unpack_method(settings), progress[layout.BUDGET])
+                                   layout.unpack_method(settings), budget)
     layout.store_place(place, progress)
     layout.store_states(reached, states)
-    return stepping.is_too_fast(reached.latest)
+    if stepping.is_too_fast(reached.latest):
+        return TOO_FAST
+    return UNFINISHED if place.sample < stop and place.done < len(times_ns) else FINISHED
 
 
 # Arrays are taken out of the records before the loop: otherwise numba counts references in each

@@ -308,11 +308,9 @@ class _Segment:
              until: float) -> None:
         """Run the loop up to a time, or until the computing time is used up."""
         times = np.array([time_ns])
-        progress[layout.STOP] = 1
-        while not progress[layout.DONE]:
-            progress[layout.BUDGET] = loop.BUDGET
-            if loop.run(states, progress, times, loop.IN_ORDER, *_UNUSED, *self._log,
-                        self._constants, self._options.settings):
+        while result := loop.run(states, progress, times, loop.IN_ORDER, *_UNUSED, *self._log,
+                                 0, 1, self._constants, self._options.settings, loop.BUDGET):
+            if result == loop.TOO_FAST:
                 raise self._options.too_fast(
                     time_ns if progress[layout.DONE] else int(progress[layout.GRID_NS]))
             if time.monotonic() > until:
