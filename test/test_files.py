@@ -14,6 +14,7 @@
 
 """Outputs are complete or what they were, and never replace what is protected."""
 
+import errno
 import os
 import socket
 import stat
@@ -74,6 +75,40 @@ def test_a_file_that_appears_while_an_output_is_written_is_kept(tmp_path):
         path.write_text('old')
     assert path.read_text() == 'old'
     assert list(tmp_path.iterdir()) == [path]
+
+
+def without_links(*_):
+    raise PermissionError(errno.EPERM, 'Operation not permitted')  # as on FAT
+
+
+@pytest.mark.parametrize('link', [os.link, without_links])
+def test_a_file_that_appears_after_the_last_check_is_kept(tmp_path, monkeypatch, link):
+    path = tmp_path / 'file'
+
+    def after_another(function):
+        def call(*names):
+            if not path.exists():
+                path.write_text('old')
+            return function(*names)
+        return call
+    monkeypatch.setattr(os, 'link', after_another(link))
+    monkeypatch.setattr(os, 'replace', after_another(os.replace))
+    with pytest.raises(InputError, match='file: output exists'), files.overwriting(False):
+        write(path)
+    assert path.read_text() == 'old'
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize('link', [os.link, without_links])
+@pytest.mark.parametrize('overwrite', [False, True])
+def test_a_complete_output_has_one_name(tmp_path, monkeypatch, link, overwrite):
+    monkeypatch.setattr(os, 'link', link)
+    with files.overwriting(overwrite):
+        part = files.Part(tmp_path / 'file', '.json')
+        part.path.write_text('new')
+        part.complete()
+    file, = tmp_path.iterdir()
+    assert (file.read_text(), file.stat().st_nlink) == ('new', 1)
 
 
 @pytest.mark.parametrize('before', [None, 'old'])

@@ -90,7 +90,7 @@ def protected(role: str, *paths: str | Path | None) -> Iterator[None]:
 
     """
     found = {identity: f'{role} {path}' for path in paths if path is not None
-             for identity in _identities(path)}
+             for identity in _path_and_inode(path)}
     token = _protected.set({**found, **_protected.get()})
     try:
         yield
@@ -101,7 +101,7 @@ def protected(role: str, *paths: str | Path | None) -> Iterator[None]:
 def reading(*recordings: str | Path | None) -> AbstractContextManager[None]:
     """Protect recordings: files, and whole bags, even if the path names one file of a bag."""
     return protected('input', *(member for path in recordings if path is not None
-                                for member in _members(os.fspath(path))))
+                                for member in _paths_of_recording(os.fspath(path))))
 
 
 def check_apart(path: str | Path) -> None:
@@ -115,12 +115,12 @@ def check_apart(path: str | Path) -> None:
 
     """
     known = _protected.get()
-    for identity in _identities(path):
+    for identity in _path_and_inode(path):
         if identity in known:
             raise InputError(f'{path}: would overwrite the {known[identity]}; '
                              'choose another name')
     for folder in filter(os.path.isdir, Path(os.path.realpath(path)).parents):
-        for identity in _identities(folder):
+        for identity in _path_and_inode(folder):
             if identity in known:
                 raise InputError(f'{path}: would be written into the folder of the '
                                  f'{known[identity]}; choose another folder')
@@ -232,7 +232,7 @@ class Part:
     def __init__(self, path: str | Path, suffix: str) -> None:
         self._name, self._suffix = path, suffix
         self.target = Path(os.path.realpath(path))
-        replaced = self._checked()
+        replaced = self._check_target()
         short = os.fsdecode(os.fsencode(self.target.name)[:100])  # names are limited to 255 bytes
         self.path = self.target.with_name(
             f'.{short}.{secrets.token_hex(8)}.{os.getpid()}.part')
@@ -251,10 +251,13 @@ class Part:
         """
         Rename the output to its final name; a crash leaves either the old file or the new one.
 
+        Without --overwrite, a file that another process creates at the last moment is kept. A
+        folder can replace only an empty folder.
+
         Raises
         ------
         InputError
-            A file that must not be replaced has got the name since the output was opened.
+            Since the output was opened, a file that must not be replaced has appeared there.
         OSError
             The output cannot be written.
 
@@ -263,8 +266,14 @@ class Part:
             for entry in self.path.iterdir():
                 _flush(entry)
         _flush(self.path)
-        self._checked()
+        self._check_target()
+        if self._suffix != FOLDER and not may_overwrite():
+            try:
+                self._reserve_target()
+            except FileExistsError:  # another process has created it since the check
+                raise _exists(self._name) from None
         os.replace(self.path, self.target)
+        self.discard()  # if both names are links to one file, `os.replace` keeps both
         _flush(self.target.parent)
 
     def keep(self, file: Path, suffix: str) -> Path:
@@ -287,13 +296,22 @@ class Part:
         os.replace(file, name)
         return name
 
+    def _reserve_target(self) -> None:
+        """Create the file under its final name; raise FileExistsError if there is one."""
+        try:
+            os.link(self.path, self.target)
+        except FileExistsError:
+            raise
+        except OSError:  # no hard links, as on FAT; the empty file is replaced at once
+            open(self.target, 'xb').close()
+
     def _create(self) -> None:
         if self._suffix == FOLDER:
             self.path.mkdir()
         else:
             open(self.path, 'xb').close()
 
-    def _checked(self) -> os.stat_result | None:
+    def _check_target(self) -> os.stat_result | None:
         """Return the status of the file to replace, or None if there is none."""
         found = None
         paths = self._name, self.target  # they differ if a link was changed in the meantime
@@ -331,7 +349,7 @@ def _exists(path: str | Path) -> InputError:
     return InputError(f'{path}: output exists; choose another name, or add --overwrite')
 
 
-def _members(path: str) -> Iterator[str]:
+def _paths_of_recording(path: str) -> Iterator[str]:
     """Generate a recording and the files in its folder, or the bag that a file belongs to."""
     yield path
     if os.path.isdir(path):
@@ -344,7 +362,8 @@ def _members(path: str) -> Iterator[str]:
             yield folder
 
 
-def _identities(path: str | Path) -> Iterator[_Identity]:
+def _path_and_inode(path: str | Path) -> Iterator[_Identity]:
+    """Generate the real path of a file and, if the file exists, its device and inode."""
     yield os.path.realpath(path)
     with suppress(OSError):
         found = os.stat(path)
