@@ -270,10 +270,10 @@ def wrench(stamp_ns: int, frame_id: str, torque: Iterable[float]) -> bytes:
 
 def new_log() -> bytes:
     """
-    Return the marker that starts a new log: torques before it no longer count.
+    Return the marker that starts a new log: torques before it are ignored.
 
-    The marker is a zero torque with stamp 0 and an empty frame_id. The torques of a log name
-    their frame.
+    The marker is a zero torque with stamp 0 and an empty frame_id. No torque of a node's log is
+    like that, because each has a frame_id.
     """
     return wrench(0, '', np.zeros(3))
 

@@ -37,7 +37,7 @@ _ENTRIES = ('ixx', 'ixy', 'ixz', 'ixy', 'iyy', 'iyz', 'ixz', 'iyz', 'izz')
 #: Numbers as urdfdom reads them; `float` also accepts 1_000 and digits of other scripts.
 _NUMBER = re.compile(r'[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?')
 #: Bound on the rounding error of a rotated tensor, relative to its largest moment.
-_ROTATED = 16.0 * np.finfo(float).eps
+_ROTATION_ERROR = 16.0 * np.finfo(float).eps
 
 
 def inertia(text: str, link: str = '') -> Floats:
@@ -72,7 +72,7 @@ def inertia(text: str, link: str = '') -> Floats:
         the rounding error of the rotation.
 
     """
-    name, inertial = _chosen(_robot(text), link)
+    name, inertial = _inertial_of_link(_parse_robot(text), link)
     where = f'URDF link {quoted(name)}'
     entries, origin = _child(inertial, 'inertia'), _child(inertial, 'origin')
     tensor = np.reshape([_numbers(entries, entry, 1, where) for entry in _ENTRIES], (3, 3))
@@ -89,12 +89,12 @@ def inertia(text: str, link: str = '') -> Floats:
 def _check_thickness(tensor: Floats, where: str) -> None:
     """Raise ValueError if the smallest moment may be a rounding error after a rotation."""
     moments = np.linalg.eigvalsh(tensor)
-    if abs(moments[0]) <= _ROTATED * moments[2]:
+    if abs(moments[0]) <= _ROTATION_ERROR * moments[2]:
         raise ValueError(f'{where}: inertia: expected a positive definite tensor, found principal '
                          f'moments {moments.tolist()} kg m^2')
 
 
-def _robot(text: str) -> Element:
+def _parse_robot(text: str) -> Element:
     try:
         robot = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
@@ -111,22 +111,22 @@ def _robot(text: str) -> Element:
     return robot
 
 
-def _chosen(robot: Element, link: str) -> tuple[str, Element]:
+def _inertial_of_link(robot: Element, link: str) -> tuple[str, Element]:
     # {*}: an example of urdfdom has a default namespace, which its parser ignores.
     links = [(element.get('name', ''), element.find('{*}inertial'))
              for element in robot.findall('{*}link')]
-    heavy = [name for name, inertial in links if inertial is not None]
-    if not link and len(heavy) != 1:
+    with_inertial = [name for name, inertial in links if inertial is not None]
+    if not link and len(with_inertial) != 1:
         raise ValueError('URDF: expected the name of a link, or a single link with <inertial>, '
-                         f'found {_listed(heavy)}')
-    name = link or heavy[0]
+                         f'found {_listed(with_inertial)}')
+    name = link or with_inertial[0]
     found = [inertial for other, inertial in links if other == name]
     if len(found) != 1:
         raise ValueError(f'URDF: expected one link {quoted(name)}, '
                          f'found {_listed([other for other, _ in links])}')
     if found[0] is None:
         raise ValueError(f'URDF link {quoted(name)}: expected an <inertial>, found none; '
-                         f'links with <inertial>: {_listed(heavy)}')
+                         f'links with <inertial>: {_listed(with_inertial)}')
     return name, found[0]
 
 

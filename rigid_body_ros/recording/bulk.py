@@ -154,7 +154,7 @@ def _decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: b
                     return row
                 if text == 0:
                     texts[row, 0], texts[row, 1] = offset + 4, size - 1
-                    changes[row] = row == 0 or not _same(data, texts[row - 1], texts[row])
+                    changes[row] = row == 0 or not _same_text(data, texts[row - 1], texts[row])
                 offset += 4 + size
             offset += (body - offset) % 4 + before_doubles
             offset += (body - offset) % 8
@@ -178,7 +178,8 @@ def _int(data: Bytes, start: int, size: int, little: bool) -> Any:
 
 
 @inlined
-def _same(data: Bytes, one: Ints, other: Ints) -> bool:
+def _same_text(data: Bytes, one: Ints, other: Ints) -> bool:
+    # Compare two texts, each given by its start and size.
     if one[1] != other[1]:
         return False
     for k in range(one[1]):

@@ -74,10 +74,10 @@ class CsvFile(File):
         for line in filter(None, lines):
             where = f'{self.path}: line {lines.line_num}'
             if found is None and not _is_number(line[0]):
-                found = _named(where, line)
+                found = _columns_of(where, line)
                 continue
             found = found or Columns()
-            yield _parsed(where, line, found)
+            yield _sample(where, line, found)
 
     def _lines(self, text: TextIOWrapper) -> Iterator[str]:
         for number, line in enumerate(iter(lambda: text.readline(_LONGEST), ''), 1):
@@ -87,14 +87,14 @@ class CsvFile(File):
             yield line
 
 
-def _named(where: str, line: list[str]) -> Columns:
+def _columns_of(where: str, line: list[str]) -> Columns:
     try:
         return columns(line)
     except InputError as error:
         raise InputError(f'{where}: {error}') from error
 
 
-def _parsed(where: str, line: list[str], found: Columns) -> tuple[int, list[float]]:
+def _sample(where: str, line: list[str], found: Columns) -> tuple[int, list[float]]:
     try:
         if len(line) == found.width:
             return found.stamp_ns(line, messages.LAST_NS), found.torque(line)

@@ -85,7 +85,7 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
 
 def _checked(where: str, recorded: Messages, body_frame: str, space_frame: str,
              before: int = 0) -> list[str]:
-    """Return the axes of each frame; raise InputError that names the first invalid message."""
+    """Return the axes of each frame; raise InputError with the number of an invalid message."""
     torques = recorded.values[:, 3:]
     if not np.isfinite(torques).all():
         row = int(np.flatnonzero(~np.isfinite(torques).all(axis=1))[0])
@@ -104,7 +104,7 @@ def _checked(where: str, recorded: Messages, body_frame: str, space_frame: str,
 def _check_stamped(where: str, stamps_ns: NDArray[np.int64], first: int) -> None:
     """Raise InputError if a torque from row `first` on has no stamp."""
     unstamped = first + np.flatnonzero(stamps_ns[first:] == 0)
-    # Simulated time, which may start with the stamp 0, is always less than wall-clock time.
+    # A log of simulated time may begin with the stamp 0.
     begins = stamps_ns[first] == 0 < stamps_ns.max() < _SIMULATED_NS
     if unstamped.size and not begins and len(stamps_ns) > 1:
         raise InputError(f'{where}: message {unstamped[0] + 1}: expected a stamp in the header, '
@@ -160,8 +160,8 @@ def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str,
     """
     Generate the log of blocks of torques in pieces, so that the log need not fit in memory.
 
-    Samples are sorted by stamp within two neighbouring blocks; of samples with equal stamps the
-    later message replaces the earlier.
+    Samples are sorted by stamp within two neighbouring blocks. Of samples with equal stamps, only
+    the last in the recording is kept.
 
     Raises
     ------
@@ -171,19 +171,20 @@ def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str,
         A message has no stamp, or a stamp earlier than the previous block.
 
     """
-    held, dropped = _EMPTY, 0
-    for ordered in _in_order(where, blocks, body_frame, space_frame):
-        held = _concatenated(held, ordered)
-        stop = len(held.times_ns) - 1 - _NEIGHBOURS
+    piece, dropped = _EMPTY, 0
+    for samples in _ascending(where, blocks, body_frame, space_frame):
+        piece = _concatenated(piece, samples)
+        stop = len(piece.times_ns) - 1 - _NEIGHBOURS
         if stop >= _SAMPLES:
-            yield held._replace(dropped=dropped, stop=stop)
+            yield piece._replace(dropped=dropped, stop=stop)
             dropped = stop - _NEIGHBOURS
-            held = held.rows(slice(dropped, None))
-    yield held._replace(dropped=dropped)
+            piece = piece.rows(slice(dropped, None))
+    yield piece._replace(dropped=dropped)
 
 
-def _in_order(where: str, blocks: Iterable[Messages], body_frame: str,
-              space_frame: str) -> Iterator[Piece]:
+def _ascending(where: str, blocks: Iterable[Messages], body_frame: str,
+               space_frame: str) -> Iterator[Piece]:
+    """Generate samples with ascending stamps; those of a block wait for the next block."""
     waiting, last_ns, number = _EMPTY, -2 ** 63, 0
     for block in blocks:
         axes = _checked(where, block, body_frame, space_frame, number)
@@ -209,7 +210,7 @@ def _concatenated(one: Piece, other: Piece) -> Piece:
 
 
 def _sorted(piece: Piece) -> Piece:
-    # Of equal stamps the later message in the recording replaces the earlier.
+    # Of samples with equal stamps, keep the last in the recording.
     if np.all(np.diff(piece.times_ns) > 0):
         return piece
     order = np.argsort(piece.times_ns, kind='stable')

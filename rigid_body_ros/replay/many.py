@@ -197,7 +197,7 @@ class _Worker:
         context = multiprocessing.get_context('spawn')
         self.connection, theirs = context.Pipe()
         self._process = context.Process(
-            target=_serve, args=(theirs, inputs, files.may_overwrite()), daemon=True)
+            target=_run_worker, args=(theirs, inputs, files.may_overwrite()), daemon=True)
         with interrupts.blocked_in_children():
             self._process.start()
         theirs.close()  # otherwise the end of the process would go unnoticed
@@ -229,19 +229,20 @@ class _Worker:
         self._process.join()
 
 
-def _serve(connection: Connection, inputs: Sequence[str], overwrite: bool) -> None:
+def _run_worker(connection: Connection, inputs: Sequence[str], overwrite: bool) -> None:
     # Replace the default lock, a semaphore, which stays in the system if the process is killed.
     tqdm.set_lock(threading.RLock())
     with suppress(KeyboardInterrupt), interrupts.deferred(until_exit=True), \
             files.reading(*inputs), files.overwriting(overwrite):
-        for work in iter(partial(_received, connection), None):
+        for work in iter(partial(_next_task, connection), None):
             with redirect_stderr(io.StringIO()):  # one progress bar is enough
                 outcome = _outcome(*work)
             with suppress(OSError):  # the parent process has exited
                 connection.send(outcome)
 
 
-def _received(connection: Connection) -> Any:
+def _next_task(connection: Connection) -> Any:
+    """Return a task with scene and options; None if the parent process has exited."""
     try:
         return connection.recv()
     except (EOFError, OSError):

@@ -30,16 +30,16 @@ TOPICS = {BODY: messages.BOX, ANGULAR_MOMENTUM: messages.ORANGE_ARROW,
 #: m; all arrows have the same length, so that small rates are visible.
 _LENGTH, _THICKNESS = 1.0, 0.03
 #: m; smallest size, because rviz rejects markers of size zero.
-_LEAST = 1e-3
+_SMALLEST = 1e-3
 
 
 def columns(trajectory: Trajectory, frame: str) -> list[Column]:
-    """Return the markers of a motion in the space frame with a frame_id."""
+    """Return the markers of a motion; `frame` is the frame_id of the space axes."""
     attitude, body = trajectory.attitude, trajectory.body
-    turned = so3.multiply(attitude, so3.from_matrix(body.principal_axes))
+    box_attitude = so3.multiply(attitude, so3.from_matrix(body.principal_axes))
     momentum = trajectory.angular_momentum_space
     velocity = so3.rotate(attitude, trajectory.angular_velocity)
-    values = {BODY: _placed(turned, box(body)), ANGULAR_MOMENTUM: _arrows(momentum),
+    values = {BODY: _pose_and_scale(box_attitude, box(body)), ANGULAR_MOMENTUM: _arrows(momentum),
               ANGULAR_VELOCITY: _arrows(velocity)}
     return [Column(topic, frame, value, topic.rsplit('/')[-1]) for topic, value in values.items()]
 
@@ -54,7 +54,7 @@ def box(body: RigidBody) -> Floats:
     """
     moments = body.principal_moments
     squares = np.maximum(moments.sum() - 2.0 * moments, 0.0)
-    return np.maximum(np.sqrt(squares / squares.max()), _LEAST)
+    return np.maximum(np.sqrt(squares / squares.max()), _SMALLEST)
 
 
 def _arrows(vectors: Floats) -> Floats:
@@ -63,13 +63,14 @@ def _arrows(vectors: Floats) -> Floats:
     x, y, z = (vectors / np.where(sizes > 0.0, sizes, 1.0)[:, None]).T
     # The shortest rotation from x to the vector; if the vector is opposite, half a turn about z.
     opposite = x < -1.0 + 1e-12
-    turn = np.stack([np.zeros_like(x), np.where(opposite, 0.0, -z), np.where(opposite, 1.0, y),
-                     np.where(opposite, 0.0, 1.0 + x)], axis=1)
+    rotation = np.stack([np.zeros_like(x), np.where(opposite, 0.0, -z),
+                         np.where(opposite, 1.0, y), np.where(opposite, 0.0, 1.0 + x)], axis=1)
     scale = np.full((len(vectors), 3), _THICKNESS)
-    scale[:, 0] = np.where(sizes > 0.0, _LENGTH, _LEAST)
-    return _placed(so3.normalize(turn), scale)
+    scale[:, 0] = np.where(sizes > 0.0, _LENGTH, _SMALLEST)
+    return _pose_and_scale(so3.normalize(rotation), scale)
 
 
-def _placed(attitude: Floats, scale: Floats) -> Floats:
+def _pose_and_scale(attitude: Floats, scale: Floats) -> Floats:
+    """Return the doubles of markers at the origin, shape (n, 10)."""
     return np.hstack([np.zeros((len(attitude), 3)), attitude,
                       np.broadcast_to(scale, (len(attitude), 3))])

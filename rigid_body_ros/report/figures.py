@@ -77,9 +77,9 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog, sequence: s
     figure.suptitle(_literal(title), parse_math=False)
     panels = figure.subplots(4, 1, sharex=True)
     _draw_angles(panels[0], seconds, trajectory.euler_angles(sequence)[rows], sequence)
-    _curves(panels[1], seconds, trajectory.attitude[rows], ('x', 'y', 'z', 'w'))
+    _draw_curves(panels[1], seconds, trajectory.attitude[rows], ('x', 'y', 'z', 'w'))
     panels[1].set_ylabel('quaternion')
-    _curves(panels[2], seconds, trajectory.angular_velocity[rows], ('ω₁', 'ω₂', 'ω₃'))
+    _draw_curves(panels[2], seconds, trajectory.angular_velocity[rows], ('ω₁', 'ω₂', 'ω₃'))
     _label(panels[2].yaxis, 'angular velocity,\nbody axes', 'rad/s',
            trajectory.angular_velocity[rows])
     _draw_torque(panels[3], log, start_ns, end_ns, timeout_ns)
@@ -142,7 +142,7 @@ def _literal(title: str) -> str:
 def _draw_angles(panel: Axes, seconds: Floats, angles: Floats, sequence: str) -> None:
     names = (('φ', 'θ', 'ψ') if sequence == 'ZXZ' else
              tuple(f'{axis}{number}' for number, axis in enumerate(sequence, 1)))
-    _curves(panel, seconds, _without_jumps(angles), names)
+    _draw_curves(panel, seconds, _without_jumps(angles), names)
     panel.set_ylabel(f'Euler angles {sequence} (rad)')
     low, high = (-2, 2) if angles.min() < 0.0 else (0, 4)
     labels = {-2: '−π', -1: '−π/2', 0: '0', 1: 'π/2', 2: 'π', 3: '3π/2', 4: '2π'}
@@ -157,11 +157,11 @@ def _draw_torque(panel: Axes, log: TorqueLog, start_ns: int, end_ns: int,
     frames = np.unique(log.in_space)
     axes = 'body axes' if not frames.any() else 'space axes' if frames.all() else 'mixed axes'
     seconds = np.asarray((times - start_ns) * 1e-9, np.float64)
-    _curves(panel, seconds, torques, ('τ₁', 'τ₂', 'τ₃'))
+    _draw_curves(panel, seconds, torques, ('τ₁', 'τ₂', 'τ₃'))
     _label(panel.yaxis, f'torque,\n{axes}', 'N m', torques)
 
 
-def _curves(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...]) -> None:
+def _draw_curves(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...]) -> None:
     for column, name, colour, style in zip(columns.T, names, _COLOURS, _STYLES):
         panel.plot(x, column, style, color=colour, linewidth=1.2, label=name)
     panel.grid(alpha=0.3)
@@ -195,7 +195,8 @@ def _without_jumps(angles: Floats) -> Floats:
 
 def _torque_times(log: TorqueLog, start_ns: int, end_ns: int,
                   timeout_ns: int) -> NDArray[np.int64]:
-    # Return both sides of every change, so that steps are vertical; a grid if there are too many.
+    # Return a grid and, unless there are too many, the times on both sides of each change, so that
+    # steps are vertical.
     changes, _ = log.segments(timeout_ns)
     grid = start_ns + np.linspace(0, end_ns - start_ns, _POINTS // 4).astype(np.int64)
     if 2 * len(changes) <= _POINTS:

@@ -112,10 +112,10 @@ def _entries(node: yaml.Node | None, where: str) -> list[tuple[str, yaml.Node]]:
     # Pairs, not a dictionary: rcl merges the groups of a key that occurs twice.
     if not isinstance(node, yaml.MappingNode):
         raise InputError(f'{where}: expected keys and values (/**: ros__parameters: inertia: ...),'
-                         f' found {_kind(node)}')
+                         f' found {_described(node)}')
     for key, _ in node.value:
         if not isinstance(key, yaml.ScalarNode):
-            raise InputError(f'{where}: expected names as keys, found {_kind(key)} as a key '
+            raise InputError(f'{where}: expected names as keys, found {_described(key)} as a key '
                              f'in line {key.start_mark.line + 1}')
         if len(where) + len(key.value) > _LONGEST:
             raise InputError(f'{shortened(where, 60)}: expected full names of at most {_LONGEST} '
@@ -123,7 +123,7 @@ def _entries(node: yaml.Node | None, where: str) -> list[tuple[str, yaml.Node]]:
     return [(str(key.value), value) for key, value in node.value]
 
 
-def _kind(node: yaml.Node | None) -> str:
+def _described(node: yaml.Node | None) -> str:
     if isinstance(node, yaml.ScalarNode):
         return quoted(node.value)
     return 'nothing' if node is None else \

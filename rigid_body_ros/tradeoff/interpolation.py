@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Estimate the error of interpolating a torque log between its samples, whatever the solver."""
+"""Estimate the error of interpolating a torque log between its samples, with any solver."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def better_interpolation(errors: Sequence[InterpolationError],
 
 def final_differences(problem: Problem) -> dict[str, float | None]:
     """
-    Return how far the final attitudes with the other interpolations are from the scene's.
+    Return the angles between the final attitudes with the scene's interpolation and the others.
 
     `attitude_replay` prints the same differences.
 
@@ -99,11 +99,11 @@ def _can_interpolate(problem: Problem) -> bool:
 
 
 def _change(problem: Problem, interpolation: str, spacing: int) -> float:
-    """Return the largest change of the attitude, rad, if one of `spacing` samples is kept."""
+    """Return the largest change of the attitude, rad, if every `spacing`-th sample is kept."""
     rows = np.arange(len(problem.log))
     full = _motion(problem, interpolation, rows)
-    # Try each first sample, because thinning from only one may not change a pulse of an even
-    # number of samples.
+    # Begin with each of the first samples in turn, because keeping only every second sample may
+    # leave a pulse of an even number of samples unchanged.
     thinned = [_motion(problem, interpolation, np.union1d(rows[first::spacing], rows[[0, -1]]))
                for first in range(spacing)]
     return max(float(so3.angle_between(full.attitude, motion.attitude).max())
