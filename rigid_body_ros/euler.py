@@ -69,7 +69,7 @@ def _axes(sequence: str) -> _Axes:
     if (len(letters) != 3 or not set(letters) <= set('xyz') or letters[0] == letters[1]
             or letters[1] == letters[2]):
         raise ValueError("Euler sequence: expected three axes such as 'ZXZ' (intrinsic) or 'xyz' "
-                         f'(extrinsic), with different neighbours, found {sequence!r}')
+                         f'(extrinsic), in which neighbours differ, found {sequence!r}')
     extrinsic = sequence.islower()
     i, j, k = ('xyz'.index(letter) for letter in (reversed(letters) if extrinsic else letters))
     return _Axes(i, j, k, i == k, 1 if (j - i) % 3 == 1 else -1, extrinsic)

@@ -227,7 +227,7 @@ def checked(parameter: Parameter, given: Any) -> Any:
     """Return a value converted to the type of its parameter; raise InputError if it is invalid."""
     name, unit = parameter.name, f' ({parameter.unit})' if parameter.unit else ''
     if given is None:
-        raise InputError(f'{name}: missing; expected a number{unit}: {parameter.description}')
+        raise InputError(f'{name}: expected a number{unit}, found none: {parameter.description}')
     value = float(given) if parameter.value_type is float and type(given) is int else given
     # A bool is an int to Python.
     wrong = (isinstance(value, bool) is not (parameter.value_type is bool)
@@ -252,8 +252,8 @@ def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
                   for name in ('robot_description', 'link'))
     if not text:
         if link:
-            raise InputError(f'link: found {quoted(link)}, but robot_description is empty; set '
-                             'robot_description, or remove link')
+            raise InputError(f'link: expected an empty text, because robot_description is empty, '
+                             f'found {quoted(link)}; set robot_description, or remove link')
         return {}
     try:
         tensor = RigidBody.from_urdf(text, link).inertia
@@ -302,17 +302,17 @@ def _check_together(values: Mapping[str, Any]) -> None:
 def _warnings(values: Mapping[str, Any], body: RigidBody) -> Iterator[str]:
     if body.triangle_excess:
         yield ('inertia: the largest principal moment exceeds the sum of the other two by '
-               f'{100.0 * body.triangle_excess:.2g} %, which is impossible; are these rounded '
-               'numbers?')
+               f'{100.0 * body.triangle_excess:.2g} %, which no body can have; are the numbers '
+               'rounded?')
     norm = math.hypot(*_group(values, 'initial_attitude').values())
     if abs(norm - 1.0) > _UNIT:
-        yield ('initial_attitude: expected a unit quaternion x y z w, found norm '
-               f'{norm:.3g}; it is normalised; are these angles?')
+        yield ('initial_attitude: expected a quaternion x y z w of norm 1, found norm '
+               f'{norm:.3g}; it is normalised; are the numbers angles?')
     rate = math.hypot(*_group(values, 'initial_angular_velocity').values())
     if rate > _FAST:
         yield (f'initial_angular_velocity: {rate:.4g} rad/s is {rate / (2.0 * math.pi):.3g} '
-               'turns per second; if it is in degrees per second, multiply by pi / 180 = '
-               '0.0174533')
+               'turns per second; if the numbers are degrees per second, multiply them by '
+               'pi / 180 = 0.0174533')
 
 
 def _group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:

@@ -332,7 +332,7 @@ def test_a_compressed_file_may_not_fill_the_temporary_folder(tmp_path, temporary
     left = iter(range(2 ** 24, 0, -2 ** 20))
     monkeypatch.setattr(shutil, 'disk_usage', lambda folder: usage._replace(free=next(left)))
     found = outcome(path)
-    assert f'a.mcap.zstd: too little space in {temporary} for a copy, ' in found
+    assert f'a.mcap.zstd: expected space for a copy in {temporary}, ' in found
     assert found.endswith('set TMPDIR to another folder')
 
 
@@ -340,7 +340,7 @@ def test_a_full_temporary_folder_is_named(tmp_path, temporary):
     path = tmp_path / 'a.mcap.zstd'
     path.write_bytes(bomb(2 ** 24))
     with files_up_to(2 ** 20):
-        assert f'a.mcap.zstd: cannot copy it to {temporary}: File too large' in outcome(path)
+        assert f'a.mcap.zstd: cannot write a copy to {temporary}: File too large' in outcome(path)
 
 
 def test_a_temporary_folder_that_cannot_be_made_is_told(tmp_path, monkeypatch):

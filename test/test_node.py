@@ -267,7 +267,7 @@ def run_node(domain, *arguments):
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [
-    ((), 'inertia.ixx: missing; expected a number (kg m^2)'),
+    ((), 'inertia.ixx: expected a number (kg m^2), found none'),
     (('-p', 'inertia.ixx:=1', '-p', 'inertia.iyy:=1', '-p', 'inertia.izz:=5'),
      'not physical, principal moments 1, 1, 5 kg m^2'),
     (('--params-file', str(TUMBLER), '-p', 'intertia.ixx:=1.0'),
@@ -296,7 +296,7 @@ def run_node(domain, *arguments):
     (('--params-file', str(TUMBLER), '-p', 'robot_description:=<robot>'),
      'robot_description: URDF: expected XML'),
     (('--params-file', str(TUMBLER), '-p', 'link:=base_link'),
-     "link: found 'base_link', but robot_description is empty"),
+     "link: expected an empty text, because robot_description is empty, found 'base_link'"),
     (('--params-file', 'none.yaml'), 'none.yaml')])
 def test_a_mistake_is_reported_in_one_line(domain, arguments, message):
     result = run_node(domain, '--ros-args', *arguments)

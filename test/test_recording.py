@@ -221,7 +221,7 @@ def test_torques_that_cannot_be_used_are_refused_by_number(tmp_path, rows, messa
 
 
 @pytest.mark.parametrize(('topic', 'message'), [
-    ('/none', 'topic /none does not exist; found /torque, /truth/attitude, '
+    ('/none', 'expected a topic /none, found /torque, /truth/attitude, '
               '/truth/angular_velocity'),
     ('/truth/attitude', '/truth/attitude: expected geometry_msgs/msg/WrenchStamped or '
                         'geometry_msgs/msg/Wrench, found geometry_msgs/msg/QuaternionStamped')])

@@ -83,7 +83,7 @@ def test_a_log_that_cannot_be_used_is_reported(tmp_path):
     (tmp_path / 'other.db3-wal').write_bytes(b'x' * 10_000)
     rows, damage = read(tmp_path / 'other.db3')
     assert rows == RECORDED.rows()
-    assert 'other.db3-wal is damaged and was not applied' in damage
+    assert 'the write-ahead log other.db3-wal is damaged and was not applied' in damage
 
 
 def test_a_journal_beside_the_target_of_a_link_is_used(tmp_path):
@@ -146,7 +146,7 @@ def test_messages_before_one_that_is_none_are_used(tmp_path, change):
     assert outcome(path) == ''
     rows, damage = read(path)
     assert rows == RECORDED.rows()[:8]
-    assert 'damaged after 8 messages of /torque (expected messages with an integer' in damage
+    assert 'damaged after 8 messages of /torque (expected each message to have an' in damage
 
 
 def test_pages_that_refer_to_each_other_come_to_an_end(tmp_path):
@@ -180,5 +180,5 @@ def test_a_temporary_copy_needs_room(tmp_path, monkeypatch):
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, 'disk_usage', lambda folder: usage._replace(free=1000))
     before = content(tmp_path)
-    assert 'bag_0.db3-wal: too little space in ' in outcome(path)
+    assert 'bag_0.db3-wal: expected space for a copy in ' in outcome(path)
     assert content(tmp_path) == before

@@ -141,9 +141,9 @@ class Source:
         self._time_source = time_source
         self._stack = ExitStack()
         with ExitStack() as stack:
-            self._files, self._compressed, self._missing = _files(Path(path), stack)
+            self._files, self._compressed, self._missing = _open_files(Path(path), stack)
             self.types = {name: kind for file in self._files for name, kind in file.types.items()}
-            self.topic, self.kind = _select(path, self.types, topic, kinds)
+            self.topic, self.kind = _select_topic(path, self.types, topic, kinds)
             self._stack = stack.pop_all()
         self._with_topic = [file for file in self._files if self.topic in file.types]
         self.count = sum(file.count(self.topic) for file in self._with_topic)
@@ -168,8 +168,8 @@ class Source:
         """Raise InputError if `copy_to` cannot copy into a file that has these topics."""
         for file in self._files:
             if not isinstance(file, McapFile):
-                raise InputError(f'{file.path}: expected an MCAP file, because messages can be '
-                                 'copied only from MCAP')
+                raise InputError(f'{file.path}: expected an MCAP file, because only its messages '
+                                 'can be copied')
         twice = sorted(self.types.keys() & set(topics))
         if twice:
             raise InputError(f'{self._path}: cannot copy topics that are also written: '
@@ -271,8 +271,8 @@ def joined(topic: str, kind: MessageType, blocks: list[Messages], damage: str) -
         damage)
 
 
-def _select(path: str | Path, types: dict[str, str], topic: str | None,
-            kinds: Sequence[MessageType]) -> tuple[str, MessageType]:
+def _select_topic(path: str | Path, types: dict[str, str], topic: str | None,
+                  kinds: Sequence[MessageType]) -> tuple[str, MessageType]:
     by_name = {kind.name: kind for kind in kinds}
     expected = ' or '.join(by_name)
     fitting = [name for name, kind in types.items() if kind in by_name]
@@ -283,7 +283,7 @@ def _select(path: str | Path, types: dict[str, str], topic: str | None,
                              f'found {listed(fitting)}{advice}')
         topic = fitting[0]
     if topic not in types:
-        raise InputError(f'{path}: topic {shortened(topic, 100)} does not exist; '
+        raise InputError(f'{path}: expected a topic {shortened(topic, 100)}, '
                          f'found {listed(types)}')
     if topic not in fitting:
         raise InputError(f'{path}: {shortened(topic, 100)}: expected {expected}, '
@@ -291,16 +291,16 @@ def _select(path: str | Path, types: dict[str, str], topic: str | None,
     return topic, by_name[types[topic]]
 
 
-def _files(path: Path, stack: ExitStack) -> tuple[list[File], bool, str]:
+def _open_files(path: Path, stack: ExitStack) -> tuple[list[File], bool, str]:
     # Return the files, whether each message is compressed by itself, and why files are missing.
     if not os.path.isdir(path):  # Path.is_dir raises an error if the name is too long
-        return [_file(path, stack)], False, ''
+        return [_open_file(path, stack)], False, ''
     about = _metadata(path / 'metadata.yaml')
     compressed = str(about.get('compression_mode', '')).lower() == 'message'
     files: list[File] = []
     for file in _bag_files(path, about.get('relative_file_paths')):
         try:
-            files.append(_file(file, stack))
+            files.append(_open_file(file, stack))
         except InputError as error:
             if not files:
                 raise
@@ -332,7 +332,7 @@ def _bag_files(folder: Path, names: object) -> list[Path]:
 
 def _metadata(path: Path) -> dict[str, Any]:
     if not os.path.lexists(path):
-        raise InputError(f'{path}: file not found; a folder without it is not a recording')
+        raise InputError(f'{path}: file not found; a bag folder must contain it')
     root = read_yaml(path, 'metadata of the recording', aliases=True)
     try:
         found = BaseConstructor().construct_document(root) if root else None
@@ -340,11 +340,11 @@ def _metadata(path: Path) -> dict[str, Any]:
         raise InputError(f'{path}: expected names as keys ({reason(error)})') from error
     about = found.get('rosbag2_bagfile_information') if isinstance(found, dict) else None
     if not isinstance(about, dict):
-        raise InputError(f'{path}: expected rosbag2_bagfile_information, found none')
+        raise InputError(f'{path}: expected the key rosbag2_bagfile_information, found none')
     return about
 
 
-def _file(path: Path, stack: ExitStack) -> File:
+def _open_file(path: Path, stack: ExitStack) -> File:
     if path.suffix.lower() == '.csv':
         return CsvFile(path)
     is_compressed = path.suffix in ('.zstd', '.zst')

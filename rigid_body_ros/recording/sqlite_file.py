@@ -102,7 +102,8 @@ class SqliteFile(File):
         with closing(sqlite3.connect(self._content)) as database:
             _, pages, _ = database.execute('PRAGMA wal_checkpoint(FULL)').fetchone()
             database.execute('PRAGMA journal_mode=DELETE').fetchone()
-        return '' if pages > 0 else f'{log.name} is damaged and was not applied'
+        return '' if pages > 0 else \
+            f'the write-ahead log {log.name} is damaged and was not applied'
 
     def _open(self) -> sqlite3.Connection:
         with open_file(self._content, 'recording') as stream:
@@ -126,7 +127,8 @@ class SqliteFile(File):
             # Empty before SQLite 3.37, which cannot list tables.
             kinds = {row[2] for row in database.execute(f'PRAGMA table_list({table})')}
             if any(hidden) or not kinds <= {'table'}:
-                raise sqlite3.DatabaseError(f'{table} is not an ordinary table')
+                raise sqlite3.DatabaseError(f'expected {table} to be an ordinary table, found '
+                                            'a view, a virtual table or a computed column')
         types, formats, size = {}, {}, 0
         for row in database.execute('SELECT name, type, serialization_format FROM topics'):
             if not all(isinstance(value, str) for value in row):
@@ -159,8 +161,8 @@ class SqliteFile(File):
         size = 0
         for time_ns, data in database.execute(_MESSAGES, (_LARGEST, topic)):
             if data is None:
-                raise sqlite3.DatabaseError('expected messages with an integer time and at most '
-                                            f'{_LARGEST} bytes of data, found another')
+                raise sqlite3.DatabaseError('expected each message to have an integer time and at '
+                                            f'most {_LARGEST} bytes of data, found one without')
             size += len(data)
             self._check_size(size)
             yield time_ns, data

@@ -103,21 +103,21 @@ def copy_file(path: Path, folder: Path) -> Path:
 
 def _copy(path: Path, stream: BinaryIO | zstandard.ZstdDecompressionReader, target: Path,
           most: int) -> None:
-    written = 0
+    written, place = 0, target.parent.parent
     try:
         with open(target, 'wb') as copy:
             while block := stream.read(_BLOCK):
                 written += len(block)
                 if written > most:
                     raise InputError(f'{path}: expected at most {most} bytes after decompression, '
-                                     'found more; if this is intended, decompress it first '
-                                     '(zstd -d)')
+                                     'found more; if you trust the file, decompress it with '
+                                     'zstd -d')
                 free = shutil.disk_usage(target.parent).free
                 if written > 9 * free:  # leave a tenth of the free space unused
-                    raise InputError(f'{path}: too little space in {target.parent.parent} for a '
-                                     f'copy, {free} bytes left after {written}; set TMPDIR to '
+                    raise InputError(f'{path}: expected space for a copy in {place}, found {free} '
+                                     f'bytes free after {written} were written; set TMPDIR to '
                                      'another folder')
                 copy.write(block)
     except OSError as error:
-        raise InputError(f'{path}: cannot copy it to {target.parent.parent}: {reason(error)}; '
-                         'set TMPDIR to another folder') from error
+        raise InputError(f'{path}: cannot write a copy to {place}: {reason(error)}; set '
+                         'TMPDIR to another folder') from error
