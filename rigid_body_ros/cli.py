@@ -37,18 +37,16 @@ OK, DIFFERENT, USER_ERROR = 0, 1, 2
 SIGNALLED = 128
 #: The number of SIGPIPE, which ends other programs when the reader of their output exits.
 _BROKEN_PIPE = 13
-#: rad; the default of --target.
-_TARGET = 1e-6
 
 
 def attitude_replay(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_replay` and return its exit status."""
-    return _parsed(replay_parser(), _replay, arguments)
+    return _parse_and_run(replay_parser(), _replay, arguments)
 
 
 def attitude_tradeoff(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_tradeoff` and return its exit status."""
-    return _parsed(tradeoff_parser(), _tradeoff, arguments)
+    return _parse_and_run(tradeoff_parser(), _tradeoff, arguments)
 
 
 def attitude_node(arguments: Sequence[str] | None = None) -> int:
@@ -56,8 +54,9 @@ def attitude_node(arguments: Sequence[str] | None = None) -> int:
     return _guarded('attitude_node', lambda: _node(arguments), arguments)
 
 
-def _parsed(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespace], int],
-            arguments: Sequence[str] | None) -> int:
+def _parse_and_run(parser: argparse.ArgumentParser,
+                   command: Callable[[argparse.Namespace], int],
+                   arguments: Sequence[str] | None) -> int:
     def run() -> int:
         if sys.stdout is None:
             raise InputError('cannot write to standard output: it is closed')
@@ -66,6 +65,7 @@ def _parsed(parser: argparse.ArgumentParser, command: Callable[[argparse.Namespa
 
 
 def _guarded(name: str, command: Callable[[], int], arguments: Sequence[str] | None) -> int:
+    """Run a command, report errors and signals in one line, and return the exit status."""
     try:
         # Without explicit arguments this is the command of the process, which exits afterwards.
         with interrupts.deferred(until_exit=arguments is None):
@@ -197,7 +197,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
     with files.reading(options.recording), files.protected('scene', options.scene), \
             files.overwriting(options.overwrite):
         files.check(*(output for output in outputs if output[0]))
-        result, title = _measured(options)
+        result, title = _measure(options)
         if options.json:
             with files.atomic_output(options.json, '.json') as path:
                 text = json.dumps(report.as_data(result), indent=1)
@@ -209,20 +209,19 @@ def _tradeoff(options: argparse.Namespace) -> int:
     return OK
 
 
-def _measured(options: argparse.Namespace) -> tuple[Tradeoff, str]:
+def _measure(options: argparse.Namespace) -> tuple[Tradeoff, str]:
     """Return the result and a title that names the recording and its topic, or the scene."""
     from rigid_body_ros import replay
-    from rigid_body_ros.tradeoff import measure
+    from rigid_body_ros.tradeoff import measure, TARGET
     loaded = _scene(options)
-    log, start, end_ns, where = None, loaded.start, None, options.scene
+    log, start, where = None, loaded.start, options.scene
     title = f'{Path(options.scene).name}: no torque'
     if options.recording:
         recorded, log, start = replay.read(options.recording, loaded, options.topic)
-        end_ns = replay.end_of(options.recording, int(log.times_ns[-1]), start.time_ns)
         where = f'{options.recording}: {recorded.topic}'
         title = f'{Path(options.recording).name}: {recorded.topic}'
     try:
-        return measure(loaded.body, start, log, end_ns=end_ns, targets=options.target or [_TARGET],
+        return measure(loaded.body, start, log, targets=options.target or [TARGET],
                        torque_timeout=loaded.values['torque_timeout'],
                        track=replay.progress('measuring', ' runs')), title
     except ValueError as error:
@@ -264,7 +263,7 @@ class _Once(argparse.Action):
         """
         given = vars(namespace).setdefault('given', {})
         if self.dest in given:
-            raise InputError(f'{option_string}: expected at most once, found '
+            raise InputError(f'{option_string}: expected the option at most once, found '
                              f'{given[self.dest]!r} and {values!r}')
         given[self.dest] = values
         setattr(namespace, self.dest, values)
@@ -315,8 +314,8 @@ def replay_parser() -> argparse.ArgumentParser:
     parser.add_argument('--until', '--duration', type=_positive, metavar='SECONDS',
                         help='end SECONDS after the start (default: at the last torque stamp)')
     parser.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
-                        help='time at which a torque takes effect: its header stamp, or when it '
-                        'was logged or published (default: header)')
+                        help='when a torque takes effect: at the stamp in its header, or when '
+                        'its message was logged or published (default: header)')
     parser.add_argument('--plot', metavar='PNG', help='plot Euler angles, quaternion, angular '
                         'velocity and torque over time')
     _add_overwrite(parser)
@@ -325,6 +324,7 @@ def replay_parser() -> argparse.ArgumentParser:
 
 def tradeoff_parser() -> argparse.ArgumentParser:
     """Return the argument parser of `attitude_tradeoff`."""
+    from rigid_body_ros.tradeoff import TARGET
     parser = _Parser(
         prog='attitude_tradeoff',
         description='Measure the cost and the error of every solver on your own motion, and '
@@ -335,7 +335,7 @@ def tradeoff_parser() -> argparse.ArgumentParser:
     parser.add_argument('--target', type=_angle, action='append', metavar='RAD',
                         help='largest attitude error of the solver that is allowed anywhere in '
                         'the recording; the error of the interpolation between torque samples is '
-                        f'reported separately; may be repeated (default: {_TARGET:g})')
+                        f'reported separately; may be repeated (default: {TARGET:g})')
     parser.add_argument('--all', action='store_true', help='print all settings, not only the '
                         'Pareto-optimal ones')
     parser.add_argument('--json', metavar='OUT', help='write all results, with units')

@@ -187,7 +187,7 @@ def test_the_floor_is_shown_as_what_it_is():
     result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
                      State(0, angular_velocity=(0.1, 1.0, 0.2)))
     meaning = report.as_data(result)['rounding_floor_is']
-    assert 'runs of the series with other steps and in principal axes' in meaning
+    assert 'the series with other steps, in principal axes and, without torque, the ' in meaning
     assert 'does not show an error common to all' in meaning
     assert meaning in ' '.join(report.summary(result).split())
 
@@ -259,7 +259,7 @@ def test_every_target_has_its_own_recommendation(tmp_path):
         assert each['recommended']['whole_attitude_error_rad'] <= each['target_rad']
         assert each['recommended']['cost_s_per_simulated_s'] == min(
             run['cost_s_per_simulated_s'] for run in data['runs'] if not run['failure']
-            and run['attitude_error_largest_rad'] + result.reference.certain
+            and run['attitude_error_largest_rad'] + result.reference.guaranteed_error
             <= each['target_rad'])
     assert {name: data[name] for name in data['targets'][0]} == data['targets'][0]
 
@@ -346,7 +346,18 @@ def test_a_body_at_rest_has_nothing_to_measure(tmp_path, capsys):
     rest = tmp_path / 'rest.yaml'
     rest.write_text('/**: {ros__parameters: {inertia: {ixx: 1.0, iyy: 1.0, izz: 1.0}}}\n')
     assert cli.attitude_tradeoff(['--scene', str(rest)]) == 2
-    assert 'rest.yaml: initial_angular_velocity: expected' in capsys.readouterr().err
+    assert ('rest.yaml: expected an initial angular velocity or a torque other than zero, found '
+            'neither\n') in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(('log', 'end_ns', 'message'), [
+    (None, 5, 'end_ns: expected a time after the start, 10 ns, found 5 ns'),
+    (TorqueLog([3], [[1.0, 0.0, 0.0]]), None, 'expected the last torque after the start of the '
+     'motion, 10 ns, found it at 3 ns')], ids=['end', 'log'])
+def test_a_motion_that_ends_before_it_starts_is_rejected(log, end_ns, message):
+    start = State(10, angular_velocity=(0.0, 1.0, 0.1))
+    with pytest.raises(ValueError, match=message):
+        measure(RigidBody.from_moments(1.0, 2.0, 2.5), start, log, end_ns=end_ns)
 
 
 def test_of_several_topics_one_is_named(tmp_path, capsys):

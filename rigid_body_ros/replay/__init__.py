@@ -15,6 +15,5 @@
 """Compute the motion of a body from recorded torques."""
 
 from rigid_body_ros.replay.single import plot, progress, read, Replay, replay, suffix_of
-from rigid_body_ros.replay.stretches import end_of
 
-__all__ = ['Replay', 'end_of', 'plot', 'progress', 'read', 'replay', 'suffix_of']
+__all__ = ['Replay', 'plot', 'progress', 'read', 'replay', 'suffix_of']

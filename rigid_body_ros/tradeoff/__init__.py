@@ -20,8 +20,8 @@ samples. They are compared with a reference there: the Taylor series at its tigh
 shorter steps. The *rounding floor* is the largest difference between the reference and motions
 that round differently: the series with other steps and in principal axes, and, without torque, the
 closed form. If a change of the last digits of inertia, torques and start moves the motion by more
-than the floor, no solver is certain to have a smaller error than that. A setting that meets a
-target on the stretch is recommended only if it also meets the target on the whole motion.
+than the floor, no solver guarantees a smaller error than that. A setting that meets a target on
+the stretch is recommended only if it also meets the target on the whole motion.
 """
 
 from rigid_body_ros.tradeoff.trade import (
@@ -31,7 +31,9 @@ from rigid_body_ros.tradeoff.trade import (
     Measurement,
     recommend,
     Setting,
+    TARGET,
     Tradeoff,
 )
 
-__all__ = ['Choice', 'Error', 'Measurement', 'Setting', 'Tradeoff', 'measure', 'recommend']
+__all__ = ['TARGET', 'Choice', 'Error', 'Measurement', 'Setting', 'Tradeoff', 'measure',
+           'recommend']

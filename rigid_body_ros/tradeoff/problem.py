@@ -99,9 +99,9 @@ class Problem:
         return replace(self, log=part, times_ns=_times(part, self.start.time_ns, end_ns))
 
     def stretch(self) -> Problem:
-        """Return the longest of the whole motion, its half, its quarter ... that is quick."""
+        """Return the motion, or its first half, quarter, ...: as long as is quick to compute."""
         start_ns, span_ns = self.start.time_ns, int(self.times_ns[-1]) - self.start.time_ns
-        # Shortest first: the cost of the whole is not known in advance.
+        # Begin with the shortest, because the cost of the whole motion is not known in advance.
         shorter = self.until(start_ns + max(span_ns >> 30, 1))
         for halvings in range(29, -1, -1):
             longer = self.until(start_ns + max(span_ns >> halvings, 1))
@@ -112,7 +112,7 @@ class Problem:
         return self
 
     def natural_step(self, motion: Trajectory, angle: float) -> float:
-        """Return the time, s, to turn by an angle at the top speed, at most one sample spacing."""
+        """Return the time, s, to turn by an angle at top speed; at most the sample spacing."""
         inside = self.log.times_ns[self.log.times_ns > self.start.time_ns]
         edges = np.union1d([self.start.time_ns, self.times_ns[-1]],
                            inside[inside < self.times_ns[-1]])
@@ -123,7 +123,7 @@ class Problem:
 @dataclass(frozen=True, eq=False)
 class Reference:
     """
-    The reference motion and how certain it is.
+    The reference motion and how accurate it is.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class Reference:
     last_digits: float
 
     @property
-    def certain(self) -> float:
+    def guaranteed_error(self) -> float:
         """Return the smallest error that can be guaranteed, rad."""
         return max(self.floor, self.last_digits)
 
@@ -166,7 +166,7 @@ class Reference:
 def whole(body: RigidBody, start: State, log: TorqueLog | None, end_ns: int | None,
           torque_timeout: float) -> Problem:
     """
-    Return the whole motion: to `end_ns`, to the last stamp, or for `TURNS` turns without a log.
+    Return the whole motion, up to `end_ns`; by default to the last stamp, or for `TURNS` turns.
 
     Raises
     ------
@@ -175,20 +175,23 @@ def whole(body: RigidBody, start: State, log: TorqueLog | None, end_ns: int | No
 
     """
     speed = float(np.linalg.norm(start.angular_velocity))
-    moved = log is not None and log.torques.any()
-    if not speed and not moved:
-        raise ValueError('initial_angular_velocity: expected a rotating body or torques that '
-                         'rotate it, found neither')
+    if not speed and (log is None or not log.torques.any()):
+        raise ValueError('expected an initial angular velocity or a torque other than zero, '
+                         'found neither')
     log = TorqueLog([], []) if log is None else log
     if end_ns is not None:
         end_ns = instant(end_ns, 'end_ns')
-    if end_ns is None and len(log):
+        if end_ns <= start.time_ns:
+            raise ValueError(f'end_ns: expected a time after the start, {start.time_ns} ns, '
+                             f'found {end_ns} ns')
+    elif len(log):
         end_ns = int(log.times_ns[-1])
-    if end_ns is None:
+        if end_ns <= start.time_ns:
+            raise ValueError('expected the last torque after the start of the motion, '
+                             f'{start.time_ns} ns, found it at {end_ns} ns')
+    else:
         turns = min(TURNS * 2.0 * math.pi / speed, LONGEST)
         end_ns = start.time_ns + max(duration_ns(turns, 'end_ns'), 1)
-    if end_ns <= start.time_ns:
-        raise ValueError(f'expected torques after the start, {start.time_ns} ns, found none')
     return Problem(body, start, log, _times(log, start.time_ns, end_ns), torque_timeout)
 
 

@@ -25,8 +25,9 @@ from rigid_body_ros.report.text import interpolation_row
 from rigid_body_ros.tradeoff.trade import Choice, Measurement, Tradeoff
 
 _WIDTH = 18
-_FLOOR = ('largest difference between runs of the series with other steps and in principal axes,',
-          'and from the closed form without torque; it does not show an error common to all')
+_FLOOR = ('largest difference between runs that round differently: the series with other steps,',
+          'in principal axes and, without torque, the closed form; it does not show an error '
+          'common to all')
 _DIGITS = 'a change of the last digit of inertia, torque or start moves the attitude by {:.1e} rad'
 _HEADER = ('', 'solver', 'setting', 'final rad', 'largest rad', 'rad/s', 'momentum', 'energy',
            's per s', 'x real time')
@@ -118,7 +119,7 @@ def _recommended(result: Tradeoff, target: float) -> Iterator[str]:
 
 def _expected(result: Tradeoff, choice: Choice) -> str:
     how = 'measured on the whole motion' if choice.measured else \
-        'scaled from the stretch to the whole motion by the square of the time'
+        'scaled from the measured beginning to the whole motion by the square of the time'
     speed = result.stretch.seconds / choice.measurement.seconds
     return f'{choice.error:.1e} rad ({how}), {speed:.3g} times real time'
 
@@ -216,7 +217,7 @@ def _motion(result: Tradeoff) -> str:
     stretch, whole = result.stretch, result.whole
     torques = 'without torque' if stretch.torque_free else \
         f'{len(stretch.log)} torque samples ({stretch.log.interpolation})'
-    part = '' if stretch is whole else f', the beginning of {whole.seconds:.9g} s'
+    part = '' if stretch is whole else f', the beginning of a motion of {whole.seconds:.9g} s'
     return f'{stretch.seconds:.9g} s, {result.angle:.3g} rad, {torques}{part}'
 
 

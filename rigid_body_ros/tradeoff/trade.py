@@ -40,14 +40,16 @@ from rigid_body_ros.tradeoff.problem import Problem, Reference, TIGHTEST, turned
 #: Wraps an iterable of a given length to show progress.
 Track = Callable[[Iterable[Any], int], Iterable[Any]]
 
+#: rad; the target of `measure` and of --target by default.
+TARGET = 1e-6
 _TOLERANCES = tuple(float(f'1e-{k}') for k in range(2, 16))
 #: Angle of the longest fixed step, rad; largest number of steps in a run, which take about 0.1 s.
 _LONGEST_ANGLE, _MOST_STEPS = 1.0, 1_000_000
 _FEWEST_REPEATS, _MOST_REPEATS = 3, 15
 #: Cost of a reference, in runs of the Taylor series.
-_REFERENCE = 14.0
+_REFERENCE_COST = 14.0
 #: s; shorter runs depend on what ran before, so each is repeated once before it is timed.
-_SHORT = 0.01
+_BRIEF = 0.01
 
 
 class Setting(NamedTuple):
@@ -176,7 +178,7 @@ class Tradeoff:
         return better_interpolation(self.interpolation_errors, own) if own else None
 
     def dominant(self, target: float) -> str:
-        """Return the largest source of error of the setting for a target, else of the best one."""
+        """Return the largest source of error of the recommended setting, or else the best one."""
         floor, own = self.reference.floor, self.interpolation_error
         choice = self.choices[target]
         errors = [one.error.attitude for one in self.measurements if not one.failure]
@@ -191,7 +193,7 @@ class Tradeoff:
 
 def measure(body: RigidBody, start: State, log: TorqueLog | None = None, *,
             end_ns: int | None = None, torque_timeout: float = 0.0,
-            targets: Sequence[float] = (1e-6,), seconds: float = 10.0,
+            targets: Sequence[float] = (TARGET,), seconds: float = 10.0,
             track: Track = lambda items, total: items) -> Tradeoff:
     """
     Measure every solver, and choose the cheapest setting that meets each target.
@@ -231,11 +233,12 @@ def measure(body: RigidBody, start: State, log: TorqueLog | None = None, *,
     stretch = problem.stretch()
     reference = Reference.of(stretch)
     measurements = _with_pareto_front(
-        _timed(stretch, _settings(stretch, reference.trajectory), reference, seconds, track),
+        _measure_all(stretch, _settings(stretch, reference.trajectory), reference, seconds, track),
         reference.floor)
     growth = problem.seconds / stretch.seconds
     error_on_whole = _evaluator(problem, stretch, reference, measurements, seconds)
-    choices = {target: recommend(measurements, target, reference.certain, growth, error_on_whole)
+    choices = {target: recommend(measurements, target, reference.guaranteed_error, growth,
+                                 error_on_whole)
                for target in targets}
     return Tradeoff(stretch, problem, turned_angle(reference.trajectory), measurements, reference,
                     interpolation_errors(stretch), final_differences(problem), choices,
@@ -252,8 +255,8 @@ def recommend(measurements: Sequence[Measurement], target: float, floor: float, 
     measurements : sequence of Measurement
         On the stretch. A setting that misses the target there also misses it on the whole log.
     target, floor : float, rad
-        The floor is added to the error of every setting. It is `Reference.certain`: rounding, or
-        the effect of the last digits if that is larger.
+        The floor is added to the error of every setting. It is `Reference.guaranteed_error`:
+        rounding, or the effect of the last digits if that is larger.
     growth : float
         Length of the whole log relative to the stretch.
     error_on_whole : callable
@@ -289,8 +292,8 @@ def _settings(problem: Problem, motion: Trajectory) -> list[Setting]:
     return settings
 
 
-def _timed(problem: Problem, settings: Sequence[Setting], reference: Reference, seconds: float,
-           track: Track) -> list[Measurement]:
+def _measure_all(problem: Problem, settings: Sequence[Setting], reference: Reference,
+                 seconds: float, track: Track) -> list[Measurement]:
     """Run every setting once to get its error, then repeatedly, in turns, to get its time."""
     measurements = [_first_run(problem, setting, reference)
                     for setting in track(settings, len(settings))]
@@ -301,7 +304,7 @@ def _timed(problem: Problem, settings: Sequence[Setting], reference: Reference, 
             continue  # completes the progress bar
         for one, measured in zip(measurements, times):
             if not one.failure:
-                if one.first_seconds < _SHORT:
+                if one.first_seconds < _BRIEF:
                     problem.run(**one.setting.options)
                 began = time.perf_counter()
                 problem.run(**one.setting.options)
@@ -354,24 +357,25 @@ def _evaluator(whole: Problem, stretch: Problem, reference: Reference,
                ) -> Callable[[Measurement], float | None]:
     """Return a function that measures the error of a setting on the whole log, if time allows."""
     if stretch is whole:
-        return lambda measurement: measurement.error.attitude + reference.certain
+        return lambda measurement: measurement.error.attitude + reference.guaranteed_error
     growth = whole.seconds / stretch.seconds
-    left, known = seconds, None
+    remaining, whole_reference = seconds, None
     series = max((one.seconds for one in measurements
                   if one.setting == Setting('taylor', TIGHTEST)), default=math.inf)
 
     @cache
     def error_on_whole(measurement: Measurement) -> float | None:
-        nonlocal left, known
-        cost = growth * (measurement.seconds + (0.0 if known else _REFERENCE * series))
-        if cost > left:
+        nonlocal remaining, whole_reference
+        cost_of_reference = 0.0 if whole_reference else _REFERENCE_COST * series
+        cost = growth * (measurement.seconds + cost_of_reference)
+        if cost > remaining:
             return None
-        left -= cost
-        known = known or Reference.of(whole)
+        remaining -= cost
+        whole_reference = whole_reference or Reference.of(whole)
         try:
             motion = whole.run(**measurement.setting.options)
         except ValueError:
             return math.inf
-        error = so3.angle_between(motion.attitude, known.trajectory.attitude)
-        return float(error.max()) + known.certain
+        error = so3.angle_between(motion.attitude, whole_reference.trajectory.attitude)
+        return float(error.max()) + whole_reference.guaranteed_error
     return error_on_whole
