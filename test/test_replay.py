@@ -126,8 +126,8 @@ def test_the_effect_of_the_last_digits_is_reported_where_it_is_large(output):
     result = replayed('rod_full_tensor_body_torque', output)
     assert 1e-11 < result.last_digits.effect < 1e-9
     assert (f'\nlast digits   a change of the last digit of inertia, torque or start moves the '
-            f'attitude by {result.last_digits.effect:.1e} rad: no solver can do better\n'
-            ) in summary(result)
+            f'attitude by {result.last_digits.effect:.1e} rad: no solver guarantees a smaller '
+            'error\n') in summary(result)
     ordinary = replayed('thruster_pulses_irregular', output)
     assert 0.0 < ordinary.last_digits.effect < 1e-13
     assert 'last digits' not in summary(ordinary)
@@ -192,7 +192,7 @@ def test_work_and_energy_are_compared_over_what_memory_allows(monkeypatch):
     result = replay(RECORDINGS / 'fast_spin.mcap', scene.load(RECORDINGS / 'fast_spin.yaml'))
     motion = result.scene, result.log, result.start, result.trajectory
     whole, seconds = energy_balance(*motion)
-    monkeypatch.setattr('rigid_body_ros.replay.check._PIECES', 1000)
+    monkeypatch.setattr('rigid_body_ros.replay.check._MOST_INTERVALS', 1000)
     part, first = energy_balance(*motion)
     assert (seconds, 0.0 < first < 0.02) == (1.0, True)
     assert max(whole, part) < 1e-14
@@ -257,7 +257,7 @@ def bad_input(name, tmp_path):
 @pytest.mark.parametrize(('name', 'message'), [
     ('missing', 'missing.mcap: cannot read the recording: No such file or directory'),
     ('not mcap', 'not.mcap: expected an MCAP file'),
-    ('topic', 'good.mcap: topic /wrench does not exist; found /torque'),
+    ('topic', 'good.mcap: expected a topic /wrench, found /torque'),
     ('type', '/truth/attitude: expected geometry_msgs/msg/WrenchStamped or geometry_msgs/msg/'),
     ('empty', 'empty.mcap: /torque: expected torques, found no message'),
     ('nan', f'nan.mcap: /torque: message 1 at {EPOCH_NS} ns: expected a finite torque'),
@@ -287,7 +287,7 @@ def test_a_mistake_is_answered_by_one_line(name, message, tmp_path, output, caps
     (('-o', 'motion.mcap', '--plot', 'pipe'), 'pipe: expected a regular file, found a device'),
     (('-o', 'motion.mcap', '--plot', '.'), '.: expected a regular file, found a folder'),
     (('-o', 'motion.mcap', '--plot', 'p.pdf'), 'p.pdf: expected a name ending in .png, found'),
-    (('-o', 'motion.mcap', '--until', '1e9'), '--until: expected an end within the range of ROS'),
+    (('-o', 'motion.mcap', '--until', '1e9'), '--until: expected an end at or before the latest'),
     (('-o', 'motion.mcap', '--rate', '1e9'), '--rate: expected at most 100000000 outputs'),
     (('-o', 'motion.mcap', '--plot', 'motion.mcap'), 'would overwrite the output motion.mcap'),
     (('-o', f'{ISS[0]}/x.mcap'), 'cannot write: Not a directory'),
@@ -304,6 +304,23 @@ def test_what_cannot_be_written_is_named(arguments, message, tmp_path, monkeypat
     assert message in line
     assert set(tmp_path.iterdir()) == pipes
     assert all(pipe.is_fifo() for pipe in pipes)
+
+
+def test_torques_logged_after_the_latest_stamp_are_rejected(tmp_path, output):
+    with recording.Writer(tmp_path / 'late.mcap') as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        writer.write('/torque', 2 ** 62, messages.wrench(EPOCH_NS, '', (1.0, 0.0, 0.0)))
+    with pytest.raises(InputError, match='late.mcap: expected an end at or before the latest ROS '
+                       f'stamp, {messages.LAST_NS} ns, found {2 ** 62} ns'):
+        replay(tmp_path / 'late.mcap', scene.load(CONFIG / 'tumbler.yaml'), output,
+               time_source='log')
+
+
+@pytest.mark.parametrize('option', ['start', 'until'])
+def test_a_negative_duration_is_rejected(output, option):
+    with pytest.raises(ValueError, match='expected seconds from 0 to 1e'):
+        replay(RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml'), output,
+               **{option: -1.0})
 
 
 def test_a_link_stays_a_link(tmp_path, output):
@@ -336,12 +353,12 @@ def test_wrong_arguments_are_answered_by_the_usage(arguments, output, capsys):
 def test_an_option_that_is_given_twice_is_refused(option, first, second, capsys):
     assert cli.attitude_replay([ISS[0], option, first, option, second]) == 2
     line, = capsys.readouterr().err.splitlines()
-    assert f'{option}: expected at most once, found ' in line
+    assert f'{option}: expected the option at most once, found ' in line
     assert first in line
     assert second in line
     assert cli.attitude_tradeoff(['--topic', 'a', '--scene', 'b', '--topic=c']) == 2
     line, = capsys.readouterr().err.splitlines()
-    assert "--topic: expected at most once, found 'a' and 'c'" in line
+    assert "--topic: expected the option at most once, found 'a' and 'c'" in line
 
 
 @pytest.mark.slow
@@ -509,7 +526,7 @@ def test_what_cannot_be_copied_is_told_before_anything_is_worked_out(tmp_path, o
     (tmp_path / 'log.csv').write_text('1,0,0,0\n2,0.1,0,0\n')
     assert cli.attitude_replay([str(tmp_path / 'log.csv'), '--scene', str(CONFIG / 'tumbler.yaml'),
                                 '-o', str(output), '--also', 'input']) == 2
-    assert 'log.csv: expected an MCAP file, because messages' in capsys.readouterr().err
+    assert 'log.csv: expected an MCAP file, because only its messages' in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ['log.csv']
 
 

@@ -174,23 +174,23 @@ def test_the_log_of_a_node_comes_out_again(tmp_path, capsys):
 
 @pytest.mark.parametrize(('missing', 'message'), [
     # The recorder of the torques started late.
-    ({'torques_from': 7}, 'expected a torque at each state, found none at 7 of 51, first at '
-     f'{STAMPS[0]} ns: the beginning of the torque log is missing'),
+    ({'torques_from': 7}, 'expected a torque at the stamp of each state, found none for 7 of '
+     f'51 states, the first at {STAMPS[0]} ns: the beginning of the torque log is missing'),
     ({'torques_from': 7, 'start_time': 0},
-     f'expected the attitude of the scene at the start, {STAMPS[7]} ns, found one 0.15 rad away: '
-     'the recorder started late, or the scene or its start_time is not that of the run'),
+     f'expected the initial attitude of the scene at {STAMPS[7]} ns, found an attitude 0.15 rad '
+     'away: the recorder started late, or the scene or its start_time is not that of the run'),
     ({'start_time': 0},
-     f'expected the attitude of the scene at the start, {STAMPS[0]} ns, found one 0.063 rad'),
-    ({'without': (20, 21)}, 'expected a torque at each state, found none at 2 of 51, first at '
-     f'{STAMPS[20]} ns: a part of the torque log is missing'),
+     f'expected the initial attitude of the scene at {STAMPS[0]} ns, found an attitude 0.063 rad'),
+    ({'without': (20, 21)}, 'expected a torque at the stamp of each state, found none for 2 of '
+     f'51 states, the first at {STAMPS[20]} ns: a part of the torque log is missing'),
     # The recorder of both started late.
-    ({'torques_from': 7, 'states_from': 8}, f'expected the start of the motion, at {START_NS} ns, '
-     f'found states from {STAMPS[7]} ns on: the recorder started late, or the scene or'),
+    ({'torques_from': 7, 'states_from': 8}, 'expected the first state at the start of the '
+     f'motion, {START_NS} ns, found it at {STAMPS[7]} ns: the recorder started late, or'),
     ({'torques_from': 7, 'states_from': 8, 'start_time': 0},
-     f'expected the attitude of the scene at the start, {STAMPS[7]} ns, found one '),
-    ({'states_from': 51}, f'expected states from {START_NS} ns on, found none'),
-    ({'start_time': START_NS + 5}, 'expected states from the start_time of the scene, '
-     f'{START_NS + 5} ns, on, found one at {START_NS} ns')
+     f'expected the initial attitude of the scene at {STAMPS[7]} ns, found an attitude '),
+    ({'states_from': 51}, 'expected states, found no messages'),
+    ({'start_time': START_NS + 5}, 'expected the first state at or after the start_time of the '
+     f'scene, {START_NS + 5} ns, found it at {START_NS} ns')
 ], ids=str)
 def test_a_log_that_is_not_complete_is_recognized(tmp_path, capsys, missing, message):
     assert verified(*node_log(tmp_path, **missing)) == 2
@@ -210,9 +210,9 @@ def test_torques_that_begin_after_a_motion_are_recognized(tmp_path, capsys):
     assert cli.attitude_replay([str(tmp_path / 'late.mcap'), '--scene', str(SCENE), '--verify',
                                 str(tmp_path / 'motion.mcap')]) == 2
     line, = capsys.readouterr().err.splitlines()
-    assert (f'expected states from the first torque, {read.stamps_ns[100]} ns, on, found one at '
-            f'{read.stamps_ns[0]} ns: the beginning of the torque log or the start_time of the '
-            'scene is missing') in line
+    assert ('expected the first state at or after the first torque, '
+            f'{read.stamps_ns[100]} ns, found it at {read.stamps_ns[0]} ns: the beginning of the '
+            'torque log or the start_time of the scene is missing') in line
 
 
 def test_torques_that_came_after_the_last_committed_state_are_no_gap(tmp_path):
@@ -234,7 +234,7 @@ def test_a_motion_from_before_the_start_is_refused(tmp_path, capsys):
         writer.write('/attitude', 5, messages.QUATERNION.encode(5, '', [0, 0, 0, 1]))
     assert cli.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '--verify', str(path)]) == 2
     line, = capsys.readouterr().err.splitlines()
-    assert 'early.mcap: /attitude: expected states from the first torque' in line
+    assert 'early.mcap: /attitude: expected the first state at or after the first torque' in line
 
 
 def test_a_folder_is_what_rosbag2_wants(tmp_path):

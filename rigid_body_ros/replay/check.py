@@ -15,7 +15,7 @@
 """
 Check a motion against the conservation laws: work and energy, or momentum without torque.
 
-Also estimate how far a change of the last digits of the data moves a motion, whatever the solver.
+Also estimate how far a change of the last digits of the data moves a motion, with any solver.
 """
 
 from __future__ import annotations
@@ -32,17 +32,18 @@ from rigid_body_ros.scene import Scene
 from rigid_body_ros.torque import TorqueLog
 
 #: The energy balance covers at most this many intervals of at most this angle, rad.
-_PIECES = 200_000
-_PIECE_ANGLE = 0.05
+_MOST_INTERVALS = 200_000
+_INTERVAL_ANGLE = 0.05
 #: The effect of the last digits covers at most this many samples and this angle, rad, which takes
 #: about 10 ms, and is evaluated at this many times.
 _SAMPLES, _ANGLE, _TIMES = 16_384, 4096.0, 64
+#: Gauss-Legendre quadrature on [0, 1].
 _GAUSS_POINTS = 0.5 + 0.1 * np.sqrt(15.0) * np.array([-1.0, 0.0, 1.0])
 _GAUSS_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 
 class Check(NamedTuple):
-    """A finding, the time from the start that it covers, and the length of the motion, s."""
+    """A finding, how much time from the start it covers, and the length of the motion, s."""
 
     finding: str
     covered: float
@@ -69,7 +70,7 @@ class LastDigits(NamedTuple):
         part = '' if self.covered >= self.total else \
             f' in the first {self.covered:.9g} s of {self.total:.9g} s'
         return (f'a change of the last digit of inertia, torque or start moves the '
-                f'attitude by {self.effect:.1e} rad{part}: no solver can do better')
+                f'attitude by {self.effect:.1e} rad{part}: no solver guarantees a smaller error')
 
 
 def last_digits(scene: Scene, log: TorqueLog, start: State,
@@ -77,7 +78,8 @@ def last_digits(scene: Scene, log: TorqueLog, start: State,
     """
     Return the effect of the last digits on the beginning of a motion.
 
-    Return None if the motion has no length, or if the solver `auto` spins the body too fast.
+    Return None if start and end are the same, or if the body spins too fast for the estimate,
+    which uses the solver `auto`.
     """
     begin_ns, end_ns = start.time_ns, int(trajectory.times_ns[-1])
     speed = float(np.linalg.norm(trajectory.angular_velocity, axis=1).max())
@@ -92,7 +94,7 @@ def last_digits(scene: Scene, log: TorqueLog, start: State,
     try:
         effect = last_digit_effect(scene.body, start, log, at=begin_ns + times,
                                    torque_timeout=scene.values['torque_timeout'])
-    except ValueError:  # with the solver `auto` the body spins too fast
+    except ValueError:  # the body spins too fast
         return None
     if not covered_ns:
         return None
@@ -102,7 +104,7 @@ def last_digits(scene: Scene, log: TorqueLog, start: State,
 
 
 def drift(scene: Scene, log: TorqueLog, start: State, trajectory: Trajectory) -> Check:
-    """Return how much a motion, of at least one output, violates the conservation laws."""
+    """Return how much a motion with at least one output violates the conservation laws."""
     seconds = float(trajectory.times_ns[-1] - start.time_ns) * 1e-9
     if not log.torques.any():
         momentum = trajectory.angular_momentum_space
@@ -134,7 +136,7 @@ def energy_balance(scene: Scene, log: TorqueLog, start: State,
 
     """
     timeout_ns = scene.timeout_ns
-    edges = _piece_edges(log, start, trajectory, timeout_ns)
+    edges = _interval_edges(log, start, trajectory, timeout_ns)
     lengths = np.diff(edges)
     points = edges[:-1, None] + np.round(lengths[:, None] * _GAUSS_POINTS).astype(np.int64)
     times = np.concatenate([points.ravel(), edges[[0, -1]]])
@@ -150,19 +152,20 @@ def energy_balance(scene: Scene, log: TorqueLog, start: State,
         float(edges[-1] - edges[0]) * 1e-9
 
 
-def _piece_edges(log: TorqueLog, start: State, trajectory: Trajectory,
-                 timeout_ns: int) -> NDArray[np.int64]:
-    # Return every change of the torque, and enough points in between to keep each interval short.
+def _interval_edges(log: TorqueLog, start: State, trajectory: Trajectory,
+                    timeout_ns: int) -> NDArray[np.int64]:
+    # Return the changes of the torque and times in between, such that all intervals are short.
     changes, _ = log.segments(timeout_ns)
     start_ns, end_ns = start.time_ns, int(trajectory.times_ns[-1])
     inside = changes[(changes > start_ns) & (changes < end_ns)]
-    edges = np.concatenate([[start_ns], inside, [end_ns]])[:_PIECES + 1]
+    edges = np.concatenate([[start_ns], inside, [end_ns]])[:_MOST_INTERVALS + 1]
     lengths = np.diff(edges)
     speed = float(np.linalg.norm(trajectory.angular_velocity, axis=1).max())
-    counts = np.ceil(lengths * 1e-9 * speed / _PIECE_ANGLE).clip(1, _PIECES).astype(int)
-    counts = counts[:np.searchsorted(np.cumsum(counts), _PIECES) + 1]
+    counts = np.ceil(lengths * 1e-9 * speed / _INTERVAL_ANGLE)
+    counts = counts.clip(1, _MOST_INTERVALS).astype(int)
+    counts = counts[:np.searchsorted(np.cumsum(counts), _MOST_INTERVALS) + 1]
     lengths = lengths[:len(counts)]
     number = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
     offsets = np.round(number / np.repeat(counts, counts) * np.repeat(lengths, counts))
-    pieces = np.repeat(edges[:len(counts)], counts) + offsets.astype(np.int64)
-    return np.append(pieces, edges[len(counts)])[:_PIECES + 1]
+    inner = np.repeat(edges[:len(counts)], counts) + offsets.astype(np.int64)
+    return np.append(inner, edges[len(counts)])[:_MOST_INTERVALS + 1]

@@ -22,8 +22,8 @@ from rigid_body_ros.replay.check import LastDigits
 from rigid_body_ros.replay.single import Replay
 from rigid_body_ros.report.text import interpolation_row
 
-#: The effect of the last digits is printed if it exceeds the rounding error by this factor.
-_WORTH_A_LINE = 10.0
+#: The effect of the last digits is reported if it exceeds the rounding error by this factor.
+_REPORTED = 10.0
 
 
 def summary(result: Replay) -> str:
@@ -38,8 +38,9 @@ def summary(result: Replay) -> str:
                     f'{(result.last_ns - result.first_ns) * 1e-9:.9g} s'
                     + (f'; the last of {result.logs} epochs' if result.logs > 1 else '')),
         *([('lost', result.damage)] if result.damage else []),
-        *([('order', f'{result.unordered} stamps not later than the one before: sorted; of equal '
-                     'stamps the last counts')] if result.unordered else []),
+        *([('order', f'{result.unordered} of {result.messages} stamps were not later than the '
+                     'previous one: sorted; of messages with equal stamps, the last is used')]
+          if result.unordered else []),
         ('interpolation', interpolation_row(result.interpolation,
                                             result.interpolation_differences)),
         ('body', result.scene.body.symmetry),
@@ -49,14 +50,14 @@ def summary(result: Replay) -> str:
         (f'  {sequence}', f'{_numbers(euler.from_quaternion(last.attitude, sequence))}  rad'),
         ('  body rates', f'{_numbers(last.angular_velocity)}  rad/s'),
         ('check', result.check),
-        *([('last digits', result.last_digits)] if _matters(result.last_digits) else []),
+        *([('last digits', result.last_digits)] if _is_reported(result.last_digits) else []),
         ('speed', f'{span / total:.3g} times real time ({split})'),
     ]
     return '\n'.join(f'{name:14}{text}' for name, text in rows)
 
 
-def _matters(digits: LastDigits | None) -> bool:
-    return digits is not None and digits.effect > _WORTH_A_LINE * digits.rounding
+def _is_reported(digits: LastDigits | None) -> bool:
+    return digits is not None and digits.effect > _REPORTED * digits.rounding
 
 
 def _solvers(result: Replay) -> list[str]:

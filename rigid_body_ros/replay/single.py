@@ -15,14 +15,14 @@
 """
 Replay one recording: read torques, compute the motion, write it.
 
-Torques are read and the motion is computed piece by piece, so neither has to fit in memory. The
-exceptions are recordings with stamps far out of order, or with several logs of a node.
+Torques are read and the motion is computed piece by piece, so neither has to fit in memory. Only
+recordings with stamps far out of order, or with several logs of a node, are read as a whole.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 import json
 from pathlib import Path
@@ -38,8 +38,8 @@ from rigid_body_ros.messages import MessageType
 from rigid_body_ros.propagation import Trajectory, warm_up
 from rigid_body_ros.recording import Column, Messages, NotInOrderError, Piece, Source
 from rigid_body_ros.replay import markers
+from rigid_body_ros.replay.batches import Batch, Batches, Request
 from rigid_body_ros.replay.check import Check, drift, last_digits, LastDigits
-from rigid_body_ros.replay.stretches import Request, Stretch, Stretches
 from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.scene import Scene
@@ -143,7 +143,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     until : float, optional, s
         End of the motion after its start; otherwise the last stamp.
     start : float, s
-        Skip this much of the beginning of the recording.
+        Skip this many seconds of the recording.
     time_source : str
         When a torque takes effect: 'header' (its stamp), 'log' or 'publish'.
     also : collection of str
@@ -160,12 +160,11 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     ------
     InputError
         The recording cannot be read or does not fit the scene, or the output cannot be written.
+    ValueError
+        `start` or `until` is negative or longer than 1e9 s.
 
     """
-    for name in also:
-        if name not in (*_ALSO, INPUT):
-            raise InputError(f'also: expected some of {", ".join((*_ALSO, INPUT))}, '
-                             f'found {name!r}')
+    _check_names(also)
     keep = output is None if keep is None else keep
     interpolation = interpolation or scene.values['interpolation']
     request = Request(path, scene, interpolation, rate, until, also)
@@ -175,14 +174,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         for prepare in progress('loading kernels (compiled on first use)')([warm_up], 1):
             prepare()
         with Source(path, topic, recording.TORQUES, time_source, start) as source:
-            if INPUT in also:
-                source.check_copied(_topics(also))
-            if not keep:
-                try:
-                    return _replayed(request, source, _pieces, output)
-                except NotInOrderError:
-                    pass  # read it as a whole instead
-            return _replayed(request, source, _whole, output, keep)
+            return _in_pieces_or_whole(request, source, output, keep)
 
 
 def suffix_of(output: str | Path) -> str:
@@ -278,44 +270,63 @@ def _whole(request: Request, source: Source, result: Replay) -> Iterator[Piece]:
     yield Piece(log.times_ns, log.torques, log.in_space)
 
 
+def _check_names(also: Collection[str]) -> None:
+    """Raise InputError if a name of additional topics is unknown."""
+    known = *_ALSO, INPUT
+    for name in also:
+        if name not in known:
+            raise InputError(f'also: expected some of {", ".join(known)}, found {name!r}')
+
+
+def _in_pieces_or_whole(request: Request, source: Source, output: str | Path | None,
+                        keep: bool) -> Replay:
+    """Replay piece by piece; if log and motion are kept, or the stamps forbid it, as a whole."""
+    if INPUT in request.also:
+        source.check_copied(_topics(request.also))
+    if not keep:
+        with suppress(NotInOrderError):
+            return _replayed(request, source, _pieces, output)
+    return _replayed(request, source, _whole, output, keep)
+
+
 def _replayed(request: Request, source: Source,
               pieces: Callable[[Request, Source, Replay], Iterator[Piece]],
               output: str | Path | None, keep: bool = False) -> Replay:
     result = Replay(request.scene, request.interpolation, source.topic)
     began, kept = time.perf_counter(), []
-    stretches = Stretches(request, source.topic, pieces(request, source, result))
-    result.start = result.last = stretches.start
-    result.first_ns = stretches.first_ns
+    batches = Batches(request, source.topic, pieces(request, source, result))
+    result.start = result.last = batches.start
+    result.first_ns = batches.first_ns
     with ExitStack() as stack:
         writer = stack.enter_context(_writer(output)) if output is not None else None
         if writer:
-            _describe(writer, request)
-        for stretch in stretches:
+            _add_topics(writer, request)
+        for batch in batches:
             interrupts.check()
-            _take(result, stretch)
+            _update(result, batch)
             interrupts.check()
             if writer:
                 writing = time.perf_counter()
-                _write(writer, request, stretch.trajectory)
+                _write(writer, request, batch.trajectory)
                 result.seconds['write'] += time.perf_counter() - writing
             if keep:
-                kept.append(stretch)
+                kept.append(batch)
         if writer and INPUT in request.also:
             source.copy_to(writer)
         interrupts.check()  # last chance before the output gets its final name
     result.seconds['read'] = time.perf_counter() - began - result.seconds['propagate'] \
         - result.seconds['write']
     result.damage = source.damage
-    result.interpolation_differences = stretches.differences(result.last.attitude)
+    result.interpolation_differences = batches.differences(result.last.attitude)
     if keep:
         result.log, result.trajectory = kept[0].log, _joined(kept)
     return result
 
 
-def _take(result: Replay, stretch: Stretch) -> None:
-    """Update the result with a stretch of the motion."""
+def _update(result: Replay, batch: Batch) -> None:
+    """Update the result with a batch of the motion."""
     began = time.perf_counter()
-    log, trajectory = stretch.log, stretch.trajectory
+    log, trajectory = batch.log, batch.trajectory
     result.last_ns = int(log.times_ns[-1])
     if trajectory.times_ns.size:
         result.last = State(int(trajectory.times_ns[-1]), trajectory.attitude[-1],
@@ -330,7 +341,7 @@ def _take(result: Replay, stretch: Stretch) -> None:
     for model in trajectory.models:
         name = f'{model.solver} ({model.reason})'
         result.solvers[name] = result.solvers.get(name, 0) + model.end_ns - model.start_ns
-    result.seconds['propagate'] += stretch.seconds + time.perf_counter() - began
+    result.seconds['propagate'] += batch.seconds + time.perf_counter() - began
 
 
 def _writer(output: str | Path) -> recording.Writer:
@@ -345,7 +356,7 @@ def _topics(also: Collection[str]) -> dict[str, MessageType]:
     return topics
 
 
-def _describe(writer: recording.Writer, request: Request) -> None:
+def _add_topics(writer: recording.Writer, request: Request) -> None:
     """Add the topics and the metadata of the motion to a recording."""
     for topic, kind in _topics(request.also).items():
         writer.add_topic(topic, kind)
@@ -372,9 +383,9 @@ def _write(writer: recording.Writer, request: Request, trajectory: Trajectory) -
     writer.write_columns(trajectory.times_ns, columns)
 
 
-def _joined(stretches: list[Stretch]) -> Trajectory:
-    """Return the joined motion of stretches under one log, with the `models` of the last."""
-    parts = [stretch.trajectory for stretch in stretches]
+def _joined(batches: list[Batch]) -> Trajectory:
+    """Return the motion of all batches of one log, with the `models` of the last."""
+    parts = [batch.trajectory for batch in batches]
     return replace(parts[-1], times_ns=np.concatenate([part.times_ns for part in parts]),
                    attitude=np.concatenate([part.attitude for part in parts]),
                    angular_velocity=np.concatenate([part.angular_velocity for part in parts]))

@@ -121,16 +121,17 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *, topic: st
 def _check_begins(start: State, log: TorqueLog, stamps_ns: NDArray[np.int64]) -> None:
     """Raise InputError if a recorded motion has no states or begins before its torques."""
     if not stamps_ns.size:
-        raise InputError(f'expected states from {start.time_ns} ns on, found none')
+        raise InputError('expected states, found no messages')
     first_ns, torque_ns = int(stamps_ns.min()), int(log.times_ns[0])
     if first_ns >= start.time_ns:
         return
     if start.time_ns == torque_ns:
         raise InputError(
-            f'expected states from the first torque, {torque_ns} ns, on, found one at {first_ns} '
-            'ns: the beginning of the torque log or the start_time of the scene is missing')
-    raise InputError(f'expected states from the start_time of the scene, {start.time_ns} ns, on, '
-                     f'found one at {first_ns} ns')
+            f'expected the first state at or after the first torque, {torque_ns} ns, found it at '
+            f'{first_ns} ns: the beginning of the torque log or the start_time of the scene is '
+            'missing')
+    raise InputError('expected the first state at or after the start_time of the scene, '
+                     f'{start.time_ns} ns, found it at {first_ns} ns')
 
 
 def _check_complete(start: State, log: TorqueLog, stamps_ns: NDArray[np.int64],
@@ -142,18 +143,19 @@ def _check_complete(start: State, log: TorqueLog, stamps_ns: NDArray[np.int64],
     """
     late = 'the recorder started late, or the scene or its start_time is not that of the run'
     if start.time_ns not in stamps_ns:
-        raise InputError(f'expected the start of the motion, at {start.time_ns} ns, found states '
-                         f'from {stamps_ns.min()} ns on: {late}')
+        raise InputError(f'expected the first state at the start of the motion, {start.time_ns} '
+                         f'ns, found it at {stamps_ns.min()} ns: {late}')
     angle = float(so3.angle_between(first, start.attitude))
     if angle > _SAME_START:
-        raise InputError(f'expected the attitude of the scene at the start, {start.time_ns} ns, '
-                         f'found one {angle:.2g} rad away: {late}')
+        raise InputError(f'expected the initial attitude of the scene at {start.time_ns} ns, '
+                         f'found an attitude {angle:.2g} rad away: {late}')
     missing = np.setdiff1d(stamps_ns, [start.time_ns, *log.times_ns])
     if missing.size:
         where = 'the beginning' if missing[0] < log.times_ns[0] else 'a part'
         raise InputError(
-            f'expected a torque at each state, found none at {missing.size} of {stamps_ns.size}, '
-            f'first at {missing[0]} ns: {where} of the torque log is missing')
+            f'expected a torque at the stamp of each state, found none for {missing.size} of '
+            f'{stamps_ns.size} states, the first at {missing[0]} ns: {where} of the torque log is '
+            'missing')
 
 
 def summary(result: Verified) -> str:
@@ -164,8 +166,8 @@ def summary(result: Verified) -> str:
             ('difference', f'at most {result.angles.max():.2g} rad')]
     if not result.same.all():
         row = int(np.argmin(result.same))
-        rows.append(('first', f'state {row + 1} at {result.stamps_ns[row]} ns, by '
-                              f'{result.angles[row]:.2g} rad'))
+        rows.append(('', f'first in state {row + 1}, at {result.stamps_ns[row]} ns: '
+                         f'{result.angles[row]:.2g} rad'))
     rows += [('made by', f'{name} {there}, here {here}: the last bits may differ')
              for name, (there, here) in result.versions.items()]
     return '\n'.join(f'{name:14}{text}' for name, text in rows)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compute the motion of a replay, stretch by stretch."""
+"""Compute the motion of a replay in batches of outputs."""
 
 from __future__ import annotations
 
@@ -28,13 +28,14 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages, so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.propagation import Integration, Trajectory
 from rigid_body_ros.recording import NotInOrderError, Piece
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
 
-#: Largest number of outputs in a stretch.
-_BATCH = 2 ** 16
+#: Largest number of outputs in a batch.
+_LARGEST = 2 ** 16
 #: Largest number of outputs of a replay; more would fill the disk.
 _MOST_OUTPUTS = 10 ** 8
 
@@ -51,17 +52,17 @@ class Request:
     also: Collection[str] = ()
 
 
-class Stretch(NamedTuple):
-    """A stretch of the motion, its piece of the torque log, and the wall time it took, s."""
+class Batch(NamedTuple):
+    """A part of the motion, its piece of the torque log, and the wall time to compute it, s."""
 
     log: TorqueLog
     trajectory: Trajectory
     seconds: float
 
 
-class Stretches:
+class Batches:
     """
-    The motion under a torque log that is read piece by piece.
+    The motion under a torque log that is read piece by piece; iteration yields each `Batch`.
 
     Attributes
     ----------
@@ -80,59 +81,62 @@ class Stretches:
         self.first_ns = int(self._piece.times_ns[0])
         start = request.scene.start
         self.start = replace(start, time_ns=start.time_ns or self.first_ns)
-        self._run = Integration(request.scene.body, self.start, **request.scene.options)
+        self._integration = Integration(request.scene.body, self.start, **request.scene.options)
         names = [name for name in INTERPOLATIONS if name != request.interpolation]
         #: Motions with the other interpolations; removed if the body spins too fast.
-        self._others = {name: Integration(request.scene.body, self.start,
-                                          **request.scene.options)
-                        for name in names}
+        self._alternatives = {
+            name: Integration(request.scene.body, self.start, **request.scene.options)
+            for name in names}
         #: Their final attitudes; None if the body spins too fast.
-        self._ends: dict[str, Floats | None] = {}
+        self._final_attitudes: dict[str, Floats | None] = {}
+        #: The frames of the torques so far: whether in space axes.
         self._frames: set[bool] = set()
-        #: A daemon thread computes them, so that it does not delay the end of the program. The
-        #: exception that it raised is in `_failure`.
+        #: Advances the alternatives. A daemon thread does not delay the end of the program.
         self._thread: Thread | None = None
+        #: The exception that the thread raised.
         self._failure: BaseException | None = None
+        #: End of the motion so far, and number of its outputs.
         self._end_ns, self._count = self.start.time_ns, 0
         self._until_ns = None if request.until is None else \
             end_of(request.path, 0, self.start.time_ns, request.until)
 
-    def __iter__(self) -> Iterator[Stretch]:
+    def __iter__(self) -> Iterator[Batch]:
         piece: Piece | None = self._piece
         while piece is not None:
             stop = piece.stop
             if stop is not None and self._until_ns is not None \
                     and piece.times_ns[stop] >= self._until_ns:
                 stop = None
-            yield from self._of_piece(piece, stop)
+            yield from self._advance(piece, stop)
             piece = next(self._pieces) if stop is not None else None
 
     def differences(self, end: Floats) -> dict[str, float | None]:
-        """Return the angle, rad, from an attitude to the final one of each other interpolation."""
+        """Return the angles, rad, of the other final attitudes from `end`, by interpolation."""
         self._wait()
         return {name: None if other is None else float(so3.angle_between(other, end))
-                for name, other in self._ends.items()}
+                for name, other in self._final_attitudes.items()}
 
-    def _of_piece(self, piece: Piece, stop: int | None) -> Iterator[Stretch]:
+    def _advance(self, piece: Piece, stop: int | None) -> Iterator[Batch]:
         began = time.perf_counter()
         self._wait()
         self._frames |= set(np.unique(piece.in_space).tolist())
         if len(self._frames) > 1:
             if self._request.interpolation != 'hold' and piece.dropped:
                 raise NotInOrderError  # the log as a whole is rejected
-            self._others.clear()
-            self._ends.clear()
-        numbers, at = self._outputs(piece.times_ns, stop)
-        self._thread = Thread(target=self._advance_others, args=(piece, stop, at(numbers[-1:])),
-                              daemon=True)
+            self._alternatives.clear()
+            self._final_attitudes.clear()
+        numbers, times_of = self._outputs(piece.times_ns, stop)
+        self._thread = Thread(target=self._advance_alternatives,
+                              args=(piece, stop, times_of(numbers[-1:])), daemon=True)
         self._thread.start()
         try:
             log = piece.log(self._request.interpolation)
-            for first in range(0, max(len(numbers), 1), _BATCH):
-                trajectory = self._run.advance(
-                    log, at(numbers[first:first + _BATCH]), dropped=0 if first else piece.dropped,
-                    stop=stop if first + _BATCH >= len(numbers) else None)
-                yield Stretch(log, trajectory, time.perf_counter() - began)
+            for first in range(0, max(len(numbers), 1), _LARGEST):
+                trajectory = self._integration.advance(
+                    log, times_of(numbers[first:first + _LARGEST]),
+                    dropped=0 if first else piece.dropped,
+                    stop=stop if first + _LARGEST >= len(numbers) else None)
+                yield Batch(log, trajectory, time.perf_counter() - began)
                 began = time.perf_counter()
         except ValueError as error:
             raise InputError(f'{self._where}: {error}') from error
@@ -155,7 +159,7 @@ class Stretches:
             times = times if stop is not None else np.union1d(times, [end_ns])
             numbers = range(len(times))
 
-            def at(part: range) -> NDArray[np.int64]:
+            def times_of(part: range) -> NDArray[np.int64]:
                 return times[part.start:part.stop]
         else:
             step_ns = 1e9 / rate
@@ -166,14 +170,14 @@ class Stretches:
                     f'over {(end_ns - start_ns) * 1e-9:.9g} s')
             numbers = range(self._count, max(count, self._count))
 
-            def at(part: range) -> NDArray[np.int64]:
+            def times_of(part: range) -> NDArray[np.int64]:
                 offsets = np.round(np.arange(part.start, part.stop) * step_ns)
                 return start_ns + offsets.astype(np.int64)
-            while numbers and at(numbers[-1:])[0] > end_ns:
+            while numbers and times_of(numbers[-1:])[0] > end_ns:
                 numbers = numbers[:-1]
         self._count += len(numbers)
         self._end_ns = max(self._end_ns, end_ns)
-        return numbers, at
+        return numbers, times_of
 
     def _wait(self) -> None:
         if self._thread:
@@ -181,29 +185,41 @@ class Stretches:
         if self._failure:
             raise self._failure
 
-    def _advance_others(self, piece: Piece, stop: int | None, last: NDArray[np.int64]) -> None:
+    def _advance_alternatives(self, piece: Piece, stop: int | None,
+                              last: NDArray[np.int64]) -> None:
         """Advance the motions with the other interpolations to the end of the piece."""
         try:
-            for name, run in [*self._others.items()]:
-                self._ends[name] = None
+            for name, run in [*self._alternatives.items()]:
+                self._final_attitudes[name] = None
                 try:
                     motion = run.advance(piece.log(name), last if stop is None else [],
                                          dropped=piece.dropped, stop=stop)
                 except ValueError:  # the body spins too fast with this interpolation
-                    del self._others[name]
+                    del self._alternatives[name]
                 else:
-                    self._ends[name] = motion.attitude[-1] if stop is None else None
+                    self._final_attitudes[name] = motion.attitude[-1] if stop is None else None
         except BaseException as error:  # raised in the main thread by `_wait`
             self._failure = error
 
 
 def end_of(path: str | Path, last_ns: int, start_ns: int, until: float | None = None) -> int:
-    """Return the end of a replay, ns; raise InputError if it is before the start or too late."""
-    end_ns = last_ns if until is None else start_ns + round(until * 1e9)
+    """
+    Return the end of a replay, ns: `until` seconds after the start, by default the last stamp.
+
+    Raises
+    ------
+    InputError
+        The end is before the start, or later than the latest ROS stamp.
+    ValueError
+        `until` is negative or longer than 1e9 s.
+
+    """
+    end_ns = last_ns if until is None else start_ns + duration_ns(until, 'until')
     if end_ns > messages.LAST_NS:
-        raise InputError(f'--until: expected an end within the range of ROS stamps, up to '
-                         f'{messages.LAST_NS} ns, found {until} s after {start_ns} ns')
+        where = path if until is None else '--until'
+        raise InputError(f'{where}: expected an end at or before the latest ROS stamp, '
+                         f'{messages.LAST_NS} ns, found {end_ns} ns')
     if end_ns < start_ns:
-        raise InputError(f'{path}: expected torques after the start of the scene, {start_ns} ns, '
-                         f'found the last one at {end_ns} ns')
+        raise InputError(f'{path}: expected the last torque at or after the start_time of the '
+                         f'scene, {start_ns} ns, found it at {end_ns} ns')
     return end_ns

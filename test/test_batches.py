@@ -22,7 +22,7 @@ import pytest
 from rigid_body_ros import messages, propagate, recording, RigidBody, scene, State, TorqueLog
 from rigid_body_ros.propagation import Integration
 from rigid_body_ros.recording import torques, writer
-from rigid_body_ros.replay import replay, stretches
+from rigid_body_ros.replay import batches, replay
 from rigid_body_ros.replay.report import summary
 from rigid_body_ros.scene import InputError
 
@@ -97,7 +97,7 @@ def test_a_recording_in_pieces_gives_the_bits_of_the_whole(tmp_path, monkeypatch
     loaded = scene.load(CONFIG / 'tumbler.yaml')
     whole = replay(RECORDINGS / 'tumbler.mcap', loaded, interpolation=interpolation, **options)
     monkeypatch.setattr(torques, '_SAMPLES', 100)
-    monkeypatch.setattr(stretches, '_BATCH', 70)
+    monkeypatch.setattr(batches, '_LARGEST', 70)
     result = replay(RECORDINGS / 'tumbler.mcap', loaded, tmp_path / 'out.mcap',
                     interpolation=interpolation, **options)
     written = recording.read(tmp_path / 'out.mcap', '/attitude', messages.QUATERNION)
@@ -139,7 +139,7 @@ def test_stamps_out_of_order_are_put_in_order_and_told(tmp_path, monkeypatch, di
     result = replay(shuffled(tmp_path / 'out.mcap', order), loaded, tmp_path / 'motion.mcap')
     np.testing.assert_array_equal(result.last.attitude, whole.last.attitude)
     assert (whole.unordered, result.unordered) == (0, 2)
-    assert '2 stamps not later than the one before' in summary(result)
+    assert '2 of 40000 stamps were not later than the previous one' in summary(result)
 
 
 @pytest.mark.parametrize('config', ['tumbler', 'free'])
@@ -149,7 +149,7 @@ def test_a_check_says_what_beginning_of_the_motion_it_covers(tmp_path, monkeypat
     if config == 'free':
         path = written(tmp_path / 'in.mcap', np.zeros((1000, 3)))
     with monkeypatch.context() as patch:
-        patch.setattr(stretches, '_BATCH', 70)
+        patch.setattr(batches, '_LARGEST', 70)
         result = replay(path, loaded, tmp_path / 'out.mcap')
     text = summary(result)
     span = (result.last.time_ns - result.start.time_ns) * 1e-9
