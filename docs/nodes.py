@@ -127,7 +127,8 @@ most every 5 s.
 `/diagnostics` counts every torque sent exactly once: as applied, waiting, rejected by cause, lost
 in transit, or dropped because the queue of the subscription was full. In `realtime`, while more
 than 5000 torques wait and the first of them has waited for more than 2 s, new torques are rejected
-(`overload`), so that the motion catches up with real time.
+(`overload`), so that the motion catches up with real time. Torques that still wait when their
+epoch ends are rejected, too (`epoch ended`).
 
 A torque without a stamp, or with `time_source:=arrival`, acts from its arrival on. Each such
 torque gets its own stamp. Between two ticks of simulated time these stamps advance at the rate of
@@ -151,7 +152,8 @@ one torque for each state.
 - If the same controller repeats a torque more than 0.1 s after the response, the node responds
   again, because the response may have been lost. If it sends a different torque with the same
   stamp, that replaces the first and also gets a response.
-- Torques of a second controller are rejected (`already answered`), and diagnostics name both.
+- If a second controller sends a different torque for the same state, that torque is rejected
+  (`duplicate, differs (same stamp)`), and diagnostics name both controllers.
 - `~/reset` restarts the loop with the initial state. A torque that responds to a state published
   before the reset is rejected (`before the reset`), so that time can go back.
 

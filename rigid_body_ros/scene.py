@@ -109,7 +109,7 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'torques further ahead are rejected, under simulated time after a wait of 0.5 s',
               (0.0, 3600.0)),
     Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps back: reset (start '
-              'again), rebase (go on from the current state) or ignore', choices=TIME_JUMPS),
+              'again), rebase (continue from the current state) or ignore', choices=TIME_JUMPS),
     Parameter('publish_clock', False, '', 'lockstep: publish the time of each state on /clock'),
     Parameter('publish_tf', False, '', 'publish the attitude on /tf as well (needs tf2_msgs)'),
     Parameter('publish_rate', 100.0, 'Hz', 'rate at which the motion is published; may change '

@@ -307,7 +307,7 @@ def test_torques_of_another_clock_are_rejected_with_advice(domain):
         live.spin(0.5)
         words = live.end()
     assert not live.received[ACCEPTED]
-    assert 'torque rejected (late, 1 so far): stamped 86400' in words
+    assert 'torque rejected (1 so far): late: stamped 86400' in words
     assert 'play it with --clock and set use_sim_time, or set time_source:=arrival' in words
 
 
@@ -369,7 +369,7 @@ def test_time_goes_on_between_two_ticks_as_fast_as_before(monkeypatch):
 def test_a_clock_that_stops_is_a_warning(domain):
     with LiveSession(TUMBLER, domain, *SIMULATED) as live:
         run_clock(live, 5 * SECOND, 6 * SECOND, wobble)
-        live.wait_until(lambda: '/clock has not advanced from 6000000000 ns for' in live.diagnosis(
+        live.wait_until(lambda: 'it stands at 6000000000 ns' in live.diagnosis(
             'torques')[2], 'a warning')
         assert live.diagnosis('torques')[1] == 1
         count = len(live.diagnostics)
@@ -405,7 +405,7 @@ def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
     assert run.stamps_ns[0] == given.time_ns
     assert run.committed[0].tolist() == [0.5, 0.5, -0.5, 0.5, 0.3, 0.2, -0.1]
     np.testing.assert_array_equal(run.committed, run.replay)
-    assert 'initial_state rejected (late)' in words
+    assert 'initial_state rejected: late' in words
     # The torque in force goes on in the epoch that the reset began.
     mark, carried = torques
     assert mark == messages.new_log()

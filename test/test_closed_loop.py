@@ -187,7 +187,7 @@ def test_a_second_controller_is_named_and_starts_no_second_chain(tmp_path, domai
         assert live.stop() == 0
         run = replayed(tmp_path, live)
     assert np.all(np.diff(run.accepted.stamps_ns) == STEP_NS)
-    assert counts['rejected: already answered'] > 100
+    assert counts['rejected: duplicate, differs (same stamp)'] > 100
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
@@ -201,6 +201,20 @@ def test_lockstep_has_no_deadlines(domain):
                         'a warning')
         assert live.diagnosis('motion')[0]['deadlines missed'] == 0
         assert 'cannot keep up' not in live.end()
+
+
+def test_torques_that_wait_at_the_end_of_an_epoch_are_rejected(domain):
+    with session(domain) as live:
+        live.set_state(State(0, (0, 0, 0, 1), (1e5, 2e5, 3e5)))
+        live.wait_until(lambda: live.received[ATTITUDE], 'the state')
+        for seconds in (1, 200, 201):  # the response to the second takes long
+            live.publish(seconds * SECOND, '', [0.0, 0.0, 1e-3])
+        live.wait_until(lambda: live.diagnosis('torques')[0]['received'] == 3, 'the torques')
+        assert live.reset().success
+        live.wait_until(lambda: live.diagnosis('torques')[0]['rejected: epoch ended'] == 1,
+                        'the rejection')
+        words = live.end()
+    assert 'epoch ended: the epoch ended before this torque was applied' in words
 
 
 def test_a_controller_slower_than_any_timeout_gets_one_response_for_each_state():

@@ -14,6 +14,7 @@
 
 """Faults of other nodes: counted, logged, without effect on the motion; a replay agrees."""
 
+import re
 import signal
 import time
 
@@ -52,10 +53,10 @@ def test_bad_torques_are_rejected_counted_and_change_nothing(tmp_path, domain):
     assert run.accepted.values[:, 3:].tolist() == [[0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.01]]
     assert now_ns < run.accepted.stamps_ns[-1] < now_ns + SECOND
     np.testing.assert_array_equal(run.committed, run.replay)
-    for part in ('rejected (too large, 1 so far): expected a torque of at most 4.49e+07 N m',
-                 'rejected (not finite, 1 so far): expected a finite torque, found [nan, 0.0, 0.0',
-                 "found 'map'", 'rejected (future, 1 so far): stamped', 's ahead of',
-                 'rejected (late, 1 so far): ', 's behind the clock',
+    for part in ('rejected (1 so far): too large: expected a torque of at most 4.49e+07 N m',
+                 'rejected (1 so far): not finite: expected a finite torque, found [nan, 0.0, 0.0',
+                 "found 'map'", 'rejected (1 so far): future: stamped', 's ahead of',
+                 'rejected (1 so far): late: ', 's behind the clock',
                  'the force of a WrenchStamped is ignored'):
         assert part in words, words
 
@@ -117,7 +118,7 @@ def test_every_rejection_is_counted_under_its_cause(tmp_path, domain):
     assert later == OK
     assert len(run.accepted.stamps_ns) == 2
     for cause in faults:
-        assert words.count(f'rejected ({cause}, ') == 1  # logged once in five seconds
+        assert words.count(f' so far): {cause}: ') == 1  # logged once in five seconds
 
 
 def test_duplicates_and_bursts_are_taken(tmp_path, domain):
@@ -150,7 +151,7 @@ def test_silence_ends_the_torque_and_is_reported(tmp_path, domain):
         live.spin(0.2)
         finished(tmp_path, live)
     assert level == WARN
-    assert 'the torque timed out' in text
+    assert 'the torque is zero, because torque_timeout (' in text
 
 
 def test_a_publisher_dies_and_returns_and_two_are_named(tmp_path, domain):
@@ -280,7 +281,7 @@ def test_a_body_beyond_all_bounds_does_not_end_the_node(domain):
         live.wait_until(lambda: len(live.received[ATTITUDE]) > count + 10, 'the motion again')
         words = live.end()
     assert live.process.returncode == 0
-    assert 'initial_state rejected (too large): expected at most 1e+09 rad/s' in words
+    assert 'initial_state rejected: too large: expected at most 1e+09 rad/s' in words
     assert values['rejected: state not computable'] > 0
     assert states['initial states rejected'] == 1
     assert any('initial states rejected' in status.message and status.level == bytes([ERROR])
@@ -302,6 +303,7 @@ def test_a_motion_that_is_too_fast_does_not_block_services(domain):
         live.wait_until(lambda: len(live.received[ATTITUDE]) > count + 10, 'the motion again')
         words = live.end()
     assert values['deadlines missed'] > 0
-    assert (level, text) == (ERROR, 'deadlines missed')
+    assert level == ERROR
+    assert re.fullmatch(r'[1-9]\d* deadlines missed', text)
     assert 'cannot keep up: the body spins too fast' in words
     assert live.process.returncode == 0

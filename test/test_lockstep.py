@@ -181,7 +181,7 @@ def test_a_torque_whose_response_has_no_valid_stamp_is_rejected(domain):
         live.publish(messages.LAST_NS, '', [1e-3, 0.0, 0.0])
         live.spin(0.5)
         assert ask(live, SECOND, [1e-3, 0.0, 0.0])
-        assert 'rejected (future, 1 so far): stamped 2147483647999999999 ns' in live.end()
+        assert 'rejected (1 so far): future: stamped 2147483647999999999 ns' in live.end()
 
 
 def test_a_state_without_a_stamp_holds_at_the_first_torque(tmp_path, domain):
@@ -236,7 +236,7 @@ def test_a_second_clock_that_starts_later_replaces_the_first(domain):
         assert clock.get_subscription_count() == 0
         assert ask(live, SECOND, [0.0, 0.0, 1e-3])  # the node itself continues
         words = live.end()
-    assert '/clock: another node publishes it; this node stops publishing it' in words
+    assert '/clock: another node publishes it, too; this node stops publishing it' in words
 
 
 def test_a_state_may_be_set_before_and_between_torques(tmp_path, domain):

@@ -87,7 +87,7 @@ class AttitudeNode(Node):
         self._announce()
         try:
             self._diagnostics = Diagnostics(self)
-            self._inputs = Inputs(self._scene, self._diagnostics.force)
+            self._inputs = Inputs(self._scene, self._diagnostics.count_force)
             self._outputs = Outputs(self, self._scene, self._diagnostics)
             mode = Lockstep if self._scene.values['mode'] == LOCKSTEP else Realtime
             self._mode = mode(self, parameters, self._inputs, self._outputs, self._diagnostics)
@@ -128,7 +128,8 @@ class AttitudeNode(Node):
             return self.create_subscription(
                 kind, topic, callback, copy(qos), raw=True, event_callbacks=events,
                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
-        callback = DrainCallback(self._on_torque, self._start_work, self._diagnostics.missing)
+        callback = DrainCallback(self._on_torque, self._start_work,
+                                 self._diagnostics.count_missing)
         self._torques = callback.subscription = subscription(
             WrenchStamped, 'torque', callback, _TORQUE_QOS[self._scene.values['mode']],
             SubscriptionEventCallbacks(message_lost=self._on_lost, use_default_callbacks=False))
@@ -174,7 +175,7 @@ class AttitudeNode(Node):
         return response
 
     def _on_lost(self, event: Any) -> None:
-        self._diagnostics.lost(event.total_count_change)
+        self._diagnostics.count_lost(event.total_count_change)
 
     def _publish_diagnostics(self) -> None:
         problems = self._mode.problems() + self._diagnostics.connection_problems(
@@ -184,7 +185,7 @@ class AttitudeNode(Node):
 
     def _report(self, problems: list[str]) -> None:
         pipeline = self._mode.pipeline
-        epoch = 'waiting for the start' if pipeline.epoch is None else \
+        epoch = 'waiting for the first torque or clock reading' if pipeline.epoch is None else \
             f'epoch from {pipeline.epoch.start.time_ns} ns'
         self._diagnostics.publish(problems, pipeline.waiting, epoch, self._mode.stamp())
 

@@ -77,5 +77,5 @@ class ClockMonitor:
         if not now_ns:
             return ['no time yet: use_sim_time is true, but no time was received on /clock']
         if pause > _MAX_PAUSE:
-            return [f'/clock has not advanced from {now_ns} ns for {pause:.0f} s']
+            return [f'/clock has not advanced for {pause:.0f} s: it stands at {now_ns} ns']
         return []

@@ -79,30 +79,30 @@ class Diagnostics:
         """Count a rejected torque and log the reason."""
         cause = rejected.cause
         self._counts[cause] += 1
-        self._log(cause, f'torque rejected ({cause}, {self._counts[cause]} so far): {rejected}')
+        self._log(cause, f'torque rejected ({self._counts[cause]} so far): {cause}: {rejected}')
 
     def event(self, name: str, text: str, number: int = 1) -> None:
         """Count a problem and log it."""
         self._counts[name] += number
         self._log(name, text)
 
-    def force(self) -> None:
+    def count_force(self) -> None:
         """Count an ignored force, and log only the first, as it is not a fault."""
         self._counts[FORCE] += 1
         if self._counts[FORCE] == 1:
-            self._node.get_logger().warning('the force of a WrenchStamped is ignored: torques are '
-                                            'about the centre of mass')
+            self._node.get_logger().warning('the force of a WrenchStamped is ignored: its torque '
+                                            'is taken about the centre of mass')
 
     def reject_state(self, rejected: RejectedError) -> None:
         """Count a rejected initial state and log the reason."""
-        self.event(STATES_REJECTED, f'initial_state rejected ({rejected.cause}): {rejected}')
+        self.event(STATES_REJECTED, f'initial_state rejected: {rejected.cause}: {rejected}')
 
-    def lost(self, number: int) -> None:
+    def count_lost(self, number: int) -> None:
         """Count torques that the middleware reports as lost in transit."""
         self.event(LOST, f'{self._counts[LOST] + number} torques lost in transit so far', number)
-        self.missing(0)
+        self.count_missing(0)
 
-    def missing(self, number: int) -> None:
+    def count_missing(self, number: int) -> None:
         """
         Count torques that are missing between two torques from one publisher.
 
@@ -174,15 +174,15 @@ class Diagnostics:
         """Publish all counts; those that have increased since the last call set the levels."""
         counts, new = self._counts, self._counts - self._published_counts
         self._published_counts = counts.copy()
-        rejected = [rejections(cause) for cause in CAUSES if new[cause]]
+        rejected = [f'{new[cause]} {rejections(cause)}' for cause in CAUSES if new[cause]]
         warnings = problems + [f'{new[name]} {name}' for name in _TORQUE_WARNINGS if new[name]]
         torques = self._status(
             'torques', bool(rejected), bool(warnings), '; '.join(rejected + warnings) or 'OK',
             {RECEIVED: counts[RECEIVED], APPLIED: counts[APPLIED],
              **{rejections(cause): counts[cause] for cause in CAUSES}, WAITING: waiting,
              **{name: counts[name] for name in _OF_TORQUES}})
-        errors = [name for name in _ERRORS if new[name]]
-        warnings = [name for name in _WARNINGS if new[name]]
+        errors = [f'{new[name]} {name}' for name in _ERRORS if new[name]]
+        warnings = [f'{new[name]} {name}' for name in _WARNINGS if new[name]]
         motion = self._status(
             'motion', bool(errors), bool(warnings), '; '.join(errors + warnings) or epoch,
             {name: counts[name] for name in _OF_MOTION})

@@ -32,9 +32,10 @@ _LARGEST_ACCELERATION = 1e9
 #: Causes of rejection.
 MALFORMED, FRAME, NOT_FINITE, TOO_LARGE = 'malformed', 'unknown frame', 'not finite', 'too large'
 NO_CLOCK, FUTURE, LATE, OVERLOAD = 'no clock', 'future', 'late', 'overload'
-NO_STATE, ANSWERED, STALE = 'state not computable', 'already answered', 'before the reset'
+NO_STATE, ENDED, STALE = 'state not computable', 'epoch ended', 'before the reset'
+DIFFERS = 'duplicate, differs (same stamp)'
 CAUSES = (MALFORMED, FRAME, NOT_FINITE, TOO_LARGE, NO_CLOCK, FUTURE, LATE, OVERLOAD, NO_STATE,
-          ANSWERED, STALE)
+          ENDED, DIFFERS, STALE)
 
 
 class QueuedMessage(NamedTuple):

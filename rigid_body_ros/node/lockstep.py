@@ -36,7 +36,7 @@ from rigid_body_ros.node.diagnostics import APPLIED, Diagnostics, REPLACED
 from rigid_body_ros.node.drain import Sender
 from rigid_body_ros.node.epoch import Torque
 from rigid_body_ros.node.inputs import (
-    ANSWERED,
+    DIFFERS,
     FUTURE,
     Inputs,
     QueuedMessage,
@@ -138,16 +138,16 @@ class Lockstep:
         if self._clock is not None and self._node.count_publishers(_CLOCK) > 1:
             self._node.destroy_publisher(self._clock)
             self._clock = None
-            self._node.get_logger().error(f'{_CLOCK}: another node publishes it; this node stops '
-                                          'publishing it')
+            self._node.get_logger().error(f'{_CLOCK}: another node publishes it, too; this node '
+                                          'stops publishing it')
         problems = self._monitor.problems()
         silence = time.monotonic() - self._since
         if self.pipeline.waiting_time > _WARN_AFTER:
             problems.append('computing the response to a torque has taken '
                             f'{self.pipeline.waiting_time:.0f} s so far')
         elif not self.pipeline.waiting and silence > _WARN_AFTER:
-            problems.append(f'no torque for {silence:.0f} s: waiting for a response to the state '
-                            f'at {self._latest.time_ns} ns')
+            problems.append(f'no torque for {silence:.0f} s: the controller has not responded to '
+                            f'the state at {self._latest.time_ns} ns')
         return problems
 
     def stamp(self) -> Time:
@@ -163,7 +163,7 @@ class Lockstep:
     def _begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
         self._start = start
         self.pipeline.begin(start, torques)
-        self._parameters.report(start)
+        self._parameters.set_start(start)
 
     def _read(self, message: QueuedMessage) -> Torque | None:
         torque, sender = self._inputs.torque(message.data), message.sender
@@ -180,7 +180,7 @@ class Lockstep:
         latest_ns = messages.LAST_NS - self._step_ns
         if stamp_ns > latest_ns:
             raise RejectedError(FUTURE, f'stamped {stamp_ns} ns, expected at most {latest_ns} ns, '
-                                'so that the response has a valid stamp')
+                                'because the stamp of the response is later by step')
         if stamp_ns == self._stale_ns:
             raise RejectedError(STALE, f'the torque at {stamp_ns} ns responds to a state from '
                                 'before the reset')
@@ -188,7 +188,7 @@ class Lockstep:
     def _skip_duplicate(self, torque: Torque) -> None:
         """Count a repeated torque; raise RejectedError if it differs from the first."""
         if not self._duplicates.is_same(torque):
-            raise RejectedError(ANSWERED, 'a different torque was received before for the state '
+            raise RejectedError(DIFFERS, 'a different torque was accepted before for the state '
                                 f'at {torque.stamp_ns} ns; {self.several_publishers}')
         self._diagnostics.count(APPLIED)
         self._diagnostics.count(REPLACED)

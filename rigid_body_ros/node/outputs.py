@@ -102,12 +102,12 @@ class Outputs:
         """Mark in the log of torques that a new epoch follows."""
         self._send(self._accepted, messages.new_log())
 
-    def accept(self, torque: Torque) -> None:
+    def log_torque(self, torque: Torque) -> None:
         """Log an accepted torque."""
         self._send(self._accepted, messages.wrench(
             torque.stamp_ns, self._frames[torque.frame], torque.values))
 
-    def commit(self, state: State) -> None:
+    def log_state(self, state: State) -> None:
         """Log a final state."""
         self._send(self._committed, messages.odometry(
             state, self._frames['space'], self._frames['body']))

@@ -33,6 +33,7 @@ from rclpy.subscription import Subscription
 from rigid_body_ros import scene
 from rigid_body_ros.body import State
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.propagation.solvers import solver_named
 from rigid_body_ros.scene import Scene
 
 _RATE = 'publish_rate'
@@ -61,11 +62,11 @@ class Parameters:
         self._epoch = {name: self.scene.values[name] for name in _EPOCH}
 
     def make_read_only(self) -> None:
-        """Reject changes from now on, except changes of the rate and changes by `report`."""
+        """Reject changes from now on, except changes of the rate and changes by `set_start`."""
         self._node.add_on_set_parameters_callback(self._on_set)
 
-    def report(self, start: State) -> None:
-        """Set the parameters of the start state to those of an epoch, or raise RuntimeError."""
+    def set_start(self, start: State) -> None:
+        """Set the parameters to the start state of an epoch, or raise RuntimeError."""
         values = [start.time_ns, *start.attitude.tolist(), *start.angular_velocity.tolist()]
         self._epoch = dict(zip(_EPOCH, values))
         result = self._node.set_parameters_atomically(
@@ -79,8 +80,9 @@ class Parameters:
         given = {name: parameter.value
                  for name, parameter in self._node.get_parameters_by_prefix('').items()}
         checked = Scene.from_values(given)
-        if checked.values['solver'] == 'exact':
-            raise InputError("solver: 'exact' handles torque-free motion only")
+        solver = solver_named(checked.values['solver'])
+        if not solver.takes_torque:
+            raise InputError(f'solver: {solver.name!r} handles torque-free motion only')
         if checked.values['interpolation'] != 'hold':
             raise InputError("interpolation: expected 'hold', because a node does not know the "
                              f'next torque, found {checked.values["interpolation"]!r}')

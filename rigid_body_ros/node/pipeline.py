@@ -27,6 +27,7 @@ from rigid_body_ros.node.drain import Sender
 from rigid_body_ros.node.epoch import Epoch, Torque
 from rigid_body_ros.node.inputs import (
     EarlyError,
+    ENDED,
     FUTURE,
     LATE,
     NO_STATE,
@@ -121,10 +122,7 @@ class Pipeline:
         """
         if self.epoch is None or self.epoch.newest_ns is None:
             return []
-        if self.epoch.newest_ns - time_ns >= self.epoch.history_ns:
-            raise RejectedError(LATE, f'{time_ns} ns is older than the newest torque, '
-                                f'{self.epoch.newest_ns} ns, by history '
-                                f'({self.epoch.history_ns * 1e-9:g} s) or more')
+        self.check_age(time_ns)
         return self.epoch.torques_since(time_ns)
 
     def begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
@@ -136,8 +134,8 @@ class Pipeline:
         self._is_logged = bool(torques)
         self.epoch = Epoch(self._scene, start, torques)
         for torque in torques:
-            self._outputs.accept(torque)
-        self._outputs.commit(start)
+            self._outputs.log_torque(torque)
+        self._outputs.log_state(start)
 
     def end(self, until: float | None = None) -> None:
         """
@@ -149,11 +147,11 @@ class Pipeline:
         if self._is_applied:  # the first torque is applied, but its response takes too long
             self._log(self._torque)
             self._queue.popleft()
-        for queue, cause, event in (
-                (self._queue, OVERLOAD, 'this torque was applied'),
-                (self._early[FUTURE], FUTURE, 'the clock reached this torque')):
+        for queue, event in (
+                (self._queue, 'this torque was applied'),
+                (self._early[FUTURE], 'the clock reached the stamp of this torque')):
             for _ in queue:
-                self._diagnostics.reject(RejectedError(cause, f'the epoch ended before {event}'))
+                self._diagnostics.reject(RejectedError(ENDED, f'the epoch ended before {event}'))
             queue.clear()
         self._torque, self._deferred_ns = None, 0
         if self.epoch is not None:
@@ -174,11 +172,11 @@ class Pipeline:
         waited = now - queue[0].since if queue else 0.0
         is_late = waited > _MAX_WAIT and len(queue) > _BACKLOG and self._respond is None
         if is_late or len(queue) >= _MAX_QUEUE:
-            raise RejectedError(OVERLOAD, f'{len(queue)} torques are waiting, the first for '
-                                f'{waited:.3g} s')
+            raise RejectedError(OVERLOAD, f'{len(queue)} torques wait, the first for '
+                                f'{waited:.3g} s; new ones are rejected until the node catches up')
         queue.append(QueuedMessage(data, sender, time_ns, now))
 
-    def set_early_aside(self) -> None:
+    def hold_early_torques(self) -> None:
         """Before the epoch ends, move torques that wait for the clock out of the queue."""
         messages = list(self._queue)
         self._queue.clear()
@@ -291,25 +289,25 @@ class Pipeline:
         self._log(torque)
 
     def _log(self, torque: Torque) -> None:
-        self._outputs.accept(torque)
+        self._outputs.log_torque(torque)
         self._is_logged, self._is_applied = True, False
-        self._commit()
+        self._log_final()
 
     def _finish(self, until: float) -> None:
         """Commit the states that late torques could still change."""
         try:
             while stamps := self.epoch.uncommitted()[:LOG_DEPTH]:  # what the queue holds
                 self._finalize(stamps[-1], until)
-                self._commit()
+                self._log_final()
                 self._outputs.deliver(until)
         except TimeoutError as error:
-            self._commit()
+            self._log_final()
             self._diagnostics.event(
-                MISSED, f'{len(self.epoch.uncommitted())} states could not be computed before '
-                f'the end of their epoch: {error}')
+                MISSED, f'{len(self.epoch.uncommitted())} states are missing on ~/committed, '
+                f'because computing them at the end of the epoch took too long: {error}')
 
     def check_age(self, stamp_ns: int) -> None:
-        """Raise RejectedError if a torque is too old for the epoch."""
+        """Raise RejectedError if a stamp is too old for the epoch."""
         newest_ns, history_ns = self.epoch.newest_ns, self.epoch.history_ns
         if newest_ns is not None and newest_ns - stamp_ns >= history_ns:
             raise RejectedError(
@@ -340,11 +338,11 @@ class Pipeline:
             if state is not None:
                 self._final.append(state)
             if time.monotonic() > until:  # the next call continues from here
-                raise TimeoutError(f'the states are final up to {stamp_ns} ns')
+                raise TimeoutError(f'the committed states are computed up to {stamp_ns} ns')
 
-    def _commit(self) -> None:
+    def _log_final(self) -> None:
         for state in self._final:
-            self._outputs.commit(state)
+            self._outputs.log_state(state)
         self._final.clear()
 
     def _miss_deadline(self, error: TimeoutError) -> None:

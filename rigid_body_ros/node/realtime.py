@@ -57,7 +57,8 @@ _FORWARD_JUMP_NS = 10 ** 9
 class Realtime:
     """Publish the state at the present time, at a rate."""
 
-    several_publishers = 'their torques do not add up: each holds only until the next'
+    several_publishers = ('torques of several publishers are not summed; each replaces the '
+                          'previous one')
 
     def __init__(self, node: Node, parameters: Parameters, inputs: Inputs, outputs: Outputs,
                  diagnostics: Diagnostics) -> None:
@@ -81,7 +82,7 @@ class Realtime:
 
     def set_rate(self, rate: float) -> None:
         """Publish at another rate, Hz."""
-        self._timer.timer_period_ns = round(1e9 / rate)
+        self._timer.timer_period_ns = duration_ns(1.0 / rate, 'publish_rate')
         self._timer.reset()  # otherwise the next call is due after the old period
 
     def enqueue(self, data: bytes, sender: Sender) -> None:
@@ -138,7 +139,8 @@ class Realtime:
         newest_ns = self.pipeline.epoch.newest_ns
         silence = 0.0 if newest_ns is None else (self._latest_ns - newest_ns) * 1e-9
         if silence > self._values['torque_timeout'] > 0.0:
-            problems.append(f'no torque for {silence:.3g} s: the torque timed out')
+            problems.append(f'no torque for {silence:.3g} s: the torque is zero, because '
+                            f'torque_timeout ({self._values["torque_timeout"]:g} s) has passed')
         return problems
 
     def stamp(self) -> Time:
@@ -197,12 +199,12 @@ class Realtime:
         elif now_ns - latest_ns > _FORWARD_JUMP_NS + 2 * self._timer.timer_period_ns:
             self._diagnostics.event(TIME_JUMP, 'the clock jumped ahead by '
                                     f'{(now_ns - latest_ns) * 1e-9:.9g} s; the motion continues '
-                                    'under the last torque')
+                                    'with the last torque')
         return now_ns
 
     def _jump_back(self, latest_ns: int, now_ns: int) -> None:
         action = self._values['on_time_jump']
-        self.pipeline.set_early_aside()
+        self.pipeline.hold_early_torques()
         self._diagnostics.event(TIME_JUMP, 'the clock jumped back by '
                                 f'{(latest_ns - now_ns) * 1e-9:.9g} s to {now_ns} ns; '
                                 f'on_time_jump: {action}')
@@ -215,19 +217,20 @@ class Realtime:
     def _rebase(self, latest_ns: int, now_ns: int) -> bool:
         state = self.pipeline.last_state(latest_ns)
         if state is None:
-            self._diagnostics.event(NOT_COMPUTABLE, 'on_time_jump: the present state cannot be '
-                                    'computed; starting again from the initial state')
+            self._diagnostics.event(NOT_COMPUTABLE, 'on_time_jump: the current state cannot be '
+                                    'computed; the motion starts again from the initial state')
             return False
         # Shift the stamp, so that the torque keeps its age for torque_timeout.
         torques = [torque._replace(stamp_ns=max(1, torque.stamp_ns + now_ns - latest_ns))
                    for torque in self.pipeline.epoch.torques_since(latest_ns)[:1]
                    if torque.stamp_ns <= latest_ns]
-        self._begin(State(now_ns, state.attitude, state.angular_velocity), torques, 'rebased')
+        self._begin(State(now_ns, state.attitude, state.angular_velocity), torques,
+                    'clock jumped back, state kept')
         return True
 
     def _begin(self, start: State, torques: Sequence[Torque], reason: str) -> str:
         self.pipeline.begin(start, torques)
-        self._parameters.report(start)
+        self._parameters.set_start(start)
         text = f'{reason}: a new epoch begins at {start.time_ns} ns'
         self._node.get_logger().info(text)
         return text
