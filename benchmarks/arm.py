@@ -69,7 +69,7 @@ def motions(count):
 
 
 def plain_scene(scene):
-    """Return a scene of the tests: how it ends, and at ever shorter times before."""
+    """Return a scene of the tests, with its end and ever shorter times before it."""
     end = int(scene.times_ns[-1])
     at = np.unique([*scene.times_ns, *(end >> np.arange(40))])
     steps_end = int(end * min(1.0, LONGEST / max(scene.phase, 1.0)))
@@ -81,7 +81,7 @@ def plain_scene(scene):
 
 
 def plain_reference(name, solvers):
-    """Return a recorded scene whose motion is known in fifty digits."""
+    """Return a recorded scene with a reference motion of fifty digits."""
     reference = Reference(name)
     motion = bits.Motion(reference.scene.body, reference.start, reference.log,
                          reference.times_ns, {}, 0.0)
@@ -90,7 +90,7 @@ def plain_reference(name, solvers):
 
 
 def environment(machine):
-    """Return the environment that makes of this processor an older one."""
+    """Return the environment that makes numba compile for an older processor."""
     found = {**os.environ, **MACHINES[machine], 'PYTHONPATH': str(ROOT)}
     if machine == 'SSE2':
         from numpy._core import _multiarray_umath as numpy_core
@@ -100,7 +100,7 @@ def environment(machine):
 
 
 def computed(machine):
-    """Return the results of a machine, and how long it took, s."""
+    """Return the results of a machine, and the time taken, s."""
     target = FOLDER / f'{machine}.npz'
     program = ROOT / 'benchmarks' / 'portable.py'
     begin = time.monotonic()
@@ -135,7 +135,7 @@ def ordinal(values):
 
 
 def compared(there, here):
-    """Return the differences by group: how many numbers, ulps at most, and in which motion."""
+    """Return by group the number of differences, the largest in ulps, and its motion."""
     found = {}
     for name in here:
         group, motion = name.split('/', 1)
@@ -163,7 +163,7 @@ def table(here, others):
 
 
 def truth_errors(results):
-    """Return the largest error against fifty digits, and against what the tests allow."""
+    """Return the largest error against fifty digits, and relative to the bound of the tests."""
     worst, part = 0.0, 0.0
     for name, solver in cases():
         reference = Reference(name)

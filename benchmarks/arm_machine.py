@@ -16,8 +16,8 @@
 A 64-bit ARM machine in a folder, for `arm.py`.
 
 Python and its libraries come from Debian's arm64 packages, unpacked beside apt's own lists and
-cache, so that the system's packages stay as they are and root is not needed. numpy, numba and what
-else the package needs come as wheels, in the versions that are installed here. QEMU runs them.
+cache. The system's packages do not change, and root is not needed. numpy, numba and the other
+dependencies come as wheels, in the versions that are installed here. QEMU runs them.
 """
 
 import hashlib
@@ -42,7 +42,7 @@ PLATFORMS = ('manylinux2014_aarch64', *(f'manylinux_2_{minor}_aarch64' for minor
 
 
 class UnavailableError(Exception):
-    """The machine cannot be made here: one line about what is missing and how to get it."""
+    """The machine cannot be built; the text says what is missing and how to get it."""
 
 
 def install() -> None:

@@ -23,19 +23,19 @@ from Basilisk.utilities import SimulationBaseClass
 import numpy as np
 
 NAME = f"Basilisk {version('bsk')}"
-# Its clock counts nanoseconds, of which each step has to be a whole number.
+# Its clock counts nanoseconds, so a step must be a whole number of them.
 LADDER = [{'steps': steps} for steps in (
     200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000, 500_000)]
 STREAM_LADDER = [{}, {'substeps': 2}]
 
-bskLogging.setDefaultLogLevel(bskLogging.BSK_ERROR)  # it warns of every start but the first
+bskLogging.setDefaultLogLevel(bskLogging.BSK_ERROR)  # it warns at every start but the first
 
 
 class Final:
     """The state at the end, under at most one torque."""
 
     def __init__(self, problem, steps):
-        """All steps are equal."""
+        """All steps have the same length."""
         self.label = f'RK4, {steps} steps'
         self._prepare(problem, problem.end_ns // steps)
         if len(problem.torques):
@@ -57,7 +57,7 @@ class Final:
         self._end_ns = problem.end_ns
 
     def reset(self):
-        """Go back to the start."""
+        """Reset to the start."""
         self._simulation.InitializeSimulation()
         self._simulation.ConfigureStopTime(self._end_ns)
 
@@ -66,17 +66,17 @@ class Final:
         self._simulation.ExecuteSimulation()
 
     def attitude(self):
-        """Return x y z w, of either sign: the parameters do not tell which."""
+        """Return x y z w, with either sign, which the parameters do not determine."""
         sigma = np.array(self._spacecraft.scStateOutMsg.read().sigma_BN)
         square = sigma @ sigma
         return np.append(2.0 * sigma, 1.0 - square) / (1.0 + square)
 
 
 class Stream(Final):
-    """The state at the end, under torques that a compiled module sends, each for some steps."""
+    """The state at the end, under torques that a compiled module sends."""
 
     def __init__(self, problem, substeps=1):
-        """One step per torque is at rounding level already."""
+        """With one step for each torque the error is at rounding level already."""
         self.label = 'RK4, ' + (
             'one step per sample' if substeps == 1 else f'{substeps} steps per sample')
         self._prepare(problem, problem.hold_ns // substeps)
@@ -88,7 +88,7 @@ class Stream(Final):
             self._simulation.AddModelToTask('task', model)
 
     def reset(self):
-        """Go back to the start."""
+        """Reset to the start."""
         self._sender.memory.sent = 0
         super().reset()
 
@@ -103,7 +103,7 @@ class Sender(NumbaModel):
 
     @staticmethod
     def UpdateStateImpl(torqueOutMsgPayload, memory):  # noqa: N802, N803
-        """Send the next; at the end of the last there is none."""
+        """Send the next torque, if there is one."""
         if memory.sent < len(memory.torques):
             torqueOutMsgPayload.torqueRequestBody[:] = memory.torques[memory.sent]
             memory.sent += 1

@@ -29,14 +29,14 @@ class Final:
     """The state at the end, under at most one torque."""
 
     def __init__(self, problem, method, rtol):
-        """`rtol` is its absolute tolerance, too."""
+        """`rtol` is also the absolute tolerance."""
         self.label = f'{method} rtol={rtol:.0e}'
         self._equations = cyjit(_equations(problem))
         self._arguments = (self._equations.address, float(problem.seconds), method, rtol)
         self._start, self._state = problem.start_vector, np.empty(7)
 
     def reset(self):
-        """Go back to the start: nothing is kept that would have to."""
+        """Do nothing: each run begins at the start."""
 
     def run(self):
         """Integrate."""
@@ -48,7 +48,7 @@ class Final:
 
 
 class Stream(Final):
-    """The state at the end, under torques of which each is a problem of its own."""
+    """The state at the end, under torques; each begins a new problem."""
 
     def __init__(self, problem):
         """Compile the loop over the torques."""

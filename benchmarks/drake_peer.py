@@ -26,7 +26,7 @@ from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource, Z
 from pydrake.trajectories import PiecewisePolynomial
 
 NAME = f"Drake {version('drake')}"
-# At equal cost steps of one length are more accurate than those that its error control chooses.
+# At equal cost, fixed steps are more accurate than those of its error control.
 LADDER = [{'steps': steps} for steps in (
     200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000)]
 STREAM_LADDER = [{}]
@@ -36,7 +36,7 @@ class Final:
     """The state at the end, under at most one torque."""
 
     def __init__(self, problem, steps):
-        """All steps are equal."""
+        """All steps have the same length."""
         self.label = f'RK5, {steps} steps'
         self._prepare(problem, problem.seconds / steps)
 
@@ -50,7 +50,7 @@ class Final:
         self._rates, self._end = problem.rates, float(problem.seconds)
 
     def reset(self):
-        """Go back to the start."""
+        """Reset to the start."""
         self._simulator.get_mutable_context().SetTime(0.0)
         self._plant.SetPositions(self._context, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
         self._plant.SetVelocities(self._context, [*self._rates, 0.0, 0.0, 0.0])
@@ -61,7 +61,7 @@ class Final:
         self._simulator.AdvanceTo(self._end)
 
     def attitude(self):
-        """Return x y z w, of a quaternion that Drake lets drift off unit length."""
+        """Return x y z w, normalised, because the norm drifts in Drake."""
         attitude = np.roll(self._plant.GetPositions(self._context)[:4], -1)
         return attitude / np.linalg.norm(attitude)
 
@@ -70,7 +70,7 @@ class Stream(Final):
     """The state at the end, under torques that a block of the diagram holds."""
 
     def __init__(self, problem):
-        """One step per torque is at rounding level already."""
+        """With one step for each torque the error is at rounding level already."""
         self.label = 'RK5, zero-order hold, one step per sample'
         self._prepare(problem, problem.hold_ns * 1e-9)
 

@@ -13,14 +13,15 @@
 # limitations under the License.
 
 """
-Measure the engine against its bars, and against what a user would pick instead.
+Measure the speed and accuracy of the engine, and compare them with required values and peers.
 
     python benchmarks/engine.py [--json FILE] [SECTION ...]
 
-Errors are angles, rad, between final attitudes and the truth in 30 digits. A ratio says how many
-times as fast as the peer this package is: the ratio of the median times, which are taken in turns,
-and the 95 % interval of the rounds' ratios, of which the lower end has to reach the bar. One
-thread, warm; first calls apart.
+Errors are angles, rad, between the final attitude and a reference of 30 digits. A ratio is the
+time of the peer divided by that of this package: the ratio of the median times, and a 95 %
+confidence interval from the ratios of single rounds. The package and the peer run in turns. The
+lower end of the interval must reach the required ratio. All runs use one thread; first calls,
+which compile, are timed separately.
 """
 
 import argparse
@@ -49,7 +50,7 @@ PACKAGES = ('rigid_body_ros', 'numpy', 'scipy', 'numba', 'mpmath', 'heyoka', 'cy
 
 @dataclass(frozen=True)
 class Bar:
-    """What a problem is held to: the error, rad, and how many times as fast as the peer."""
+    """Required values of a problem: the error, rad, and the speed relative to the peer."""
 
     problem: str
     peer: str
@@ -97,7 +98,7 @@ class Ours:
 
 
 def bars(name, peers):
-    """Hold one problem to its bars; return a row for each."""
+    """Compare one problem with its required values; return a row for each."""
     problem, rows = PROBLEMS[name], []
     for bar in BARS:
         if bar.problem != name or bar.peer not in peers:
@@ -119,7 +120,7 @@ def bars(name, peers):
 
 
 def loose(peers):
-    """Compare at tolerances a user might ask for with the cheapest peer that is as accurate."""
+    """Compare, at loose tolerances, with the cheapest peer that is as accurate."""
     rows = []
     for name in LOOSE_PROBLEMS:
         rungs = [rung for peer in ('heyoka', 'cyrk') if peer in peers
@@ -133,7 +134,7 @@ def loose(peers):
 
 
 def ladder(name, peer_name, module):
-    """Return error, time, name and contender for each setting of a peer."""
+    """Return error, time, name and contender of each setting of a peer."""
     rungs = []
     for options in module.LADDER:
         peer, _ = first_run(module.Final, PROBLEMS[name], **options)
@@ -142,16 +143,16 @@ def ladder(name, peer_name, module):
 
 
 def cheapest(name, ours, rungs):
-    """Return the duel with the quickest of those that are no further off."""
-    off = error(name, ours.attitude())
-    able = [rung for rung in rungs if rung[0] <= off]
+    """Return the comparison with the fastest peer whose error is not larger."""
+    own = error(name, ours.attitude())
+    able = [rung for rung in rungs if rung[0] <= own]
     if not able:
-        return {'ours': {'error': off, 'seconds': quick(ours)}}
+        return {'ours': {'error': own, 'seconds': quick(ours)}}
     return duel(name, ours, *min(able, key=lambda rung: rung[1])[2:])
 
 
 def growth(_):
-    """Show what a sample costs in logs of any length, with either output."""
+    """Print time and memory by length of the log, for both outputs."""
     rows = []
     for output, samples in itertools.product(('end', 'each'), SAMPLES):
         row = json.loads(child('growth.py', str(samples), output))
@@ -164,7 +165,7 @@ def growth(_):
 
 
 def start(_):
-    """Time from import to first result, with nothing compiled and with everything compiled."""
+    """Print the time from import to first result, before and after compilation."""
     with TemporaryDirectory() as folder:
         fresh, *later = (float(child('start.py', NUMBA_CACHE_DIR=folder))
                          for _ in range(1 + LATER_STARTS))
@@ -177,7 +178,7 @@ def start(_):
 
 
 def first_run(make, problem, **options):
-    """Return a contender that has run, and how long that took, compilation included, s."""
+    """Run a contender once; return it and the time, s, which includes compilation."""
     began = time.perf_counter()
     contender = make(problem, **options)
     contender.reset()
@@ -186,7 +187,7 @@ def first_run(make, problem, **options):
 
 
 def duel(name, ours, peer_name, peer):
-    """Return errors and times of both on one problem."""
+    """Return the errors and times of both contenders for one problem."""
     comparison = compare(ours, peer)
     sides = [{'error': error(name, contender.attitude()), 'seconds': float(np.median(times)),
               'samples': times.tolist()}
@@ -196,40 +197,40 @@ def duel(name, ours, peer_name, peer):
 
 
 def told(row):
-    """Return a duel in a line."""
+    """Return a comparison as a line of text."""
     def side(row):
         return f"{row['error']:.1e} rad {1e6 * row['seconds']:9.1f} us"
 
     if 'peer' not in row:
-        return f"{side(row['ours'])} | no peer gets there"
+        return f"{side(row['ours'])} | no peer is as accurate"
     return (f"{side(row['ours'])} | {row['peer']['name']:33} {side(row['peer'])} | "
             'ratio {:.3g} [{:.3g}, {:.3g}]'.format(*row['ratio']))
 
 
 def verdict(met):
-    """Return the word for it."""
+    """Return 'pass' or 'MISS'."""
     return 'pass' if met else 'MISS'
 
 
 def child(script, *arguments, **environment):
-    """Return what a script of this folder prints, run in a process of its own."""
+    """Run a script of this folder in a new process, and return what it prints."""
     return subprocess.run([sys.executable, HERE / script, *arguments], check=True, text=True,
                           stdout=subprocess.PIPE, env={**os.environ, **environment}).stdout
 
 
 def installed_peers():
-    """Return the modules of the peers by name; tell which are not installed."""
+    """Return the modules of the peers by name; print which are not installed."""
     peers = {}
     for name in ('heyoka', 'cyrk', 'rk4'):
         try:
             peers[name] = importlib.import_module(f'{name}_peer')
         except ImportError as problem:
-            print(f'left out: {problem}')
+            print(f'skipped: {problem}')
     return peers
 
 
 def machine():
-    """Return what the figures depend on."""
+    """Return the platform, the processors and the versions of packages."""
     versions = {}
     for package in PACKAGES:
         with contextlib.suppress(PackageNotFoundError):
@@ -242,15 +243,17 @@ def machine():
 
 
 def main():
-    """Run the sections that are named, or all."""
+    """Run the given sections, or all."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('sections', nargs='*', metavar='SECTION',
-                        help=f'any of {", ".join(SECTIONS)}; all if none is named')
-    parser.add_argument('--json', type=Path, metavar='FILE', help='write every sample there')
+                        help=f'any of {", ".join(SECTIONS)} (default: all)')
+    parser.add_argument('--json', type=Path, metavar='FILE',
+                        help='write all results and times to FILE')
     arguments = parser.parse_args()
     unknown = sorted(set(arguments.sections) - set(SECTIONS))
     if unknown:
-        parser.error(f'no section {", ".join(unknown)}; there are {", ".join(SECTIONS)}')
+        parser.error(f'SECTION: expected any of {", ".join(SECTIONS)}, '
+                     f'found {", ".join(unknown)}')
     report = {'machine': machine()}
     for name, value in report['machine'].items():
         print(f'{name}: {value}')

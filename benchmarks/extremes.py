@@ -72,7 +72,7 @@ def errors(scene):
 
 
 def error_of(scene, solver):
-    """Return the largest error of a solver, or why there is none, as text."""
+    """Return the largest error of a solver, or the reason for its absence, as text."""
     if solver not in scene.solvers:
         return '-'
     if solver in FIXED_STEP and scene.steps > MOST_STEPS:

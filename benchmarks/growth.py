@@ -13,13 +13,13 @@
 # limitations under the License.
 
 """
-Time and memory of one long motion, in a process that does nothing else.
+Measure time and memory of one long motion, in a process of its own.
 
     python benchmarks/growth.py SAMPLES {end,each}
 
-Torques held at 1 kHz; the state at the end, or at each sample. Prints JSON: the time per sample,
-and the memory, MiB, that making the log of arrays and the motion of the log took at their peaks
-beyond what they were given and what they returned. Linux only.
+The torques are sampled at 1 kHz and held; the output is the state at the end, or at each sample.
+The script prints JSON: the time per sample, and the peak memory, MiB, of building the log and of
+computing the motion, without their inputs and results. Linux only.
 """
 
 import ctypes
@@ -38,7 +38,7 @@ LEAST = 0.5
 
 
 def samples(count):
-    """Return stamps and torques, made without temporary arrays."""
+    """Return stamps and torques, computed without temporary arrays."""
     times_ns = np.arange(count) * 1_000_000
     torques = np.empty((count, 3))
     for column, frequency in zip(torques.T, (0.7, 1.1, 1.9)):
@@ -49,16 +49,16 @@ def samples(count):
 
 
 def memory(field):
-    """Return a field of the kernel's account of this process, MiB."""
-    # Not ru_maxrss: a process inherits that from the one that started it.
+    """Return a field of /proc/self/status, MiB."""
+    # Not ru_maxrss: a process inherits it from its parent.
     lines = Path('/proc/self/status').read_text().splitlines()
     return next(int(line.split()[1]) / 1024 for line in lines if line.startswith(field))
 
 
 def peak(function, *arguments, **options):
-    """Return what a function returns, and the most that memory grew by meanwhile, MiB."""
-    ctypes.CDLL(None).malloc_trim(0)  # what was freed is given back, or growth could hide in it
-    Path('/proc/self/clear_refs').write_text('5')  # the peak is what is in use now
+    """Return the result of a function, and the peak growth of memory during the call, MiB."""
+    ctypes.CDLL(None).malloc_trim(0)  # return freed memory, or it would hide growth
+    Path('/proc/self/clear_refs').write_text('5')  # reset the peak to the present use
     before = memory('VmRSS')
     result = function(*arguments, **options)
     return result, memory('VmHWM') - before
@@ -70,7 +70,7 @@ def array_size(*arrays):
 
 
 def main():
-    """Measure."""
+    """Measure, and print the result."""
     count, each = int(sys.argv[1]), sys.argv[2] == 'each'
     propagate(BODY, START, TorqueLog(*samples(10)), at=[1_000_000])
     times_ns, torques = samples(count)
@@ -83,7 +83,7 @@ def main():
         start = time.process_time()
         motion = propagate(BODY, START, log, at=at)
         runs.append(time.process_time() - start)
-        # Times that are those given take no memory again.
+        # A view of the given times takes no memory.
         new_times = [] if np.shares_memory(motion.times_ns, at) else [motion.times_ns]
         return array_size(motion.attitude, motion.angular_velocity, *new_times)
 

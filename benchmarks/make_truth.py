@@ -17,7 +17,7 @@ Write truth.json: the final attitudes of the problems in 30 digits.
 
     python benchmarks/make_truth.py [PROBLEM ...]
 
-P4 takes some minutes, for its 60 000 torques; the others seconds.
+P4 takes some minutes, because it has 60 000 torques; the others take seconds.
 """
 
 import json
@@ -29,7 +29,7 @@ from problems import IDENTITY, PROBLEMS, TRUTH, truth
 
 
 def final_attitude(problem):
-    """Return the attitude at the end: in closed form where no torque acts."""
+    """Return the attitude at the end, in closed form if there is no torque."""
     tensor = np.diag(problem.moments)
     if not len(problem.torques):
         return truth.free(tensor, IDENTITY, problem.rates, problem.end_ns)[0]
@@ -38,7 +38,7 @@ def final_attitude(problem):
 
 
 def main():
-    """Compute those named, or all, and keep the others."""
+    """Compute the given problems, or all, and keep the others."""
     recorded = json.loads(TRUTH.read_text()) if TRUTH.exists() else {}
     for name in sys.argv[1:] or PROBLEMS:
         attitude = [mp.nstr(x, 30) for x in final_attitude(PROBLEMS[name])]

@@ -24,8 +24,8 @@ LADDER = [{'steps': steps} for steps in (
     1_000_000)]
 STREAM_LADDER = [{}, {'substeps': 2}, {'substeps': 4}]
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-# There is nothing to touch, and looking for it takes a fifth of the time. Rates that overflow with
-# steps too long shall be seen as such: MuJoCo would go on from the start.
+# Contacts are off, because their detection takes a fifth of the time. Automatic resets are off,
+# because after an overflow with too long steps MuJoCo would continue from the start.
 BODY = """
 <mujoco>
   <compiler balanceinertia="false"/>
@@ -48,7 +48,7 @@ class Final:
     """The state at the end, under at most one torque."""
 
     def __init__(self, problem, steps):
-        """All steps are equal; it refuses moments that no body has."""
+        """All steps have the same length; MuJoCo rejects impossible moments."""
         self.label = f'RK4, {steps} steps'
         self._steps = steps
         self._torque = problem.torques[0] if len(problem.torques) else np.zeros(3)
@@ -60,7 +60,7 @@ class Final:
         self._data, self._rates = mujoco.MjData(self._model), problem.rates
 
     def reset(self):
-        """Go back to the start."""
+        """Reset to the start."""
         mujoco.mj_resetData(self._model, self._data)
         self._data.qvel[3:] = self._rates
         self._data.qfrc_applied[3:] = self._torque  # about body axes, other than xfrc_applied
@@ -75,10 +75,10 @@ class Final:
 
 
 class Stream(Final):
-    """The state at the end, under torques that a rollout applies, each for a step or a few."""
+    """The state at the end, under torques that a rollout applies."""
 
     def __init__(self, problem, substeps=1):
-        """One step per torque is at rounding level already."""
+        """With one step for each torque the error is at rounding level already."""
         self.label = 'RK4 rollout, ' + (
             'one step per sample' if substeps == 1 else f'{substeps} steps per sample')
         self._torque = np.zeros(3)

@@ -140,7 +140,7 @@ def measure():
 
 
 def main():
-    """Print the table, which marks missed bars."""
+    """Print the table, and mark values beyond their limits."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('--json', type=Path, help='write the figures')
     arguments = parser.parse_args()

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The loop that is written first: RK4 in numpy, normalised."""
+"""A simple loop in numpy: RK4 with a fixed step, and a normalised quaternion."""
 
 import numpy as np
 
@@ -26,14 +26,14 @@ class Final:
     """The state at the end, under at most one torque."""
 
     def __init__(self, problem, steps):
-        """All steps are equal."""
+        """All steps have the same length."""
         self.label = f'{steps} steps'
         self._accelerations = (problem.accelerations.tolist() or [[0.0, 0.0, 0.0]]) * steps
         self._step = problem.seconds / steps
         self._coupling, self._start = problem.coupling, problem.start_vector
 
     def reset(self):
-        """Go back to the start: nothing is kept that would have to."""
+        """Do nothing: each run begins at the start."""
 
     def run(self):
         """Integrate."""
@@ -48,10 +48,10 @@ class Final:
 
 
 class Stream(Final):
-    """The same under torques that are each held for a step, or a few."""
+    """The same under torques that are held for one or more steps each."""
 
     def __init__(self, problem, substeps=1):
-        """One step per torque is at rounding level already."""
+        """With one step for each torque the error is at rounding level already."""
         self.label = 'one step per sample' if substeps == 1 else f'{substeps} steps per sample'
         self._accelerations = np.repeat(problem.accelerations, substeps, axis=0).tolist()
         self._step = problem.hold_ns * 1e-9 / substeps

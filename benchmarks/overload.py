@@ -201,7 +201,7 @@ def _stamp_ns(diagnosis):
 
 
 def main():
-    """Print the table, which marks missed bars."""
+    """Print the table, and mark values beyond their limits."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('--rate', type=float, default=5000.0, help='Hz')
     parser.add_argument('--seconds', type=float, default=30.0)

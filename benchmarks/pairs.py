@@ -13,9 +13,10 @@
 # limitations under the License.
 
 """
-Time contenders in turns, so that what slows the machine slows all of them.
+Time contenders in turns, so that other load on the machine slows all of them alike.
 
-A contender has `reset()`, which is not timed, `run()`, which is, and `attitude()`, its answer.
+A contender has the methods `reset()`, which is not timed, `run()`, which is timed, and
+`attitude()`, which returns its result.
 """
 
 from dataclasses import dataclass
@@ -25,18 +26,18 @@ import time
 import numpy as np
 from scipy.stats import binom
 
-#: Rounds, and how many of them a contender takes part in at least.
+#: Number of rounds, and the smallest number of rounds in which a contender runs.
 ROUNDS, FEWEST = 301, 6
 #: A timing repeats a run for at least this long, s.
 LEAST = 1e-3
-#: s; a shorter run notices what ran before it, and is repeated once without being timed.
-_NOTICES = 0.1
+#: s; a shorter run depends on what ran before it (caches), so it runs once untimed first.
+_SHORT = 0.1
 
 
 @dataclass
 class Comparison:
     """
-    The times, s, of two contenders in the same rounds; NaN in rounds that one sat out.
+    The times, s, of two contenders in the same rounds; NaN in rounds that one skipped.
 
     Attributes
     ----------
@@ -72,17 +73,17 @@ def in_turns(contenders, seconds, patience=math.inf):
     """
     Return the time of a run, s, by round and contender, shape (ROUNDS, n).
 
-    Every second round goes through the contenders backwards.
+    Every second round runs the contenders in reverse order.
 
     Parameters
     ----------
     contenders : sequence
         n of them.
     seconds : sequence of n float
-        About how long a run takes each.
+        Estimated time of a run of each.
     patience : float, s
-        Time for all runs of one contender. One that takes longer sits rounds out, evenly spread,
-        and has NaN there.
+        Time for all runs of one contender. A contender that needs longer skips rounds, evenly
+        spread, and has NaN there.
 
     """
     times = np.full((ROUNDS, len(contenders)), np.nan)
@@ -92,14 +93,14 @@ def in_turns(contenders, seconds, patience=math.inf):
     for number in range(ROUNDS):
         for column in range(len(contenders))[::1 if number % 2 else -1]:
             if number % every[column] == 0:
-                if seconds[column] < _NOTICES:
+                if seconds[column] < _SHORT:
                     _mean(contenders[column], 1)
                 times[number, column] = _mean(contenders[column], repeats[column])
     return times
 
 
 def quick(contender):
-    """Return about how long a run takes, s: to choose between settings of one peer."""
+    """Return an estimate of the time of a run, s, to choose between settings of one peer."""
     repeats = _repeats(contender)
     return min(_mean(contender, repeats) for _ in range(3))
 

@@ -13,16 +13,16 @@
 # limitations under the License.
 
 """
-Measure what an error costs, here and with what a user would pick instead.
+Measure error and cost of this package and of the alternatives that a user has.
 
     python benchmarks/peers.py [--json FILE] [--plot PNG] [--page docs/tradeoff.md] [PROBLEM ...]
 
-Each contender runs each problem over a ladder of settings, from coarse to fine, until a run takes
-half a second. For every level of error the setting counts that stays below it and takes the least
-time. All settings that count are then timed in turns: that one measurement gives every time and
-every ratio of a table. Errors are angles, rad, between final attitudes and the truth in 30 digits;
-times are of one thread, warm. With --page the tables there are replaced: all between the lines
-`MARK` and `END`.
+Each contender runs each problem with a ladder of settings, from coarse to fine, until a run takes
+half a second. For each error level, the fastest setting with an error below it is selected. All
+selected settings are then timed in turns, and this measurement gives all times and ratios of a
+table. Errors are angles, rad, between the final attitude and a reference of 30 digits. All runs
+use one thread; compilation is not timed. With --page the tables are written into that file,
+between its lines `MARK` and `END`.
 """
 
 import argparse
@@ -80,7 +80,7 @@ class Rung(NamedTuple):
 
 
 def our_ladder(problem):
-    """Return our settings, from coarse to fine."""
+    """Return the settings of this package, from coarse to fine."""
     span = problem.hold_ns * 1e-9
     # At most one step a sample, or the radian or so that the coarsest peers begin with.
     longest = span if len(problem.torques) > 1 else span / 2 ** np.ceil(
@@ -90,7 +90,7 @@ def our_ladder(problem):
 
 
 class Named(Ours):
-    """Ours at the end only, as the peers answer, with the name of its setting."""
+    """The package itself, at the end only as the peers, with the name of its setting."""
 
     def __init__(self, problem, **options):
         """`options` are those of `propagate`."""
@@ -101,7 +101,7 @@ class Named(Ours):
 
 
 def ladders(problem, peers):
-    """Yield the name of a contender, how to make it, and its settings, group by group."""
+    """Yield the name, the class and the settings of each contender."""
     ours = our_ladder(problem)
     for solver in ('auto', 'rk4'):
         yield US, Named, [options for options in ours if options['solver'] == solver]
@@ -112,7 +112,7 @@ def ladders(problem, peers):
 
 
 def climb(name, make, ladder):
-    """Return the rungs of a ladder that are not too long, and what was wrong with others."""
+    """Return the rungs of a ladder that are fast enough, and why the others failed."""
     rungs, failed = [], []
     for options in ladder:
         try:
@@ -134,7 +134,7 @@ def climb(name, make, ladder):
 
 
 def cost(contender):
-    """Return about how long a run takes, s."""
+    """Return an estimate of the time of a run, s."""
     contender.reset()
     began = time.process_time()
     contender.run()
@@ -143,7 +143,7 @@ def cost(contender):
 
 
 def measure(name, peers):
-    """Return the rungs of every contender at a problem, and those that failed."""
+    """Return the rungs of all contenders for a problem, and the failed ones."""
     rungs, failed = {}, []
     for who, make, ladder in tqdm([*ladders(PROBLEMS[name], peers)], desc=name, leave=False):
         found, why = climb(name, make, ladder)
@@ -153,13 +153,13 @@ def measure(name, peers):
 
 
 def cheapest(rungs, level):
-    """Return the cheapest rung of an error up to a level, or None."""
+    """Return the fastest rung with an error up to a level, or None."""
     return min((rung for rung in rungs if rung.error <= level),
                key=lambda rung: rung.seconds, default=None)
 
 
 def timed(rungs):
-    """Return the rungs that count at some level, with their times in turns, by contender."""
+    """Return the selected rungs by contender, with their times in turns."""
     chosen = {who: [*{id(rung): rung for level in LEVELS if (rung := cheapest(some, level))
                       }.values()] for who, some in rungs.items()}
     every = [rung for some in chosen.values() for rung in some]
@@ -170,7 +170,7 @@ def timed(rungs):
 
 
 def duels(rungs):
-    """Return by level how many times as fast as the best peer ours is, with its interval."""
+    """Return by level the ratio of the best peer's time to ours, with its interval."""
     found = {}
     for level in LEVELS:
         ours = cheapest(rungs[US], level)
@@ -182,7 +182,7 @@ def duels(rungs):
 
 
 def verdict(ours, ratio):
-    """Return the cell of a level: what the best peer takes, over what ours does."""
+    """Return the cell of a level: the best peer's time divided by ours."""
     if ratio is None:
         return 'alone' if ours else '-'
     value, low, high = ratio
@@ -191,7 +191,7 @@ def verdict(ours, ratio):
 
 
 def table(name, rungs, least):
-    """Return the lines of a problem: us by contender and level; `least` are the least errors."""
+    """Return the lines of a problem: us by contender and level; `least`: smallest errors."""
     ratios = duels(rungs)
     lines = [f'### {name}: {TITLES[name]}', '',
              *header('us', *(f'{level:.0e}' for level in LEVELS), 'least error')]
@@ -205,7 +205,7 @@ def table(name, rungs, least):
 
 
 def draw(path, results):
-    """Draw the front of every contender at every problem."""
+    """Plot error and time of every contender, one axes for each problem."""
     figure = Figure(figsize=(11.0, 6.4), layout='constrained')
     panels = figure.subplots(2, 4).ravel()
     names = dict.fromkeys(who for rungs, *_ in results.values() for who in rungs)
@@ -232,7 +232,7 @@ def draw(path, results):
 
 
 def installed():
-    """Return the modules of the peers by name; tell which are not installed."""
+    """Return the modules of the peers by name; print which are not installed."""
     modules, missing = {}, []
     for name, label in PEERS.items():
         try:
@@ -243,7 +243,7 @@ def installed():
 
 
 def described(modules, missing):
-    """Return the lines that tell where and of what the figures are."""
+    """Return lines with the machine and the versions."""
     about = machine()
     versions = [f"rigid_body_ros {about['versions']['rigid_body_ros']}",
                 *(module.NAME for module in modules.values())]
@@ -253,7 +253,7 @@ def described(modules, missing):
 
 
 def as_data(rungs, least, failed):
-    """Return what was measured at a problem, for a file."""
+    """Return the results for a problem, for the JSON file."""
     return {'rungs': [{'contender': who, 'setting': rung.setting, 'error_rad': rung.error,
                        'seconds': rung.seconds,
                        'times_s': [None if math.isnan(each) else each for each in rung.times]}
@@ -263,7 +263,7 @@ def as_data(rungs, least, failed):
 
 
 def main():
-    """Measure the problems that are named, or all, and print the tables."""
+    """Measure the given problems, or all, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('problems', nargs='*', metavar='PROBLEM', default=[*PROBLEMS],
                         help=f'any of {", ".join(PROBLEMS)}; all if none is named')

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Replay with the packages a user would join: reader and writer of mcap-ros2-support, our engine.
+Replay with the reader and writer of mcap-ros2-support and the engine of this package.
 
     python benchmarks/plain_replay.py INPUT SCENE OUTPUT
 
-Prints the seconds it took, without those of loading and compiling.
+The script prints the time, s, without loading and compiling.
 """
 
 from dataclasses import replace

@@ -87,7 +87,7 @@ def groups(values: dict) -> Iterator[tuple[str, Iterator[np.ndarray]]]:
 
 
 def described(motion: bits.Motion) -> Iterator[np.ndarray]:
-    """Yield what the library computes of a body and its start."""
+    """Yield the quantities that the library computes from a body and its start."""
     body, rates = motion.body, motion.start.angular_velocity
     for factor in (3.0, 0.7, 1.0 + 2.0 ** -50, 1.0 - 2.0 ** -50):
         yield State(0, factor * motion.start.attitude).attitude
@@ -108,7 +108,7 @@ def read_bodies(motion: bits.Motion) -> Iterator[np.ndarray]:
 
 
 def turned(motion: bits.Motion) -> Iterator[np.ndarray]:
-    """Yield what `so3` computes of the start."""
+    """Yield the results of `so3` for the start."""
     attitude, rates = motion.start.attitude, motion.start.angular_velocity
     turn = so3.exp(rates)
     yield turn

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The problems that this package and its peers are given, and how far an answer is off."""
+"""The problems that this package and its peers solve, and the error of a result."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -42,7 +42,7 @@ def no_torque():
 @dataclass(frozen=True)
 class Problem:
     """
-    A body about its principal axes, from the identity on, under torques held for equal times.
+    A body in principal axes that starts at the identity, under torques held for equal times.
 
     Attributes
     ----------
@@ -60,17 +60,17 @@ class Problem:
 
     @property
     def end_ns(self):
-        """Return the time of the last state asked for."""
+        """Return the time of the last requested state."""
         return self.seconds * SECOND
 
     @property
     def hold_ns(self):
-        """How long each torque is held; all the time where there is none."""
+        """How long each torque is held, ns; without torques, the whole time."""
         return self.end_ns // max(1, len(self.torques))
 
     @property
     def at(self):
-        """Return the times to answer for, ns, (m,): the end of each torque, or of the motion."""
+        """Return the requested times, ns, (m,): the end of each torque, or of the motion."""
         return np.arange(1, max(1, len(self.torques)) + 1) * self.hold_ns
 
     @property
@@ -86,12 +86,12 @@ class Problem:
 
     @property
     def start_vector(self):
-        """Return the rates and the attitude at the start, as a solver of equations wants them."""
+        """Return rates and attitude at the start, shape (7,), for a solver of equations."""
         return np.array(self.rates + IDENTITY)
 
     @cached_property
     def scene(self):
-        """Return the same for this package: body, start and log."""
+        """Return the arguments of `propagate`: body, start and log."""
         times_ns = np.arange(len(self.torques)) * self.hold_ns
         log = TorqueLog(times_ns, self.torques) if len(self.torques) else None
         return (RigidBody.from_moments(*self.moments),
@@ -99,7 +99,7 @@ class Problem:
 
     @property
     def fingerprint(self):
-        """Return a digest of all that the true answer depends on, each double of the torques."""
+        """Return a digest of everything that the reference depends on, every torque included."""
         doubles = np.concatenate([self.moments, self.start_vector, self.torques.ravel()])
         digest = hashlib.sha256(doubles.astype('<f8').tobytes())
         digest.update(str(self.end_ns).encode())
@@ -107,7 +107,7 @@ class Problem:
 
 
 def wave():
-    """Return a minute of three sines at 1 kHz."""
+    """Return a minute of three sines, one about each axis, sampled at 1 kHz."""
     seconds = np.arange(60_000) * 1e-3
     return 0.5 * np.sin(2 * np.pi * np.outer(seconds, (0.7, 1.1, 1.9)))
 
@@ -124,10 +124,10 @@ PROBLEMS = {
 
 
 def error(name, attitude):
-    """Return the angle, rad, between an answer and the true final attitude of a problem."""
+    """Return the angle, rad, between an attitude and the true final attitude of a problem."""
     recorded = json.loads(TRUTH.read_text())[name]
     if recorded['fingerprint'] != PROBLEMS[name].fingerprint:
-        raise SystemExit(f'{name}: the numbers here differ from those that {TRUTH.name} was made '
-                         f'from; run python {HERE.name}/make_truth.py {name}')
+        raise SystemExit(f'{TRUTH.name}: {name}: computed from other numbers than those of the '
+                         f'problem; run python {HERE.name}/make_truth.py {name}')
     with mp.workdps(40):
         return truth.chord(truth.exact(recorded['attitude']), attitude)

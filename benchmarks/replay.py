@@ -13,15 +13,15 @@
 # limitations under the License.
 
 """
-Measure a replay of torques at 1 kHz, beside the plain pipeline in plain_replay.py.
+Compare the replay of torques at 1 kHz with the plain pipeline in plain_replay.py.
 
     python benchmarks/replay.py [--hours H] [--plain-hours H] [--rounds N] [--folder DIR]
 
-Three topics out at every stamp; rounds of the two in turns, each in a process of its own; medians.
-Ours is the whole command, loading included; the plain one begins when it is loaded. It may have
-a shorter recording, as the ratio is of messages a second; its memory is for that one. Inputs are
-zstd MCAP; they are made once, and stay for the next run in the folder if one is named. MB are
-10^6 bytes.
+Both write three topics at every stamp. They run in turns, each in a process of its own; the table
+has the medians. The time of this package includes loading, that of the plain pipeline does not.
+The plain pipeline may get a shorter recording, because the ratio is that of messages per second;
+its memory is for that recording. The inputs are MCAP files compressed with zstd. With --folder
+they are kept for the next run. 1 MB is 10^6 bytes.
 """
 
 import argparse
@@ -50,7 +50,7 @@ RATIO_BAR, SPEED_BAR, MEMORY_BAR = 12.0, 250_000, 500e6
 
 
 def recorded(folder, hours):
-    """Return the recording of so many hours in a folder, made if it is not there."""
+    """Return the path of the recording of that many hours; write it if it does not exist."""
     path = folder / f'torque_{hours:g}h.mcap'
     if not path.exists():
         random = np.random.default_rng(6)
@@ -69,7 +69,7 @@ def count(hours):
 
 
 def torques(rows, random):
-    """Return torques, N m: waves of 5 mN m, and 1 mN m of noise."""
+    """Return torques, N m: sines of 5 mN m with noise of 1 mN m."""
     waves = np.sin(2.0 * np.pi / RATE * rows[:, None] * [0.7, 1.1, 1.9])
     return 5e-3 * waves + 1e-3 * random.standard_normal((len(rows), 3))
 
@@ -99,12 +99,12 @@ def run(*arguments):
 
 
 def split(path, output):
-    """Return the seconds that parts of a replay take, in this process."""
+    """Return the times, s, of the parts of a replay in this process."""
     return replay(path, scene.load(SCENE), output).seconds
 
 
 def measure(folder, hours, plain_hours, rounds):
-    """Return messages a second and peak memory, bytes, arrays of shape (rounds, 2)."""
+    """Return messages per second and peak memory, bytes: two arrays of shape (rounds, 2)."""
     cases = {'ours': (ours, recorded(folder, hours), hours),
              'plain': (plain, recorded(folder, plain_hours), plain_hours)}
     figures = {name: [] for name in cases}
@@ -118,7 +118,7 @@ def measure(folder, hours, plain_hours, rounds):
 
 
 def report(figures, parts, messages_read):
-    """Print the table, and which bars are missed."""
+    """Print the table, and mark required values that are not met."""
     (speed, memory), (plain_speed, plain_memory) = (
         np.median(figures[name], axis=0) for name in ('ours', 'plain'))
     ratio = np.median(figures['ours'][:, 0] / figures['plain'][:, 0])

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The loop that is written by hand: RK4 in numba, steps of one length, normalised."""
+"""A hand-written loop in numba: RK4 with a fixed step, and a normalised quaternion."""
 
 import numba
 import numpy as np
@@ -25,17 +25,17 @@ STREAM_LADDER = [{}, {'substeps': 2}]
 
 
 class Final:
-    """The attitude at the end, under at most one torque; it keeps no other."""
+    """The attitude at the end, under at most one torque; no other state is kept."""
 
     def __init__(self, problem, steps):
-        """All steps are equal."""
+        """All steps have the same length."""
         self.label = f'{steps} steps'
         accelerations = problem.accelerations if len(problem.torques) else np.zeros((1, 3))
         self._arguments = (*problem.start_vector, *problem.coupling,
                            np.broadcast_to(accelerations, (steps, 3)), problem.seconds / steps)
 
     def reset(self):
-        """Go back to the start: nothing is kept that would have to."""
+        """Do nothing: each run begins at the start."""
 
     def run(self):
         """Integrate."""
@@ -47,10 +47,10 @@ class Final:
 
 
 class Stream(Final):
-    """The same under torques that are each held for a step, or a few."""
+    """The same under torques that are held for one or more steps each."""
 
     def __init__(self, problem, substeps=1):
-        """One step per torque is at rounding level already."""
+        """With one step for each torque the error is at rounding level already."""
         self.label = 'one step per sample' if substeps == 1 else f'{substeps} steps per sample'
         self._arguments = (*problem.start_vector, *problem.coupling,
                            np.repeat(problem.accelerations, substeps, axis=0),

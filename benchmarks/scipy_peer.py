@@ -20,8 +20,8 @@ from scipy.integrate import solve_ivp
 NAME = f'scipy {scipy.__version__}'
 LADDER = [{'method': method, 'rtol': 10.0 ** -k}
           for method, finest in (('RK45', 9), ('DOP853', 13)) for k in range(3, finest + 1)]
-LADDER.append({'method': 'DOP853', 'rtol': 3e-14})  # it takes none below 100 units of rounding
-#: A step of a millisecond is at rounding level with it, and never refused.
+LADDER.append({'method': 'DOP853', 'rtol': 3e-14})  # it accepts none below 100 eps
+#: With it, a step of 1 ms has an error at rounding level and is never rejected.
 STREAM_TOLERANCE = 1e-9
 STREAM_LADDER = [{}]
 
@@ -30,7 +30,7 @@ class Final:
     """The state at the end, under at most one torque."""
 
     def __init__(self, problem, method, rtol):
-        """Set the absolute tolerance to a hundredth: parts of a unit vector cross zero."""
+        """Set the absolute tolerance to rtol / 100, because components of q cross zero."""
         self.label = f'{method} rtol={rtol:.0e}'
         acceleration = problem.accelerations[0] if len(problem.torques) else (0.0, 0.0, 0.0)
         self._equations = _equations(problem.coupling, [float(t) for t in acceleration])
@@ -38,7 +38,7 @@ class Final:
         self._options = {'method': method, 'rtol': rtol, 'atol': 0.01 * rtol}
 
     def reset(self):
-        """Go back to the start: nothing is kept that would have to."""
+        """Do nothing: each run begins at the start."""
 
     def run(self):
         """Integrate."""
@@ -50,10 +50,10 @@ class Final:
 
 
 class Stream(Final):
-    """The state at the end, under torques of which each is a problem of its own."""
+    """The state at the end, under torques; each begins a new problem."""
 
     def __init__(self, problem):
-        """Knowing the first step saves each restart from looking for one."""
+        """Fix the first step, so that no restart has to search for it."""
         self.label = f'RK45 rtol={STREAM_TOLERANCE:.0e}, restarted'
         hold = problem.hold_ns * 1e-9
         self._coupling, self._accelerations = problem.coupling, problem.accelerations.tolist()

@@ -84,7 +84,7 @@ PATIENCE = 60.0
 
 
 class Line(NamedTuple):
-    """A figure, and the value that it has to equal or not to exceed."""
+    """A measured value, and the value that it must equal or not exceed."""
 
     name: str
     found: float
@@ -93,7 +93,7 @@ class Line(NamedTuple):
 
     @property
     def holds(self):
-        """Whether the figure meets its bar."""
+        """Whether the measured value meets its limit."""
         return self.found <= self.bar if self.at_most else self.found == self.bar
 
 
@@ -286,7 +286,7 @@ def published(live, plan, folder):
 
 
 def printed(lines):
-    """Print a table that marks missed bars; return the exit status."""
+    """Print a table that marks values beyond their limits; return the exit status."""
     print(f'{"":36}{"found":>12}{"expected":>12}')
     for line in lines:
         print(f'{line.name:36}{line.found:12.8g}{"<=" if line.at_most else "":>4}'

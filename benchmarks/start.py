@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-Time from the first import to the first result, in a process that does nothing else.
+Measure the time from the first import to the first results, in a process of its own.
 
     python benchmarks/start.py
 
-Prints seconds: one motion under torque, one free of it. Where NUMBA_CACHE_DIR names an empty
-folder everything is compiled.
+The script computes one motion under torque and one without, and prints seconds. If
+NUMBA_CACHE_DIR is an empty folder, the time includes the compilation of all kernels.
 """
 
 import time

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-Print what others published beside what is found here, as it stands in docs/validation.md.
+Print the tables of docs/validation.md: published values, computed values and their differences.
 
     python benchmarks/validation.py [--page docs/validation.md]
 
-With --page the tables there are made anew: all between the lines `MARK` and `END`. It takes some
-seconds, and the folder of NASA's check-case data in the environment variable NESC_DATA.
+With --page the tables are written into that file, between its lines `MARK` and `END`. This needs
+NASA's check-case data: set the environment variable NESC_DATA to their folder.
 """
 
 import argparse
@@ -33,7 +33,7 @@ from published import DataNotHereError, ROWS  # noqa: E402
 
 MARK = '<!-- what follows is printed by benchmarks/validation.py -->'
 END = '<!-- end of what is printed by benchmarks/validation.py -->'
-#: By source: heading, reference, and what to know about it.
+#: By source: heading, reference, and remarks.
 TEXTS = {
     'jeod': ("The Space Station of NASA's JEOD", [
         'NASA, JSC Engineering Orbital Dynamics (JEOD), github.com/nasa/jeod at commit 6550cf4e: '
@@ -89,7 +89,7 @@ TEXTS = {
 
 
 def cells(name, compare, bound):
-    """Return the cells of a row."""
+    """Return the cells of a row of a table."""
     try:
         reference, ours, apart = compare()
     except DataNotHereError as error:
@@ -98,7 +98,7 @@ def cells(name, compare, bound):
 
 
 def source_lines(source):
-    """Return heading, reference, remark, command and table of a source."""
+    """Return the heading, reference, remarks, command and table of a source."""
     title, paragraphs = TEXTS[source]
     lines = [f'## {title}', '']
     for paragraph in paragraphs:
@@ -110,20 +110,20 @@ def source_lines(source):
 
 
 def tables():
-    """Return all that is printed."""
+    """Return the text of all sources."""
     return '\n'.join(line for source in ROWS for line in source_lines(source))
 
 
 def main():
-    """Print, or write into the page."""
+    """Print the tables, or write them into the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument('--page', type=Path)
+    parser.add_argument('--page', type=Path, metavar='FILE', help='write the tables into FILE')
     page = parser.parse_args().page
     if page is None:
         print(tables())
         return
     if 'NESC_DATA' not in os.environ:
-        parser.error('--page: set NESC_DATA, or the page would lose what needs it')
+        parser.error('--page: NESC_DATA is not set, so the rows that need it would be lost')
     text = page.read_text()
     page.write_text(f'{text.split(MARK)[0]}{MARK}\n\n{tables()}\n{END}{text.split(END)[1]}')
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The same torques as recordings of every form in use."""
+"""Write the same torques in every recording format in use."""
 
 from collections import Counter
 from dataclasses import asdict, dataclass
@@ -46,7 +46,7 @@ PUBLISHED, LOGGED = 500_000, 1_000_000
 QOS = Qos(QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, QosDurability.VOLATILE,
           Time(9223372036, 854775807), Time(9223372036, 854775807), QosLiveliness.AUTOMATIC,
           Time(9223372036, 854775807), False)
-#: Frames that need every length of padding, and other letters.
+#: Frames that need every length of padding, some with non-ASCII letters.
 FRAMES = ['base_link', 'world', '', 'a', 'ab', 'abc', 'abcd', 'abcde', 'abcdef', 'Flügel/機体',
           'robot_1/arm_left/wrist_force_torque_sensor_frame']
 #: Options for a file without summary and index.
@@ -75,7 +75,7 @@ class Torques:
         return Torques(self.stamps_ns[rows], frame_ids, self.values[rows])
 
     def rows(self):
-        """Return the messages as tuples that are equal if every bit is."""
+        """Return the messages as tuples, which are equal only if all bits are."""
         return [(stamp, frame_id, row.tobytes()) for stamp, frame_id, row in
                 zip(self.stamps_ns.tolist(), self.frame_ids, np.ascontiguousarray(self.values))]
 
@@ -101,7 +101,7 @@ def big_endian(one):
 
 
 def dirty(one):
-    """Return a message as middleware may send it: padding of any value, and more at its end."""
+    """Return a message as middleware may send it: nonzero padding, also at the end."""
     data = one.cdr()
     if one.kind != WRENCH:
         return data
@@ -112,7 +112,7 @@ def dirty(one):
 
 
 def torques(count=200, frames=('base_link',), seed=1):
-    """Return random torques, with doubles that do not survive arithmetic, at odd times."""
+    """Return random torques at irregular times, among them zeros, infinities and NaN."""
     random = np.random.default_rng(seed)
     stamps = EPOCH_NS + np.cumsum(random.integers(1_000, 10_000_000, count))
     values = random.normal(size=(count, 6))
@@ -122,7 +122,7 @@ def torques(count=200, frames=('base_link',), seed=1):
 
 
 def traffic(recorded, topic='/torque', others=False, header=True):
-    """Return torques as messages; with `others` between them, some of which come before all."""
+    """Return torques as messages; with `others`, also messages of other types, from the start."""
     random = np.random.default_rng(2)
     sent = []
     for number, (stamp, frame_id, values) in enumerate(
@@ -138,7 +138,7 @@ def traffic(recorded, topic='/torque', others=False, header=True):
 
 def mcap(folder, sent, cdr=Sent.cdr, encoding='ros2msg', profile='ros2', channels=1,
          chunk_size=4096, **options):
-    """Write with the Writer of mcap; a topic is registered with its first message."""
+    """Write with the mcap package; a topic is registered with its first message."""
     path, schemas, ids = folder / 'recording.mcap', {}, {}
     with open(path, 'wb') as stream:
         writer = McapWriter(stream, chunk_size, **options)
@@ -173,7 +173,7 @@ def ros2_support(folder, sent, **options):
 
 
 def ours(folder, sent):
-    """Write with this package, which writes no strings and a single time."""
+    """Write with this package, which omits strings and writes one time for each message."""
     path, added = folder / 'recording.mcap', set()
     with recording.Writer(path) as writer:
         for one in sent:
@@ -187,7 +187,7 @@ def ours(folder, sent):
 
 def rosbag2(folder, sent, storage='MCAP', compression='NONE', version=9, name='bag',
             cdr=Sent.cdr):
-    """Write a directory with rosbags, which writes a single time."""
+    """Write a directory with rosbags, which writes one time for each message."""
     writer = Rosbag2Writer(folder / name, version=version, storage_plugin=StoragePlugin[storage])
     writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
     topics = {}
@@ -201,14 +201,14 @@ def rosbag2(folder, sent, storage='MCAP', compression='NONE', version=9, name='b
 
 
 def bare(folder, sent, **options):
-    """Write such a directory, and return the path of the file in it."""
+    """Write a rosbag2 directory, and return the path of the file in it."""
     bag = rosbag2(folder, sent, **options)
     data, = bag.glob('bag.*')
     return data.rename(folder / data.name)
 
 
 def split(folder, sent, parts=3, prefix='', **options):
-    """Write a directory of several files, named and described as rosbag2 does."""
+    """Write a rosbag2 directory of several files, with the names and metadata of rosbag2."""
     bag = folder / 'bag'
     bag.mkdir()
     bounds = np.linspace(0, len(sent), parts + 1).astype(int)
@@ -237,9 +237,10 @@ def split(folder, sent, parts=3, prefix='', **options):
 
 def sqlite(folder, sent, schema=3, killed=False):
     """
-    Write the .db3 of an older ROS: schema 1 is Dashing's, 2 Foxy's, 3 Humble's.
+    Write a .db3 file with the schema of an older ROS: 1 Dashing, 2 Foxy, 3 Humble.
 
-    With `killed` as it is left by a recorder in its mode 'resilient': all rows in the journal.
+    With `killed`, the file is in the state in which a killed recorder in 'resilient' mode leaves
+    it: all rows are in the journal.
     """
     live = folder / 'live.db3'
     qos = ', offered_qos_profiles TEXT NOT NULL' * (schema > 1)
@@ -329,7 +330,7 @@ UNREAD = {'mcap-no-profile', 'mcap-chunk-index-only', 'sqlite3-killed'}
 
 
 def read_by_rosbags(path, topic='/torque'):
-    """Return torques and log times as rosbags reads them: in the order of log times."""
+    """Return torques and log times, read with rosbags, in the order of log times."""
     with AnyReader([path], default_typestore=STORE) as reader:
         found = [connection for connection in reader.connections if connection.topic == topic]
         read = [(time_ns, reader.deserialize(data, connection.msgtype))
@@ -343,7 +344,7 @@ def read_by_rosbags(path, topic='/torque'):
 
 
 def read_by_mcap(path):
-    """Return torques as mcap reads them from front to back."""
+    """Return torques, read with mcap in the order of the file."""
     with open(path, 'rb') as stream:
         read = [messages.WRENCH.decode(message.data) for _, _, message in
                 NonSeekingReader(stream, validate_crcs=True).iter_messages(
@@ -353,7 +354,7 @@ def read_by_mcap(path):
 
 
 def records(data):
-    """Generate the opcode, start and end of each MCAP record, chunks as one."""
+    """Yield the opcode, start and end of each MCAP record; a chunk is one record."""
     start = 8
     while start < len(data) - 8:
         opcode, size = struct.unpack_from('<BQ', data, start)

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Quantities of extreme motions that are known in closed form or were published.
+Quantities of extreme motions with a closed form or a published value.
 
-Each function returns the right value and the one found, for `test_extremes.py` to compare and
-`benchmarks/extremes.py` to print.
+Each function returns the known and the computed value. `test_extremes.py` compares them, and
+`benchmarks/extremes.py` prints them.
 """
 
 from mpmath import mp
@@ -37,7 +37,7 @@ TOPS = {
 
 
 def period(name):
-    """Return the known period of the rates, s, and the one found after a million periods."""
+    """Return the known period of the rates, s, and the one computed over a million periods."""
     moments, rates, known = TOPS[name]
     body = RigidBody.from_moments(*moments)
     time_ns = round(PERIODS * known * 1e9)
@@ -48,7 +48,7 @@ def period(name):
 
 
 def escape(offset):
-    """Return when a body 1 : 2 : 3 that turns about axis 2 stands across: K / lambda, s."""
+    """Return K / lambda, s, when a body 1 : 2 : 3 that rotates about axis 2 has w2 = 0."""
     body, rates = RigidBody.from_moments(1.0, 2.0, 3.0), np.array([offset, 1.0, 0.0])
     with mp.workdps(50):
         square = 2 * mp.mpf(offset) ** 2
@@ -60,10 +60,10 @@ def escape(offset):
 
 def landau_zener(half_time):
     """
-    Return R33 of a sphere that is swept through resonance: w = (1, 0, t), from -T to T.
+    Return R33 of a sphere with w = (1, 0, t), from -T to T: a sweep through resonance.
 
     A row (a, b) of the matrix of SU(2) obeys a'' + ((1 + t^2) / 4 + i / 2) a = 0: parabolic
-    cylinder functions (Zener 1932). For T without end, R33 = 2 exp(-pi / 2) - 1.
+    cylinder functions (Zener 1932). For infinite T, R33 = 2 exp(-pi / 2) - 1.
     """
     with mp.workdps(30):
         turn, order = mp.expjpi(0.25), mp.mpc(0, -0.25)
@@ -97,9 +97,9 @@ def boedewadt(seconds):
 
         def angle(t):
             return ratio * (rates[2] * t + mp.mpf(torque[2]) * t * t / (2 * along))
-        pushed = mp.quad(lambda t: mp.expj(-angle(t)), mp.linspace(0, seconds, 4 * seconds + 1))
+        impulse = mp.quad(lambda t: mp.expj(-angle(t)), mp.linspace(0, seconds, 4 * seconds + 1))
         known = complex(mp.expj(angle(seconds)) * (
-            mp.mpc(*rates[:2]) + mp.mpc(*torque[:2]) / across * pushed))
+            mp.mpc(*rates[:2]) + mp.mpc(*torque[:2]) / across * impulse))
     motion = propagate(RigidBody.from_moments(across, across, along),
                        State(0, angular_velocity=rates), TorqueLog([0], [torque]),
                        at=[seconds * SECOND])
@@ -107,7 +107,7 @@ def boedewadt(seconds):
 
 
 def spin_up():
-    """Return the cosine of half the angle from -1e4 to 1.5e4 rad/s about a principal axis."""
+    """Return the cosine of half the angle of a spin-up from -1e4 to 1.5e4 rad/s, axis 3."""
     body = RigidBody.from_moments(1.0, 2.0, 2.5)
     motion = propagate(body, State(0, angular_velocity=(0.0, 0.0, -1e4)),
                        TorqueLog([0], [[0.0, 0.0, 2.5 * 8192.0]]), at=[3 * SECOND])
@@ -116,13 +116,13 @@ def spin_up():
     return known, motion.attitude[0, 3]
 
 
-#: Momentum that ODE loses, max |dL| / |L|, of Gazebo's boxes in 10 s, by the step, s:
+#: By step, s: largest momentum error, max |dL| / |L|, of ODE with Gazebo's boxes in 10 s, from
 #: github.com/scpeters/benchmark, BENCHMARK_boxes_dt.csv.
 ODE_LOSSES = {1e-3: 1.30708e-2, 5e-4: 6.43471e-3, 1e-4: 1.2715e-3}
 
 
 def lost_momentum(solver, step):
-    """Return the same for a solver of this package."""
+    """Return the momentum error of a solver of this package for the same motion."""
     motion = propagate(RigidBody.from_moments(0.80833, 0.68333, 0.14167),
                        State(0, angular_velocity=(0.1, 5.0, 0.1)), solver=solver,
                        at=np.arange(0, 10 * SECOND + 1, SECOND // 1000),
@@ -132,7 +132,7 @@ def lost_momentum(solver, step):
     return apart.max() / np.linalg.norm(momentum[0])
 
 
-#: Name, known value, value found, and largest difference allowed.
+#: By quantity (with its unit): a function that returns both values, and the bound.
 KNOWN = {
     **{f'period of {name}, s': (lambda name=name: period(name), 1e-15) for name in TOPS},
     **{f'escape from the intermediate axis, offset {offset:.0e}, s':

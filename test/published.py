@@ -15,8 +15,8 @@
 """
 Published computations and observations, compared with results of this package.
 
-Each row of `ROWS` returns the published figure, the one found, and their difference:
-`test_validation.py` checks the rows against their bounds, `benchmarks/validation.py` prints them.
+Each row of `ROWS` returns the published value, the computed value, and their difference.
+`test_validation.py` checks the rows against their bounds; `benchmarks/validation.py` prints them.
 """
 
 import csv
@@ -43,11 +43,11 @@ from rigid_body_ros.replay import replay
 
 
 class DataNotHereError(Exception):
-    """Published figures that are neither part of the project nor on this machine."""
+    """The published data are neither part of the project nor on this machine."""
 
 
 def attitudes(right, found):
-    """Return both scalar parts, and the angle between the attitudes, rad; q and -q differ."""
+    """Return both scalar parts, and the angle between the attitudes, rad; -q is not q here."""
     return f'{right[3]:.16f}', f'{found[3]:.16f}', float(chord(right, found))
 
 
@@ -64,7 +64,7 @@ def numbers(right, found):
 
 # The Space Station of NASA's JEOD.
 
-#: Where it is after 28 800 s by a series of 32 digits: attitude, and rates in rad/s.
+#: Its attitude and rates, rad/s, after 28 800 s, from a series of 32 digits.
 STATION_ATTITUDE = (0.58661706554081749108, -0.37694328926934867502, -0.64288757685711177322,
                     -0.31700116500397213347)
 STATION_RATES = (-7.2821872205668973925e-4, -8.3323846270873258681e-4, -2.4249250448404216832e-4)
@@ -73,7 +73,7 @@ STATION_SECONDS = (480, 960, 1980, 2340, 28800)
 
 @cache
 def station():
-    """Return JEOD's log, and the motion at its times."""
+    """Return JEOD's log, and the computed motion at its times."""
     log = Reference('iss')
     assert ((log.times_ns[1:] - log.times_ns[0]) // SECOND).tolist() == [*STATION_SECONDS]
     return log, log.propagate()
@@ -110,10 +110,10 @@ def station_rows():
 @cache
 def brick():
     """
-    Return how far off the brick is at worst: attitude, degrees, and rates, degrees/s.
+    Return the largest errors of the brick: attitude, degrees, and rates, degrees/s.
 
-    Only the ratio of moment to inertia matters, so that slugs and feet may stay. The moments were
-    logged at 10 Hz and go through a recording, as a user's would.
+    Slugs and feet are not converted, because only the ratio of moment to inertia matters. The
+    moments were logged at 10 Hz; the replay reads them from a recording.
     """
     if 'NESC_DATA' not in os.environ:
         raise DataNotHereError('needs NESC_DATA')
@@ -126,7 +126,7 @@ def brick():
     times = EPOCH_NS + np.round(columns('time')[:, 0] * 10).astype(np.int64) * (SECOND // 10)
     motion = brick_motion(times, columns('Moment_ftlbf_L', 'Moment_ftlbf_M', 'Moment_ftlbf_N'))
     spin = columns('deg_s_Roll', 'deg_s_Pitch', 'deg_s_Yaw')
-    # The north-east-down frame turns about its north axis with the Earth and the longitude.
+    # The north-east-down frame rotates about its north axis with the Earth and the longitude.
     local = euler.to_quaternion(np.radians(columns('deg_Yaw', 'deg_Pitch', 'deg_Roll')), 'ZYX')
     turned = (7.292115e-5 * (times - times[0]) * 1e-9
               + np.radians(columns('longitude_deg')[:, 0]))
@@ -151,7 +151,7 @@ def brick_motion(times_ns, moments):
 
 
 def brick_rows():
-    # The data stay where they are: the differences are all that is shown.
+    # The data are not part of the project, so only the differences are shown.
     cells = 'logged at 10 Hz', 'replayed'
     yield 'attitude, largest in 30 s, degrees', lambda: (*cells, brick()[0]), 1e-5
     yield 'rates, largest in 30 s, degrees/s', lambda: (*cells, brick()[1]), 1e-6
@@ -164,8 +164,8 @@ TOUTATIS = RigidBody.from_moments(3.0836, 3.235, 1.0)  # of the long axis
 TOUTATIS_EPOCH = np.datetime64('1992-11-09T17:49:47')
 TOUTATIS_START = State(0, euler.to_quaternion(np.radians((145.498, 65.865, 241.524)), 'ZXZ'),
                        np.radians((14.51, 33.529, -98.709)) / DAY)
-#: When radar saw it, its Euler angles 3-1-3, degrees, and how far off Principia's axes are, from
-#: that of the smallest moment on: the first of 17 times in 1992, and the last.
+#: For the first and the last of 17 radar observations in 1992: the Euler angles 3-1-3, degrees,
+#: and the errors of Principia's principal axes, degrees, from the axis of the smallest moment on.
 TOUTATIS_SEEN = {
     '1992-12-02T21:40': ((122.2, 86.5, 107.0), (7.9, 5.4, 5.9)),
     '1992-12-18T07:09': ((91.6, 81.6, 142.4), (5.6, 6.3, 4.1)),
@@ -173,14 +173,14 @@ TOUTATIS_SEEN = {
 
 
 def angle_round(axis, vectors):
-    """Return by what angle, rad, vectors have gone round a unit axis since the first of them."""
+    """Return the angles, rad, by which vectors have rotated about an axis since the first."""
     ahead = np.cross(axis, vectors[0])
     return np.unwrap(np.arctan2(vectors @ ahead, vectors @ np.cross(ahead, axis)))
 
 
 @cache
 def toutatis_periods():
-    """Return in how many days it turns about its long axis, and that about the momentum."""
+    """Return the periods, days, of rotation about the long axis and of its precession."""
     seconds = np.arange(0.0, 6 * DAY, 60.0)
     motion = propagate(TOUTATIS, TOUTATIS_START, at=(seconds * 1e9).astype(np.int64))
     momentum = TOUTATIS.angular_momentum(motion.angular_velocity)
@@ -197,7 +197,7 @@ def toutatis_period(which, published):
 
 
 def toutatis_axes(seen):
-    """Compare how far off the axes are that were seen: Principia's solver, and here."""
+    """Compare the errors of the axes against radar: Principia's solver and this package."""
     angles, published = TOUTATIS_SEEN[seen]
     time_ns = int((np.datetime64(seen) - TOUTATIS_EPOCH) / np.timedelta64(1, 'ns'))
     axes = so3.matrix(propagate(TOUTATIS, TOUTATIS_START, at=[time_ns]).attitude[0])
@@ -217,8 +217,8 @@ def toutatis_rows():
 
 # Bodies without torque from the literature.
 
-#: Attitude and rates, rad/s, of `TOPS` 10 s after the identity, by a series of 34 digits from the
-#: decimals of the literature: doubles begin a last digit off.
+#: Attitude and rates, rad/s, of `TOPS` after 10 s, from the identity, by a series of 34 digits.
+#: The series starts from the decimals of the literature, which doubles only approximate.
 STATES = {
     'Hairer and Vilmart': (
         (-0.57078695124035073, -0.29938857183079009, -0.20683908610467319, -0.73606136416079394),
@@ -257,9 +257,10 @@ def top_rows():
 
 def sweep():
     """
-    Return the limit 2 exp(-pi / 2) - 1, and what is left of the axis along the rates.
+    Return the limit 2 exp(-pi / 2) - 1, and the cosine that approaches it.
 
-    The axis of the field rather than R33 of `landau_zener`, for that comes nearer by 1 / T only.
+    The cosine is that between the final and the reversed initial rates, in space axes, because
+    R33 of `landau_zener` approaches the limit only as 1 / T.
     """
     half_time = 200
     start = State(0, angular_velocity=(1.0, 0.0, -half_time))
@@ -276,7 +277,7 @@ def sweep_rows():
     yield 'limit, from -200 s to 200 s', lambda: numbers(*sweep()), 5e-7
 
 
-#: By source: what is compared, with its unit; how; and how far apart the two may be.
+#: By source and quantity (with its unit): the function that compares, and the bound.
 ROWS = {source: {name: (compare, bound) for name, compare, bound in rows()}
         for source, rows in {'jeod': station_rows, 'nesc': brick_rows, 'toutatis': toutatis_rows,
                              'tops': top_rows, 'sweep': sweep_rows}.items()}

@@ -15,19 +15,19 @@
 """
 Motions of a rigid body with fifty digits, as references for results in double precision.
 
-Two methods that share no code: `series` integrates the equations of motion by Taylor series,
-`free` evaluates the closed form of torque-free motion at any time. Both take doubles (or mpmath
-numbers) as exact and times in whole nanoseconds. They return the attitude (x, y, z, w; body to
-space; continuous from the start, not flipped) and the body rates, as numpy arrays of mpmath
-numbers.
+There are two methods, which share no code: `series` integrates the equations of motion by Taylor
+series, and `free` evaluates the closed form of torque-free motion. Both treat doubles (or mpmath
+numbers) as exact, and take times in integer nanoseconds. They return numpy arrays of mpmath
+numbers: the attitude (x, y, z, w; body to space; continuous from the start, never flipped) and
+the body rates.
 """
 
 from mpmath import mp
 import numpy as np
 
-#: Additional digits: a phase of 1e7 rad costs 7, a motion next to the separatrix 17.
+#: Additional digits: a phase of 1e7 rad loses 7, a motion close to the separatrix 17.
 GUARD = 25
-#: Angle of a step of `series`, rad: the least work for these digits.
+#: Angle of a step of `series`, rad, that needs the least work for 50 digits.
 STEP_ANGLE = 0.4
 
 exact = np.vectorize(mp.mpf, otypes=[object])
@@ -37,7 +37,7 @@ def series(tensor, attitude, rates, torques, digits=50):
     """
     Return the motion under torques as [(attitude, rates)], one for the end of each torque.
 
-    It has so many digits, less what the motion itself amplifies.
+    The result has `digits` digits, fewer if the motion amplifies rounding.
 
     Parameters
     ----------
@@ -48,10 +48,10 @@ def series(tensor, attitude, rates, torques, digits=50):
     rates : array, shape (3,), rad/s, body axes
         At the start.
     torques : [(duration_ns, torque, in_space)]
-        One after the other; N m, body axes or space axes. Held, if of shape (3,); if of shape
-        (degree + 1, 3), a polynomial in the fraction of the duration.
+        In order; N m, body or space axes. A torque of shape (3,) is held; one of shape
+        (degree + 1, 3) is a polynomial in the fraction of the duration.
     digits : int
-        Of the result; `GUARD` more are carried.
+        Of the result; the computation uses `GUARD` more.
 
     """
     with mp.workdps(digits + GUARD):
@@ -77,7 +77,7 @@ def series(tensor, attitude, rates, torques, digits=50):
 
 def polynomials(times_ns, torques, interpolation):
     """
-    Return the torque between samples, and after the last, as `series` takes it, exactly.
+    Return the torque between samples, and after the last, as exact polynomials for `series`.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def polynomials(times_ns, torques, interpolation):
 
 
 def _slope(times, values, i):
-    # Of the polynomial through the five nearest samples, at one of them (barycentric weights).
+    # The slope at a sample of the polynomial through the five nearest (barycentric weights).
     count = min(5, len(times))
     first = min(max(i - count // 2, 0), len(times) - count)
     near = [k for k in range(first, first + count) if k != i]
@@ -122,8 +122,8 @@ def free(tensor, attitude, rates, time_ns, digits=50):
     Return the torque-free motion at one time after the start as (attitude, rates).
 
     Celledoni, Fassò, Säfström and Zanna, "The exact computation of the free rigid body motion and
-    its use in splitting methods" (2008), in the form of Principia's `EulerSolver`, which corrects
-    it. The parameters are those of `series`.
+    its use in splitting methods" (2008), with the corrections of Principia's `EulerSolver`. The
+    parameters are those of `series`.
     """
     with mp.workdps(digits + GUARD):
         tensor, q, w = exact(tensor), _unit(exact(attitude)), exact(rates)
@@ -132,14 +132,14 @@ def free(tensor, attitude, rates, time_ns, digits=50):
             return _times(q, _turn(w, t)), w  # about a principal axis, or any axis of a sphere
         moments, axes = _frame(tensor, m)
         turned, m = _tumble(moments, axes.T @ m, t)
-        # What is a rotation about v in principal axes is one about `axes @ v` in the body's.
+        # A rotation about v in principal axes is a rotation about `axes @ v` in body axes.
         return _times(q, np.append(axes @ turned[:3], turned[3])), axes @ (m / moments)
 
 
 def chord(truth, attitude):
     """Return the angle, rad, between a true attitude and one in doubles; q and -q differ."""
     with mp.workdps(50):
-        # Rounding takes opposite ends further apart than 2.
+        # Rounding can make the chord longer than 2.
         return float(4 * mp.asin(min(mp.one, _length(truth - _unit(exact(attitude))) / 2)))
 
 
@@ -149,8 +149,8 @@ def rotate(q, v):
 
 
 def _step(q, w, h, tensor, inverse, torque, in_space):
-    # With h as the unit of time and the size of the tensor as that of inertia every number is
-    # about one: integers in units of 2^-bits serve, ten times as fast as mpmath's floats.
+    # With h as the unit of time and the size of the tensor as the unit of inertia all numbers are
+    # of order one, so fixed-point integers suffice: they are ten times as fast as mpmath's floats.
     size = abs(tensor).max()
     bits = mp.prec + 16 + 2 * mp.mag(abs(inverse).max() * size)  # which magnifies rounding
     fixed = np.vectorize(lambda x: int(mp.nint(mp.ldexp(x, bits))), otypes=[object])
@@ -167,7 +167,7 @@ def _sums(q, w, m, torque, in_space, inverse, bits):
     orders, negligible = 4 * mp.dps, 1 << bits - mp.prec
     qs, ws, ms = (np.full((orders + 1, n), 0, dtype=object) for n in (4, 3, 3))
     qs[0], ws[0], ms[0] = q, w, m
-    # In body axes each coefficient of the torque is a constant, or turns.
+    # In body axes each coefficient of the torque is constant, or rotates with the space axes.
     ts = np.full((len(torque), orders + 1, 3), 0, dtype=object)
     ts[:, 0] = torque
     for k in range(orders):
@@ -178,7 +178,7 @@ def _sums(q, w, m, torque, in_space, inverse, bits):
         qs[k + 1] = (_times(qs[:k + 1], _pure(past)).sum(axis=0) >> bits) // (2 * (k + 1))
         if in_space:
             ts[:, k + 1] = (_cross(ts[:, :k + 1], past).sum(axis=1) >> bits) // (k + 1)
-        # From rest only every (degree + 2)nd term is not zero.
+        # From rest, only every (degree + 2)nd term is nonzero.
         last = slice(max(0, k + 1 - len(ts)), k + 2)
         if k >= len(ts) and max(abs(qs[last]).max(), abs(ws[last]).max()) < negligible:
             return qs.sum(axis=0), ws.sum(axis=0)
@@ -195,8 +195,8 @@ def _shifted(torque, fraction, part):
 
 
 def _frame(tensor, m):
-    # The principal moments and right-handed axes, such that m circles the third axis, and
-    # stands on the positive side of it and of the first.
+    # The principal moments and right-handed axes, such that m circles the third axis and has
+    # positive components along it and along the first.
     moments, axes = map(_array, mp.eigsy(mp.matrix(tensor.tolist())))
     (low, middle, high), p = moments, axes.T @ m
     if p[2] ** 2 * (high - middle) / high < p[0] ** 2 * (middle - low) / low:
@@ -206,8 +206,8 @@ def _frame(tensor, m):
 
 
 def _tumble(moments, m, t):
-    # The rotation since the start, and the momentum now, both in principal axes. The moments rise
-    # or fall towards the third: differences and deltas change sign together.
+    # The rotation since the start, and the momentum, both in principal axes. The moments are in
+    # ascending or descending order; differences and deltas change sign together.
     i1, i2, i3 = moments
     i21, i31, i32 = i2 - i1, i3 - i1, i3 - i2
     delta1 = m[1] ** 2 * i21 / i2 + m[2] ** 2 * i31 / i3
@@ -229,7 +229,7 @@ def _tumble(moments, m, t):
 
 def _jacobi(u, k2, n, skew):
     # The integral of the third kind, atan(skew tan(am u)), and (cn, sn, dn). Whole half turns of
-    # the amplitude are taken off first, for the two angles must be continuous.
+    # the amplitude are subtracted first, because both angles must be continuous.
     halves = 0 if k2 == 1 else int(mp.nint(u / (2 * mp.ellipk(k2))))
     sn, cn, dn = (mp.ellipfun(name, u - 2 * halves * mp.ellipk(k2) if halves else u, m=k2)
                   for name in ('sn', 'cn', 'dn'))

@@ -13,13 +13,14 @@
 # limitations under the License.
 
 """
-Make the recordings of this folder.
+Write the recordings of this folder.
 
-Usage: python make.py TRUTH, the folder of reference motions (JSON, computed with 50 digits).
+    python make.py TRUTH
 
-Every scene NAME becomes NAME.mcap, with the torques on /torque and the reference motion on
-/truth/attitude and /truth/angular_velocity, and NAME.yaml, the scene file. The scenes of iss
-and tumbler are in config/.
+TRUTH is a folder of reference motions, JSON files computed with 50 digits. For each of them,
+NAME.json, the script writes NAME.mcap, with the torques on /torque and the reference motion on
+/truth/attitude and /truth/angular_velocity, and the scene file NAME.yaml. It also writes iss.mcap
+and tumbler.mcap, whose scenes are in config/.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from rigid_body_ros import messages
 from rigid_body_ros.recording import Writer
 
 HERE = Path(__file__).parent
-#: 2026-01-01 and a bit: where seconds as a float are 238 ns apart.
+#: Shortly after 2026-01-01, where adjacent doubles are 238 ns apart in seconds.
 EPOCH_NS = 1_767_225_600_123_456_789
 SECOND = 10 ** 9
 
@@ -92,7 +93,7 @@ def make_reference(source):
              for row in scene['truth']]
     frame = {'body': 'base_link', 'space': 'world'}[scene['torque_frame']]
     torques = [(EPOCH_NS + row[0], frame, row[1:]) for row in scene['torque_t_ns_x_y_z']]
-    # A recording without torques would be empty: a free body has one of zero at each stamp.
+    # Without torque, zero torques at each stamp keep the recording from being empty.
     torques = torques or [(row[0], frame, (0.0, 0.0, 0.0)) for row in truth]
     write(HERE / f'{source.stem}.mcap', ('world', 'base_link'), torques, truth)
     write_scene(HERE / f'{source.stem}.yaml', scene['note'] or source.stem.replace('_', ' '),
@@ -101,7 +102,7 @@ def make_reference(source):
 
 
 def make_iss():
-    """Record the Station's torque every 20 s, with the logged rows as its reference motion."""
+    """Record the torque of the Space Station every 20 s, with the rows above as reference."""
     torques = [(EPOCH_NS + t * SECOND, 'iss', (10.0 if 1000 <= t < 2000 else 0.0, 0.0, 0.0))
                for t in range(0, 28801, 20)]
     truth = [(EPOCH_NS + t * SECOND, (-x, -y, -z, w), rates) for t, rates, (w, x, y, z) in ISS]
