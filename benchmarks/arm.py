@@ -207,8 +207,8 @@ def main():
     others = {machine: compared(found, here) for machine, found in results.items()}
     print('', *table(here, others), '', sep='\n')
     error, part = truth_errors(results[ARM])
-    print(f'{ARM} against 50 digits: at most {error:.2g} rad off, {part:.2f} of what '
-          'test/test_reference.py allows')
+    print(f'{ARM} against 50 digits: error at most {error:.2g} rad, {part:.2f} of the bound in '
+          'test/test_reference.py')
     print(f'A recording replayed on {ARM}, verified here:', flush=True)
     same = verified() and not any(count for found in others.values()
                                   for count, *_ in found.values())

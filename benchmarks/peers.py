@@ -55,7 +55,7 @@ LONG = 0.1
 PATIENCE = 3.0
 TITLES = {
     'P1': 'no torque, intermediate axis, 100 s',
-    'P1f': 'the same ten times as fast',
+    'P1f': 'P1 with ten times the rates',
     'P2': 'no torque, 1000 s',
     'P3': 'constant body torque, 100 s',
     'P4': 'torque held for 1 ms each, 60 s',

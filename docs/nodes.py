@@ -72,12 +72,30 @@ PUBLISHED = [
           'Once a second: counts of torques received, applied, waiting, lost, and rejected by '
           'cause; which nodes are not connected, and why.'),
 ]
-ON_REQUEST = [
+OPTIONAL = [
     Topic('/tf', 'tf2_msgs/msg/TFMessage', STATE,
           'Space frame to body frame, if `publish_tf` is true (needs tf2_msgs).'),
     Topic('/clock', 'rosgraph_msgs/msg/Clock', STATE,
           'In lockstep, if `publish_clock` is true: the time of each response.'),
 ]
+#: The causes of rejection of a torque, and their meanings.
+CAUSES = {
+    'malformed': 'The bytes are not a WrenchStamped, or its stamp is invalid.',
+    'unknown frame': '`header.frame_id` is neither empty nor `body_frame` nor `space_frame`.',
+    'not finite': 'A component of the torque is NaN or infinite.',
+    'too large': 'The torque would accelerate this inertia beyond 1e9 rad/s^2.',
+    'no clock': 'With `use_sim_time`: no time was received on `/clock` yet.',
+    'future': 'The stamp is ahead of the clock by more than `max_future`; in lockstep: so late '
+              'that the response would have no valid stamp.',
+    'late': 'The stamp is older than the newest torque by `history` or more, or more than an hour '
+            'behind the clock.',
+    'overload': 'Too many torques wait.',
+    'state not computable': 'The body is too fast for the state at the stamp to be computed.',
+    'epoch ended': 'A new epoch began before the torque was applied.',
+    'duplicate, differs (same stamp)': 'In lockstep: a different torque was accepted before for '
+                                       'the same state.',
+    'before the reset': 'In lockstep: the torque responds to a state from before the reset.',
+}
 PAGE = """\
 <!-- printed by docs/nodes.py: edit that file instead -->
 # Node, commands, parameters
@@ -106,9 +124,9 @@ remapped (`-r torque:=/wrench`). Quality of service can be overridden
 All outputs for one instant carry that instant as their stamp. Values are always finite: NaN and
 infinity are never published.
 
-### On request
+### Publishes if enabled
 
-{on_request}
+{optional}
 
 ### Service
 
@@ -124,8 +142,9 @@ later replaces the other. A message is rejected as a whole if its values are not
 is unknown, or its stamp is too old or impossible. Rejected messages are counted, and logged at
 most every 5 s.
 
-`/diagnostics` counts every torque sent exactly once: as applied, waiting, rejected by cause, lost
-in transit, or dropped because the queue of the subscription was full. In `realtime`, while more
+`/diagnostics` counts every torque sent exactly once: as applied, waiting, rejected by cause (see
+[below](#why-is-a-torque-rejected)), lost in transit, or dropped because the queue of the
+subscription was full. In `realtime`, while more
 than 5000 torques wait and the first of them has waited for more than 2 s, new torques are rejected
 (`overload`), so that the motion catches up with real time. Torques that still wait when their
 epoch ends are rejected, too (`epoch ended`).
@@ -136,6 +155,13 @@ the previous ticks.
 
 With `use_sim_time` the node waits for `/clock`, and `on_time_jump` decides what happens when that
 clock jumps back. For a bag that is played without `--clock`, use `time_source:=arrival`.
+
+### Why is a torque rejected?
+
+The log names the cause, what was expected and what was found. `/diagnostics` counts each cause
+under the key `rejected: CAUSE`.
+
+{causes}
 
 ### Lockstep
 
@@ -211,7 +237,9 @@ EXITS = [
 def main():
     """Print the page."""
     print(PAGE.format(
-        subscribed=topics(SUBSCRIBED), published=topics(PUBLISHED), on_request=topics(ON_REQUEST),
+        subscribed=topics(SUBSCRIBED), published=topics(PUBLISHED), optional=topics(OPTIONAL),
+        causes=table(('cause', 'meaning'),
+                     [(f'`{cause}`', meaning) for cause, meaning in CAUSES.items()]),
         parameters=table(('parameter', 'unit', 'default', 'values', 'meaning'), [
             (f'`{parameter.name}`', parameter.unit, default(parameter), values(parameter),
              parameter.description) for parameter in scene.PARAMETERS.values()]),

@@ -21,6 +21,7 @@ from live_session import LiveSession
 import nodes
 import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rigid_body_ros.node.inputs import CAUSES
 
 pytestmark = pytest.mark.ros
 NODE = 'attitude_node'
@@ -56,6 +57,10 @@ def agrees(topic, profile):
     reliable = profile.reliability == ReliabilityPolicy.RELIABLE
     kept = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
     return ('reliable' in words, 'transient local' in words) == (reliable, kept)
+
+
+def test_the_page_lists_every_cause_of_rejection():
+    assert list(nodes.CAUSES) == list(CAUSES)
 
 
 @pytest.mark.parametrize('mode', ['realtime', 'lockstep'])
