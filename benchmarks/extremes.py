@@ -38,10 +38,10 @@ MOST_STEPS = 3e6
 REMARKS = {
     'Rods, plates, near-spheres':
         "No ratio of moments makes Euler's equations stiff. But for a rod, `(J w) x w` is the "
-        'difference of terms a million times larger. It is formed from differences of moments '
-        'that are evaluated beyond double precision, and can be arbitrarily small. The series '
-        'sums `J^-1 tau`, whose terms cancel as much under a full tensor, in twice the working '
-        'precision. Under torque, the *last-digit '
+        'difference of terms a million times larger. It is therefore computed from differences of '
+        'moments, which are evaluated beyond double precision, however small they are. With a '
+        'full tensor the terms of `J^-1 tau` cancel as much, so the series sums them in twice the '
+        'working precision. Under torque, the *last-digit '
         'effect* is the change of the true motion if every entry of tensor, rates and torques '
         'changes by one unit in the last place. For a rod with a full tensor it is far larger '
         'than the error of `auto`, which takes all digits as exact.',
@@ -55,10 +55,11 @@ REMARKS = {
         'late epoch. The closed form is evaluated once from the start of a coast, with constants '
         'of 32 digits, so a million turns cost no accuracy.',
     'Separatrix and intermediate axis':
-        'Here the motion itself magnifies small errors. The *last-digit effect* is the change of '
-        'the true motion if the rates change by 2.2e-16 of their size, at the worst of five '
-        'moments. No solver that steps in doubles can promise less. The closed form does not '
-        'step, and stays exact as close to the separatrix as doubles allow.',
+        'Here the motion itself magnifies small errors. The *last-digit effect* is the largest '
+        'change of the true final attitude if the angular velocity changes by 2.2e-16 of its size '
+        'at one of five instants. No solver that steps in doubles can guarantee a smaller error. '
+        'The closed form does not step, and stays exact as close to the separatrix as doubles '
+        'allow.',
     'Where others broke':
         "With MuJoCo's stick, `implicitfast` failed at step 4294 of 1 ms (the rates here are our "
         'own). Avian clamped the momentum, so that every body ended up turning about its '

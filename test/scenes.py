@@ -186,7 +186,7 @@ class Scene:
                    for (there, _), here in zip(states, self.truth[0]))
 
     def _growth_of_rates(self):
-        # At the worst of five moments.
+        # The largest change for a perturbation at one of five instants.
         end = int(self.times_ns[-1])
         tensor, last = self.body.inertia, self.truth[0][-1]
         moved = []
