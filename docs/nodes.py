@@ -85,8 +85,8 @@ CAUSES = {
     'not finite': 'A component of the torque is NaN or infinite.',
     'too large': 'The torque would accelerate this inertia beyond 1e9 rad/s^2.',
     'no clock': 'With `use_sim_time`: no time was received on `/clock` yet.',
-    'future': 'The stamp is ahead of the clock by more than `max_future`; in lockstep: so late '
-              'that the response would have no valid stamp.',
+    'future': 'The stamp is ahead of the clock by more than `max_future`; in lockstep: the '
+              'stamp of the response, later by `step`, would not be valid.',
     'late': 'The stamp is older than the newest torque by `history` or more, or more than an hour '
             'behind the clock.',
     'overload': 'Too many torques wait.',
@@ -181,7 +181,7 @@ one torque for each state.
 - If a second controller sends a different torque for the same state, that torque is rejected
   (`duplicate, differs (same stamp)`), and diagnostics name both controllers.
 - `~/reset` restarts the loop with the initial state. A torque that responds to a state published
-  before the reset is rejected (`before the reset`), so that time can go back.
+  before the reset is rejected (`before the reset`).
 
 Diagnostics warn if no torques arrive, and if a response takes long to compute.
 

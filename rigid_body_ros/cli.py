@@ -299,9 +299,9 @@ def replay_parser() -> argparse.ArgumentParser:
                         'file, or, if the name does not end in .mcap, to a new rosbag2 folder; '
                         'for several recordings, a folder of MCAP files')
     target.add_argument('--verify', metavar='MOTION',
-                        help='compare with this recorded motion bit for bit: the states that a '
-                        'node committed, or the attitude of a replay; exit status 1 if they '
-                        'differ')
+                        help='recorded motion to compare with the computed one, bit for bit: '
+                        'the committed states of a node or the attitude of a replay; if they '
+                        'differ, the exit status is 1')
     parser.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
                         help="interpolation of the torques between samples (default: the scene's)")
     parser.add_argument('--rate', type=_positive, metavar='HZ',
@@ -338,7 +338,8 @@ def tradeoff_parser() -> argparse.ArgumentParser:
                         f'reported separately; may be repeated (default: {TARGET:g})')
     parser.add_argument('--all', action='store_true', help='print all settings, not only the '
                         'Pareto-optimal ones')
-    parser.add_argument('--json', metavar='OUT', help='write all results, with units')
+    parser.add_argument('--json', metavar='OUT',
+                        help='write all results, with units, to this file')
     parser.add_argument('--plot', metavar='PNG', help='plot cost over error, one curve per solver')
     _add_overwrite(parser)
     return parser

@@ -162,7 +162,7 @@ class MessageType:
         return head + stamp + names + doubles + self.after_doubles
 
     def layout(self, frame_id: str, child_frame_id: str = '') -> np.dtype[np.void]:
-        """Return the dtype of an array of messages with the same names; `fill` sets its values."""
+        """Return the dtype of an array of messages with these frame names; `fill` fills it."""
         head, names = _around_stamp(self, frame_id, child_frame_id)
         return np.dtype([('head', f'V{len(head)}'), ('sec', '<i4'), ('nanosec', '<u4'),
                          ('names', f'V{len(names)}'), ('doubles', '<f8', (self.doubles,)),
@@ -201,13 +201,13 @@ class MessageType:
         if self.is_list:
             entries, = struct.unpack_from(order + 'I', body)
             if entries != 1:
-                raise ValueError(f'a list of {entries} entries')
+                raise ValueError(f'expected a list of 1 entry, found {entries}')
             offset = 4
         if not self.has_header:
             return Stamped(0, '', '', self._doubles(body, offset, order))
         seconds, nanoseconds = struct.unpack_from(order + 'iI', body, offset)
         if seconds < 0 or nanoseconds >= 10 ** 9:
-            raise ValueError(f'a stamp of {seconds} s and {nanoseconds} ns')
+            raise ValueError(f'invalid stamp: {seconds} s and {nanoseconds} ns')
         frame_id, offset = _string(body, offset + 8, order)
         child_frame_id = ''
         if self.has_child_frame:
@@ -357,5 +357,5 @@ def _string(body: memoryview, offset: int, order: str) -> tuple[str, int]:
     size, = struct.unpack_from(order + 'I', body, offset)
     start, end = offset + 4, offset + 4 + size
     if not 1 <= size <= len(body) - start:
-        raise ValueError(f'a string of {size} bytes')
+        raise ValueError(f'invalid string length: {size} bytes')
     return str(body[start:end - 1], 'utf-8'), end

@@ -106,8 +106,8 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('history', 1.0, 's', 'how far the stamp of a torque may lie before the newest one; '
               'older torques are rejected', (0.0, 3600.0)),
     Parameter('max_future', 0.5, 's', 'how far the stamp of a torque may lie ahead of the clock; '
-              'torques further ahead are rejected, under simulated time after a wait of 0.5 s',
-              (0.0, 3600.0)),
+              'torques further ahead are rejected; with simulated time they first wait 0.5 s for '
+              'the clock', (0.0, 3600.0)),
     Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps back: reset (start '
               'again), rebase (continue from the current state) or ignore', choices=TIME_JUMPS),
     Parameter('publish_clock', False, '', 'lockstep: publish the time of each state on /clock'),
@@ -203,7 +203,7 @@ def load(path: str | Path) -> Scene:
     Read a scene from a ROS 2 parameter file, such as `ros2 param dump` writes.
 
     Parameters of `/**` apply to every node, and those of `attitude_node` override them. A file
-    without either is accepted if it has parameters for one node only.
+    with neither is accepted if it has parameters for a single node, under whatever name.
 
     Raises
     ------
@@ -247,7 +247,15 @@ def checked(parameter: Parameter, given: Any) -> Any:
 
 
 def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
-    """Return the entries of the tensor of a URDF, if there is one; given entries must agree."""
+    """
+    Return the entries of the tensor in `robot_description`; none if that is empty.
+
+    Raises
+    ------
+    InputError
+        The URDF is not valid, or an `inertia.*` is given and differs from the URDF.
+
+    """
     text, link = (checked(PARAMETERS[name], given.get(name, ''))
                   for name in ('robot_description', 'link'))
     if not text:

@@ -146,7 +146,7 @@ def test_messages_before_one_that_is_none_are_used(tmp_path, change):
     assert outcome(path) == ''
     rows, damage = read(path)
     assert rows == RECORDED.rows()[:8]
-    assert 'damaged after 8 messages of /torque (expected each message to have an' in damage
+    assert 'damaged after 8 messages of /torque (expected messages with an integer time' in damage
 
 
 def test_pages_that_refer_to_each_other_come_to_an_end(tmp_path):

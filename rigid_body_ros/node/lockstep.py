@@ -106,7 +106,7 @@ class Lockstep:
 
     def set_state(self, state: State) -> None:
         """
-        Begin an epoch with a state; without a stamp it is the state at the next torque's stamp.
+        Begin an epoch with a state; if its stamp is zero, at the stamp of the next torque.
 
         Raises
         ------
@@ -151,7 +151,7 @@ class Lockstep:
         return problems
 
     def stamp(self) -> Time:
-        """Return the present time, from the clock that this node publishes if it does."""
+        """Return the present time; if this node publishes /clock, the time published last."""
         if self._clock is None:
             return self._node.get_clock().now().to_msg()
         return _time(self._latest.time_ns)
@@ -180,7 +180,7 @@ class Lockstep:
         latest_ns = messages.LAST_NS - self._step_ns
         if stamp_ns > latest_ns:
             raise RejectedError(FUTURE, f'stamped {stamp_ns} ns, expected at most {latest_ns} ns, '
-                                'because the stamp of the response is later by step')
+                                'because the response is stamped one step later')
         if stamp_ns == self._stale_ns:
             raise RejectedError(STALE, f'the torque at {stamp_ns} ns responds to a state from '
                                 'before the reset')

@@ -116,7 +116,7 @@ def decode(kind: MessageType, raw: Raw) -> Decoded:
         if done < count:
             row = done
             kind.decode(raw.message(row))
-            raise ValueError(f'expected a {kind.name} in CDR')
+            raise ValueError(f'expected a {kind.name} in CDR, found undecodable bytes')
     except ValueError as error:
         raise BadMessageError(row, str(error)) from error
     return Decoded(stamps, codes, [*names], bits.view(np.float64))

@@ -55,7 +55,7 @@ class SqliteFile(File):
     A SQLite file of rosbag2.
 
     The file is opened read-only, and nothing is written next to it. If a killed recorder left a
-    write-ahead log, file and log are copied to a temporary folder that is removed with the stack.
+    write-ahead log, file and log are copied to a temporary folder that the stack removes.
     """
 
     def __init__(self, path: Path, unpacked: Path, stack: ExitStack) -> None:
@@ -161,8 +161,8 @@ class SqliteFile(File):
         size = 0
         for time_ns, data in database.execute(_MESSAGES, (_LARGEST, topic)):
             if data is None:
-                raise sqlite3.DatabaseError('expected each message to have an integer time and at '
-                                            f'most {_LARGEST} bytes of data, found one without')
+                raise sqlite3.DatabaseError('expected messages with an integer time and at most '
+                                            f'{_LARGEST} bytes of data, found another')
             size += len(data)
             self._check_size(size)
             yield time_ns, data

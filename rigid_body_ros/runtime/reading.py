@@ -149,8 +149,8 @@ class _Loader(_EventLoader):
             raise InputError('expected YAML without aliases (*name) and anchors (&name), '
                              f'found one in {line}')
         if isinstance(event, yaml.AliasEvent) and anchor not in self._sizes:
-            raise InputError('expected each alias (*name) to repeat an earlier value without '
-                             f'aliases, found another in {line}')
+            raise InputError('expected aliases (*name) of earlier values that contain no aliases, '
+                             f'found another in {line}')
         if self._values > _MAX_VALUES:
             raise InputError(f'expected YAML with at most {_MAX_VALUES} values, found more '
                              f'in {line}')

@@ -176,8 +176,7 @@ def whole(body: RigidBody, start: State, log: TorqueLog | None, end_ns: int | No
     """
     speed = float(np.linalg.norm(start.angular_velocity))
     if not speed and (log is None or not log.torques.any()):
-        raise ValueError('expected an initial angular velocity or a torque other than zero, '
-                         'found neither')
+        raise ValueError('expected a nonzero initial angular velocity or torque, found neither')
     log = TorqueLog([], []) if log is None else log
     if end_ns is not None:
         end_ns = instant(end_ns, 'end_ns')
