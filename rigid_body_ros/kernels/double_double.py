@@ -111,5 +111,5 @@ def from_int(number: int) -> DoubleDouble:
 
 @internal
 def seconds(span_ns: int) -> DoubleDouble:
-    """Return a time span, ns, in s."""
+    """Return a time span in seconds, given in nanoseconds."""
     return divide(from_int(span_ns), (1e9, 0.0))

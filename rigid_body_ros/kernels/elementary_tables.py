@@ -55,7 +55,11 @@ def _thrice(value: int) -> tuple[float, float, float]:
 
 
 def _inverse_tangent(above: int, below: int, one: int, sign: int) -> int:
-    """Return the arctangent (sign -1) or inverse hyperbolic tangent (1), by its series."""
+    """
+    Return arctan(above / below) if sign is -1, or artanh(above / below) if it is 1.
+
+    The sum of the power series, as a multiple of 1 / one.
+    """
     power, total, odd = one * above // below, 0, 1
     while power:
         total += power // odd
@@ -66,7 +70,7 @@ def _inverse_tangent(above: int, below: int, one: int, sign: int) -> int:
 
 
 def _sine(angle: int) -> int:
-    """Return the sine of an angle of at most a quarter turn, by its series."""
+    """Return the sine of an angle up to pi / 2, both as multiples of 1 / _ONE, by its series."""
     power, total, order = angle, 0, 2
     while abs(power) > 1:
         total += power
@@ -76,12 +80,12 @@ def _sine(angle: int) -> int:
 
 
 def _half_turn(one: int) -> int:
-    """Return pi (Machin)."""
+    """Return pi as a multiple of 1 / one, by Machin's formula."""
     return 16 * _inverse_tangent(1, 5, one, -1) - 4 * _inverse_tangent(1, 239, one, -1)
 
 
 def _sines() -> list[Pair]:
-    """Return the sines of a whole turn, exactly symmetric."""
+    """Return sin(k pi / STEPS) for k from 0 to 2 STEPS - 1, exactly symmetric."""
     quarter = [_split(_sine(_PI * k // STEPS)) for k in range(STEPS // 2)]
     half = [*quarter, (1.0, 0.0), *quarter[:0:-1]]
     return half + [(-high, -low) for high, low in half]

@@ -170,7 +170,7 @@ def prepare(state: KernelState, frame: PrincipalFrame) -> Motion:
 
 @internal
 def start_only(state: KernelState, kind: int) -> Motion:
-    """Return a motion of kind STEADY or NEAR_SEPARATRIX, which holds its start only."""
+    """Return a motion of kind STEADY or NEAR_SEPARATRIX, which needs only the start state."""
     unit = (of(1.0, 0.0, 0.0), of(0.0, 1.0, 0.0), of(0.0, 0.0, 1.0))
     zero = of(0.0, 0.0, 0.0)
     return Motion(kind, state, 1.0, unit, zero, zero, 0.0, 0.0, 0.0, 0.0, False, _ZERO, _ZERO,

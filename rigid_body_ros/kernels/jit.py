@@ -66,13 +66,13 @@ def njit(kernel: Kernel) -> Kernel:
 
 
 def internal(kernel: Kernel) -> Kernel:
-    """Compile a function that only kernels can call; their cached code includes it."""
+    """Compile a function that kernels call and Python cannot; it is cached with the kernels."""
     return _internal(kernel)
 
 
 def inlined(kernel: Kernel) -> Kernel:
     """
-    Compile a function that only kernels can call into each of its callers.
+    Inline a function into each kernel that calls it; Python cannot call it.
 
     Without inlining, a call passes tuples in memory, which takes as long as the arithmetic of a
     short step.

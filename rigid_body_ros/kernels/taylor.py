@@ -73,9 +73,10 @@ def step_angle(tolerance: float) -> float:
     """
     Return the angle of a full step, rad.
 
-    Work per angle, the order squared over the angle, has a flat minimum: about 0.5 rad at the
-    tightest tolerance, where shorter steps also round less, and above 1 rad at loose
-    tolerances, where the fixed cost of a step is a larger part of the work.
+    The cost of turning by a radian, about the square of the order divided by the angle, has a
+    flat minimum. It lies at about 0.5 rad for the tightest tolerance, for which shorter steps also
+    reduce the rounding error. It lies above 1 rad for loose tolerances, because the fixed cost of
+    a step is then a larger part of the cost.
     """
     return 0.5 + 0.09 * elementary.log10(tolerance / 1e-15)
 

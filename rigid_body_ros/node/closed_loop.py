@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Keep a closed loop in lockstep a single chain of alternating states and torques.
+Keep a lockstep loop from stopping, and from splitting into several chains.
 
 A controller responds to every state that it receives. If a state is published twice, the
 controller sends two torques; if the node responds to both, the loop has two chains from then on.
@@ -90,7 +90,7 @@ class DuplicateFilter:
 
     def is_duplicate(self, torque: Torque, sender: Sender) -> bool:
         """
-        Return whether a torque requires no response, because an earlier one of its stamp gets it.
+        Return whether a torque requires no response: an earlier one with the same stamp gets it.
 
         Call this once per torque. A controller that received a state twice sends two torques, and
         a second controller sends its own: both are duplicates. But if a sender repeats or corrects
@@ -110,18 +110,20 @@ class DuplicateFilter:
         return in_flight and self.is_same(torque)
 
     def is_same(self, torque: Torque) -> bool:
-        """Return whether a torque equals the accepted one of its stamp."""
+        """Return whether a torque equals the accepted torque with the same stamp."""
         other = self._accepted[torque.stamp_ns].torque
         return torque.frame == other.frame and np.array_equal(torque.values, other.values)
 
 
 @dataclass
 class _Accepted:
-    """A torque, its sender, the number received with its stamp, and when it got a response, s."""
+    """An accepted torque, and whether the node has responded to it."""
 
     torque: Torque
     sender: Sender
+    #: Number of torques received from this sender with this stamp.
     received: int
+    #: Time of the response, s, monotonic clock.
     responded_at: float | None = None
 
 

@@ -171,7 +171,7 @@ class Diagnostics:
         return problems
 
     def publish(self, problems: list[str], waiting: int, epoch: str, stamp: Time) -> None:
-        """Publish all counts; those that have increased since the last call set the levels."""
+        """Publish all counts; warn of those that have increased since the last call."""
         counts, new = self._counts, self._counts - self._published_counts
         self._published_counts = counts.copy()
         rejected = [f'{new[cause]} {rejections(cause)}' for cause in CAUSES if new[cause]]

@@ -91,7 +91,7 @@ class Epoch:
         return True
 
     def has_torque_at(self, stamp_ns: int) -> bool:
-        """Return whether there is a torque of this stamp that may still be replaced."""
+        """Return whether there is a torque with this stamp that may still be replaced."""
         place = bisect.bisect_left(self._torques, stamp_ns, key=_stamp_ns)
         return place < len(self._torques) and self._torques[place].stamp_ns == stamp_ns
 

@@ -126,7 +126,7 @@ class Pipeline:
         return self.epoch.torques_since(time_ns)
 
     def begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
-        """Begin an epoch and its log, with torques that still act."""
+        """Begin an epoch and its log; `torques` are earlier ones that still act."""
         if self.epoch is not None:  # otherwise the queued torques belong to the new one
             self.end()
         if self._is_logged:
@@ -266,7 +266,7 @@ class Pipeline:
                 place += 1
 
     def _early_cause(self, message: QueuedMessage) -> str | None:
-        """Return the cause for rejecting a torque if it may wait for the clock, else None."""
+        """Return why a torque is early and may wait for the clock, or None if it is not early."""
         try:
             self._read(message)
         except EarlyError as early:

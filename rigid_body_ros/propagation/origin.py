@@ -41,7 +41,12 @@ class Origin(NamedTuple):
 
 
 def origin_of(start: State, rule: Hashable) -> Origin:
-    """Return where steps from a state begin: at the state, unless the same rule led up to it."""
+    """
+    Return the step grid that continues from a state.
+
+    It is the grid from which the state was computed if the rule is the same; otherwise a new grid
+    that begins at the state.
+    """
     found = start._origin
     if isinstance(found, Origin) and found.rule == rule:
         return found

@@ -37,11 +37,12 @@ def last_digit_effect(body: RigidBody, start: State, log: TorqueLog | None = Non
     """
     Return how far a motion moves if its inputs change in the last digit.
 
-    The function changes the inertia alone, the torques alone, and both together with the start,
-    each of them twice: every entry by one unit in the last place, up or down at random, with the
-    same random numbers in every call. Zeros stay zero, and the tensor stays symmetric. Rounding
-    within the solver, `auto`, adds to the result. The function skips a change if its tensor is
-    not that of a rigid body, or if the body then spins faster than 1e9 rad/s.
+    The function computes up to six changed motions: two with changes of the inertia, two of the
+    torques, and two of inertia, torques and start. A change moves every entry by one unit in the
+    last place, up or down at random; the random numbers are the same in every call. Zeros stay
+    zero, and the tensor stays symmetric. The rounding error of the solver, `auto`, adds to the
+    result. The function skips a change if its tensor is not that of a rigid body, or if the body
+    then spins faster than 1e9 rad/s.
 
     Parameters
     ----------

@@ -109,7 +109,7 @@ def columns(heading: Sequence[str]) -> Columns:
 
 
 def _meaning(text: str) -> tuple[str, int]:
-    """Return the quantity in a column and its unit; '' if the column can be ignored."""
+    """Return the quantity in a column, '' if it can be ignored, and its unit as in `scales`."""
     for name, unit in _splits(text.strip()):
         torque = _TORQUE.fullmatch(name.lower())
         if torque and (found := _TORQUE_UNIT.fullmatch(unit or 'Nm')):

@@ -85,7 +85,7 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
 
 def _checked(where: str, recorded: Messages, body_frame: str, space_frame: str,
              before: int = 0) -> list[str]:
-    """Return the axes of each frame; raise InputError with the number of an invalid message."""
+    """Return the axes of each frame; raise InputError that numbers the first invalid message."""
     torques = recorded.values[:, 3:]
     if not np.isfinite(torques).all():
         row = int(np.flatnonzero(~np.isfinite(torques).all(axis=1))[0])
@@ -151,14 +151,22 @@ class Piece(NamedTuple):
         return Piece(self.times_ns[chosen], self.torques[chosen], self.in_space[chosen])
 
     def log(self, interpolation: str) -> TorqueLog:
-        """Return the piece as a log; raise ValueError if it interpolates between frames."""
+        """
+        Return the samples as a log.
+
+        Raises
+        ------
+        ValueError
+            The interpolation is not 'hold', and the samples are in body axes and in space axes.
+
+        """
         return TorqueLog(self.times_ns, self.torques, self.in_space, interpolation)
 
 
 def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str,
                   space_frame: str) -> Iterator[Piece]:
     """
-    Generate the log of blocks of torques in pieces, so that the log need not fit in memory.
+    Generate the torque log in pieces from blocks of messages, so that it need not fit in memory.
 
     Samples are sorted by stamp within two neighbouring blocks. Of samples with equal stamps, only
     the last in the recording is kept.
@@ -168,7 +176,7 @@ def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str,
     InputError
         A message has an unknown frame_id or a torque that is not finite.
     NotInOrderError
-        A message has no stamp, or a stamp earlier than the previous block.
+        A message has no stamp, or its stamp is not after the samples of earlier pieces.
 
     """
     piece, dropped = _EMPTY, 0
@@ -184,7 +192,11 @@ def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str,
 
 def _ascending(where: str, blocks: Iterable[Messages], body_frame: str,
                space_frame: str) -> Iterator[Piece]:
-    """Generate samples with ascending stamps; those of a block wait for the next block."""
+    """
+    Generate the samples of all blocks, sorted by stamp.
+
+    Of two neighbouring blocks, only the samples before the first stamp of the second are ready.
+    """
     waiting, last_ns, number = _EMPTY, -2 ** 63, 0
     for block in blocks:
         axes = _checked(where, block, body_frame, space_frame, number)

@@ -55,7 +55,7 @@ def unpack(data: bytes, most: int, unpacker: zstandard.ZstdDecompressor) -> byte
 
 
 def temporary(stack: ExitStack) -> Path:
-    """Return a new temporary folder, removed with the stack; raise InputError on failure."""
+    """Return a new temporary folder that the stack removes; raise InputError on failure."""
     try:
         return Path(stack.enter_context(tempfile.TemporaryDirectory(prefix='rigid_body_ros.')))
     except OSError as error:

@@ -111,7 +111,11 @@ class Batches:
             piece = next(self._pieces) if stop is not None else None
 
     def differences(self, end: Floats) -> dict[str, float | None]:
-        """Return the angles, rad, of the other final attitudes from `end`, by interpolation."""
+        """
+        Return how far from the attitude `end` the motion ends with each other interpolation, rad.
+
+        The value is None if the body spins too fast.
+        """
         self._wait()
         return {name: None if other is None else float(so3.angle_between(other, end))
                 for name, other in self._final_attitudes.items()}

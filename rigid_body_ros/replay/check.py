@@ -43,9 +43,10 @@ _GAUSS_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 
 class Check(NamedTuple):
-    """A finding, how much time from the start it covers, and the length of the motion, s."""
+    """The finding of a check, as text."""
 
     finding: str
+    #: Time from the start that the check covers, and length of the motion, s.
     covered: float
     total: float
 

@@ -58,10 +58,14 @@ def box(body: RigidBody) -> Floats:
 
 
 def _arrows(vectors: Floats) -> Floats:
-    """Return arrows along vectors, shape (n, 3); an unrotated arrow points along x."""
+    """
+    Return the poses and scales of arrows along the given vectors, shape (n, 10).
+
+    In rviz, an arrow with the identity orientation points along x.
+    """
     sizes = np.linalg.norm(vectors, axis=1)
     x, y, z = (vectors / np.where(sizes > 0.0, sizes, 1.0)[:, None]).T
-    # The shortest rotation from x to the vector; if the vector is opposite, half a turn about z.
+    # The shortest rotation from x to the vector; if the vector points along -x, 180 deg about z.
     opposite = x < -1.0 + 1e-12
     rotation = np.stack([np.zeros_like(x), np.where(opposite, 0.0, -z),
                          np.where(opposite, 1.0, y), np.where(opposite, 0.0, 1.0 + x)], axis=1)
@@ -71,6 +75,6 @@ def _arrows(vectors: Floats) -> Floats:
 
 
 def _pose_and_scale(attitude: Floats, scale: Floats) -> Floats:
-    """Return the doubles of markers at the origin, shape (n, 10)."""
+    """Return position (the origin), orientation and scale of markers, shape (n, 10)."""
     return np.hstack([np.zeros((len(attitude), 3)), attitude,
                       np.broadcast_to(scale, (len(attitude), 3))])

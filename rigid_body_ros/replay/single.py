@@ -280,7 +280,7 @@ def _check_names(also: Collection[str]) -> None:
 
 def _in_pieces_or_whole(request: Request, source: Source, output: str | Path | None,
                         keep: bool) -> Replay:
-    """Replay piece by piece; if log and motion are kept, or the stamps forbid it, as a whole."""
+    """Replay piece by piece; if `keep` is set or stamps are far out of order, as a whole."""
     if INPUT in request.also:
         source.check_copied(_topics(request.also))
     if not keep:

@@ -173,7 +173,7 @@ def _legend(panel: Axes, **options: Any) -> None:
 
 
 def _label(axis: Axis, text: str, unit: str, values: Floats) -> None:
-    """Label an axis with a unit that has a prefix if all values are small, as in mrad/s."""
+    """Label an axis; if all values are small, give the unit a prefix, as in mrad/s."""
     largest = float(np.abs(values).max())
     exponent = min(3 * math.floor(math.log10(largest) / 3.0), 0) if largest else 0
     exponent = max(exponent, min(EngFormatter.ENG_PREFIXES))

@@ -21,7 +21,7 @@ from collections.abc import Mapping
 
 def interpolation_row(interpolation: str, differences: Mapping[str, float | None]) -> str:
     """
-    Return the interpolation in use and how far away the motion would end with the others.
+    Return a line with the interpolation, and how far the others would move the final attitude.
 
     Parameters
     ----------

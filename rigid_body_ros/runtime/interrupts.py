@@ -18,8 +18,8 @@ Handle SIGINT and SIGTERM between two steps of a command's work.
 An exception raised by a signal handler can be lost: Python drops it in weak reference callbacks
 and finalizers, and numpy and the compiler drop it when they call back from C. It can also arrive
 in the middle of a cleanup. So the handlers only record the signal, and long-running work checks
-for it. Work that does not check, as numba's, is interrupted after a second, but never inside
-llvmlite: there an exception can leave Python with an object that LLVM has freed.
+for it. Work that does not check, such as compilation, is interrupted after a second, but never
+inside llvmlite: there an exception can leave Python with an object that LLVM has freed.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def node_parameters(root: yaml.Node | None, node: str) -> dict[str, Any]:
     Return the parameters that a parameter file has for a node, by full name.
 
     Parameters of `/**` apply to every node, and those of the node itself override them. A file
-    without either is accepted if it has parameters for one node only, which may be renamed.
+    with neither is accepted if it has parameters for a single node, under whatever name.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ class PrincipalAxes:
         return State._as_computed(start.time_ns, packed)
 
     def log(self, log: TorqueLog) -> TorqueLog:
-        """Return a log with body-axis torques in principal axes; others are unchanged."""
+        """Return a log with body torques in principal axes; space torques are unchanged."""
         turned = self._components(log.torques)[..., 0]
         return log.with_torques(np.where(log.in_space[:, None], log.torques, turned))
 

@@ -112,7 +112,7 @@ def _change(problem: Problem, interpolation: str, spacing: int) -> float:
 
 def _extrapolated(interpolation: str, half: float, quarter: float, hold: float) -> float:
     """
-    Return the error of a log with all samples, from logs with half and a quarter of them.
+    Return the error with all samples, from the changes with half and a quarter of them, rad.
 
     The error falls by 2^order each time the spacing is halved. If an interpolation of higher order
     is not clearly better than hold, the torque is not smooth at this spacing and the order is 1.

@@ -97,7 +97,7 @@ def curves(result: Tradeoff) -> dict[str, tuple[list[float], list[float]]]:
 
 
 def reference_errors(result: Tradeoff) -> dict[str, float]:
-    """Return the attitude errors, rad, that a plot compares the curves with, by description."""
+    """Return the errors, rad, that a plot draws as lines next to the curves, by their labels."""
     found = {'rounding floor': result.reference.floor,
              'last-digit effect': result.reference.last_digits}
     found.update({f'target {target:g} rad': target for target in result.choices})

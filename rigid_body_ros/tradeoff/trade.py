@@ -75,7 +75,7 @@ class Setting(NamedTuple):
 
 
 class Error(NamedTuple):
-    """Largest differences from the reference over all outputs, and the final one in attitude."""
+    """Largest differences from the reference, and the difference of the final attitude."""
 
     #: rad
     attitude_final: float
@@ -178,7 +178,7 @@ class Tradeoff:
         return better_interpolation(self.interpolation_errors, own) if own else None
 
     def dominant(self, target: float) -> str:
-        """Return the largest source of error of the recommended setting, or else the best one."""
+        """Return the largest source of error; without a recommendation, of the best setting."""
         floor, own = self.reference.floor, self.interpolation_error
         choice = self.choices[target]
         errors = [one.error.attitude for one in self.measurements if not one.failure]
