@@ -316,8 +316,9 @@ def _hermite(times_ns: NDArray[np.int64], values: Floats, first: int, stop: int)
 @internal
 def _update_weights(times_ns: NDArray[np.int64], node: int, begin: int, count: int,
                     weights: Floats, spacing: NDArray[np.int64]) -> None:
-    # Update the weights, 1/ns, of the differences between the samples and a node in the slope at
-    # the node: derivatives of Lagrange polynomials. If the spacing is unchanged, so are they.
+    # Update the weights, 1/ns, with which the differences between the samples and a node add up to
+    # the slope at the node: the derivatives of the Lagrange polynomials there. They depend on the
+    # spacing only, and stay if it does.
     same = True
     for k in range(count):
         span = times_ns[begin + k] - times_ns[node]

@@ -59,7 +59,7 @@ class DuplicateFilter:
     def __init__(self, history_ns: int) -> None:
         self._history_ns = history_ns
         self._accepted: dict[int, _Accepted] = {}
-        #: By stamp, how often the state was published.
+        #: Number of times that a state was published, by stamp.
         self._publications: dict[int, int] = {}
 
     def clear(self) -> None:
