@@ -321,8 +321,8 @@ def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
 
 @njit
 def _make_rows_continuous(angles: Floats, anchor: int, poles: Floats, proper: bool) -> None:
-    # From the row `anchor` on to the last row, and back to the first, make each row continuous with
-    # its neighbour on the side of the anchor.
+    # From the row `anchor` on to the last row, and back to the first, make each row continuous
+    # with its neighbour on the side of the anchor.
     for row in range(anchor + 1, len(angles)):
         _make_continuous(angles[row], angles[row - 1], poles[row], proper)
     for row in range(anchor - 1, -1, -1):

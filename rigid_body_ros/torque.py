@@ -179,11 +179,11 @@ class TorqueLog:
         Returns
         -------
         iterable of (start, stop, coefficients)
-            Range of samples in the chunk, and coefficients of the polynomials in the fraction of
-            the time from one sample to the next: array, shape (stop - start + 1, 2 degree + 1,
-            3), N m, with one row more than the chunk has samples, unless it is the last. Each row
-            has degree + 1 coefficients, then the low-order parts of all but the first
-            coefficient, which is the sample itself.
+            The chunk has the samples `start` to `stop - 1`. The coefficients, N m, are an array
+            of shape (rows, 2 degree + 1, 3), with a row for each sample of the chunk and, except
+            in the last chunk, a row for the sample after it. A row has the degree + 1
+            coefficients of a polynomial in the fraction of the time to the next sample, then the
+            low-order parts of all coefficients but the first, which is the sample itself.
 
         """
         count = len(self)

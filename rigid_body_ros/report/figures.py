@@ -135,7 +135,7 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
 
 
 def _literal(title: str) -> str:
-    """Return a title that fits; a file name may hold bytes that are not text."""
+    """Return a title cut to fit; replace bytes of a file name that are not text."""
     return shortened(title.encode(errors='replace').decode(), _TITLE)
 
 
