@@ -170,7 +170,7 @@ class MessageType:
 
     def fill(self, rows: NDArray[np.void], stamps_ns: NDArray[np.int64], values: Floats,
              frame_id: str, child_frame_id: str = '') -> None:
-        """Set messages of this layout, shape (n,); values in field order, shape (n, doubles)."""
+        """Fill messages, shape (n,), with values in field order, shape (n, doubles)."""
         head, names = _around_stamp(self, frame_id, child_frame_id)
         rows['head'], rows['names'] = np.void(head), np.void(names)
         rows['sec'], rows['nanosec'] = np.divmod(stamps_ns, 10 ** 9)

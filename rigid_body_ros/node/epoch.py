@@ -102,7 +102,7 @@ class Epoch:
         return self._uncommitted[:bisect.bisect_right(self._uncommitted, horizon_ns)]
 
     def mark_committed(self, horizon_ns: int) -> None:
-        """Remove the stamps up to a time from those whose states are not committed yet."""
+        """Record that the states at the stamps up to a time are committed."""
         del self._uncommitted[:bisect.bisect_right(self._uncommitted, horizon_ns)]
 
     def torques_since(self, time_ns: int) -> list[Torque]:
