@@ -31,11 +31,12 @@ With G = |m|, n = -I3 (I2 - I1) / (I1 (I3 - I2)) and C = G (I3 - I1) / (lambda I
     psi = (G / I3) t + [C Pi(n; u) + atan2(sqrt(1 - n) sn u, cn u)] from u0 to u,
     Pi(n; u) = u + n sn^3 R_J(cn^2, dn^2, 1, 1 - n sn^2) / 3                   if n >= -1,
     Pi(n; u) = atan2(g sn u, cn u dn u) / g
-               - m sn^3 R_J(cn^2, dn^2, 1, 1 - m sn^2 / n) / (3 n),
-               g^2 = (1 - n) (1 - m / n)                                       if n < -1,
+               - k^2 sn^3 R_J(cn^2, dn^2, 1, 1 - k^2 sn^2 / n) / (3 n),
+               g^2 = (1 - n) (1 - k^2 / n)                                     if n < -1,
 
-with Carlson's symmetric integrals (DLMF 19.21.12 leads from one line to the other). In the first
-case C u and (G / I3) t together make (G / I1) t.
+with Carlson's symmetric integral R_J and the parameter k^2 of the elliptic functions (`m` in
+`_periodic_part`). DLMF 19.21.12 transforms one form of Pi into the other. In the first case C u
+and (G / I3) t add up to (G / I1) t.
 
 A long motion multiplies the errors of the half period and of its angle by the number of half
 periods. These constants are computed to 32 digits, so the error does not grow with time.

@@ -350,7 +350,7 @@ def _exists(path: str | Path) -> InputError:
 
 
 def _paths_of_recording(path: str) -> Iterator[str]:
-    """Generate a recording and the files in its folder, or the bag that a file belongs to."""
+    """Generate the paths of a folder and its files, or of a file, its journals and its bag."""
     yield path
     if os.path.isdir(path):
         with suppress(OSError):  # reported when the folder is read
