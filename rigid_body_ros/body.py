@@ -184,11 +184,35 @@ class RigidBody:
         return float(np.sum(direction * self.angular_momentum(direction)))
 
     def angular_momentum(self, angular_velocity: ArrayLike) -> Floats:
-        """Return the angular momentum J w, N m s, body axes, shape (..., 3), of w in rad/s."""
+        """
+        Return the angular momentum, the inertia times w.
+
+        Parameters
+        ----------
+        angular_velocity : array, shape (..., 3), rad/s
+            Body axes.
+
+        Returns
+        -------
+        array, shape (..., 3), N m s, body axes
+
+        """
         return _product(np.asarray(angular_velocity, float), self.inertia)
 
     def kinetic_energy(self, angular_velocity: ArrayLike) -> Floats:
-        """Return the kinetic energy w . J w / 2, J, shape (...), of w in rad/s, (..., 3)."""
+        """
+        Return the kinetic energy, half the product of w and the angular momentum.
+
+        Parameters
+        ----------
+        angular_velocity : array, shape (..., 3), rad/s
+            Body axes.
+
+        Returns
+        -------
+        array, shape (...), J
+
+        """
         w = np.asarray(angular_velocity, float)
         return 0.5 * np.sum(w * self.angular_momentum(w), axis=-1)
 

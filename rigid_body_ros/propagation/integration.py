@@ -237,8 +237,8 @@ def _check_solver(options: Options, log: TorqueLog) -> None:
     if not options.record.takes_torque and log.torques.any():
         row = int(np.flatnonzero(log.torques.any(axis=1))[0])
         raise ValueError(f'solver {options.solver!r} handles torque-free motion only, found '
-                         f'torque {row} of {log.torques[row].tolist()} N m at '
-                         f'{log.times_ns[row]} ns')
+                         f'a torque of {log.torques[row].tolist()} N m at '
+                         f'{log.times_ns[row]} ns (sample {row})')
 
 
 def _rule_at_start(body: RigidBody, start: State, log: TorqueLog, options: Options, sample: int,

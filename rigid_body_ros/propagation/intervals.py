@@ -72,7 +72,7 @@ def sample_in_force(log: Log, time_ns: int) -> tuple[int, bool]:
 @inlined
 def interval(torque: vector.Polynomial, stamp_ns: int, next_ns: int, idle: bool,
              timeout_ns: int) -> Interval:
-    """Return the interval of a sample until it times out, or, if it is idle, after that."""
+    """Return the interval that begins with a sample, or, if it is idle, with its timeout."""
     coasts = is_zero(torque)
     if timeout_ns > 0 and not idle and stamp_ns + timeout_ns < next_ns:
         return Interval(torque, coasts, stamp_ns, next_ns, True, stamp_ns + timeout_ns)
@@ -104,7 +104,7 @@ def torque_of(polynomials: Floats, index: int, idle: bool) -> vector.Polynomial:
     """
     Return the torque of a sample, or zeros if it is idle.
 
-    To return an array would take half the time of a short step.
+    It is a tuple, because to make an array takes half the time of a short step.
     """
     none = four.broadcast(0.0)
     if idle:

@@ -50,7 +50,7 @@ class Body(NamedTuple):
 
 
 class Method(NamedTuple):
-    """How steps are taken."""
+    """The solver, its tolerance and its limits on a step."""
 
     #: `Solver.code`, `Solver.fixed_step` and `Solver.closed_form_beyond`.
     solver: int
@@ -122,7 +122,7 @@ class States(NamedTuple):
 
 def pack_settings(solver: int, fixed_step: bool, closed_form_beyond: float, tolerance: float,
                   max_step_ns: int, timeout_ns: int) -> Floats:
-    """Return options as an array. A double holds nanoseconds rounded from seconds exactly."""
+    """Return options as an array. Nanoseconds rounded from seconds fit a double exactly."""
     settings = np.empty(6)
     settings[_SOLVER], settings[_FIXED_STEP] = solver, fixed_step
     settings[_CLOSED_FORM_BEYOND], settings[_TOLERANCE] = closed_form_beyond, tolerance
@@ -132,7 +132,7 @@ def pack_settings(solver: int, fixed_step: bool, closed_form_beyond: float, tole
 
 @internal
 def unpack_method(settings: Floats) -> Method:
-    """Return how steps are taken."""
+    """Return the solver, its tolerance and its limits on a step."""
     tolerance = float(settings[_TOLERANCE])
     return Method(int(settings[_SOLVER]), settings[_FIXED_STEP] != 0.0,
                   float(settings[_CLOSED_FORM_BEYOND]), tolerance, taylor.step_angle(tolerance),
@@ -212,7 +212,7 @@ def store_states(reached: States, states: Floats) -> None:
 
 def pack_place(grid_ns: int, begin_ns: int, sample: int,
                timed_out: bool = False) -> NDArray[np.int64]:
-    """Return progress as an array, with no output filled."""
+    """Return the progress of a loop that has not yet filled an output, as an array."""
     return np.array((grid_ns, begin_ns, sample, timed_out, 0), np.int64)
 
 

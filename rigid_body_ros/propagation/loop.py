@@ -48,8 +48,9 @@ from rigid_body_ros.kernels.jit import inlined, internal, njit
 from rigid_body_ros.propagation import intervals, layout, stepping
 from rigid_body_ros.propagation.layout import Body, Log, Method, Outputs, Place, States
 
-#: Results of `run`: it has filled all outputs or has reached the sample to stop at; it has used up
-#: its budget, and another call continues; the body is too fast, beyond FASTEST.
+#: Results of `run`. FINISHED: all outputs are filled, or the sample to stop at is reached.
+#: UNFINISHED: the budget is used up; another call continues. TOO_FAST: the body turns faster than
+#: FASTEST.
 FINISHED, UNFINISHED, TOO_FAST = range(3)
 #: Value of `rows` of `run` if the times ascend.
 IN_ORDER = np.empty(0, np.intp)
@@ -63,7 +64,7 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
         stamps_ns: NDArray[np.int64], polynomials: Floats, in_space: NDArray[np.bool_],
         first: int, stop: int, constants: Floats, settings: Floats, budget: int) -> int:
     """
-    Advance from torque change to torque change, and fill the motion at the requested times.
+    Compute the motion from torque change to torque change, and store it at the requested times.
 
     Parameters
     ----------

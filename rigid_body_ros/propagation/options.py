@@ -96,7 +96,7 @@ class Options:
                                     self.tolerance, self.max_step_ns, self.timeout_ns)
 
     def rule(self, body: RigidBody, torque: Floats, in_space: bool) -> Hashable:
-        """Return everything except the start that the motion under a held torque depends on."""
+        """Return what determines the motion under a held torque, apart from the start."""
         return (body._constants.tobytes(), self.solver, float(self.tolerance), self.max_step_ns,
                 tuple(torque.ravel().tolist()), in_space and bool(torque.any()))
 

@@ -264,7 +264,7 @@ def _timed_out(reached_ns: int) -> TimeoutError:
 
 
 def _read_only(values: ArrayLike) -> NDArray[Any]:
-    """Return a read-only array: the kernels are compiled for logs, whose arrays are."""
+    """Return a read-only array, as in a log: the kernels are compiled for this type."""
     array = np.array(values)
     array.flags.writeable = False
     return array
@@ -317,7 +317,7 @@ class _Segment:
                 break
 
     def end_at(self, time_ns: int, until: float) -> State:
-        """Return the state that the next segment begins with, even if the torque is the same."""
+        """Return the state with which the next segment begins."""
         return without_origin(self.state_at(time_ns, until))
 
     def _discard_grid_points(self, horizon_ns: int) -> None:
