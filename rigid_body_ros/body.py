@@ -200,19 +200,7 @@ class RigidBody:
         return _product(np.asarray(angular_velocity, float), self.inertia)
 
     def kinetic_energy(self, angular_velocity: ArrayLike) -> Floats:
-        """
-        Return the kinetic energy, half the product of w and the angular momentum.
-
-        Parameters
-        ----------
-        angular_velocity : array, shape (..., 3), rad/s
-            Body axes.
-
-        Returns
-        -------
-        array, shape (...), J
-
-        """
+        """Return the kinetic energy in joules, shape (...), at rates w in rad/s, (..., 3)."""
         w = np.asarray(angular_velocity, float)
         return 0.5 * np.sum(w * self.angular_momentum(w), axis=-1)
 

@@ -15,11 +15,10 @@
 """
 Exact torque-free motion: any body, any start, any time in one evaluation.
 
-In principal axes 1, 2, 3 the angular momentum m is an elliptic function of time; the attitude
-requires one more angle, an integral of the third kind. The formulas are those of Celledoni, Fasso,
-Saefstroem and Zanna, "The exact computation of the free rigid body motion and its use in splitting
-methods", 2008, with the corrections of Principia's `Celledoni.tex`, rearranged so that nothing
-cancels:
+In principal axes the angular momentum m is an elliptic function of time; the attitude requires one
+more angle, an integral of the third kind. The formulas are those of Celledoni, Fasso, Saefstroem
+and Zanna, "The exact computation of the free rigid body motion and its use in splitting methods",
+2008, with the corrections of Principia's `Celledoni.tex`, rearranged so that nothing cancels:
 
     m = (B1 cn u, -B2 sn u, B3 dn u),   u = u0 + lambda t,
     q(t) = q(0) conj(P(0)) exp(psi e3 / 2) P(t),
@@ -34,12 +33,9 @@ With G = |m|, n = -I3 (I2 - I1) / (I1 (I3 - I2)) and C = G (I3 - I1) / (lambda I
                - k^2 sn^3 R_J(cn^2, dn^2, 1, 1 - k^2 sn^2 / n) / (3 n),
                g^2 = (1 - n) (1 - k^2 / n)                                     if n < -1,
 
-with Carlson's symmetric integral R_J and the parameter k^2 of the elliptic functions (`m` in
-`_periodic_part`). DLMF 19.21.12 transforms one form of Pi into the other. In the first case C u
-and (G / I3) t add up to (G / I1) t.
-
-A long motion multiplies the errors of the half period and of its angle by the number of half
-periods. These constants are computed to 32 digits, so the error does not grow with time.
+with Carlson's integral R_J and the elliptic parameter k^2. DLMF 19.21.12 transforms one form of Pi
+into the other. In the first case C u and (G / I3) t add up to (G / I1) t. The half period and its
+angle have 32 digits: a long motion multiplies their errors by the number of half periods.
 """
 
 from __future__ import annotations
