@@ -38,6 +38,14 @@ def run_clock(live, begin_ns, end_ns, torque=None):
         live.spin(0.003)
 
 
+def start_clock(live, now_ns):
+    """Publish a time until the node has begun its first epoch: earlier torques are rejected."""
+    def has_begun():
+        live.set_clock(now_ns)
+        return live.received[COMMITTED]
+    live.wait_until(has_begun, 'the start of the first epoch')
+
+
 def settle(live, now_ns):
     """Publish the time until the node has published a state at it."""
     def has_published():
@@ -129,11 +137,13 @@ def test_a_clock_that_jumps_back(tmp_path, domain, action, back_ns):
         run_clock(live, again_ns, again_ns + 3 * SECOND // 2, wobble)
         live.dump_parameters(tmp_path / 'live.yaml')
         live.spin(1.5)
-        jumps = live.diagnosis('motion')[0]['clock jumps']
+        # Simulated time is faster than real time, so a pause of the node may be a jump ahead, too.
+        assert live.diagnosis('motion')[0]['clock jumps']
         torques, _, _ = live.diagnosis('torques')
         assert live.stop() == 0
+        accepted_stamps = accepted(live)
         run = replayed(tmp_path, live)
-    assert jumps == 1
+    assert accepted_stamps.count(0) == (action != 'ignore')  # marks of new epochs
     np.testing.assert_array_equal(run.committed, run.replay)
     assert np.all(np.diff(run.stamps_ns) > 0)
     assert torques['received'] == torques['applied'] + sum(
@@ -288,12 +298,13 @@ def test_a_given_start_time_holds_in_every_round_of_a_bag(tmp_path, domain):
     start_ns = 100 * SECOND + 12345
     with LiveSession(TUMBLER, domain, *SIMULATED, '-p', f'start_time:={start_ns}') as live:
         rounds = []
+        start_clock(live, 99 * SECOND)
         for _ in range(2):
-            live.received[COMMITTED].clear()
             run_clock(live, 100 * SECOND, 102 * SECOND, wobble)
             settle(live, 102 * SECOND)
             rounds.append({message.stamp_ns: message.values.tolist()
                            for message in decoded(live, COMMITTED, messages.ODOMETRY)})
+            live.received[COMMITTED].clear()
         assert live.stop() == 0
     common = [stamp_ns for stamp_ns in rounds[0] if stamp_ns in rounds[1]]
     assert len(common) > 5
