@@ -24,7 +24,7 @@ running node.
 import argparse
 from typing import NamedTuple
 
-from rigid_body_ros import cli, scene
+from rigid_body_ros import commands, scene
 
 WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
 VECTOR3 = 'geometry_msgs/msg/Vector3Stamped'
@@ -220,6 +220,9 @@ attitude_tradeoff --scene FILE
 ## Exit status
 
 {exits}
+
+In the first 0.1 s, while Python itself starts, a signal ends a command as it ends any Python
+program.
 """
 
 #: Exit statuses and their meanings.
@@ -229,8 +232,8 @@ EXITS = [
     ('2', 'wrong arguments, an input that cannot be read, or an output that cannot be written; '
           'one line names it'),
     ('128 + n', 'signal n ended the command: 130 after Ctrl-C, 143 after SIGTERM (`attitude_node` '
-                'ends with 0); 141, without a message, if the reader of the output has ended, as '
-                'in `attitude_replay ... | head`'),
+                'ends with 0 once it has started); 141, without a message, if the reader of the '
+                'output has ended, as in `attitude_replay ... | head`'),
 ]
 
 
@@ -243,7 +246,8 @@ def main():
         parameters=table(('parameter', 'unit', 'default', 'values', 'meaning'), [
             (f'`{parameter.name}`', parameter.unit, default(parameter), values(parameter),
              parameter.description) for parameter in scene.PARAMETERS.values()]),
-        replay=options(cli.replay_parser()), tradeoff=options(cli.tradeoff_parser()),
+        replay=options(commands.replay_parser()),
+        tradeoff=options(commands.tradeoff_parser()),
         exits=table(('status', 'meaning'), EXITS)), end='')
 
 

@@ -14,8 +14,31 @@
 
 """Turn torques into attitude: the rotation of one rigid body, exact to rounding."""
 
-from rigid_body_ros.body import RigidBody, State
-from rigid_body_ros.propagation import propagate, Propagator, Trajectory, warm_up
-from rigid_body_ros.torque import TorqueLog
+from importlib import import_module
+from typing import Any, TYPE_CHECKING
 
 __all__ = ['Propagator', 'RigidBody', 'State', 'TorqueLog', 'Trajectory', 'propagate', 'warm_up']
+
+if TYPE_CHECKING:
+    from rigid_body_ros.body import RigidBody, State
+    from rigid_body_ros.propagation import propagate, Propagator, Trajectory, warm_up
+    from rigid_body_ros.torque import TorqueLog
+else:
+    # Importing the engine takes most of a second, and commands must handle signals before.
+    _SUBMODULES = ('body', 'common', 'euler', 'kernels', 'propagation', 'so3', 'torque', 'urdf')
+    #: The submodule of each public name.
+    _HOMES = {'RigidBody': 'body', 'State': 'body', 'TorqueLog': 'torque',
+              'Propagator': 'propagation', 'Trajectory': 'propagation',
+              'propagate': 'propagation', 'warm_up': 'propagation'}
+
+    def __getattr__(name: str) -> Any:
+        """Import a submodule or a public name when it is first used."""
+        if name in _SUBMODULES:
+            return import_module(f'{__name__}.{name}')
+        if name not in _HOMES:
+            raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+        value = getattr(import_module(f'{__name__}.{_HOMES[name]}'), name)
+        return globals().setdefault(name, value)
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *_SUBMODULES, *_HOMES})

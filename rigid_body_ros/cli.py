@@ -12,27 +12,26 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The commands: parse the arguments, do the work, return the exit status."""
+"""
+The entry points of the commands: handle signals, run the command, return the exit status.
+
+Importing this module takes a few milliseconds, and importing the commands takes about a second.
+They are therefore imported after signals are handled.
+"""
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
-import json
-from pathlib import Path
 import signal
 import sys
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
-from rigid_body_ros.common.errors import InputError, shortened
-from rigid_body_ros.runtime import files, interrupts
-from rigid_body_ros.scene import load, Scene
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.runtime import interrupts
+from rigid_body_ros.runtime.terminal import report, show
 
-if TYPE_CHECKING:
-    from rigid_body_ros.tradeoff import Tradeoff
-
-#: Exit statuses; docs/nodes.md has their meaning.
-OK, DIFFERENT, USER_ERROR = 0, 1, 2
+#: Exit status after a mistake of the user; docs/nodes.md has the meaning of all.
+USER_ERROR = 2
 #: A command that a signal ended exits with this plus the number of the signal.
 SIGNALLED = 128
 #: The number of SIGPIPE, which ends other programs when the reader of their output exits.
@@ -41,27 +40,25 @@ _BROKEN_PIPE = 13
 
 def attitude_replay(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_replay` and return its exit status."""
-    return _parse_and_run(replay_parser(), _replay, arguments)
+    return _run('attitude_replay', arguments)
 
 
 def attitude_tradeoff(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_tradeoff` and return its exit status."""
-    return _parse_and_run(tradeoff_parser(), _tradeoff, arguments)
+    return _run('attitude_tradeoff', arguments)
 
 
 def attitude_node(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_node` and return its exit status."""
-    return _guarded('attitude_node', lambda: _node(arguments), arguments)
+    return _run('attitude_node', arguments)
 
 
-def _parse_and_run(parser: argparse.ArgumentParser,
-                   command: Callable[[argparse.Namespace], int],
-                   arguments: Sequence[str] | None) -> int:
-    def run() -> int:
-        if sys.stdout is None:
-            raise InputError('cannot write to standard output: it is closed')
-        return command(parser.parse_args(arguments))
-    return _guarded(parser.prog, run, arguments)
+def _run(name: str, arguments: Sequence[str] | None) -> int:
+    def command() -> int:
+        from rigid_body_ros import commands
+        interrupts.check()
+        return getattr(commands, name)(arguments)
+    return _guarded(name, command, arguments)
 
 
 def _guarded(name: str, command: Callable[[], int], arguments: Sequence[str] | None) -> int:
@@ -71,13 +68,13 @@ def _guarded(name: str, command: Callable[[], int], arguments: Sequence[str] | N
         with interrupts.deferred(until_exit=arguments is None):
             return _flushed(command)
     except InputError as error:
-        _report(f'{name}: error: {error}')
+        report(f'{name}: error: {error}')
         return USER_ERROR
     except ModuleNotFoundError as error:
         package = str(error.name).split('.')[0]
         if package == __package__:
             raise
-        _report(f'{name}: error: Python module {package!r} is not installed; '
+        report(f'{name}: error: Python module {package!r} is not installed; '
                 f'run python3 -m pip install {package}')
         return USER_ERROR
     except BrokenPipeError:
@@ -86,7 +83,7 @@ def _guarded(name: str, command: Callable[[], int], arguments: Sequence[str] | N
     except KeyboardInterrupt as interrupt:
         details: list[Any] = [*interrupt.args] or [signal.SIGINT]  # Python's handler gives none
         number, *kept = details
-        _report(f'{name}: interrupted{"".join(kept) or "; no partial output was left"}')
+        report(f'{name}: interrupted{"".join(kept) or "; no partial output was left"}')
         return SIGNALLED + int(number)
 
 
@@ -95,282 +92,5 @@ def _flushed(command: Callable[[], int]) -> int:
         return command()
     except SystemExit:  # after --help, whose text may still be in the buffer
         if sys.stdout is not None:
-            _print('', end='')
+            show('', end='')
         raise
-
-
-def _report(text: str) -> None:
-    """Print one line of bounded length to standard error, if that is writable."""
-    if sys.stderr is None:
-        return
-    try:
-        print(shortened(text), file=sys.stderr, flush=True)
-    except OSError:
-        sys.stderr = None  # otherwise Python flushes it again at exit
-
-
-def _node(arguments: Sequence[str] | None) -> int:
-    try:
-        from rigid_body_ros import node
-    except ModuleNotFoundError as error:
-        raise InputError(f"attitude_node needs ROS 2, but the module '{error.name}' is not "
-                         'installed: source a ROS 2 installation, or run '
-                         'pip install "rigid_body_ros[ros]"') from error
-    node.main(arguments)
-    return OK
-
-
-def _replay(options: argparse.Namespace) -> int:
-    with files.reading(*options.input), files.protected('scene', options.scene), \
-            files.overwriting(options.overwrite):
-        if options.verify:
-            return _verify(options)
-        return _replay_many(options) if len(options.input) > 1 else _replay_one(options)
-
-
-def _replay_one(options: argparse.Namespace) -> int:
-    from rigid_body_ros import replay
-    from rigid_body_ros.replay.report import summary
-    path, = options.input
-    if options.also and not options.output:
-        raise InputError('--also: expected an output file or folder (-o), found none')
-    outputs = [(options.output, replay.suffix_of(options.output))] if options.output else []
-    outputs += [(options.plot, '.png')] if options.plot else []
-    files.check(*outputs)
-    result = replay.replay(path, _scene(options), options.output, keep=bool(options.plot),
-                           **_replay_options(options))
-    if options.plot:
-        with files.protected('output', options.output):
-            replay.plot(options.plot, result, Path(path).name)
-    written = ', '.join(name for name, _ in outputs)
-    _print(summary(result) + (f'\n{"wrote":14}{written}' if written else ''))
-    return OK
-
-
-def _scene(options: argparse.Namespace) -> Scene:
-    scene = load(options.scene)
-    for warning in scene.warnings:
-        _report(f'{options.command}: warning: {options.scene}: {warning}')
-    return scene
-
-
-def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
-    return {'topic': options.topic, 'interpolation': options.interpolation, 'rate': options.rate,
-            'until': options.until, 'start': options.start, 'time_source': options.time_source,
-            'also': options.also}
-
-
-def _replay_many(options: argparse.Namespace) -> int:
-    from rigid_body_ros.replay.many import outputs_in, replay_many, table
-    if options.plot:
-        raise InputError(f'--plot: expected one recording, found {len(options.input)}')
-    if not options.output:
-        raise InputError('-o: expected a folder for several recordings, found none')
-    outputs_in(options.output, options.input)
-    outcomes = replay_many(options.input, _scene(options), options.output,
-                           **_replay_options(options))
-    _print(table(outcomes))
-    failed = [outcome.path for outcome in outcomes if outcome.error]
-    if failed:
-        raise InputError(f'{len(failed)} of {len(outcomes)} recordings failed: '
-                         f'{", ".join(failed)}')
-    return OK
-
-
-def _verify(options: argparse.Namespace) -> int:
-    from rigid_body_ros.replay.verify import summary, verify
-    if len(options.input) > 1:
-        raise InputError(f'--verify: expected one recording, found {len(options.input)}')
-    unused = [name for name in ('rate', 'until', 'start', 'also', 'plot')
-              if getattr(options, name)]
-    if unused:
-        raise InputError(f'--verify: cannot be combined with --{unused[0]}')
-    result = verify(options.input[0], _scene(options), options.verify,
-                    topic=options.topic, interpolation=options.interpolation)
-    _print(summary(result))
-    return OK if result.same.all() else DIFFERENT
-
-
-def _tradeoff(options: argparse.Namespace) -> int:
-    from rigid_body_ros.tradeoff import report
-    outputs = (options.json, '.json'), (options.plot, '.png')
-    with files.reading(options.recording), files.protected('scene', options.scene), \
-            files.overwriting(options.overwrite):
-        files.check(*(output for output in outputs if output[0]))
-        result, title = _measure(options)
-        if options.json:
-            with files.atomic_output(options.json, '.json') as path:
-                text = json.dumps(report.as_data(result), indent=1)
-                path.write_text(f'{text}\n', encoding='utf-8')
-        if options.plot:
-            with files.protected('output', options.json):
-                _plot_tradeoff(options.plot, result, title)
-    _print(report.summary(result, all_rows=options.all))
-    return OK
-
-
-def _measure(options: argparse.Namespace) -> tuple[Tradeoff, str]:
-    """Return the result and a title that names the recording and its topic, or the scene."""
-    from rigid_body_ros import replay
-    from rigid_body_ros.tradeoff import measure, TARGET
-    loaded = _scene(options)
-    log, start, where = None, loaded.start, options.scene
-    title = f'{Path(options.scene).name}: no torque'
-    if options.recording:
-        recorded, log, start = replay.read(options.recording, loaded, options.topic)
-        where = f'{options.recording}: {recorded.topic}'
-        title = f'{Path(options.recording).name}: {recorded.topic}'
-    try:
-        return measure(loaded.body, start, log, targets=options.target or [TARGET],
-                       torque_timeout=loaded.values['torque_timeout'],
-                       track=replay.progress('measuring', ' runs')), title
-    except ValueError as error:
-        raise InputError(f'{where}: {error}') from error
-
-
-def _plot_tradeoff(path: str, result: Tradeoff, title: str) -> None:
-    from rigid_body_ros.report import figures
-    from rigid_body_ros.tradeoff import report
-    with files.atomic_output(path, '.png') as temporary:
-        figures.work_precision(temporary, report.curves(result), title,
-                               report.reference_errors(result))
-
-
-def _print(text: str, end: str = '\n') -> None:
-    encoding = sys.stdout.encoding or 'utf-8'  # a file name may hold bytes that are not text
-    try:
-        print(text.encode(encoding, 'backslashreplace').decode(encoding), end=end, flush=True)
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        sys.stdout = None  # otherwise Python flushes it again at exit
-        raise InputError(f'cannot write to standard output: {error.strerror}') from error
-
-
-class _Once(argparse.Action):
-    """Store the value of an option, and reject a second value."""
-
-    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
-                 values: Any, option_string: str | None = None) -> None:
-        """
-        Store a value.
-
-        Raises
-        ------
-        InputError
-            The option already has a value.
-
-        """
-        given = vars(namespace).setdefault('given', {})
-        if self.dest in given:
-            raise InputError(f'{option_string}: expected the option at most once, found '
-                             f'{given[self.dest]!r} and {values!r}')
-        given[self.dest] = values
-        setattr(namespace, self.dest, values)
-
-
-class _Parser(argparse.ArgumentParser):
-    """An argument parser that rejects repeated options and reports a failure to print its help."""
-
-    def __init__(self, prog: str, description: str) -> None:
-        super().__init__(prog=prog, description=description)
-        self.register('action', None, _Once)
-        self.set_defaults(command=prog)
-
-    def print_help(self, file: Any = None) -> None:
-        """Print the help; unlike argparse, raise InputError if it cannot be written."""
-        _print(self.format_help(), end='')
-
-
-def replay_parser() -> argparse.ArgumentParser:
-    """Return the argument parser of `attitude_replay`."""
-    parser = _Parser(
-        prog='attitude_replay',
-        description='Compute the motion of a body from recorded torques. Print a summary; write '
-        'the motion (-o) or a plot (--plot) if asked to.')
-    parser.add_argument('input', metavar='INPUT', nargs='+',
-                        help='recording of torques: an MCAP file, a rosbag2 bag, or a CSV file '
-                        'with the columns time (s), tx, ty, tz (N m), or with column names and '
-                        'units in its first line')
-    _add_scene(parser)
-    target = parser.add_mutually_exclusive_group()
-    target.add_argument('-o', '--output', metavar='OUTPUT',
-                        help='write attitude, euler_angles and angular_velocity to this MCAP '
-                        'file, or, if the name does not end in .mcap, to a new rosbag2 folder; '
-                        'for several recordings, a folder of MCAP files')
-    target.add_argument('--verify', metavar='MOTION',
-                        help='recorded motion to compare with the computed one, bit for bit: '
-                        'the committed states of a node or the attitude of a replay; if they '
-                        'differ, the exit status is 1')
-    parser.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
-                        help="interpolation of the torques between samples (default: the scene's)")
-    parser.add_argument('--rate', type=_positive, metavar='HZ',
-                        help='output rate (default: one output at each torque stamp)')
-    parser.add_argument('--start', type=_positive, default=0.0, metavar='SECONDS',
-                        help='skip the first SECONDS of the recording')
-    parser.add_argument('--also', nargs='+', choices=('imu', 'tf', 'markers', 'input'), default=(),
-                        help='with -o, also write /imu/data, /tf or markers for rviz and Foxglove '
-                        '(/marker/...), or copy the messages of the input')
-    parser.add_argument('--until', '--duration', type=_positive, metavar='SECONDS',
-                        help='end SECONDS after the start (default: at the last torque stamp)')
-    parser.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
-                        help='when a torque takes effect: at the stamp in its header, or when '
-                        'its message was logged or published (default: header)')
-    parser.add_argument('--plot', metavar='PNG', help='plot Euler angles, quaternion, angular '
-                        'velocity and torque over time')
-    _add_overwrite(parser)
-    return parser
-
-
-def tradeoff_parser() -> argparse.ArgumentParser:
-    """Return the argument parser of `attitude_tradeoff`."""
-    from rigid_body_ros.tradeoff import TARGET
-    parser = _Parser(
-        prog='attitude_tradeoff',
-        description='Measure the cost and the error of every solver on your own motion, and '
-        'recommend a setting.')
-    _add_scene(parser)
-    parser.add_argument('--recording', metavar='IN', help='recording of torques, as for '
-                        'attitude_replay (default: 50 turns without torque)')
-    parser.add_argument('--target', type=_angle, action='append', metavar='RAD',
-                        help='largest attitude error of the solver that is allowed anywhere in '
-                        'the recording; the error of the interpolation between torque samples is '
-                        f'reported separately; may be repeated (default: {TARGET:g})')
-    parser.add_argument('--all', action='store_true', help='print all settings, not only the '
-                        'Pareto-optimal ones')
-    parser.add_argument('--json', metavar='OUT',
-                        help='write all results, with units, to this file')
-    parser.add_argument('--plot', metavar='PNG', help='plot cost over error, one curve per solver')
-    _add_overwrite(parser)
-    return parser
-
-
-def _add_scene(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('--scene', required=True, metavar='FILE',
-                        help='ROS 2 parameter file with the inertia and the initial state, as for '
-                        'attitude_node')
-    parser.add_argument('--topic', help='topic of the torques; required if there are several')
-
-
-def _add_overwrite(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('--overwrite', action='store_true',
-                        help='replace output files that exist; folders are never replaced')
-
-
-def _positive(text: str) -> float:
-    return _number(text, 1e-9, 1e9)
-
-
-def _angle(text: str) -> float:
-    return _number(text, 1e-15, 1.0)
-
-
-def _number(text: str, low: float, high: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f'expected a number from {low:g} to {high:g}, '
-                                         f'found {text!r}')
-    return value

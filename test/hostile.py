@@ -54,7 +54,7 @@ def outcome(path, scene_path=TUMBLER):
         recording.torque_log(path, recorded, values['body_frame'], values['space_frame'])
         assert len(recorded.damage) <= LONGEST
         assert recorded.damage == '' or recorded.damage.isprintable()
-        return cli.OK
+        return 0
     with limits(), redirect_stderr(io.StringIO()) as printed:
         status = cli._guarded('attitude_replay', read, ())
     text = printed.getvalue()

@@ -275,8 +275,9 @@ def test_a_reader_that_is_gone_ends_a_command_quietly(place, arguments):
 
 def test_a_reader_that_leaves_in_the_middle_is_no_error():
     # More than a pipe and Python's buffer hold, of which Python keeps the rest for its end.
-    script = ('import sys; from rigid_body_ros import cli; '
-              "sys.exit(cli._guarded('', lambda: cli._print(2 ** 20 * 'x') or 0, None))")
+    script = ('import sys; from rigid_body_ros import cli; from rigid_body_ros.runtime import '
+              "terminal; sys.exit(cli._guarded('', lambda: terminal.show(2 ** 20 * 'x') or 0, "
+              'None))')
     with subprocess.Popen([sys.executable, '-c', script], stdout=subprocess.PIPE,
                           stderr=subprocess.PIPE, text=True) as process:
         process.stdout.read(10)

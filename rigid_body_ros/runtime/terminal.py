@@ -1,0 +1,53 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Print for the user; the standard streams may be closed, and their readers may have exited."""
+
+from __future__ import annotations
+
+import sys
+
+from rigid_body_ros.common.errors import InputError, shortened
+
+
+def report(text: str) -> None:
+    """Print one line of bounded length to standard error, if that is writable."""
+    if sys.stderr is None:
+        return
+    try:
+        print(shortened(text), file=sys.stderr, flush=True)
+    except OSError:
+        sys.stderr = None  # otherwise Python flushes it again at exit
+
+
+def show(text: str, end: str = '\n') -> None:
+    """
+    Print text to standard output at once.
+
+    Raises
+    ------
+    InputError
+        Standard output is not writable.
+    BrokenPipeError
+        The reader of standard output has exited.
+
+    """
+    encoding = sys.stdout.encoding or 'utf-8'  # a file name may hold bytes that are not text
+    try:
+        print(text.encode(encoding, 'backslashreplace').decode(encoding), end=end, flush=True)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        sys.stdout = None  # otherwise Python flushes it again at exit
+        raise InputError(f'cannot write to standard output: {error.strerror}') from error
