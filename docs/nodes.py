@@ -221,7 +221,7 @@ attitude_tradeoff --scene FILE
 
 {exits}
 
-In the first 0.1 s, while Python itself starts, a signal ends a command as it ends any Python
+While Python itself starts, for about 0.1 s, a signal ends a command as it ends any Python
 program.
 """
 

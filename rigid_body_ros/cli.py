@@ -66,7 +66,7 @@ def _guarded(name: str, command: Callable[[], int], arguments: Sequence[str] | N
     try:
         # Without explicit arguments this is the command of the process, which exits afterwards.
         with interrupts.deferred(until_exit=arguments is None):
-            return _flushed(command)
+            return _called(command)
     except InputError as error:
         report(f'{name}: error: {error}')
         return USER_ERROR
@@ -87,9 +87,14 @@ def _guarded(name: str, command: Callable[[], int], arguments: Sequence[str] | N
         return SIGNALLED + int(number)
 
 
-def _flushed(command: Callable[[], int]) -> int:
+def _called(command: Callable[[], int]) -> int:
     try:
         return command()
+    except InputError:
+        raise
+    except Exception:  # C code that imports a module can raise it in place of KeyboardInterrupt
+        interrupts.check()
+        raise
     except SystemExit:  # after --help, whose text may still be in the buffer
         if sys.stdout is not None:
             show('', end='')
