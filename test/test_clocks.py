@@ -117,7 +117,8 @@ def test_when_the_clock_jumps_ahead_the_motion_continues_under_the_last_torque(t
         settle(live, 106 * SECOND)
         run_clock(live, 106 * SECOND, 107 * SECOND, wobble)
         settle(live, 107 * SECOND)
-        live.wait_until(lambda: live.diagnosis('motion')[0]['clock jumps'], 'a diagnosis')
+        live.wait_until(lambda: any(status.message == 'clock jumps: 1' for array in
+                                    live.diagnostics for status in array.status), 'a diagnosis')
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         run = replayed(tmp_path, live)

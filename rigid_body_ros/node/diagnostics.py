@@ -99,7 +99,7 @@ class Diagnostics:
 
     def count_lost(self, number: int) -> None:
         """Count torques that the middleware reports as lost in transit."""
-        self.event(LOST, f'{self._counts[LOST] + number} torques lost in transit so far', number)
+        self.event(LOST, f'torques lost in transit so far: {self._counts[LOST] + number}', number)
         self.count_missing(0)
 
     def count_missing(self, number: int) -> None:
@@ -112,8 +112,9 @@ class Diagnostics:
         self._missing += number
         self._counts[OVERFLOW] = max(0, self._missing - self._counts[LOST])
         if number and self._counts[OVERFLOW]:
-            self._log(OVERFLOW, f'{self._counts[OVERFLOW]} torques dropped from the full queue so '
-                      'far: they arrive faster than this machine can process them')
+            self._log(OVERFLOW, 'torques dropped from the full queue so far: '
+                      f'{self._counts[OVERFLOW]}; they arrive faster than this machine can '
+                      'process them')
 
     def connection_problems(self, torques: Subscription, inputs: Iterable[Subscription],
                             outputs: Iterable[Publisher], several: str) -> list[str]:
@@ -174,15 +175,15 @@ class Diagnostics:
         """Publish all counts; warn of those that have increased since the last call."""
         counts, new = self._counts, self._counts - self._published_counts
         self._published_counts = counts.copy()
-        rejected = [f'{new[cause]} {rejections(cause)}' for cause in CAUSES if new[cause]]
-        warnings = problems + [f'{new[name]} {name}' for name in _TORQUE_WARNINGS if new[name]]
+        rejected = [f'{rejections(cause)}: {new[cause]}' for cause in CAUSES if new[cause]]
+        warnings = problems + [f'{name}: {new[name]}' for name in _TORQUE_WARNINGS if new[name]]
         torques = self._status(
             'torques', bool(rejected), bool(warnings), '; '.join(rejected + warnings) or 'OK',
             {RECEIVED: counts[RECEIVED], APPLIED: counts[APPLIED],
              **{rejections(cause): counts[cause] for cause in CAUSES}, WAITING: waiting,
              **{name: counts[name] for name in _OF_TORQUES}})
-        errors = [f'{new[name]} {name}' for name in _ERRORS if new[name]]
-        warnings = [f'{new[name]} {name}' for name in _WARNINGS if new[name]]
+        errors = [f'{name}: {new[name]}' for name in _ERRORS if new[name]]
+        warnings = [f'{name}: {new[name]}' for name in _WARNINGS if new[name]]
         motion = self._status(
             'motion', bool(errors), bool(warnings), '; '.join(errors + warnings) or epoch,
             {name: counts[name] for name in _OF_MOTION})
