@@ -15,6 +15,7 @@
 """Recordings: what others write we read, what we write others read, damage is told."""
 
 import itertools
+import re
 import struct
 import sys
 
@@ -252,11 +253,21 @@ def test_another_encoding_is_refused(tmp_path):
         recording.read(tmp_path / 'json.mcap')
 
 
-@pytest.mark.parametrize('content', [b'', b'not MCAP', b'\x89MCAP0\r\n', bytes(1000)])
-def test_what_is_no_mcap_file_is_refused(tmp_path, content):
+@pytest.mark.parametrize(('content', 'found'), [
+    (b'', 'an empty file'), (b'text', "another format, which begins with b'text'"),
+    (b'time,tx,ty,tz\n', "another format, which begins with b'time,tx,'"),
+    (bytes(1000), f'another format, which begins with {bytes(8)}')])
+def test_what_is_no_mcap_file_is_refused(tmp_path, content, found):
     (tmp_path / 'other.bag').write_bytes(content)
-    with pytest.raises(InputError, match='other.bag: expected an MCAP file'):
+    message = f'other.bag: expected an MCAP file, found {found}'
+    with pytest.raises(InputError, match=f'{re.escape(message)}$'):
         recording.read(tmp_path / 'other.bag')
+
+
+def test_an_mcap_file_without_a_record_is_refused(tmp_path):
+    (tmp_path / 'short.mcap').write_bytes(b'\x89MCAP0\r\n')
+    with pytest.raises(InputError, match='short.mcap: expected an MCAP file with messages'):
+        recording.read(tmp_path / 'short.mcap')
 
 
 @pytest.mark.parametrize('share', [0.01, 0.1, 0.5, 0.9, 0.99])

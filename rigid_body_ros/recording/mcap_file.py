@@ -29,7 +29,7 @@ import lz4.frame
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema, Statistics
-from mcap.stream_reader import MAGIC_SIZE, read_magic, StreamReader
+from mcap.stream_reader import MAGIC_SIZE, StreamReader
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 import numpy as np
@@ -130,11 +130,11 @@ class McapFile(File):
                              f'({reason(error)})') from error
 
     def _begin(self, stream: IO[bytes]) -> None:
-        try:
-            read_magic(ReadDataStream(stream))
-        except Exception as error:  # too short, or other bytes
-            raise InputError(f'{self.path}: expected an MCAP file, found another '
-                             f'format ({reason(error)})') from error
+        begin = stream.read(MAGIC_SIZE)
+        if begin != MCAP0_MAGIC:
+            found = f'another format, which begins with {quoted(begin)}' if begin else \
+                'an empty file'
+            raise InputError(f'{self.path}: expected an MCAP file, found {found}')
 
     def _blocks(self) -> Iterator[tuple[bulk.Bytes, Ints, tuple[Ints, Ints, Ints, Ints]]]:
         # Generate blocks: the data, and for each message its channel, position, size and times.
