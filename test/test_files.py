@@ -100,6 +100,20 @@ def test_a_file_that_appears_after_the_last_check_is_kept(tmp_path, monkeypatch,
 
 
 @pytest.mark.parametrize('link', [os.link, without_links])
+def test_an_output_that_cannot_get_its_name_leaves_no_file_of_that_name(tmp_path, monkeypatch,
+                                                                        link):
+    def fails(*_):
+        raise OSError(errno.EIO, 'Input/output error')
+
+    monkeypatch.setattr(os, 'link', link)
+    monkeypatch.setattr(os, 'replace', fails)
+    with pytest.raises(InputError, match='file: cannot write: Input/output error'), \
+            files.overwriting(False):
+        write(tmp_path / 'file')
+    assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.parametrize('link', [os.link, without_links])
 @pytest.mark.parametrize('overwrite', [False, True])
 def test_a_complete_output_has_one_name(tmp_path, monkeypatch, link, overwrite):
     monkeypatch.setattr(os, 'link', link)

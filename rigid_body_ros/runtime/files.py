@@ -267,12 +267,18 @@ class Part:
                 _flush(entry)
         _flush(self.path)
         self._check_target()
-        if self._suffix != FOLDER and not may_overwrite():
+        reserved = self._suffix != FOLDER and not may_overwrite()
+        if reserved:
             try:
                 self._reserve_target()
             except FileExistsError:  # another process has created it since the check
                 raise _exists(self._name) from None
-        os.replace(self.path, self.target)
+        try:
+            os.replace(self.path, self.target)
+        except OSError:
+            if reserved:  # without hard links it is empty
+                self.target.unlink(missing_ok=True)
+            raise
         self.discard()  # if both names are links to one file, `os.replace` keeps both
         _flush(self.target.parent)
 
