@@ -6,27 +6,33 @@ JAZZY := .venv-jazzy
 # Tests of the node mostly wait, so there are more processes than processors. With worksteal, the
 # tests of a file stay in one process, which shares its fixtures, until another is idle.
 PARALLEL := --numprocesses 3 --dist worksteal
+# `make test` runs these on Jazzy: live is replay, parameters, services, lockstep, simulated time.
+SMOKE := test/test_node.py test/test_lockstep.py
 # These need the machine to themselves.
 ALONE := test/test_soak.py test/test_overload.py
 
-.PHONY: demo test check arm docs clean
+.PHONY: demo test check nightly arm docs clean
 
 demo: $(VENV)/done ## replay a recording, and run the node on one over DDS
 	$(BIN)/python examples/demo.py
 
-test: $(VENV)/done $(JAZZY)/done ## every check and every test; those of the node on both ROS distributions
-	$(MAKE) --no-print-directory lint
-	$(BIN)/python -c 'import rigid_body_ros; rigid_body_ros.warm_up()' # once, not in every test
+test: $(VENV)/done $(JAZZY)/done compile ## before a push: the tests of every behaviour, a few of the node on Jazzy
+	$(BIN)/python -m pytest $(PARALLEL) -m "not nightly"
+	$(JAZZY)/bin/python -m pytest $(PARALLEL) -m "ros and not nightly" $(SMOKE)
+
+check: $(VENV)/done lint ## while you work: the fast tests, without ROS
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m "not ros and not slow and not nightly"
+
+nightly: $(VENV)/done $(JAZZY)/done compile ## before a release: every test, on both ROS distributions
 	$(BIN)/python -m pytest $(PARALLEL) $(ALONE:%=--ignore %)
 	$(JAZZY)/bin/python -m pytest $(PARALLEL) -m ros $(ALONE:%=--ignore %)
 	$(BIN)/python -m pytest $(ALONE)
 	$(JAZZY)/bin/python -m pytest $(ALONE)
 
-check: $(VENV)/done ## the fast tests, without ROS
-	$(MAKE) --no-print-directory lint
-	$(BIN)/python -m pytest $(PARALLEL) -m "not ros and not slow"
+.PHONY: lint compile
+compile: lint # once, not in every test
+	$(BIN)/python -c 'import rigid_body_ros; rigid_body_ros.warm_up()'
 
-.PHONY: lint
 lint: $(VENV)/done
 	$(BIN)/ruff check
 	$(BIN)/mypy

@@ -67,6 +67,12 @@ def pytest_report_header():
             for module, names in ABSENT.items()]
 
 
+def at_night(*values):
+    """Return values of a parameter, or tuples of several, that `make nightly` alone tests."""
+    return [pytest.param(*(value if isinstance(value, tuple) else (value,)),
+                         marks=pytest.mark.nightly) for value in values]
+
+
 @pytest.fixture(autouse=True)
 def _floating_point_errors_are_errors():
     with np.errstate(divide='raise', invalid='raise', over='raise'):

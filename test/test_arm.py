@@ -77,7 +77,7 @@ def test_the_emulated_machine_has_what_the_package_requires():
     assert required - {'matplotlib', 'scipy'} <= set(arm_machine.REQUIRED)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_old_processor_gives_the_same_bits(tmp_path):
     pytest.importorskip('numba', reason='without numba nothing is compiled for a processor')
     motions = tmp_path / 'motions.json'

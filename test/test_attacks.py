@@ -132,6 +132,7 @@ def test_an_output_never_replaces_an_input(place, capsys, option, recorded, atta
         assert contents(place) == before, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('option', [option for option in OUTPUTS if 'library' not in option])
 def test_a_command_keeps_an_existing_output_unless_told_to_overwrite(place, capsys, option):
     output = Path('out', f'second{OUTPUTS[option]}')
@@ -259,9 +260,10 @@ COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros import cli; '
            'sys.exit(getattr(cli, sys.argv.pop(1))())']
 REPLAY = ['attitude_replay', 'in/log.mcap', '--scene', 'in/scene.yaml', '-o', 'out/motion.mcap']
 PRINTING = [pytest.param(REPLAY, id='replay'),
-            pytest.param(['attitude_tradeoff', '--help'], id='help', marks=pytest.mark.slow)]
+            pytest.param(['attitude_tradeoff', '--help'], id='help', marks=pytest.mark.nightly)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('arguments', PRINTING)
 def test_a_reader_that_is_gone_ends_a_command_quietly(place, arguments):
     reading, writing = os.pipe()
@@ -273,6 +275,7 @@ def test_a_reader_that_is_gone_ends_a_command_quietly(place, arguments):
     assert all(path.name == 'motion.mcap' for path in Path('out').iterdir())
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_in_the_middle_is_no_error():
     # More than a pipe and Python's buffer hold, of which Python keeps the rest for its end.
     script = ('import sys; from rigid_body_ros import cli; from rigid_body_ros.runtime import '
@@ -286,6 +289,7 @@ def test_a_reader_that_leaves_in_the_middle_is_no_error():
         assert process.wait() == 141
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('arguments', PRINTING)
 def test_a_full_standard_output_is_reported_in_one_line(place, arguments):
     with open('/dev/full', 'w') as full:
@@ -296,6 +300,7 @@ def test_a_full_standard_output_is_reported_in_one_line(place, arguments):
                              'left on device\n')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('arguments', PRINTING)
 def test_a_closed_standard_output_is_reported_before_any_work(place, arguments):
     before = contents(place)
@@ -307,6 +312,7 @@ def test_a_closed_standard_output_is_reported_before_any_work(place, arguments):
     assert contents(place) == before
 
 
+@pytest.mark.slow
 def test_a_closed_standard_error_changes_nothing(place):
     result = subprocess.run(['sh', '-c', '"$@" 2>&-', 'sh', *COMMAND, *REPLAY], check=False,
                             stdout=subprocess.PIPE, text=True)
@@ -314,6 +320,7 @@ def test_a_closed_standard_error_changes_nothing(place):
     assert 'wrote         out/motion.mcap' in result.stdout
 
 
+@pytest.mark.slow
 def test_a_name_that_is_no_text_is_printed(place):
     output = os.fsencode('out/motion') + b'\xff.mcap'
     result = subprocess.run([*COMMAND, *REPLAY[:-1], output], check=False, capture_output=True,

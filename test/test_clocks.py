@@ -14,7 +14,7 @@
 
 """A clock that is silent, stands still, or jumps ahead or back; and stamps of other clocks."""
 
-from conftest import SECOND
+from conftest import at_night, SECOND
 from live import decoded, replayed, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
@@ -82,7 +82,7 @@ def test_nothing_is_published_before_the_clock_is_valid(domain):
         assert not live.received[ACCEPTED]
 
 
-@pytest.mark.parametrize('zero', [False, True])
+@pytest.mark.parametrize('zero', [True, *at_night(False)])
 def test_time_zero_means_no_time_yet(domain, zero):
     with LiveSession(TUMBLER, domain, *SIMULATED) as live:
         for _ in range(50 * zero):
@@ -126,7 +126,7 @@ def test_when_the_clock_jumps_ahead_the_motion_continues_under_the_last_torque(t
     assert (run.stamps_ns > 106 * SECOND).any()
 
 
-@pytest.mark.parametrize('back_ns', [50 * SECOND, SECOND // 2])
+@pytest.mark.parametrize('back_ns', [50 * SECOND, *at_night(SECOND // 2)])
 @pytest.mark.parametrize('action', ['reset', 'rebase', 'ignore'])
 def test_a_clock_that_jumps_back(tmp_path, domain, action, back_ns):
     begin_ns, end_ns = 100 * SECOND, 102 * SECOND
@@ -167,6 +167,7 @@ def test_a_clock_that_jumps_back(tmp_path, domain, action, back_ns):
     assert len(run.stamps_ns) > 10
 
 
+@pytest.mark.nightly
 def test_a_torque_that_timed_out_is_not_revived(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=rebase',
                      '-p', 'torque_timeout:=0.2') as live:
@@ -202,6 +203,7 @@ def test_a_torque_may_overtake_the_clock_it_is_stamped_by(tmp_path, domain):
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
+@pytest.mark.nightly
 def test_a_torque_that_the_clock_does_not_reach_is_rejected(domain):
     with LiveSession(TUMBLER, domain, *SIMULATED) as live:
         settle(live, 5 * SECOND)
@@ -216,6 +218,7 @@ def test_a_torque_that_the_clock_does_not_reach_is_rejected(domain):
     assert len(live.received[ACCEPTED]) == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize('ahead_ns', [2 * SECOND, 7200 * SECOND])
 def test_a_torque_may_overtake_a_clock_that_jumps_back(tmp_path, domain, ahead_ns):
     begin_ns, torque = 100 * SECOND, [0.0, 0.0, 0.01]
@@ -233,6 +236,7 @@ def test_a_torque_may_overtake_a_clock_that_jumps_back(tmp_path, domain, ahead_n
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
+@pytest.mark.nightly
 def test_a_torque_that_is_late_is_rejected_where_the_clock_goes_on(domain):
     with LiveSession(TUMBLER, domain, *SIMULATED) as live:
         run_clock(live, 5 * SECOND, 8 * SECOND, wobble)
@@ -245,6 +249,7 @@ def test_a_torque_that_is_late_is_rejected_where_the_clock_goes_on(domain):
     assert 5 * SECOND + 1 not in accepted(live)
 
 
+@pytest.mark.nightly
 def test_a_state_that_takes_long_is_published_while_the_clock_stands(domain):
     with LiveSession(TUMBLER, domain, *SIMULATED) as live:
         settle(live, 5 * SECOND)
@@ -256,6 +261,7 @@ def test_a_state_that_takes_long_is_published_while_the_clock_stands(domain):
         assert live.stop() == 0
 
 
+@pytest.mark.nightly
 def test_a_torque_ahead_of_a_clock_that_jumps_back(domain):
     with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=rebase',
                      '-p', 'max_future:=0.999') as live:
@@ -267,6 +273,7 @@ def test_a_torque_ahead_of_a_clock_that_jumps_back(domain):
         assert live.stop() == 0
 
 
+@pytest.mark.nightly
 def test_a_reset_recovers_from_an_ignored_jump(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore') as live:
         run_clock(live, 50 * SECOND, 51 * SECOND, wobble)
@@ -284,6 +291,7 @@ def test_a_reset_recovers_from_an_ignored_jump(tmp_path, domain):
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
+@pytest.mark.nightly
 def test_an_epoch_may_begin_before_the_first_torque(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *RELIABLE) as live:
         assert live.reset().success
@@ -340,7 +348,7 @@ def test_torques_may_be_timed_by_their_arrival(tmp_path, domain):
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
-@pytest.mark.parametrize('source', ['header', 'arrival'])
+@pytest.mark.parametrize('source', ['header', *at_night('arrival')])
 def test_torques_between_two_ticks_of_the_clock_all_have_effect(tmp_path, domain, source):
     tick_ns, count = SECOND // 10, 40
     with LiveSession(TUMBLER, domain, *SIMULATED, '-p', f'time_source:={source}') as live:
@@ -426,6 +434,7 @@ def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
     assert messages.WRENCH.decode(carried).stamp_ns == 7 * SECOND
 
 
+@pytest.mark.nightly
 def test_between_stamps_of_a_new_epoch_the_motion_is_that_of_its_log(domain):
     with LiveSession(TUMBLER, domain, *SIMULATED) as live:
         run_clock(live, 5 * SECOND, 6 * SECOND)

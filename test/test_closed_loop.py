@@ -22,7 +22,7 @@ import subprocess
 import sys
 import time
 
-from conftest import ROOT, SECOND
+from conftest import at_night, ROOT, SECOND
 from geometry_msgs.msg import WrenchStamped
 from live import decoded, replayed, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession
@@ -87,8 +87,8 @@ def ended(tmp_path, live, process):
     np.testing.assert_array_equal(run.replay, states)
 
 
-@pytest.mark.parametrize('first_step', ['0', '0.6'])
-@pytest.mark.parametrize('attempt', [1, 2])
+@pytest.mark.parametrize('first_step', ['0', *at_night('0.6')])
+@pytest.mark.parametrize('attempt', [1, *at_night(2)])
 def test_the_node_may_start_first(tmp_path, domain, first_step, attempt):
     with session(domain) as live:
         live.disconnect()
@@ -97,8 +97,8 @@ def test_the_node_may_start_first(tmp_path, domain, first_step, attempt):
             ended(tmp_path, live, process)
 
 
-@pytest.mark.parametrize('first_step', ['0', '0.6'])
-@pytest.mark.parametrize('attempt', [1, 2])
+@pytest.mark.parametrize('first_step', ['0', *at_night('0.6')])
+@pytest.mark.parametrize('attempt', [1, *at_night(2)])
 def test_the_controller_may_start_first(tmp_path, domain, first_step, attempt):
     with controller(tmp_path, domain, '--first-step', first_step) as process:
         time.sleep(0.5 * attempt)
@@ -120,6 +120,7 @@ def test_a_controller_that_is_killed_may_be_restarted(tmp_path, domain):
             ended(tmp_path, live, process)
 
 
+@pytest.mark.nightly
 def test_the_node_may_be_restarted(tmp_path, domain):
     with controller(tmp_path, domain, until=FOREVER) as process:
         stamps = []
@@ -137,7 +138,7 @@ def test_the_node_may_be_restarted(tmp_path, domain):
         assert run == [*range(0, len(run) * STEP_NS, STEP_NS)]
 
 
-@pytest.mark.parametrize('start_ns', [0, SECOND])
+@pytest.mark.parametrize('start_ns', [SECOND, *at_night(0)])
 def test_a_reset_of_a_running_loop_takes_time_back(tmp_path, domain, start_ns):
     with session(domain, '-p', f'start_time:={start_ns}') as live:
         live.disconnect()
@@ -163,6 +164,7 @@ def test_a_reset_of_a_running_loop_takes_time_back(tmp_path, domain, start_ns):
         assert part == [*range(start_ns, start_ns + len(part) * STEP_NS, STEP_NS)]
 
 
+@pytest.mark.nightly
 def test_a_second_controller_is_named_and_starts_no_second_chain(tmp_path, domain):
     with session(domain) as live:
         live.disconnect()
@@ -191,6 +193,7 @@ def test_a_second_controller_is_named_and_starts_no_second_chain(tmp_path, domai
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
+@pytest.mark.nightly
 def test_lockstep_has_no_deadlines(domain):
     with session(domain) as live:
         live.set_state(State(0, (0, 0, 0, 1), (1e5, 2e5, 3e5)))

@@ -152,6 +152,7 @@ def test_hyperbolic_tangent_and_secant_are_correctly_rounded():
         (0.0, 1.0), (1e-300, 1.0), (1.0, 0.0), (-1.0, 0.0)]
 
 
+@pytest.mark.slow
 def test_the_careful_evaluations_have_a_hundred_bits_and_the_quick_ones_their_bounds():
     careful, quick = (callable_(part) for part in (elementary._careful_sine_cosine,
                                                    elementary.sine_cosine_pairs))
@@ -231,15 +232,32 @@ def test_tables_hold_32_digits():
         assert 0 < 128 / mp.pi - found < mpf(2) ** (-24 * 51)
 
 
+#: One without wide registers and fused products, whose place a function of C takes.
+OLD = {'NUMBA_CPU_NAME': 'nocona', 'NUMBA_CPU_FEATURES': ''}
+x86_64 = pytest.mark.skipif(platform.machine() != 'x86_64', reason='the processor is an x86-64')
+
+
+@pytest.mark.slow
+@x86_64
+def test_elementary_functions_have_the_same_bits_on_an_old_processor(tmp_path):
+    script = ('import numpy as np\n'
+              'from rigid_body_ros.kernels import elementary_arrays as arrays\n'
+              'x = np.random.default_rng(3).normal(size=60) * 2.0 ** np.linspace(-40, 1000, 60)\n'
+              'for values in (*arrays.sines_cosines(x), arrays.arctangents(x, x[::-1])):\n'
+              '    print(values.tobytes().hex())')
+    here, there = (subprocess.run([sys.executable, '-c', script], check=True, text=True,
+                                  capture_output=True, env={**os.environ, **processor}).stdout
+                   for processor in ({}, {**OLD, 'NUMBA_CACHE_DIR': str(tmp_path)}))
+    assert here.split() == there.split()
+    assert len(here.split()) == 3
+
+
 @pytest.mark.parametrize(('before', 'environment'), [
     pytest.param('', {}, id='compiled'),
-    # One without wide registers and fused products, whose place a function of C takes.
-    pytest.param('', {'NUMBA_CPU_NAME': 'nocona', 'NUMBA_CPU_FEATURES': ''},
-                 id='for an old processor', marks=[pytest.mark.slow, pytest.mark.skipif(
-                     platform.machine() != 'x86_64', reason='the processor is an x86-64')]),
+    pytest.param('', OLD, id='for an old processor', marks=[pytest.mark.nightly, x86_64]),
     pytest.param('', {'NUMBA_DISABLE_JIT': '1'}, id='not compiled', marks=pytest.mark.slow),
     pytest.param("import sys; sys.modules['numba'] = None", {}, id='without numba',
-                 marks=pytest.mark.slow)])
+                 marks=pytest.mark.nightly)])
 def test_results_have_the_same_bits_everywhere(before, environment, tmp_path):
     if 'NUMBA_CPU_NAME' in environment:
         environment = {**environment, 'NUMBA_CACHE_DIR': str(tmp_path)}

@@ -61,6 +61,7 @@ def test_square_roots_and_seconds_have_thirty_digits():
         assert abs(joined(seconds(span_ns)) - mpf(span_ns) / 10 ** 9) <= 1e-31 * span_ns
 
 
+@pytest.mark.slow
 def test_complete_integrals_have_thirty_digits():
     complete = callable_(elliptic.complete)
     one, nought = (1.0, 0.0), (0.0, 0.0)
@@ -75,6 +76,7 @@ def test_complete_integrals_have_thirty_digits():
                        / ((third - k) / n) - 1) < 1e-29
 
 
+@pytest.mark.slow
 def test_jacobis_functions_keep_their_digits_up_to_the_separatrix():
     jacobi = callable_(elliptic.jacobi)
     for complement in COMPLEMENTS:
@@ -90,11 +92,13 @@ def test_jacobis_functions_keep_their_digits_up_to_the_separatrix():
                 assert abs(value - right) < 5e-16 * (abs(u * slope) + abs(right)) + 1e-40
 
 
+@pytest.mark.slow
 def test_jacobis_functions_on_the_separatrix_are_hyperbolic():
     sn, cn, dn = callable_(elliptic.jacobi)(3.0, 0.0)
     np.testing.assert_allclose([sn, cn, dn], [np.tanh(3.0), *[1 / np.cosh(3.0)] * 2], rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_carlsons_integrals_are_scipys():
     first, third = callable_(elliptic.carlson_f), callable_(elliptic.carlson_j)
     for _ in range(200):

@@ -18,7 +18,7 @@ import re
 import subprocess
 import sys
 
-from conftest import chord, CONFIG, RECORDINGS, ROOT, SECOND
+from conftest import at_night, chord, CONFIG, RECORDINGS, ROOT, SECOND
 import intermediate_axis
 import matplotlib.image
 import monte_carlo
@@ -132,6 +132,7 @@ def test_the_picture_is_a_light_png_of_sensible_size(of_the_wing_nut):
     assert 0.01 < np.mean(light < 0.5) < 0.1
 
 
+@pytest.mark.nightly
 def test_the_picture_goes_where_the_argument_says(tmp_path):
     lines = printed(tmp_path, 'intermediate_axis', 'flips.picture')
     assert lines['wrote'] == 'flips.picture'
@@ -165,8 +166,8 @@ def test_the_picture_shows_rates_and_angle_with_their_units(tmp_path, monkeypatc
 
 
 @pytest.mark.parametrize(('arguments', 'recorded', 'config'), [
-    ((), *TUMBLER), ((PULSES[0], '--scene', PULSES[1]), *PULSES),
-    ((COAST[0], '--scene', COAST[1]), *COAST)])
+    ((), *TUMBLER), *at_night(((PULSES[0], '--scene', PULSES[1]), *PULSES),
+                              ((COAST[0], '--scene', COAST[1]), *COAST))])
 def test_the_replayed_log_ends_where_the_command_does(tmp_path, capsys, arguments, recorded,
                                                       config):
     lines = printed(tmp_path, 'replay_log', *arguments)
@@ -190,10 +191,11 @@ def test_another_reading_that_spins_beyond_bounds_is_told(tmp_path):
 
 
 @pytest.mark.parametrize(('name', 'arguments', 'message'), [
-    ('intermediate_axis', ('none/flips.png',), 'none/flips.png: cannot write: No such file'),
     ('replay_log', ('none.mcap',), 'none.mcap: '),
-    ('replay_log', ('--scene', 'none.yaml'), 'none.yaml: cannot read the scene'),
-    ('replay_log', ('--speed', '2'), 'unrecognized arguments: --speed')])
+    *at_night(
+        ('intermediate_axis', ('none/flips.png',), 'none/flips.png: cannot write: No such file'),
+        ('replay_log', ('--scene', 'none.yaml'), 'none.yaml: cannot read the scene'),
+        ('replay_log', ('--speed', '2'), 'unrecognized arguments: --speed'))])
 def test_a_wrong_argument_is_told_in_one_line(tmp_path, name, arguments, message):
     result = started(tmp_path, name, *arguments)
     assert result.returncode == 2

@@ -32,6 +32,10 @@ LONGEST_PHASE, MOST_STEPS = 2e5, 1e5
 TO_ROUNDING = ('auto', 'taylor', 'exact')
 
 scenes = pytest.mark.parametrize('scene', SCENES, ids=lambda scene: scene.name)
+#: Scenes whose truth takes seconds; the rod with body torques stands for them in `make test`.
+LONG = ('the same, linear between them', 'rod 1e-4, full tensor, space torques',
+        'ruler 1e-6, full tensor, cubic body torque', 'plate, full tensor, body torques',
+        'plate, full tensor, linear space torque')
 free_scenes = pytest.mark.parametrize('scene', [scene for scene in SCENES if not scene.torques],
                                       ids=lambda scene: scene.name)
 
@@ -41,7 +45,9 @@ def affordable(scene):
             and (solver != 'taylor' or scene.phase < LONGEST_PHASE)]
 
 
-@scenes
+@pytest.mark.parametrize('scene', [
+    pytest.param(scene, id=scene.name, marks=[pytest.mark.nightly] * (scene.name in LONG))
+    for scene in SCENES])
 def test_motion_is_that_of_fifty_digits(scene):
     worst = {}
     for solver in affordable(scene):

@@ -33,6 +33,7 @@ pytestmark = pytest.mark.ros
 OK, WARN, ERROR = range(3)
 
 
+@pytest.mark.nightly
 def test_bad_torques_are_rejected_counted_and_change_nothing(tmp_path, domain):
     with LiveSession(TUMBLER, domain) as live:
         live.publish(live.now_ns(), 'base_link', [0.01, 0.0, 0.0])
@@ -193,6 +194,7 @@ def test_incompatible_qos_is_reported_by_name(domain):
     assert words.count('is not connected') == 2
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize('reliability', ['best_effort', 'reliable'])
 def test_nothing_is_lost_at_1_khz_through_a_stall(tmp_path, domain, reliability):
     policy = ReliabilityPolicy[reliability.upper()]
@@ -232,6 +234,7 @@ def stream(live, publisher):
     return stall < 0.12 and lag < 0.02
 
 
+@pytest.mark.nightly
 def test_lost_torques_are_counted(tmp_path, domain):
     with LiveSession(TUMBLER, domain) as live:
         live.disconnect()
@@ -254,6 +257,7 @@ def test_lost_torques_are_counted(tmp_path, domain):
     assert 'torques lost in transit so far: ' in words
 
 
+@pytest.mark.nightly
 def test_a_motion_too_fast_for_real_time_does_not_block_the_shutdown(domain):
     with LiveSession(TUMBLER, domain) as live:
         live.publish(live.now_ns(), '', [1e6, 0.0, 0.0])  # 2e7 rad/s after a second
@@ -264,6 +268,7 @@ def test_a_motion_too_fast_for_real_time_does_not_block_the_shutdown(domain):
         assert 'Traceback' not in words
 
 
+@pytest.mark.nightly
 def test_a_body_beyond_all_bounds_does_not_end_the_node(domain):
     with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'solver:=rk4', '-p', 'max_step:=0.05',
                      '-p', 'history:=0.6') as live:

@@ -51,6 +51,7 @@ def applied(operation):
     (lambda a, b, c: four.zxy(a), A[[2, 0, 1, 3]]),
 ], ids=['add', 'subtract', 'multiply', 'negative', 'absolute', 'broadcast', 'of', 'fma', 'yzx',
         'zxy'])
+@pytest.mark.slow
 def test_each_of_the_four_is_worked_out_alone(operation, expected):
     np.testing.assert_array_equal(applied(operation), expected)
 

@@ -125,6 +125,7 @@ def test_a_link_out_of_the_bag_is_refused_and_one_within_it_is_followed(tmp_path
     assert outcome(tmp_path / 'alias') == ''
 
 
+@pytest.mark.slow
 def test_a_file_that_is_named_again_is_refused(tmp_path):
     path = described(tmp_path, {'relative_file_paths': ['bag.mcap'] * 10_000})
     assert 'expected each file once' in outcome(path)
@@ -136,13 +137,14 @@ def test_a_bag_with_the_name_of_its_folder_before_its_files_is_read(tmp_path):
 
 @pytest.mark.parametrize('text', ['x' * 2 ** 23, '[a,' * 2 ** 17, '{a: ' * 9999, '- ' * 9999,
                                   '%TAG !a! b\n' * 9999,
-                                  pytest.param('[' + 'a,' * 2 ** 20, marks=pytest.mark.slow)])
+                                  pytest.param('[' + 'a,' * 2 ** 20, marks=pytest.mark.nightly)])
 def test_a_yaml_file_has_bounds(tmp_path, text):
     (tmp_path / 'scene.yaml').write_text(text)
     assert 'scene.yaml: expected ' in outcome(RECORDINGS / 'tumbler.mcap', tmp_path / 'scene.yaml')
     assert 'metadata.yaml: expected ' in outcome(described(tmp_path, text))
 
 
+@pytest.mark.slow
 def test_without_libyaml_the_same_is_refused(tmp_path):
     for number, text in enumerate(['a: [', 'a: *b', '[' * 2000, 'x: &x 1', '/**: 3']):
         (tmp_path / f'{number}.yaml').write_text(text)

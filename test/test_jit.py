@@ -53,12 +53,14 @@ def here():
                      at=[3 * 10 ** 9]).attitude[0]
 
 
+@pytest.mark.slow
 def test_another_process_gives_the_same_bits():
     attitude, words = run()
     np.testing.assert_array_equal(attitude, here())
     assert words == ''
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('before', 'environment'), [
     ("sys.modules['numba'] = None", {}), ('', {'NUMBA_DISABLE_JIT': '1'})],
     ids=['absent', 'disabled'])
@@ -92,6 +94,7 @@ def eight_times_three(package, **environment):
     return float(result.stdout), result.stderr
 
 
+@pytest.mark.slow
 def test_a_read_only_install_without_a_home_works_and_warns_once(few_kernels):
     (few_kernels / '__pycache__').touch()  # a file where the folder should be: even root stops
     nowhere = str(few_kernels / '__pycache__' / 'nowhere')
@@ -100,6 +103,7 @@ def test_a_read_only_install_without_a_home_works_and_warns_once(few_kernels):
     assert words.count('no writable cache folder') == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('cached', [True, False])
 def test_other_threads_run_while_a_kernel_does_cached_or_not(few_kernels, cached):
     if not cached:
@@ -120,6 +124,7 @@ def change(source, time_ns):
     os.utime(source, ns=(time_ns, time_ns))
 
 
+@pytest.mark.slow
 def test_a_change_in_one_module_reaches_the_kernels_of_all_whatever_its_time(few_kernels):
     # An internal function is compiled into kernels of other files, whose cache would stay valid.
     source = few_kernels / 'inner.py'
@@ -130,7 +135,7 @@ def test_a_change_in_one_module_reaches_the_kernels_of_all_whatever_its_time(few
     assert eight_times_three(few_kernels) == (81.0, '')
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_new_time_alone_does_not_compile_again(few_kernels):
     assert eight_times_three(few_kernels) == (24.0, '')
     written = {path: path.stat().st_mtime_ns for path in few_kernels.rglob('*.nb?')}
@@ -140,7 +145,7 @@ def test_a_new_time_alone_does_not_compile_again(few_kernels):
     assert {path: path.stat().st_mtime_ns for path in few_kernels.rglob('*.nb?')} == written
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_processes_that_start_at_once_after_a_change_all_run_the_new_code(few_kernels):
     assert eight_times_three(few_kernels) == (24.0, '')
     change(few_kernels / 'inner.py', 0)
@@ -149,7 +154,7 @@ def test_processes_that_start_at_once_after_a_change_all_run_the_new_code(few_ke
     assert results == 4 * [(81.0, '')]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_change_reaches_the_kernels_of_a_package_in_a_zip_file(few_kernels, tmp_path):
     # Python imports from a .zip; what is compiled goes where NUMBA_CACHE_DIR says.
     pytest.importorskip('numba', minversion='0.61', reason='older numba caches no code of a zip')

@@ -120,7 +120,8 @@ def test_the_node_alone_uses_its_arguments(listener):
     assert 'attitude_node-1]: process has finished cleanly' in words
 
 
-@pytest.mark.parametrize('arguments', [(), ('namespace:=sat', 'torque:=/wrench')])
+@pytest.mark.parametrize('arguments', [
+    (), pytest.param(('namespace:=sat', 'torque:=/wrench'), marks=pytest.mark.nightly)])
 def test_a_closed_loop_settles_and_ends(arguments):
     words, status = run('closed_loop', 'stop_after:=20', *arguments)
     assert status == 0, words

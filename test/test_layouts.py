@@ -164,6 +164,7 @@ def test_plotjuggler_finds_as_many_plots_as_are_announced():
         assert len(splitter.get('sizes').split(';')) == len(splitter)
 
 
+@pytest.mark.slow
 def test_rviz_subscribes_to_what_is_there_by_the_right_types(written):
     types = {**written.types, **LIVE}
     subscribed = [(display['Topic']['Value'], DISPLAYS[display['Class']])

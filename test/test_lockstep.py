@@ -60,6 +60,7 @@ def closed_loop(tmp_path, domain, attitude):
         return replayed(tmp_path, live)
 
 
+@pytest.mark.nightly
 def test_a_closed_loop_settles_and_gives_the_same_bits_every_time(tmp_path, domain):
     first, second, negative = (closed_loop(tmp_path, domain, attitude)
                                for attitude in (SLEW, SLEW, -SLEW))
@@ -77,6 +78,7 @@ def test_a_closed_loop_settles_and_gives_the_same_bits_every_time(tmp_path, doma
     assert to_go.max() < np.radians(180.0)
 
 
+@pytest.mark.nightly
 def test_a_closed_loop_survives_lost_messages(tmp_path, domain):
     whole = closed_loop(tmp_path, domain, SLEW)
     with LiveSession(TUMBLER, domain, *SLOWLY, *start_at(SLEW)) as live:
@@ -164,6 +166,7 @@ def test_a_reset_begins_the_same_run_again(tmp_path, domain):
     assert len(live.received[COMMITTED]) == 2 * 40
 
 
+@pytest.mark.nightly
 def test_a_zero_torque_at_time_zero_is_a_torque(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *LOCKSTEP) as live:
         for stamp_ns, torque in ((0, 1e-3), (SECOND // 10, 2e-3), (SECOND // 5, -1e-3), (0, 0.0),
@@ -176,6 +179,7 @@ def test_a_zero_torque_at_time_zero_is_a_torque(tmp_path, domain):
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
+@pytest.mark.nightly
 def test_a_torque_whose_response_has_no_valid_stamp_is_rejected(domain):
     with LiveSession(TUMBLER, domain, *LOCKSTEP) as live:
         live.publish(messages.LAST_NS, '', [1e-3, 0.0, 0.0])
@@ -227,6 +231,7 @@ def test_a_second_clock_is_rejected(domain):
         'found live_session')
 
 
+@pytest.mark.nightly
 def test_a_second_clock_that_starts_later_replaces_the_first(domain):
     with LiveSession(TUMBLER, domain, *LOCKSTEP, '-p', 'publish_clock:=true') as live:
         clock = live.node.create_publisher(Clock, '/clock', 10)

@@ -22,7 +22,7 @@ import subprocess
 import sys
 import time
 
-from conftest import CONFIG, EPOCH_NS, RECORDINGS, ROOT, SECOND
+from conftest import at_night, CONFIG, EPOCH_NS, RECORDINGS, ROOT, SECOND
 import numpy as np
 import pytest
 from rigid_body_ros import cli, messages, recording
@@ -80,9 +80,10 @@ def two_long_ones(tmp_path):
 
 # Ctrl-C goes to all processes of a terminal; `timeout` sends to its child and to all as well.
 @pytest.mark.slow
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize('send', [[os.kill], [os.killpg], [os.kill, os.killpg, os.kill]],
-                         ids=['one', 'all', 'repeated'])
+@pytest.mark.parametrize('number', [signal.SIGINT, *at_night(signal.SIGTERM)])
+@pytest.mark.parametrize('send', [[os.killpg], *at_night([os.kill],
+                                                         [os.kill, os.killpg, os.kill])],
+                         ids=['all', 'one', 'repeated'])
 def test_a_signal_ends_all_of_them(tmp_path, two_long_ones, number, send):
     for to in send:
         to(two_long_ones.pid, number)
@@ -123,7 +124,7 @@ def test_a_motion_has_the_name_of_its_recording(path, name):
     assert outputs_in('out', [path]) == [f'out/{name}.mcap']
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_recordings_whose_names_have_dots_are_different(tmp_path):
     names = [tmp_path / name for name in ('run.1.csv', 'run.2.csv')]
     for name in names:
@@ -169,6 +170,7 @@ def test_several_recordings_go_to_a_folder(tmp_path, capsys):
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_an_output_that_cannot_be_written_is_reported_beside_the_others(tmp_path):
     names = [tmp_path / name for name in ('a.csv', 'b.csv')]
     for name in names:

@@ -20,7 +20,7 @@ import subprocess
 import sys
 import time
 
-from conftest import RECORDINGS, ROOT, SECOND
+from conftest import at_night, RECORDINGS, ROOT, SECOND
 from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
 from live import decoded, get_parameters, replayed, run_clock, set_parameter, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
@@ -45,7 +45,7 @@ import yaml
 pytestmark = pytest.mark.ros
 
 
-@pytest.mark.parametrize('timeout', [0.0, 0.02])
+@pytest.mark.parametrize('timeout', [0.0, *at_night(0.02)])
 def test_live_is_replay_bit_for_bit_though_torques_come_late_and_out_of_order(
         tmp_path, domain, timeout):
     random = np.random.default_rng(17)
@@ -124,6 +124,7 @@ def test_parameters_have_descriptions_and_keep_the_scene(domain):
         assert rate.type == ParameterType.PARAMETER_INTEGER
 
 
+@pytest.mark.nightly
 def test_the_start_of_an_epoch_is_one_parameter_event(domain):
     with LiveSession(TUMBLER, domain) as live:
         events = []
@@ -139,6 +140,7 @@ def test_the_start_of_an_epoch_is_one_parameter_event(domain):
         ('initial_', 'start_time')))
 
 
+@pytest.mark.nightly
 def test_the_rate_may_change_while_running(domain):
     start_ns = 100 * SECOND
     with LiveSession(TUMBLER, domain, '-p', 'use_sim_time:=true') as live:
@@ -169,6 +171,7 @@ def test_equal_stamps_and_torques_from_before_the_start(tmp_path, domain):
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
+@pytest.mark.nightly
 def test_an_override_of_one_topic_leaves_the_others_alone(domain):
     with LiveSession(TUMBLER, domain,
                      '-p', 'qos_overrides./attitude.publisher.depth:=3') as live:
@@ -230,7 +233,7 @@ def test_the_inertia_comes_from_the_robot_description(tmp_path, domain):
     np.testing.assert_array_equal(scene.load(tmp_path / 'live.yaml').body.inertia, tensor)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_read_only_install_without_a_home_works(domain, read_only_package, monkeypatch):
     monkeypatch.chdir('/')  # where python -c looks first
     nowhere = str(read_only_package / 'rigid_body_ros' / '__pycache__' / 'nowhere')
@@ -244,7 +247,8 @@ def test_a_read_only_install_without_a_home_works(domain, read_only_package, mon
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize('count', [1, 1000])  # `ros2 launch` sends it, and the terminal does, too
+# `ros2 launch` sends it, and the terminal does, too.
+@pytest.mark.parametrize('count', [1, *at_night(1000)])
 def test_signals_end_it_cleanly(domain, number, count):
     with LiveSession(TUMBLER, domain) as live:
         live.spin(0.3)
@@ -274,30 +278,31 @@ def run_node(domain, *arguments):
      'intertia.ixx: unknown key; did you mean inertia.ixx?'),
     (('--params-file', str(TUMBLER), '-p', 'tolerance:=tight'),
      "tolerance: expected a number, found 'tight'"),
-    (('--params-file', str(TUMBLER), '-p', 'solver:=exact'),
-     "solver: 'exact' handles torque-free motion only"),
-    (('--params-file', str(TUMBLER), '-p', 'interpolation:=cubic'),
-     "interpolation: expected 'hold', because a node does not know the next torque, "
-     "found 'cubic'"),
     (('--params-file', str(TUMBLER), '-p', 'qos_overrides./torqe.subscription.depth:=5'),
      'qos_overrides./torqe.subscription.depth: not a topic, endpoint or policy of this node; '
      'did you mean qos_overrides./torque.subscription.depth?'),
-    (('--params-file', str(TUMBLER), '-p', 'qos_overrides./torque.subscription.history:=all'),
-     'history'),
-    (('--params-file', str(TUMBLER), '-p', 'mode:=lockstep', '-p', 'time_source:=arrival'),
-     "time_source: expected 'header', because lockstep replies to stamps, found 'arrival'"),
-    (('--params-file', str(TUMBLER), '-p', 'publish_clock:=true'),
-     "publish_clock: expected mode 'lockstep', in which the torques set the time, found "
-     "'realtime'"),
-    (('--params-file', str(TUMBLER), '-p', 'publish_clock:=1'),
-     'publish_clock: expected true or false, found 1'),
-    (('--params-file', str(TUMBLER), '-p', 'mode:=lockstep', '-p', 'publish_clock:=true',
-      '-p', 'use_sim_time:=true'), 'publish_clock: expected use_sim_time false'),
-    (('--params-file', str(TUMBLER), '-p', 'robot_description:=<robot>'),
-     'robot_description: URDF: expected XML'),
-    (('--params-file', str(TUMBLER), '-p', 'link:=base_link'),
-     "link: expected an empty text, because robot_description is empty, found 'base_link'"),
-    (('--params-file', 'none.yaml'), 'none.yaml')])
+    (('--params-file', 'none.yaml'), 'none.yaml'),
+    *at_night(
+        (('--params-file', str(TUMBLER), '-p', 'solver:=exact'),
+         "solver: 'exact' handles torque-free motion only"),
+        (('--params-file', str(TUMBLER), '-p', 'interpolation:=cubic'),
+         "interpolation: expected 'hold', because a node does not know the next torque, "
+         "found 'cubic'"),
+        (('--params-file', str(TUMBLER), '-p', 'qos_overrides./torque.subscription.history:=all'),
+         'history'),
+        (('--params-file', str(TUMBLER), '-p', 'mode:=lockstep', '-p', 'time_source:=arrival'),
+         "time_source: expected 'header', because lockstep replies to stamps, found 'arrival'"),
+        (('--params-file', str(TUMBLER), '-p', 'publish_clock:=true'),
+         "publish_clock: expected mode 'lockstep', in which the torques set the time, found "
+         "'realtime'"),
+        (('--params-file', str(TUMBLER), '-p', 'publish_clock:=1'),
+         'publish_clock: expected true or false, found 1'),
+        (('--params-file', str(TUMBLER), '-p', 'mode:=lockstep', '-p', 'publish_clock:=true',
+          '-p', 'use_sim_time:=true'), 'publish_clock: expected use_sim_time false'),
+        (('--params-file', str(TUMBLER), '-p', 'robot_description:=<robot>'),
+         'robot_description: URDF: expected XML'),
+        (('--params-file', str(TUMBLER), '-p', 'link:=base_link'),
+         "link: expected an empty text, because robot_description is empty, found 'base_link'"))])
 def test_a_mistake_is_reported_in_one_line(domain, arguments, message):
     result = run_node(domain, '--ros-args', *arguments)
     lines = [line for line in result.stderr.splitlines() if not line.startswith('[')]

@@ -17,7 +17,7 @@
 import overload
 import pytest
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.nightly]
 
 
 def test_an_overloaded_node_accounts_for_every_torque_and_catches_up(domain):

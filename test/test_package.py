@@ -26,7 +26,7 @@ from tempfile import TemporaryDirectory
 import textwrap
 import xml.etree.ElementTree as ElementTree
 
-from conftest import CONFIG, locked, NAME, RECORDINGS, ROOT
+from conftest import at_night, CONFIG, locked, NAME, RECORDINGS, ROOT
 import pytest
 
 COMMANDS = ('attitude_node', 'attitude_replay', 'attitude_tradeoff')
@@ -106,6 +106,7 @@ def test_every_source_file_begins_with_the_license():
         assert text.startswith(header), name
 
 
+@pytest.mark.slow
 def test_the_node_says_what_it_needs_where_ros_is_not():
     script = ("import sys; sys.modules['rclpy'] = None; "
               'from rigid_body_ros.cli import attitude_node; sys.exit(attitude_node())')
@@ -118,7 +119,7 @@ def test_the_node_says_what_it_needs_where_ros_is_not():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('module', ['mcap', 'zstandard', 'lz4', 'matplotlib', 'tqdm'])
+@pytest.mark.parametrize('module', ['mcap', *at_night('zstandard', 'lz4', 'matplotlib', 'tqdm')])
 def test_a_module_that_is_missing_is_named_with_how_to_get_it(module, tmp_path):
     script = (f"import sys; sys.modules['{module}'] = None; "
               'from rigid_body_ros.cli import attitude_replay; sys.exit(attitude_replay())')
@@ -131,6 +132,7 @@ def test_a_module_that_is_missing_is_named_with_how_to_get_it(module, tmp_path):
                              f'installed; run python3 -m pip install {module}\n')
 
 
+@pytest.mark.slow
 def test_the_library_and_the_offline_commands_need_no_ros():
     script = ('import sys, rigid_body_ros, rigid_body_ros.recording, rigid_body_ros.replay; '
               "print([name for name in sys.modules if name.split('.')[0] in "
@@ -140,6 +142,7 @@ def test_the_library_and_the_offline_commands_need_no_ros():
     assert result.stdout.strip() == '[]'
 
 
+@pytest.mark.slow
 def test_scipy_is_not_imported_with_the_library():
     script = "import sys; import rigid_body_ros; print('scipy.spatial' in sys.modules)"
     result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,

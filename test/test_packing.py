@@ -48,6 +48,7 @@ def principal(constants):
     return found, directions
 
 
+@pytest.mark.slow
 def test_a_kernel_reads_the_constants_of_a_body():
     constants = BODY._constants
     assert len(constants) == body_layout.SIZE
@@ -73,6 +74,7 @@ def copied(states, out, motion):
     motion_layout.store(state, 1, motion)
 
 
+@pytest.mark.slow
 def test_a_kernel_reads_and_writes_states_and_motions():
     rates, attitude, lost = [1.0, 2.0, 3.0], [0.1, 0.2, 0.3, 0.9], [1e-17, 2e-17, 3e-17]
     packed = state_layout.pack(rates, attitude, lost)
@@ -88,6 +90,7 @@ def test_a_kernel_reads_and_writes_states_and_motions():
     assert motion_layout.angular_velocity(motion).shape == (3, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('solver', RECORDS, ids=lambda solver: solver.name)
 @pytest.mark.parametrize('max_step', [1e-9, 0.3, 1e6 + 1e-9, 1e300])
 def test_a_kernel_reads_the_options_exactly(solver, max_step):
@@ -101,6 +104,7 @@ def test_a_kernel_reads_the_options_exactly(solver, max_step):
     assert callable_(layout.unpack_timeout)(options.settings) == options.timeout_ns
 
 
+@pytest.mark.slow
 def test_a_kernel_reads_and_writes_progress():
     read = callable_(layout.load_place)(layout.pack_place(2 ** 62 + 1, -5, -1, True))
     assert read == (2 ** 62 + 1, -5, -1, True, 0)

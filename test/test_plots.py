@@ -42,6 +42,7 @@ def panels(tmp_path, monkeypatch):
     return draw
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('start_ns', [0, EPOCH_NS])
 @pytest.mark.parametrize('count', [11, 30_000])
 def test_times_are_drawn_to_the_nanosecond_at_any_epoch(panels, start_ns, count):
@@ -75,6 +76,7 @@ def inside(figure):
                and box.y1 <= edges.y1 for box in boxes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('scale', [1e-7, 1e-3, 1.0, 1e5])
 def test_small_numbers_have_a_unit_with_a_prefix(panels, scale):
     stamps = np.arange(11) * 10 ** 9
@@ -91,6 +93,7 @@ def test_small_numbers_have_a_unit_with_a_prefix(panels, scale):
     assert inside(torque.figure)
 
 
+@pytest.mark.slow
 def test_a_title_of_any_length_stays_inside_the_picture(panels, monkeypatch):
     stamps = np.arange(11) * 10 ** 9
     motion = propagate(RigidBody(np.eye(3)), State(0), at=stamps)
@@ -100,6 +103,7 @@ def test_a_title_of_any_length_stays_inside_the_picture(panels, monkeypatch):
     assert inside(panels(motion, TorqueLog(stamps, np.zeros((11, 3))))[0].figure)
 
 
+@pytest.mark.slow
 def test_the_labels_of_a_trade_stay_inside_the_picture(tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(figures, 'Figure', lambda *arguments, **options: drawn.append(

@@ -21,7 +21,7 @@ import sys
 import time
 
 import bags
-from conftest import CONFIG, EPOCH_NS, RECORDINGS, Reference, SECOND
+from conftest import at_night, CONFIG, EPOCH_NS, RECORDINGS, Reference, SECOND
 import matplotlib.image
 import numpy as np
 import pytest
@@ -156,6 +156,7 @@ def test_another_reading_that_spins_beyond_bounds_is_told(tmp_path, output, caps
     assert 'linear would spin the body too fast' in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_output_that_nobody_takes_is_told(output):
     with open('/dev/full', 'w') as full:
         result = subprocess.run([*COMMAND, *ISS, '-o', str(output)], stdout=full, check=False,
@@ -198,6 +199,7 @@ def test_work_and_energy_are_compared_over_what_memory_allows(monkeypatch):
     assert max(whole, part) < 1e-14
 
 
+@pytest.mark.slow
 def test_the_picture_is_a_picture(tmp_path, output):
     picture = tmp_path / 'motion.png'
     assert cli.attitude_replay([*ISS, '-o', str(output), '--plot', str(picture)]) == 0
@@ -362,7 +364,7 @@ def test_an_option_that_is_given_twice_is_refused(option, first, second, capsys)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [signal.SIGINT, *at_night(signal.SIGTERM)])
 def test_a_signal_is_heard_while_the_motion_is_worked_out(tmp_path, output, number):
     spin = RECORDINGS / 'fast_spin'  # a day at 6000 rad/s is an hour of work for the series
     config = tmp_path / 'spin.yaml'
@@ -383,7 +385,7 @@ def test_a_signal_is_heard_while_the_motion_is_worked_out(tmp_path, output, numb
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [signal.SIGINT, *at_night(signal.SIGTERM)])
 def test_an_interrupted_replay_leaves_nothing_under_the_final_name(tmp_path, output, number):
     rows = [(EPOCH_NS + k * SECOND // 1000, '', [1e-3, 0.0, 0.0]) for k in range(60_000)]
     torques = write_torques(tmp_path / 'long.mcap', rows)
@@ -403,6 +405,7 @@ def test_an_interrupted_replay_leaves_nothing_under_the_final_name(tmp_path, out
     assert {path.name for path in tmp_path.iterdir()} <= {'long.mcap', 'motion.partial.mcap'}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('where', ['weakref.finalize(thing, work)', 'Thing.__del__ = work'])
 def test_a_signal_is_heard_where_python_drops_exceptions(where):
     script = f"""
@@ -444,6 +447,7 @@ def test_a_command_that_is_called_leaves_signals_to_its_caller(output):
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
+@pytest.mark.slow
 def test_no_progress_bar_where_nobody_watches(output):
     result = subprocess.run([*COMMAND, *ISS, '-o', str(output)], capture_output=True, text=True,
                             check=True)

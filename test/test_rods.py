@@ -26,7 +26,7 @@ from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 import truth
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 COUNT = int(os.environ.get('RODS', '1'))
 SECOND = 10 ** 9

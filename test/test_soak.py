@@ -17,7 +17,7 @@
 import pytest
 import soak
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.nightly]
 
 
 def test_every_torque_is_accounted_for_memory_is_flat_and_live_is_replay(domain, monkeypatch):

@@ -20,7 +20,7 @@ import os
 import subprocess
 import sys
 
-from conftest import chord, CONFIG, RECORDINGS, SECOND
+from conftest import at_night, chord, CONFIG, RECORDINGS, SECOND
 from conftest import Reference as Known
 import matplotlib.image
 import numpy as np
@@ -77,7 +77,7 @@ def random_problem(random):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('seed', range(20))
+@pytest.mark.parametrize('seed', [*range(5), *at_night(*range(5, 20))])
 def test_the_recommendation_is_right(seed, monkeypatch):
     # With a small stretch, so that most logs are longer.
     monkeypatch.setattr('rigid_body_ros.tradeoff.problem._WORK', 400)
@@ -204,6 +204,7 @@ def test_a_failed_setting_is_shown_as_failed():
     assert not any(run.pareto_optimal for run in failed)
 
 
+@pytest.mark.slow
 def test_the_table_the_figures_and_the_picture(tmp_path):
     picture, figures = tmp_path / 'p.png', tmp_path / 'o.json'
     environment = {name: value for name, value in os.environ.items() if name != 'DISPLAY'}

@@ -19,7 +19,7 @@ import shlex
 import subprocess
 import sys
 
-from conftest import CONFIG, NAME, ROOT
+from conftest import at_night, CONFIG, NAME, ROOT
 import pytest
 from rigid_body_ros import messages, recording
 
@@ -82,19 +82,22 @@ def test_the_ament_index_has_what_launch_files_look_for(workspace, tmp_path):
     assert set(result.stdout.split()) == {'package.xml', *listed}
 
 
-@pytest.mark.parametrize('command', ['attitude_node', 'attitude_replay', 'attitude_tradeoff'])
+@pytest.mark.parametrize('command', [
+    'attitude_node', *at_night('attitude_replay', 'attitude_tradeoff')])
 def test_ros2_run_finds_and_starts_a_command(workspace, tmp_path, command):
     result = sourced(workspace, f'{RUN}{command} --help', tmp_path)
     assert result.returncode == 0, result.stderr
     assert f'usage: {command}' in result.stdout
 
 
+@pytest.mark.nightly
 def test_a_workspace_of_links_is_found_as_well(tmp_path):
     built(tmp_path, '--symlink-install')
     result = sourced(tmp_path, f'{RUN}attitude_replay --help', tmp_path)
     assert 'usage: attitude_replay' in result.stdout, result.stderr
 
 
+@pytest.mark.nightly
 def test_a_command_of_the_workspace_does_its_work(workspace, tmp_path):
     (tmp_path / 'log.csv').write_text('1.0,0,0,0\n2.0,0.1,0,0\n2.1,0,0,0\n')
     # The kernels of a new installation are not compiled yet, which would take longer.
