@@ -6,6 +6,8 @@ JAZZY := .venv-jazzy
 # Tests of the node mostly wait, so there are more processes than processors. With worksteal, the
 # tests of a file stay in one process, which shares its fixtures, until another is idle.
 PARALLEL := --numprocesses 3 --dist worksteal
+# Every process would rewrite the asserts of all tests, which takes four seconds.
+unexport PYTHONDONTWRITEBYTECODE
 # `make test` runs these on Jazzy: live is replay, parameters, services, lockstep, simulated time.
 SMOKE := test/test_node.py test/test_lockstep.py
 # These need the machine to themselves.

@@ -124,6 +124,7 @@ def test_a_line_that_is_none_is_refused(tmp_path, text):
     assert 'torque.csv: ' in outcome(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('line', ['1e-9999999,0,0,0', '0e9999999,0,0,0', '0e-9999999,0,0,0'])
 def test_an_exponent_costs_nothing(tmp_path, line):
     path = tmp_path / 'torque.csv'

@@ -135,6 +135,7 @@ def test_sines_of_the_hardest_angles_are_right():
     np.testing.assert_array_equal(sines, [1.0, 0.004961954789184062])
 
 
+@pytest.mark.slow
 def test_logarithm_is_correctly_rounded():
     logarithm = callable_(elementary.log10)
     exact = [10.0 ** k for k in range(23)]
@@ -144,6 +145,7 @@ def test_logarithm_is_correctly_rounded():
         assert logarithm(x) == float(mpmath.log10(mpf(x)))
 
 
+@pytest.mark.slow
 def test_hyperbolic_tangent_and_secant_are_correctly_rounded():
     tanh_sech = callable_(elementary.tanh_sech)
     for x in [*RANDOM.uniform(-25, 25, 500), *(10.0 ** RANDOM.uniform(-9, 2.78, 500))]:
@@ -169,6 +171,7 @@ def test_the_careful_evaluations_have_a_hundred_bits_and_the_quick_ones_their_bo
             assert abs(joined(function((ratio, 0.0), (1.0, 0.0))) / right - 1) < error
 
 
+@pytest.mark.slow
 def test_arctangent_of_pairs_has_65_bits():
     arctangent = callable_(elementary.arctangent_pair)
     for y, x in points(400).T:

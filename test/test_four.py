@@ -56,6 +56,7 @@ def test_each_of_the_four_is_worked_out_alone(operation, expected):
     np.testing.assert_array_equal(applied(operation), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('turned', 'unit'), [
     (four.times_i, (1, 0, 0, 0)), (four.times_j, (0, 1, 0, 0)), (four.times_k, (0, 0, 1, 0))],
     ids=['i', 'j', 'k'])
@@ -63,6 +64,7 @@ def test_a_quaternion_is_turned_by_the_units(turned, unit):
     np.testing.assert_array_equal(applied(lambda a, b, c: turned(a)), so3.multiply(A, unit))
 
 
+@pytest.mark.slow
 def test_products_of_vectors_and_quaternions_are_those_of_arrays():
     np.testing.assert_allclose(applied(lambda a, b, c: vector.multiply(a, b)),
                                so3.multiply(A, B), rtol=0, atol=1e-15)

@@ -163,6 +163,7 @@ def test_without_libyaml_the_same_is_refused(tmp_path):
 
 # Scenes
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('text', 'message'), [
     ('    tolerance: ' + '1' * 200_000 + 'x',
      r"tolerance: expected a number, found '1+\.\.\.1+x'"),

@@ -208,6 +208,7 @@ def test_the_picture_is_a_picture(tmp_path, output):
     assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 100
 
 
+@pytest.mark.slow
 def test_without_an_output_a_replay_prints_the_same_summary(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     printed = []
@@ -534,6 +535,7 @@ def test_what_cannot_be_copied_is_told_before_anything_is_worked_out(tmp_path, o
     assert [path.name for path in tmp_path.iterdir()] == ['log.csv']
 
 
+@pytest.mark.slow
 def test_a_motion_that_cannot_go_on_leaves_nothing(tmp_path, output, capsys):
     rows = [(EPOCH_NS + k * SECOND // 1000, '', [0.0 if k < 90_000 else 1e30, 0.0, 0.0])
             for k in range(90_100)]

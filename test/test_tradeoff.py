@@ -227,6 +227,7 @@ def test_the_table_the_figures_and_the_picture(tmp_path):
     assert matplotlib.image.imread(picture).shape[:2] == (1000, 1440)
 
 
+@pytest.mark.slow
 def test_the_recommendations_come_first_and_then_the_pareto_optimal_settings(capsys):
     targets = ('1e-3', '1e-9', '1e-20')
     arguments = [*TUMBLER, *TORQUES]

@@ -97,6 +97,7 @@ def test_an_old_recording_that_names_another_processor_is_reported(tmp_path, mad
     assert verify(TUMBLER, scene.load(SCENE), path).versions == reported
 
 
+@pytest.mark.slow
 def test_kernels_that_are_not_compiled_have_a_fingerprint_of_their_own():
     program = 'from rigid_body_ros.runtime.fingerprint import fingerprint; print(fingerprint())'
     printed = subprocess.run([sys.executable, '-c', program], check=True, capture_output=True,
