@@ -162,6 +162,7 @@ def test_a_killed_replay_leaves_nothing_false(whole, output, stage, moment):
     check(whole, output)
 
 
+@pytest.mark.nightly
 def test_what_a_killed_replay_wrote_can_be_read(whole, output):
     process = start([*whole.arguments, output])
     while not any(part.stat().st_size > whole.size / 2 for part in parts(output.parent)):
