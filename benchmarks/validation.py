@@ -85,6 +85,19 @@ TEXTS = {
         'difference in the last row comes from the finite time, not from rounding. That row '
         'compares the cosine of the angle between the final and the reversed initial angular '
         'velocity, in space axes, because it approaches the limit faster than R33.']),
+    'gyrostat': ('Rotors and damping', [
+        'Symmetric gyrostat: Hughes, Spacecraft Attitude Dynamics, 1986. Dual spin: Schaub and '
+        'Junkins, Analytical Mechanics of Space Systems, 2nd edition, 2009, chapter 4; Likins, '
+        'Attitude stability criteria for dual spin spacecraft, J. Spacecraft Rockets 4, 1638, '
+        '1967.',
+        'A symmetric body with a rotor on its axis precesses: w1 + i w2 turns at the rate '
+        '((I3 - I1) w3 + h) / I1. A sphere with the damping d slows down as exp(-d t / I) about a '
+        'fixed axis. Wheels turn a satellite but leave its momentum in space as it was. A spin '
+        'about the intermediate axis is stable if a rotor on that axis is fast enough: for '
+        'moments of 1, 2 and 3 kg m^2 and a spin of 1 rad/s, if |h| exceeds 1 N m s. A spin about '
+        'axis 1, that of the smallest moment, is unstable if h is between 1 and 2 N m s, and '
+        'stable for any other h, so these rows depend on the sign of h. A deviation of 1e-8 rad/s '
+        'grows or swings at rates known to first order in the deviation.']),
 }
 
 

@@ -17,17 +17,17 @@
 from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
-__all__ = ['Propagator', 'RigidBody', 'State', 'TorqueLog', 'Trajectory', 'propagate', 'warm_up']
-
 if TYPE_CHECKING:
-    from rigid_body_ros.body import RigidBody, State
+    from rigid_body_ros.body import RigidBody
     from rigid_body_ros.propagation import propagate, Propagator, Trajectory, warm_up
+    from rigid_body_ros.state import State
     from rigid_body_ros.torque import TorqueLog
 else:
     # Importing the engine takes most of a second, and commands must handle signals before.
-    _SUBMODULES = ('body', 'common', 'euler', 'kernels', 'propagation', 'so3', 'torque', 'urdf')
+    _SUBMODULES = ('body', 'common', 'euler', 'kernels', 'propagation', 'so3', 'state', 'torque',
+                   'urdf')
     #: The submodule of each public name.
-    _HOMES = {'RigidBody': 'body', 'State': 'body', 'TorqueLog': 'torque',
+    _HOMES = {'RigidBody': 'body', 'State': 'state', 'TorqueLog': 'torque',
               'Propagator': 'propagation', 'Trajectory': 'propagation',
               'propagate': 'propagation', 'warm_up': 'propagation'}
 
@@ -42,3 +42,5 @@ else:
 
     def __dir__() -> list[str]:
         return sorted({*globals(), *_SUBMODULES, *_HOMES})
+
+__all__ = ['Propagator', 'RigidBody', 'State', 'TorqueLog', 'Trajectory', 'propagate', 'warm_up']

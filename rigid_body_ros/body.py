@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The rigid body, its state, and the relations between torque, momentum and rotation.
+The rigid body, and the relations between torque, momentum and rotation.
 
 Vectors are in body axes unless their name ends in `_space`. The formulas are those of Goldstein,
 Classical Mechanics, chapters 4 and 5.
@@ -22,20 +22,15 @@ Classical Mechanics, chapters 4 and 5.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 from rigid_body_ros import so3, urdf
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.common.errors import quoted
-from rigid_body_ros.common.times import instant
-from rigid_body_ros.kernels import body_layout, state_layout
+from rigid_body_ros.kernels import body_layout
 from rigid_body_ros.kernels import tensor as tensor_constants
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
 
 Result = TypeVar('Result')
 
@@ -57,12 +52,17 @@ class RigidBody:
     Parameters
     ----------
     tensor : array, shape (3, 3), kg m^2
-        Inertia about the centre of mass, body axes. The off-diagonal entries have the sign of the
-        matrix: ixy is minus the integral of x y dm (as in URDF).
+        Inertia about the centre of mass, body axes, rotors locked. The off-diagonal entries have
+        the sign of the matrix: ixy is minus the integral of x y dm (as in URDF).
+    damping : array, shape (3, 3), N m s/rad, optional
+        Symmetric and positive semidefinite, body axes. The torque of the damping is -D w.
 
     Attributes
     ----------
     inertia : array, shape (3, 3), kg m^2, body axes
+    damping : array, shape (3, 3), N m s/rad, body axes
+    is_damped : bool
+        Whether the damping is not zero.
     principal_moments : array, shape (3,), kg m^2
         In ascending order.
     principal_axes : array, shape (3, 3)
@@ -78,13 +78,16 @@ class RigidBody:
     ------
     ValueError
         The tensor is not 3 by 3, finite, symmetric and positive definite; its largest principal
-        moment exceeds the sum of the others by more than `TRIANGLE_EXCESS`; or a moment or its
-        inverse does not fit a double.
+        moment exceeds the sum of the others by more than `TRIANGLE_EXCESS`; a moment or its
+        inverse does not fit a double; or the damping is not 3 by 3, finite, symmetric and positive
+        semidefinite.
 
     """
 
-    def __init__(self, tensor: ArrayLike) -> None:
+    def __init__(self, tensor: ArrayLike, damping: ArrayLike | None = None) -> None:
         self.inertia = _checked_tensor(tensor)
+        self.damping = _checked_damping(damping)
+        self.is_damped = bool(self.damping.any())
         #: Principal moments, shape (2, 3), and axes, shape (2, 3, 3): high and low-order parts.
         self._principal = _checked_constants(tensor_constants.principal, self.inertia)
         self.principal_moments, self.principal_axes = (high.copy() for high, _ in self._principal)
@@ -92,8 +95,9 @@ class RigidBody:
         self.symmetry = _symmetry(self.principal_moments)
         #: Coefficients of Euler's equations, shape (2, 3, 9), and all constants for the kernels.
         self._coefficients = _checked_constants(tensor_constants.euler_coefficients, self.inertia)
-        self._constants = body_layout.pack(self._coefficients, *self._principal)
-        self.inertia.flags.writeable = False
+        self._constants = body_layout.pack(self._coefficients, *self._principal,
+                                           _damping_coefficients(self.inertia, self.damping))
+        self.inertia.flags.writeable = self.damping.flags.writeable = False
 
     @classmethod
     def from_moments(cls, ixx: float, iyy: float, izz: float,
@@ -275,77 +279,6 @@ def rate_in_space(rate_in_body: ArrayLike, angular_velocity: ArrayLike,
     return np.asarray(rate_in_body, float) + np.cross(w, a)
 
 
-@dataclass(frozen=True, eq=False, init=False)
-class State:
-    """
-    Attitude and angular velocity at an instant.
-
-    Parameters
-    ----------
-    time_ns : int, ns
-    attitude : array, shape (4,), or scipy.spatial.transform.Rotation
-        Quaternion x y z w that maps body vectors to space vectors. It is normalised, unless its
-        norm is 1 within 4 eps.
-    angular_velocity : array, shape (3,), rad/s, body axes
-
-    Raises
-    ------
-    ValueError
-        A shape does not match, a component is not finite, the quaternion is zero, or the time
-        does not fit int64.
-    TypeError
-        The time is not an integer.
-
-    """
-
-    time_ns: int
-    attitude: Floats
-    angular_velocity: Floats
-    #: See `state_layout`.
-    _packed: Floats = field(init=False, repr=False)
-    #: The step grid that the state was computed from (an `Origin`), or None.
-    _origin: object = field(init=False, repr=False)
-
-    @classmethod
-    def _as_computed(cls, time_ns: int, packed: Floats, origin: object = None) -> State:
-        """Return a state with exactly these bits; the quaternion is not normalised."""
-        state = object.__new__(cls)
-        packed.flags.writeable = False
-        for name, value in (('time_ns', time_ns), ('attitude', state_layout.attitude(packed)),
-                            ('angular_velocity', state_layout.angular_velocity(packed)),
-                            ('_packed', packed),
-                            ('_origin', origin)):
-            object.__setattr__(state, name, value)
-        return state
-
-    def __init__(self, time_ns: int = 0,
-                 attitude: ArrayLike | Rotation = (0.0, 0.0, 0.0, 1.0),
-                 angular_velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        if hasattr(attitude, 'as_quat'):  # a SciPy Rotation; to import SciPy takes long
-            attitude = attitude.as_quat()
-        q = _checked_vector(attitude, 4, 'attitude quaternion (x, y, z, w)')
-        if not q.any():
-            raise ValueError('attitude quaternion (x, y, z, w): expected a non-zero quaternion, '
-                             f'found {q.tolist()}')
-        if abs(np.sqrt(np.sum(q * q)) - 1.0) > 4.0 * np.finfo(float).eps:
-            q = so3.normalize(q)
-        w = _checked_vector(angular_velocity, 3, 'angular velocity')
-        computed = self._as_computed(instant(time_ns), state_layout.pack(w, q))
-        self.__dict__.update(computed.__dict__)
-
-    def __repr__(self) -> str:
-        return (f'State(time {self.time_ns} ns, attitude xyzw {written(self.attitude)}, '
-                f'angular velocity {written(self.angular_velocity)} rad/s)')
-
-
-def _checked_vector(values: ArrayLike, size: int, what: str) -> Floats:
-    vector = np.array(values, float)
-    if vector.shape != (size,) or not np.all(np.isfinite(vector)):
-        raise ValueError(f'{what}: expected {size} finite numbers, '
-                         f'found {quoted(vector.tolist())}')
-    return vector
-
-
 def _checked_tensor(values: ArrayLike) -> Floats:
     tensor = np.array(values, float)
     if tensor.shape != (3, 3) or not np.all(np.isfinite(tensor)):
@@ -354,6 +287,33 @@ def _checked_tensor(values: ArrayLike) -> Floats:
     if np.max(np.abs(tensor - tensor.T)) > ROUNDING * np.max(np.abs(tensor)):
         raise ValueError(f'inertia: expected a symmetric tensor, found {tensor.tolist()}')
     return 0.5 * tensor + 0.5 * tensor.T
+
+
+def _checked_damping(values: ArrayLike | None) -> Floats:
+    if values is None:
+        return np.zeros((3, 3))
+    damping = np.array(values, float)
+    if damping.shape != (3, 3) or not np.all(np.isfinite(damping)):
+        raise ValueError(f'damping: expected 3 by 3 finite numbers, found {damping.tolist()}')
+    largest = np.max(np.abs(damping))
+    if np.max(np.abs(damping - damping.T)) > ROUNDING * largest:
+        raise ValueError(f'damping: expected a symmetric tensor, found {damping.tolist()}')
+    damping = 0.5 * damping + 0.5 * damping.T
+    least = np.linalg.eigvalsh(damping)[0]
+    if least < -ROUNDING * largest:
+        raise ValueError('damping: expected a tensor without negative eigenvalues, '
+                         f'found {damping.tolist()} with the eigenvalue {least:.6g} N m s/rad')
+    return damping
+
+
+def _damping_coefficients(tensor: Floats, damping: Floats) -> Floats:
+    if not damping.any():
+        return np.zeros((2, 3, 3))
+    try:
+        return tensor_constants.damping_coefficients(tensor, damping)
+    except ArithmeticError:
+        raise ValueError('damping: expected entries whose quotients by the moments of inertia fit '
+                         f'a double, found {damping.tolist()}') from None
 
 
 def _check_thickness(tensor: Floats, mass: float, distance: float) -> None:

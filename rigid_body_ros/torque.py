@@ -96,6 +96,37 @@ class TorqueLog:
         for array in (self.times_ns, self.torques, self.in_space):
             array.flags.writeable = False
 
+    @classmethod
+    def from_momentum(cls, times_ns: ArrayLike, momenta: ArrayLike) -> TorqueLog:
+        """
+        Return the torque on rotors from their measured momentum.
+
+        Under this torque the momentum follows a straight line from each sample to the next, and
+        stays at the last one. Rounding errors do not accumulate. For the momentum of a motion to
+        be the measured one, `State.rotor_momentum` must be that at the start: before the first
+        sample the torque is zero.
+
+        Parameters
+        ----------
+        times_ns : array of int, shape (n,), ns
+            As for `TorqueLog`.
+        momenta : array, shape (n, 3), N m s, body axes
+            Angular momentum of the rotors relative to the body.
+
+        Returns
+        -------
+        TorqueLog
+            Held torques of the motors on the rotors, body axes.
+
+        Raises
+        ------
+        ValueError
+            As for `TorqueLog`, or the momentum changes so fast that the torque overflows.
+
+        """
+        measured = cls(*_checked_samples(times_ns, momenta, 'momentum', 'momenta'))
+        return measured.with_torques(_slopes(measured.times_ns, measured.torques))
+
     def __len__(self) -> int:
         return len(self.times_ns)
 
@@ -256,18 +287,19 @@ class TorqueLog:
         return _hermite(self.times_ns, self.torques, first, stop)
 
 
-def _checked_samples(times_ns: ArrayLike, torques: ArrayLike) -> tuple[NDArray[np.int64], Floats]:
+def _checked_samples(times_ns: ArrayLike, samples: ArrayLike, name: str = 'torque',
+                     plural: str = 'torques') -> tuple[NDArray[np.int64], Floats]:
     times = instants(times_ns)
     if times.size and int(times.max()) - int(times.min()) >= NEVER_NS:
         raise ValueError('times_ns: expected times within 292 years of each other, '
                          f'found {times.min()} ns and {times.max()} ns')
-    values = np.array(torques, float).reshape(-1, 3) if np.size(torques) == 0 \
-        else np.array(torques, float, order='C')
+    values = np.array(samples, float).reshape(-1, 3) if np.size(samples) == 0 \
+        else np.array(samples, float, order='C')
     if values.shape != (times.size, 3):
-        raise ValueError(f'torques: expected shape ({times.size}, 3), found {values.shape}')
+        raise ValueError(f'{plural}: expected shape ({times.size}, 3), found {values.shape}')
     if not np.isfinite(values).all():  # row by row this takes ten times as long
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-        raise ValueError(f'torque {bad[0]} at {times[bad[0]]} ns: expected finite numbers, '
+        raise ValueError(f'{name} {bad[0]} at {times[bad[0]]} ns: expected finite numbers, '
                          f'found {values[bad[0]].tolist()}')
     return times, values
 
@@ -283,6 +315,21 @@ def _checked_frames(frame: str | Sequence[str] | NDArray[np.bool_],
     if unknown.size:
         raise ValueError(f"frame: expected 'body' or 'space', found {str(unknown[0])!r}")
     return np.array(np.broadcast_to(names == 'space', count))
+
+
+@njit
+def _slopes(times_ns: NDArray[np.int64], values: Floats) -> Floats:
+    # Return the slopes, 1/s, of straight lines through the samples, and zero for the last. Each
+    # one leads from where the rounded slopes before it end, not from the sample there.
+    result = np.zeros(values.shape)
+    for axis in range(3 if len(values) else 0):
+        reached = values[0, axis], 0.0
+        for k in range(len(values) - 1):
+            span = dd.seconds(times_ns[k + 1] - times_ns[k])
+            rest = dd.subtract((values[k + 1, axis], 0.0), reached)
+            result[k, axis] = dd.divide(rest, span)[0]
+            reached = dd.add(reached, dd.multiply((result[k, axis], 0.0), span))
+    return result
 
 
 @njit
@@ -346,3 +393,8 @@ def _store_cubic(row: Floats, here: float, following: float, span: DoubleDouble,
     second = dd.subtract(curved, third)
     row[0], row[1], row[2], row[3] = here, start[0], second[0], third[0]
     row[4], row[5], row[6] = start[1], second[1], third[1]
+
+
+def torque_logs(log: TorqueLog | Sequence[TorqueLog] | None) -> list[TorqueLog]:
+    """Return one log, several or none as a list."""
+    return [log] if isinstance(log, TorqueLog) else [*(log or ())]

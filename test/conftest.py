@@ -48,12 +48,13 @@ EPOCH_NS = 1_767_225_600_123_456_789
 SECOND = 10 ** 9
 #: Test files that need an optional module, by that module.
 NEEDS = {
-    'rclpy': ['clocks', 'faults', 'launch', 'lockstep', 'node', 'soak', 'topics', 'workspace'],
+    'rclpy': ['clocks', 'faults', 'launch', 'lockstep', 'node', 'soak', 'sources', 'topics',
+              'workspace'],
     'launch_ros': ['launch'],  # not on PyPI
     'colcon_ros': ['workspace'],
     'mpmath': ['arm', 'elementary', 'elliptic', 'examples', 'extremes', 'free_motion', 'peers',
-               'propagate', 'reference', 'rods', 'steppers', 'tensor', 'truth',
-               'validation'],  # not known to rosdep
+               'propagate', 'reference', 'rods', 'sources', 'steppers', 'tensor', 'terms',
+               'truth', 'validation'],  # not known to rosdep
     'numba': ['elementary', 'elliptic', 'four', 'packing'],
 }
 ABSENT = {module: [f'test_{name}.py' for name in names] for module, names in NEEDS.items()

@@ -19,10 +19,13 @@ Each function returns the known and the computed value. `test_extremes.py` compa
 `benchmarks/extremes.py` prints them.
 """
 
+import math
+
 from mpmath import mp
 import numpy as np
 from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
 from scenes import FIXED_STEP, SECOND
+import truth
 
 PERIODS = 1_000_000
 #: 4 K / lambda, s, to 18 digits: van Zon and Schofield's program, and this project's 34 digits.
@@ -104,6 +107,65 @@ def boedewadt(seconds):
                        State(0, angular_velocity=rates), TorqueLog([0], [torque]),
                        at=[seconds * SECOND])
     return known, complex(*motion.angular_velocity[0, :2])
+
+
+def gyrostat(seconds):
+    """
+    Return attitude and rates, known and computed, of a symmetric body with a rotor on its axis.
+
+    With I1 w + (I3 w3 + h - I1 w3) e3 = L the attitude is exp(L t / 2 I1) exp(m e3 t / 2), where
+    m = w3 - (I3 w3 + h) / I1, and w1 + i w2 turns at -m = ((I3 - I1) w3 + h) / I1.
+    """
+    across, along, rates, rotors = 2.0, 3.0, (0.5, -0.25, 1.5), 4.0
+    motion = propagate(RigidBody.from_moments(across, across, along),
+                       State(0, angular_velocity=rates, rotor_momentum=(0.0, 0.0, rotors)),
+                       at=[seconds * SECOND])
+    with mp.workdps(30):
+        momentum = np.array([*(across * mp.mpf(rate) for rate in rates[:2]),
+                             along * mp.mpf(rates[2]) + rotors])
+        spin = rates[2] - momentum[2] / across
+        turned = mp.mpc(*rates[:2]) * mp.expj(-spin * seconds)
+        attitude = truth.times(truth.turn(momentum / across, seconds),
+                               truth.turn(np.array([mp.zero, mp.zero, spin]), seconds))
+        known = attitude.astype(float), (float(turned.real), float(turned.imag), rates[2])
+    return {'attitude': (known[0], motion.attitude[0]),
+            'rates': (known[1], motion.angular_velocity[0])}
+
+
+def damped_sphere(seconds):
+    """Return attitude and rates, known and computed, of a sphere with w = W exp(-d t / I)."""
+    inertia, damping, rates = 2.0, 0.03125, (0.6, -1.2, 2.5)
+    motion = propagate(RigidBody(inertia * np.eye(3), damping * np.eye(3)),
+                       State(0, angular_velocity=rates), at=[seconds * SECOND])
+    with mp.workdps(30):
+        rate, start = mp.mpf(damping) / inertia, truth.exact(rates)
+        attitude = truth.turn(start, -mp.expm1(-rate * seconds) / rate)
+        known = attitude.astype(float), (start * mp.exp(-rate * seconds)).astype(float)
+    return {'attitude': (known[0], motion.attitude[0]),
+            'rates': (known[1], motion.angular_velocity[0])}
+
+
+def dual_spin(axis, rotors):
+    """
+    Return the rate, 1/s, at which small deviations of a dual spin grow or swing.
+
+    The body 1 : 2 : 3 spins at 1 rad/s about one of its axes, 0 to 2, where its rotor is, too. If
+    I is the moment of that axis, and I' and I" are the others, the square of the rate is
+    -(I - I' + h) (I - I" + h) / (I' I") (Schaub and Junkins, Analytical Mechanics of Space
+    Systems, chapter 4): the spin is stable where it is negative.
+    """
+    moments, spin = np.array([1.0, 2.0, 3.0]), np.eye(3)[axis]
+    others = np.delete(moments, axis)
+    square = -np.prod((moments[axis] - others + rotors) / others)
+    known = math.sqrt(abs(square))
+    time_ns = round(0.5 * math.pi / known * SECOND)
+    probe = (axis + 1) % 3
+    motion = propagate(RigidBody.from_moments(*moments),
+                       State(0, angular_velocity=spin + 1e-8 * np.eye(3)[probe],
+                             rotor_momentum=rotors * spin), at=[time_ns])
+    deviation = motion.angular_velocity[0, probe] / 1e-8
+    angle = math.acosh(deviation) if square > 0.0 else math.acos(deviation)
+    return known, angle / time_ns * SECOND
 
 
 def spin_up():

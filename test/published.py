@@ -26,7 +26,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from conftest import chord, EPOCH_NS, Reference, SECOND
-from known import landau_zener, period, TOPS
+from known import damped_sphere, dual_spin, gyrostat, landau_zener, period, TOPS
 import numpy as np
 from rigid_body_ros import (
     euler,
@@ -277,7 +277,35 @@ def sweep_rows():
     yield 'limit, from -200 s to 200 s', lambda: numbers(*sweep()), 5e-7
 
 
+# Rotors and damping.
+
+
+def wheel_slew():
+    """Return the momentum in space before and after 1000 s with 500 torques of the wheels."""
+    random = np.random.default_rng(5)
+    wheels = TorqueLog(np.arange(500) * 2 * SECOND, random.normal(scale=0.05, size=(500, 3)))
+    start = State(0, (0.1, -0.3, 0.2, 0.9), (0.05, -0.1, 0.2), (0.5, -1.0, 0.3))
+    motion = propagate(RigidBody([[1.1, 0.15, -0.2], [0.15, 2.0, 0.05], [-0.2, 0.05, 2.7]]), start,
+                       at=[0, 1000 * SECOND], wheels=wheels)
+    return motion.angular_momentum_space
+
+
+def gyrostat_rows():
+    for name, motion in (('symmetric gyrostat', gyrostat), ('damped sphere', damped_sphere)):
+        yield (f'{name}, attitude after 100 s, rad',
+               lambda motion=motion: attitudes(*motion(100)['attitude']), 1e-13)
+        yield (f'{name}, rates after 100 s, relative',
+               lambda motion=motion: rates(*motion(100)['rates']), 1e-13)
+    yield ('wheel slew, momentum in space after 1000 s, relative',
+           lambda: rates(*wheel_slew()), 1e-14)
+    for axis, rotors, kind in ((1, 0.9, 'growth rate, 1/s'), (1, 1.1, 'nutation rate, rad/s'),
+                               (0, 1.5, 'growth rate, 1/s'), (0, 2.5, 'nutation rate, rad/s')):
+        yield (f'dual spin about axis {axis + 1}, h = {rotors} N m s, {kind}',
+               lambda axis=axis, rotors=rotors: numbers(*dual_spin(axis, rotors)), 1e-14)
+
+
 #: By source and quantity (with its unit): the function that compares, and the bound.
 ROWS = {source: {name: (compare, bound) for name, compare, bound in rows()}
         for source, rows in {'jeod': station_rows, 'nesc': brick_rows, 'toutatis': toutatis_rows,
-                             'tops': top_rows, 'sweep': sweep_rows}.items()}
+                             'tops': top_rows, 'sweep': sweep_rows,
+                             'gyrostat': gyrostat_rows}.items()}

@@ -19,26 +19,41 @@ import inspect
 import numpy as np
 import pytest
 import rigid_body_ros
-from rigid_body_ros import euler, propagate, Propagator, RigidBody, so3, State, TorqueLog, warm_up
+from rigid_body_ros import (
+    euler,
+    propagate,
+    Propagator,
+    RigidBody,
+    so3,
+    State,
+    TorqueLog,
+    urdf,
+    warm_up,
+)
 
 OPTIONS = "solver='auto', tolerance=1e-15, max_step=None, torque_timeout=0.0"
 #: Callables with their parameters, as callers may write them.
 SIGNATURES = [
-    (RigidBody, 'tensor'),
+    (RigidBody, 'tensor, damping=None'),
     (RigidBody.from_moments, 'ixx, iyy, izz, ixy=0.0, ixz=0.0, iyz=0.0'),
     (RigidBody.from_point_masses, 'masses, positions'),
     (RigidBody.from_urdf, "text, link=''"),
-    (State, 'time_ns=0, attitude=(0.0, 0.0, 0.0, 1.0), angular_velocity=(0.0, 0.0, 0.0)'),
+    (urdf.fixed_frames, "text, link=''"),
+    (State, 'time_ns=0, attitude=(0.0, 0.0, 0.0, 1.0), angular_velocity=(0.0, 0.0, 0.0), '
+            'rotor_momentum=(0.0, 0.0, 0.0)'),
     (TorqueLog, "times_ns, torques, frame='body', interpolation='hold'"),
-    (propagate, f'body, start, log=None, *, at, {OPTIONS}'),
+    (TorqueLog.from_momentum, 'times_ns, momenta'),
+    (propagate, f'body, start, log=None, *, at, wheels=None, {OPTIONS}'),
     (Propagator, f'body, start, *, {OPTIONS}, history=1.0'),
-    (Propagator.apply, "self, time_ns, torque, frame='body'"),
+    (Propagator.apply, "self, time_ns, torque, frame='body', source=0"),
+    (Propagator.apply_wheels, 'self, time_ns, torque'),
     (warm_up, ''),
 ]
 #: Attributes of a trajectory over m times: shape and type.
 TRAJECTORY = {
     'times_ns': ((2,), np.int64), 'attitude': ((2, 4), float), 'angular_velocity': ((2, 3), float),
-    'angular_momentum_space': ((2, 3), float), 'kinetic_energy': ((2,), float),
+    'rotor_momentum': ((2, 3), float), 'angular_momentum_space': ((2, 3), float),
+    'kinetic_energy': ((2,), float),
 }
 
 

@@ -17,7 +17,7 @@
 from conftest import EPOCH_NS, SECOND
 import numpy as np
 import pytest
-from rigid_body_ros import TorqueLog
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.torque import INTERPOLATIONS
 
 RANDOM = np.random.default_rng(23)
@@ -178,3 +178,61 @@ def test_unsigned_times_that_fit_are_taken():
     log = TorqueLog(np.array([5, 2 ** 63 - 2], np.uint64), np.eye(3)[:2])
     assert log.times_ns.tolist() == [5, 2 ** 63 - 2]
     np.testing.assert_array_equal(log.at(np.array([7], np.uint64))[0], [[1.0, 0.0, 0.0]])
+
+
+def measured(count, seed=4):
+    """Return stamps and the momentum of rotors that also come to rest and turn back."""
+    random = np.random.default_rng(seed)
+    stamps = EPOCH_NS + np.cumsum(random.integers(SECOND // 2000, SECOND // 500, count))
+    return stamps, np.cumsum(random.normal(scale=0.01, size=(count, 3)), axis=0)
+
+
+def test_rotors_follow_the_measured_momentum():
+    stamps, momenta = measured(60_000)
+    wheels = TorqueLog.from_momentum(stamps, momenta)
+    assert not wheels.in_space.any()
+    assert not wheels.torques[-1].any()
+    at = np.append(stamps, stamps[-1] + [SECOND, 3600 * SECOND])
+    motion = propagate(RigidBody(np.diag([10.0, 20.0, 25.0])),
+                       State(int(stamps[0]), rotor_momentum=momenta[0]), at=at, wheels=wheels)
+    # A torque in double precision leads from one sample to the next with an error of half an ulp
+    # of the change, which is more than an ulp of a sample close to zero.
+    rows = np.append(np.arange(60_000), [-1, -1])
+    change = np.abs(np.diff(momenta, axis=0, prepend=momenta[:1]))
+    ulps = np.spacing(np.maximum(np.abs(momenta), change))[rows]
+    assert np.all(np.abs(motion.rotor_momentum - momenta[rows]) <= 2.0 * ulps)
+
+
+def test_rotors_follow_straight_lines_between_measured_momenta():
+    stamps, momenta = measured(50)
+    wheels = TorqueLog.from_momentum(stamps, momenta)
+    at = spread(stamps, 500)
+    motion = propagate(RigidBody(np.diag([10.0, 20.0, 25.0])),
+                       State(int(stamps[0]), rotor_momentum=momenta[0]), at=at, wheels=wheels)
+    expected = [np.interp(at - stamps[0], stamps - stamps[0], column) for column in momenta.T]
+    np.testing.assert_allclose(motion.rotor_momentum, np.transpose(expected), atol=1e-15)
+
+
+def test_measured_momenta_may_come_in_any_order():
+    wheels = TorqueLog.from_momentum([2 * SECOND, 0, 2 * SECOND, SECOND],
+                                     [[9, 9, 9], [0, 0, 1], [0, 4, 1], [1, 0, 1]])
+    assert wheels.times_ns.tolist() == [0, SECOND, 2 * SECOND]
+    assert wheels.torques.tolist() == [[1.0, 0.0, 0.0], [-1.0, 4.0, 0.0], [0.0, 0.0, 0.0]]
+
+
+@pytest.mark.parametrize('count', [0, 1])
+def test_rotors_with_one_measured_momentum_keep_theirs(count):
+    wheels = TorqueLog.from_momentum(TIMES[:count], TORQUES[:count])
+    assert len(wheels) == count
+    assert not wheels.torques.any()
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    (([0, 1], [[1, 2, 3]]), r'momenta: expected shape \(2, 3\), found \(1, 3\)'),
+    (([0.5], [[1, 2, 3]]), r'times_ns: expected integer nanoseconds of shape \(n,\), found .*'),
+    (([3], [[1, np.inf, 3]]), 'momentum 0 at 3 ns: expected finite numbers, found .*inf.*'),
+    (([3, 4], [[0, 0, 0], [0, 1e300, 0]]), 'torque 0 at 3 ns: expected finite numbers, found .*'),
+])
+def test_impossible_momenta_are_rejected(arguments, message):
+    with pytest.raises(ValueError, match=f'^{message}$'):
+        TorqueLog.from_momentum(*arguments)

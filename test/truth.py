@@ -129,11 +129,11 @@ def free(tensor, attitude, rates, time_ns, digits=50):
         tensor, q, w = exact(tensor), _unit(exact(attitude)), exact(rates)
         t, m = _seconds(time_ns), tensor @ w
         if _length(np.cross(m, w)) <= 1000 * mp.eps * _length(m) * _length(w):
-            return _times(q, _turn(w, t)), w  # about a principal axis, or any axis of a sphere
+            return times(q, turn(w, t)), w  # about a principal axis, or any axis of a sphere
         moments, axes = _frame(tensor, m)
         turned, m = _tumble(moments, axes.T @ m, t)
         # A rotation about v in principal axes is a rotation about `axes @ v` in body axes.
-        return _times(q, np.append(axes @ turned[:3], turned[3])), axes @ (m / moments)
+        return times(q, np.append(axes @ turned[:3], turned[3])), axes @ (m / moments)
 
 
 def chord(truth, attitude):
@@ -145,7 +145,7 @@ def chord(truth, attitude):
 
 def rotate(q, v):
     """Return the vector v turned by the unit quaternion q."""
-    return _times(_times(q, _pure(v)), _conjugate(q))[:3]
+    return times(times(q, _pure(v)), _conjugate(q))[:3]
 
 
 def _step(q, w, h, tensor, inverse, torque, in_space):
@@ -175,7 +175,7 @@ def _sums(q, w, m, torque, in_space, inverse, bits):
         push = sum(ts[i, k - i] for i in range(min(k + 1, len(ts))))
         ms[k + 1] = ((_cross(ms[:k + 1], past).sum(axis=0) >> bits) + push) // (k + 1)
         ws[k + 1] = inverse @ ms[k + 1] >> bits
-        qs[k + 1] = (_times(qs[:k + 1], _pure(past)).sum(axis=0) >> bits) // (2 * (k + 1))
+        qs[k + 1] = (times(qs[:k + 1], _pure(past)).sum(axis=0) >> bits) // (2 * (k + 1))
         if in_space:
             ts[:, k + 1] = (_cross(ts[:, :k + 1], past).sum(axis=1) >> bits) // (k + 1)
         # From rest, only every (degree + 2)nd term is nonzero.
@@ -224,7 +224,7 @@ def _tumble(moments, m, t):
     now, g = extent * functions, _length(m)
     psi = g / i3 * (t + i31 / (rate * i1) * (pi1 - pi0)) + turn1 - turn0
     spin = np.array([0, 0, mp.sin(psi / 2), mp.cos(psi / 2)])
-    return _times(_times(_conjugate(_to_third(m)), spin), _to_third(now)), now
+    return times(times(_conjugate(_to_third(m)), spin), _to_third(now)), now
 
 
 def _jacobi(u, k2, n, skew):
@@ -246,12 +246,14 @@ def _to_third(m):
     return _unit(np.array([m[1], -m[0], mp.zero, _length(m) + m[2]]))
 
 
-def _turn(w, seconds):
+def turn(w, seconds):
+    """Return the rotation of a body that turns at a constant rate w for some seconds."""
     speed, half = _length(w), _length(w) * seconds / 2
     return np.append(w / speed * mp.sin(half) if speed else w, mp.cos(half))
 
 
-def _times(p, q):
+def times(p, q):
+    """Return the product of quaternions."""
     u, a, v, b = p[..., :3], p[..., 3:], q[..., :3], q[..., 3:]
     return np.concatenate([a * v + b * u + _cross(u, v),
                            a * b - (u * v).sum(axis=-1, keepdims=True)], axis=-1)

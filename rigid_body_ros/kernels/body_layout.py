@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-The layout of the constants of a body: 104 doubles.
+The layout of the constants of a body: 128 doubles.
 
-They form 26 vectors of four doubles, the last of which is zero: the nine columns of coefficients
+They form 32 vectors of four doubles, the last of which is zero: the nine columns of coefficients
 of Euler's equations and the low-order part of each, the principal moments and their low-order
-parts, the three principal axes and the low-order part of each.
+parts, the three principal axes and the low-order part of each, the three columns of J^-1 D and
+the low-order part of each.
 """
 
 from __future__ import annotations
@@ -26,16 +27,18 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import four
 from rigid_body_ros.kernels.jit import internal
+from rigid_body_ros.kernels.linear_terms import Constants, from_columns, Linear, Matrix
 from rigid_body_ros.kernels.vector import Coefficients, Columns, of, PrincipalFrame, Vector
 
 #: Offsets.
 _EQUATIONS, _LOST_EQUATIONS, _MOMENTS, _LOST_MOMENTS, _AXES, _LOST_AXES = 0, 36, 72, 76, 80, 92
-SIZE = 104
+_DAMPING, _LOST_DAMPING = 104, 116
+SIZE = 128
 #: Low-order parts of J^-1, the last three columns of coefficients of Euler's equations.
 LOST_INVERSE = slice(_LOST_EQUATIONS + 24, _MOMENTS)
 
 
-def pack(coefficients: Floats, moments: Floats, axes: Floats) -> Floats:
+def pack(coefficients: Floats, moments: Floats, axes: Floats, damping: Floats) -> Floats:
     """
     Return the constants of a body as an array, shape (SIZE,).
 
@@ -45,10 +48,12 @@ def pack(coefficients: Floats, moments: Floats, axes: Floats) -> Floats:
         As returned by `tensor.euler_coefficients`.
     moments, axes : array, shape (2, 3), (2, 3, 3)
         As returned by `tensor.principal`.
+    damping : array, shape (2, 3, 3), 1/s
+        J^-1 D, as returned by `tensor.damping_coefficients`.
 
     """
     vectors = np.concatenate([coefficients[0].T, coefficients[1].T, moments,
-                              axes[0].T, axes[1].T])
+                              axes[0].T, axes[1].T, damping[0].T, damping[1].T])
     return np.pad(vectors, [(0, 0), (0, 1)]).ravel()
 
 
@@ -66,6 +71,20 @@ def principal_frame(constants: Floats) -> PrincipalFrame:
     """Return the principal moments and axes."""
     return (four.load(constants, _MOMENTS), four.load(constants, _LOST_MOMENTS),
             _three(constants, _AXES), _three(constants, _LOST_AXES))
+
+
+@internal
+def linear_constants(constants: Floats) -> Constants:
+    """Return the matrices of the terms of Euler's equations that are linear in w."""
+    return Constants(
+        Linear(_matrix(constants, _EQUATIONS + 24), _matrix(constants, _LOST_EQUATIONS + 24)),
+        Linear(_matrix(constants, _DAMPING), _matrix(constants, _LOST_DAMPING)))
+
+
+@internal
+def _matrix(constants: Floats, start: int) -> Matrix:
+    a, b, c = _three(constants, start)
+    return from_columns(a, b, c)
 
 
 @internal

@@ -31,12 +31,15 @@ import warnings
 
 try:
     import numba
-    from numba.extending import intrinsic
+    from numba.extending import intrinsic, overload
 except ImportError:
     numba = None
 
 #: Whether kernels are compiled: numba is installed, and NUMBA_DISABLE_JIT is not set.
 COMPILES = numba is not None and not numba.config.DISABLE_JIT
+
+#: Options without wrappers for calls from Python and C.
+_INTERNAL = {'error_model': 'numpy', 'no_cpython_wrapper': True, 'no_cfunc_wrapper': True}
 
 Kernel = TypeVar('Kernel', bound=Callable[..., Any])
 
@@ -80,12 +83,34 @@ def inlined(kernel: Kernel) -> Kernel:
     return _internal(kernel, forceinline=True)
 
 
+def optional(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """
+    Compile an inlined function for a part that not every scene has.
+
+    If its first argument is None, it returns None. The compiler chooses by type, so it compiles a
+    scene without the part without the code for it.
+    """
+    def choose(first: Any, *rest: Any) -> Any:
+        return None if first is None else kernel(first, *rest)
+
+    if not COMPILES:
+        return choose
+    compiled = inlined(kernel)
+
+    def by_type(first: Any, *rest: Any) -> Any:
+        if isinstance(first, numba.types.NoneType):
+            return lambda first, *rest: None
+        return lambda first, *rest: compiled(first, *rest)
+
+    overload(choose, strict=False, jit_options={**_INTERNAL, 'forceinline': True})(by_type)
+    return choose
+
+
 def _internal(kernel: Kernel, **options: bool) -> Kernel:
     # Without wrappers for calls from Python and C, which take as long to compile as the function.
     if not COMPILES:
         return kernel
-    compiled = numba.njit(error_model='numpy', no_cpython_wrapper=True, no_cfunc_wrapper=True,
-                          **options)(kernel)
+    compiled = numba.njit(**_INTERNAL, **options)(kernel)
     compiled.__class__ = _internal_type()
     return compiled
 

@@ -26,7 +26,7 @@ vector is integrated instead of the quaternion:
 
 from __future__ import annotations
 
-from rigid_body_ros.kernels import four
+from rigid_body_ros.kernels import four, linear_terms
 from rigid_body_ros.kernels.euler_equations import (
     add_symmetric_products,
     gyroscopic_acceleration,
@@ -35,6 +35,7 @@ from rigid_body_ros.kernels.euler_equations import (
     symmetric_products,
 )
 from rigid_body_ros.kernels.jit import fma, inlined
+from rigid_body_ros.kernels.linear_terms import add_product, product
 from rigid_body_ros.kernels.vector import (
     add,
     add_scaled,
@@ -63,7 +64,7 @@ _LARGEST = 1e-4
 
 @inlined
 def is_accurate(state: KernelState, seconds: float, torque_acceleration: Vector,
-                tolerance: float) -> bool:
+                tolerance: float, ramp: linear_terms.Ramp | None) -> bool:
     """
     Return whether one `step` meets the tolerance under a torque held in body axes.
 
@@ -77,31 +78,37 @@ def is_accurate(state: KernelState, seconds: float, torque_acceleration: Vector,
         J^-1 tau, rad/s^2, body axes.
     tolerance : float
         Bound on the truncation error of the attitude per radian turned.
+    ramp : Ramp or None
+        The linear terms, for scenes that have them.
 
     Returns
     -------
     bool
 
     """
-    size, error_bound = _size_and_bound(state, seconds, torque_acceleration, tolerance)
+    size, error_bound = _size_and_bound(state, seconds, torque_acceleration, tolerance, ramp)
     return size < _LARGEST and _SQUARE_5 * (size * (size * size)) <= error_bound
 
 
 @inlined
 def _size_and_bound(state: KernelState, seconds: float, torque_acceleration: Vector,
-                    tolerance: float) -> tuple[float, float]:
+                    tolerance: float,
+                    ramp: linear_terms.Ramp | None) -> tuple[float, float]:
     # Return the squares of the size of a step, rad^4, and of the error bound, rad^2. Square roots
     # would take a noticeable part of the time of a short step.
     factor = seconds * seconds
     square = dot(state[0], state[0])
     torque_part = factor * dot(torque_acceleration, torque_acceleration)
-    return (factor * fma(factor, square * square, torque_part),
-            tolerance * tolerance * factor * fma(0.25, torque_part, square))
+    error_bound = tolerance * tolerance * factor * fma(0.25, torque_part, square)
+    if ramp is not None:
+        square, torque_part = square + ramp.square_rate, torque_part + ramp.square_change
+    return factor * fma(factor, square * square, torque_part), error_bound
 
 
 @inlined
 def step(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
-         torque_acceleration: Vector, tolerance: float) -> KernelState:
+         torque_acceleration: Vector, tolerance: float,
+         ramp: linear_terms.Ramp | None) -> KernelState:
     """
     Return the state after one step, of order 3, 4 or 5 as the tolerance requires.
 
@@ -119,39 +126,69 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
         J^-1 tau, rad/s^2, body axes.
     tolerance : float
         Bound on the truncation error of the attitude per radian turned.
+    ramp : Ramp or None
+        The linear terms, for scenes that have them.
 
     Returns
     -------
     KernelState
 
     """
-    size, error_bound = _size_and_bound(state, seconds, torque_acceleration, tolerance)
+    size, error_bound = _size_and_bound(state, seconds, torque_acceleration, tolerance, ramp)
     w = state[0]
     # w0 = w, w1, w2 ... are the terms of w, rad/s, and u0, u1, u2 ... the same in radians per
     # step. Factors multiply operands that are known early, so that no later term waits for them.
     u0 = scale(seconds, w)
     w1 = add_scaled(gyroscopic_acceleration(coefficients, form, products(u0, w)), seconds,
                     torque_acceleration)
+    if ramp is not None:
+        w1 = add(w1, _first_linear_term(ramp, u0))
+    u1 = scale(seconds, w1)
     w2 = gyroscopic_acceleration(coefficients, form, symmetric_products(scale(1 / 2, u0), w1))
-    u1, u2 = scale(seconds, w1), scale(seconds, w2)
+    if ramp is not None:
+        w2 = _add_linear(w2, 1 / 2, ramp, u1, u0)
+    u2 = scale(seconds, w2)
     w3 = gyroscopic_acceleration(coefficients, form, add_symmetric_products(
         products(scale(1 / 3, u1), w1), scale(1 / 3, u0), w2))
+    if ramp is not None:
+        w3 = _add_linear(w3, 1 / 3, ramp, u2, u1)
     a = cross(u0, u1)
     delta_omega = add(add(w1, w2), w3)
     rotation = add_scaled(add_scaled(scale(1 / 2, u1), 1 / 3, u2), 1 / 12, a)
     if _SQUARE_3 * (size * size) > error_bound:
         w4 = gyroscopic_acceleration(coefficients, form, add_symmetric_products(
             symmetric_products(scale(1 / 4, u1), w2), scale(1 / 4, u0), w3))
+        if ramp is not None:
+            w4 = _add_linear(w4, 1 / 4, ramp, scale(seconds, w3), u2)
         u3, b = scale(seconds, w3), cross(u0, u2)
         delta_omega = add(delta_omega, w4)
         rotation = add(rotation, add_scaled(scale(1 / 4, u3), 1 / 12, b))
         if _FOURTH_4 * (size * ((size * size) * (size * size))) > error_bound * error_bound:
             w5 = gyroscopic_acceleration(coefficients, form,
                                          _order_4_products(u0, u1, u2, w2, w3, w4))
+            if ramp is not None:
+                w5 = _add_linear(w5, 1 / 5, ramp, scale(seconds, w4), u3)
             delta_omega = add(delta_omega, w5)
             rotation = add(rotation, add_scaled(_order_5_rotation(u0, u1, u2, u3, a, b),
                                                 1 / 5 * seconds, w4))
     return advance(state, delta_omega, _delta_q(add(u0, rotation)))
+
+
+@inlined
+def _first_linear_term(ramp: linear_terms.Ramp, u0: Vector) -> Vector:
+    yzx, zxy = four.yzx(u0), four.zxy(u0)
+    low = add_product(four.broadcast(0.0), ramp.start.low, u0, yzx, zxy)
+    return add_product(low, ramp.start.matrix, u0, yzx, zxy)
+
+
+@inlined
+def _add_linear(rest: Vector, factor: float, ramp: linear_terms.Ramp, latest: Vector,
+                previous: Vector) -> Vector:
+    # Add the linear terms of one order, from the two orders before it. The terms of higher order
+    # are too small for the low-order part.
+    change = product(ramp.change, previous)
+    return add_scaled(rest, factor, add_product(
+        change, ramp.start.matrix, latest, four.yzx(latest), four.zxy(latest)))
 
 
 @inlined

@@ -23,15 +23,18 @@ from __future__ import annotations
 
 from fractions import Fraction
 import math
+from typing import NamedTuple
 
 from rigid_body_ros.kernels import elementary, four
 from rigid_body_ros.kernels.jit import internal
+from rigid_body_ros.kernels.linear_terms import Matrix, Momentum, product
 from rigid_body_ros.kernels.tableau import Tableau
 from rigid_body_ros.kernels.vector import (
     add,
     add_scaled,
     Coefficients,
     combine,
+    cross,
     dot,
     KernelState,
     multiply,
@@ -56,30 +59,41 @@ _OUTER_DIVISOR = float(1 / CLASSICAL.weights[0])
 _INNER_RATIO = float(CLASSICAL.weights[1] / CLASSICAL.weights[0])
 
 
+class Others(NamedTuple):
+    """What acts besides the drive."""
+
+    #: Momentum of the rotors, N m s, body axes, in the fraction of the step.
+    momentum: Momentum
+    #: J^-1 D, 1/s.
+    damping: Matrix
+    #: N m, in the fraction of the step.
+    space_torque: Polynomial
+
+
 @internal
 def explicit_euler(state: KernelState, seconds: float, equations: Coefficients, drive: Polynomial,
-                   in_space: bool) -> KernelState:
+                   in_space: bool, others: Others | None) -> KernelState:
     """Return the state after a step of Euler's method, order 1, with the norm of q restored."""
     w, q = state[0], state[1]
-    a, v = _derivative(w, q, 0.0, equations, drive, in_space)
+    a, v = _derivative(w, q, 0.0, equations, drive, in_space, others)
     return _state(add_scaled(w, seconds, a), add_scaled(q, seconds, v))
 
 
 @internal
 def rk4(state: KernelState, seconds: float, equations: Coefficients, drive: Polynomial,
-        in_space: bool) -> KernelState:
+        in_space: bool, others: Others | None) -> KernelState:
     """Return the state after a step of `CLASSICAL`, order 4, with the norm of q restored."""
     w, q = state[0], state[1]
-    a1, v1 = _derivative(w, q, _C1, equations, drive, in_space)
+    a1, v1 = _derivative(w, q, _C1, equations, drive, in_space, others)
     h = _A21 * seconds
     a2, v2 = _derivative(add_scaled(w, h, a1), add_scaled(q, h, v1), _C2, equations, drive,
-                         in_space)
+                         in_space, others)
     h = _A32 * seconds
     a3, v3 = _derivative(add_scaled(w, h, a2), add_scaled(q, h, v2), _C3, equations, drive,
-                         in_space)
+                         in_space, others)
     h = _A43 * seconds
     a4, v4 = _derivative(add_scaled(w, h, a3), add_scaled(q, h, v3), _C4, equations, drive,
-                         in_space)
+                         in_space, others)
     a = add(add(a1, a4), scale(_INNER_RATIO, add(a2, a3)))
     v = add(add(v1, v4), scale(_INNER_RATIO, add(v2, v3)))
     h = seconds / _OUTER_DIVISOR
@@ -88,17 +102,18 @@ def rk4(state: KernelState, seconds: float, equations: Coefficients, drive: Poly
 
 @internal
 def strang(state: KernelState, seconds: float, equations: Coefficients, frame: PrincipalFrame,
-           drive: Polynomial, in_space: bool) -> KernelState:
+           drive: Polynomial, in_space: bool, others: Others | None) -> KernelState:
     """
     Return the state after a symmetric splitting into rotations about principal axes, order 2.
 
     Each rotation is exact. So without torque the angular momentum in space is conserved to
     rounding, and the energy error stays bounded (McLachlan 1993; Reich 1994; Touma and Wisdom
-    1994). A torque acts as a kick of half a step before and after (Strang).
+    1994). A torque acts as a kick of half a step before and after (Strang). Rotors and damping
+    are not taken into account.
     """
     w, q = state[0], state[1]
     half = 0.5 * seconds
-    w = add_scaled(w, half, _torque_acceleration(q, 0.0, equations, drive, in_space))
+    w = add_scaled(w, half, _torque_acceleration(q, 0.0, equations, drive, in_space, others))
     moments, _, axes, _ = frame
     i, j, k = moments[0], moments[1], moments[2]
     m = of(i * dot(axes[0], w), j * dot(axes[1], w), k * dot(axes[2], w))
@@ -111,26 +126,43 @@ def strang(state: KernelState, seconds: float, equations: Coefficients, frame: P
     w = combine(axes, of(m[0] / i, m[1] / j, m[2] / k))
     x = combine(axes, rotation)
     q = _unit(multiply(q, four.of(x[0], x[1], x[2], rotation[3])))
-    kick = _torque_acceleration(q, 1.0, equations, drive, in_space)
+    kick = _torque_acceleration(q, 1.0, equations, drive, in_space, others)
     return _state(add_scaled(w, half, kick), q)
 
 
 @internal
 def _derivative(w: Vector, q: Quaternion, fraction: float, equations: Coefficients,
-                drive: Polynomial, in_space: bool) -> tuple[Vector, Quaternion]:
+                drive: Polynomial, in_space: bool,
+                others: Others | None) -> tuple[Vector, Quaternion]:
     columns = equations[0]
-    rate = _torque_acceleration(q, fraction, equations, drive, in_space)
+    rate = _torque_acceleration(q, fraction, equations, drive, in_space, others)
     rate = add(rate, combine(columns[:3], four.multiply(four.yzx(w), four.zxy(w))))
     rate = add(rate, combine(columns[3:6], four.multiply(w, w)))
+    if others is not None:
+        a, b, c, d, e = others.momentum
+        h = add_scaled(a, fraction, add_scaled(b, fraction, add_scaled(c, fraction, add_scaled(
+            d, fraction, e))))
+        rate = add(rate, combine(columns[6:], cross(h, w)))
+        rate = four.subtract(rate, product(others.damping, w))
     return rate, multiply(q, scale(0.5, w))
 
 
 @internal
 def _torque_acceleration(q: Quaternion, fraction: float, equations: Coefficients,
-                         drive: Polynomial, in_space: bool) -> Vector:
-    value = add_scaled(drive[0], fraction, add_scaled(drive[1], fraction, add_scaled(
-        drive[2], fraction, drive[3])))
-    return combine(equations[0][6:], to_body(_unit(q), value)) if in_space else value
+                         drive: Polynomial, in_space: bool, others: Others | None) -> Vector:
+    value = _at(drive, fraction)
+    if in_space:
+        return combine(equations[0][6:], to_body(_unit(q), value))
+    if others is not None:
+        torque = to_body(_unit(q), _at(others.space_torque, fraction))
+        value = add(value, combine(equations[0][6:], torque))
+    return value
+
+
+@internal
+def _at(polynomial: Polynomial, fraction: float) -> Vector:
+    a, b, c, d = polynomial
+    return add_scaled(a, fraction, add_scaled(b, fraction, add_scaled(c, fraction, d)))
 
 
 @internal

@@ -19,6 +19,8 @@ With body rates w, attitude q (x, y, z, w; body to space), inertia J and body to
 
     J dw/dt = (J w) x w + tau,     dq/dt = q (w, 0) / 2.
 
+Rotors and damping add a term that is linear in w, see `linear_terms`.
+
 The coefficients of the solution in powers of time follow from Cauchy products (Jorba and Zou,
 "A software package for the numerical integration of ODEs by means of high-order Taylor
 methods", 2005). A torque fixed in space is the series of v = R(q)^T tau, where dv/dt = v x w.
@@ -32,11 +34,13 @@ Only the increments are summed, and added to the state by compensated summation.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import elementary, euler_equations, four
+from rigid_body_ros.kernels import elementary, euler_equations, four, linear_terms
 from rigid_body_ros.kernels.euler_equations import DIAGONAL, Products
 from rigid_body_ros.kernels.jit import fma, inlined, internal
+from rigid_body_ros.kernels.linear_terms import add_product, Matrix, product
 from rigid_body_ros.kernels.vector import (
     add,
     add_scaled,
@@ -68,6 +72,19 @@ _TERM = _TORQUES + 4 * _TORQUE
 WORKSPACE = _TERM * (MAX_ORDER + 1)
 
 
+class Extras(NamedTuple):
+    """What a step takes into account besides a torque in one frame."""
+
+    #: The matrix A of the linear terms times the step: a polynomial in the fraction of the step,
+    #: its value at the beginning, the other coefficients, and its degree; negative: no such terms.
+    linear: linear_terms.Linear
+    changes: tuple[Matrix, Matrix, Matrix, Matrix]
+    linear_degree: int
+    #: Torque in space axes, N m, in the fraction of the step, and its degree; negative: none.
+    space_torque: Polynomial
+    space_degree: int
+
+
 @internal
 def step_angle(tolerance: float) -> float:
     """
@@ -95,7 +112,7 @@ def step_seconds(square: float, acceleration: float, angle: float) -> float:
 @inlined
 def step(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
          drive: Polynomial, degree: int, in_space: bool, acceleration_bound: float,
-         tolerance: float, table: Floats) -> KernelState:
+         tolerance: float, table: Floats, extras: Extras | None) -> KernelState:
     """
     Return the state after one step.
 
@@ -122,6 +139,9 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
         Bound on the truncation error of the attitude per radian turned.
     table : float64 (WORKSPACE,)
         Workspace.
+    extras : Extras or None
+        Linear terms, and a torque in space axes beside a drive in body axes. For None, which
+        most scenes have, the compiler leaves this code out.
 
     Returns
     -------
@@ -131,7 +151,7 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     angle = seconds * fma(0.5 * acceleration_bound, seconds, math.sqrt(dot(state[0], state[0])))
     error_bound = tolerance * angle
     order = _expand(state, seconds, coefficients, form, drive, degree, in_space, error_bound,
-                    table)
+                    table, extras)
     delta_u = delta_q = four.broadcast(0.0)
     for k in range(order, 0, -1):  # the small terms first
         delta_u = add(delta_u, four.load(table, _TERM * k + _U))
@@ -145,15 +165,23 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
 @inlined
 def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
             drive: Polynomial, degree: int, in_space: bool, error_bound: float,
-            table: Floats) -> int:
+            table: Floats, extras: Extras | None) -> int:
     # Fill the table with the terms of u and of the rotation, and return the order needed.
     first = latest = _store_term(table, 0, scale(seconds, state[0]), four.of(0.0, 0.0, 0.0, 1.0))
     if in_space:
         for i in range(degree + 1):
             _store_permuted(table, _TORQUES + _TORQUE * i, to_body(state[1], drive[i]))
+    if extras is not None:
+        for i in range(extras.space_degree + 1):
+            _store_permuted(table, _TORQUES + _TORQUE * i,
+                            to_body(state[1], extras.space_torque[i]))
     # The series of a body at rest under a torque ~ t^degree has a non-zero term only every
     # degree + 2 orders, so the sum has converged only after that many small terms.
-    small = 0
+    small, powers = 0, degree
+    if extras is not None:
+        powers = max(degree, extras.space_degree, extras.linear_degree)
+    zero = four.broadcast(0.0)
+    past = (zero, zero, zero, zero)  # the terms of u before the latest
     for k in range(MAX_ORDER):
         products, rotation = _cauchy(table, k, first, latest, form)
         u = euler_equations.gyroscopic_acceleration(coefficients, form, products)
@@ -163,6 +191,14 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
             u = add_scaled(u, seconds * seconds, torque_acceleration)
         elif k <= degree:
             u = add_scaled(u, seconds * seconds, drive[k])
+        if extras is not None:
+            if extras.space_degree >= 0:
+                torque_acceleration = euler_equations.acceleration_from_torque(
+                    coefficients, form, _torque_term(table, k, extras.space_degree))
+                u = add_scaled(u, seconds * seconds, torque_acceleration)
+            if extras.linear_degree >= 0:
+                u = add(u, _linear_term(k, latest, past, extras))
+            past = (latest[0], past[0], past[1], past[2])
         u = scale(1.0 / (k + 1), u)
         factor = 0.5 / (k + 1)
         rotation = scale(factor, rotation)
@@ -172,7 +208,7 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
             small = 0
         else:
             small += 1
-            if small == degree + 2:
+            if small == powers + 2:
                 return k + 1
     return MAX_ORDER
 
@@ -224,6 +260,22 @@ def _add_term(sums: _Sums, one: Term, other: Term, form: int) -> _Sums:
         squares = four.fma(u, v, squares)
     return (products, squares, add_scaled(x, u[0], rotation), add_scaled(y, u[1], rotation),
             add_scaled(z, u[2], rotation))
+
+
+@inlined
+def _linear_term(k: int, latest: Term, past: tuple[Vector, Vector, Vector, Vector],
+                 extras: Extras) -> Vector:
+    # Return the linear terms of order k.
+    u, yzx, zxy, _ = latest
+    rest = four.broadcast(0.0)
+    if extras.linear_degree > 0:
+        rest = product(extras.changes[0], past[0])
+    if extras.linear_degree > 1:
+        others = add(product(extras.changes[2], past[2]), product(extras.changes[3], past[3]))
+        rest = add(rest, add(others, product(extras.changes[1], past[1])))
+    if k < 4:  # the terms of higher order are too small for the low-order part
+        rest = add_product(rest, extras.linear.low, u, yzx, zxy)
+    return add_product(rest, extras.linear.matrix, u, yzx, zxy)
 
 
 @inlined

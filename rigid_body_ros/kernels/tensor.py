@@ -22,6 +22,7 @@ of its moments: (J w) x w of a rod is a difference of terms a million times larg
 from __future__ import annotations
 
 from decimal import Decimal, localcontext
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -84,6 +85,41 @@ def euler_coefficients(tensor: NDArray[Any]) -> Floats:
     low = [[_rounding_error(entry, determinant, value) for entry, value in zip(*rows)]
            for rows in zip(solved, high)]
     return np.array([high, low])
+
+
+def damping_coefficients(tensor: Floats, damping: Floats) -> Floats:
+    """
+    Return J^-1 D, correctly rounded, and its low-order part.
+
+    Parameters
+    ----------
+    tensor : array, shape (3, 3), kg m^2
+        As for `euler_coefficients`.
+    damping : array, shape (3, 3), N m s/rad
+        D, body axes.
+
+    Returns
+    -------
+    array, shape (2, 3, 3), 1/s
+
+    """
+    rows = [[Fraction(entry) for entry in row] for row in tensor.tolist()]
+    columns = [[Fraction(entry) for entry in column] for column in damping.T.tolist()]
+    determinant = _dot(rows[0], _cross(rows[1], rows[2]))
+    inverse = [_cross(rows[(a + 1) % 3], rows[(a + 2) % 3]) for a in range(3)]
+    exact = [[_dot(row, column) / determinant for column in columns] for row in inverse]
+    high = [[float(entry) for entry in row] for row in exact]
+    low = [[float(entry - Fraction(value)) for entry, value in zip(*pair)]
+           for pair in zip(exact, high)]
+    return np.array([high, low])
+
+
+def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: list[Fraction], b: list[Fraction]) -> list[Fraction]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
 def _rounding_error(dividend: int, divisor: int, quotient: float) -> float:

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from rigid_body_ros.kernels import four
 from rigid_body_ros.kernels.four import Four
-from rigid_body_ros.kernels.jit import inlined
+from rigid_body_ros.kernels.jit import inlined, internal
 
 Vector = Four
 Quaternion = Four
@@ -114,6 +114,17 @@ def two_sum(a: Four, b: Four) -> tuple[Four, Four]:
     new = add(a, b)
     b_rounded = four.subtract(new, a)
     return new, add(four.subtract(a, four.subtract(new, b_rounded)), four.subtract(b, b_rounded))
+
+
+@internal
+def shifted(polynomial: Polynomial, offset: float, ratio: float) -> Polynomial:
+    """Return p(offset + ratio s) for a polynomial p(s), by Horner's rule (a Taylor shift)."""
+    a, b, c, d = polynomial
+    a = add_scaled(a, offset, add_scaled(b, offset, add_scaled(c, offset, d)))
+    b = add_scaled(b, offset, add_scaled(scale(2.0, c), 3.0 * offset, d))
+    c = add_scaled(c, 3.0 * offset, d)
+    square = ratio * ratio
+    return a, scale(ratio, b), scale(square, c), scale(square * ratio, d)
 
 
 @inlined

@@ -16,28 +16,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros.body import RigidBody, State
+from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.times import instants, NEVER_NS
 from rigid_body_ros.kernels import motion_layout, state_layout
-from rigid_body_ros.kernels.jit import njit
 from rigid_body_ros.propagation import layout, loop
+from rigid_body_ros.propagation.combined import CombinedMotion
 from rigid_body_ros.propagation.models import SolverUsage
 from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.origin import origin_of
 from rigid_body_ros.propagation.propagator import Propagator
+from rigid_body_ros.propagation.requested import checked_times
+from rigid_body_ros.propagation.summation import Rotors
 from rigid_body_ros.propagation.trajectory import Trajectory
+from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
 
 _NO_LOG = TorqueLog([], [])
 
 
-def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at: ArrayLike,
-              solver: str = Options.solver, tolerance: float = Options.tolerance,
+def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None,
+              *, at: ArrayLike, wheels: TorqueLog | None = None, solver: str = Options.solver,
+              tolerance: float = Options.tolerance,
               max_step: float | None = Options.max_step,
               torque_timeout: float = Options.torque_timeout) -> Trajectory:
     """
@@ -50,10 +53,13 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
     start : State
         The state at the earliest time of the motion. From a state that `Propagator.at` returned,
         the motion continues with the same bits.
-    log : TorqueLog, optional
-        None for torque-free motion. Before the first sample the torque is zero.
+    log : TorqueLog or sequence of TorqueLog, optional
+        None for torque-free motion. Several logs add up, each with its own last sample, frames,
+        interpolation and timeout. Before the first sample a torque is zero.
     at : array of int, shape (m,), ns
         Times to return, in any order, none before the start.
+    wheels : TorqueLog, optional
+        Torque of the motors on the rotors, body axes. The body feels the opposite torque.
     solver : str
         'auto' uses the simplest model that the scene allows: closed form for a long coast, a
         Taylor series for anything else. 'taylor' always uses the series. 'exact' is the closed
@@ -79,9 +85,13 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | None = None, *, at
         1e9 rad/s.
 
     """
-    motion = Integration(body, start, solver=solver, tolerance=tolerance, max_step=max_step,
-                         torque_timeout=torque_timeout)
-    return motion.advance(_NO_LOG if log is None else log, at)
+    logs = [log] if isinstance(log, TorqueLog) else [source for source in log or () if len(source)]
+    if not wheels and len(logs) < 2:
+        motion = Integration(body, start, solver=solver, tolerance=tolerance, max_step=max_step,
+                             torque_timeout=torque_timeout)
+        return motion.advance(logs[0] if logs else _NO_LOG, at)
+    options = validated(solver, tolerance, max_step, torque_timeout)
+    return CombinedMotion(body, start, logs, wheels or _NO_LOG, options).advance(at)
 
 
 class Integration:
@@ -106,6 +116,8 @@ class Integration:
                  torque_timeout: float = Options.torque_timeout) -> None:
         self._body, self._start = body, start
         self._options = validated(solver, tolerance, max_step, torque_timeout)
+        #: A row of `Summed.terms` that always holds; None if there are neither rotors nor damping.
+        self._terms = _constant_terms(body, start, self._options)
         #: States and progress of the loop at the end of the last piece; None before the first.
         self._loop_arrays: tuple[Floats, NDArray[np.int64]] | None = None
         self._end_ns = start.time_ns
@@ -139,7 +151,7 @@ class Integration:
             As for `propagate`.
 
         """
-        times, ascends, end_ns = _checked_times(at, self._end_ns)
+        times, ascends, end_ns = checked_times(at, self._end_ns)
         _check_solver(self._options, log)
         count, begin_ns = times.size, self._end_ns
         if stop is not None and end_ns < log.times_ns[stop]:
@@ -153,8 +165,11 @@ class Integration:
         rates = motion_layout.angular_velocity(motion)
         if times.size > count:  # the end of the piece was not requested
             times, attitude, rates = times[:count], attitude[:count], rates[:count]
-        return Trajectory(self._body, times, attitude, rates, SolverUsage(
-            self._body, log, self._options, begin_ns, end_ns, closed))
+        rotors = Rotors(np.array([self._start.time_ns]), self._terms) \
+            if self._terms is not None and self._start._has_rotors else None
+        usage = SolverUsage(self._body, log, self._options, begin_ns, end_ns, closed,
+                            rotors is not None)
+        return Trajectory(self._body, times, attitude, rates, usage, rotors)
 
     def _fill(self, log: TorqueLog, times: NDArray[np.int64], rows: NDArray[np.intp],
               motion: Floats, dropped: int, stop: int) -> NDArray[np.bool_]:
@@ -168,10 +183,12 @@ class Integration:
         progress[layout.DONE] = 0
         chunks = log.polynomials(int(progress[layout.SAMPLE])) if times.size else ()
         for first, end, polynomials in chunks:
-            while result := loop.run(
-                    states, progress, times, rows, motion, closed, log.times_ns, polynomials,
-                    log.in_space, first, min(end, stop), self._body._constants,
-                    self._options.settings, loop.BUDGET):
+            arguments = (
+                states, progress, times, rows, motion, closed, log.times_ns, polynomials,
+                log.in_space, first, min(end, stop), self._body._constants,
+                self._options.settings, loop.BUDGET)
+            while result := (loop.run(*arguments) if self._terms is None
+                             else loop.run_with_terms(*arguments, self._terms)):
                 if result == loop.TOO_FAST:
                     raise self._options.too_fast(int(progress[layout.GRID_NS]))
         done = int(progress[layout.DONE])
@@ -199,38 +216,19 @@ class Integration:
                     layout.pack_place(start.time_ns, start.time_ns, layout.IN_FORCE))
         sample, timed_out = log.in_force(start.time_ns, self._options.timeout_ns)
         rule = None if start._origin is None else _rule_at_start(
-            self._body, start, log, self._options, sample, timed_out)
+            self._body, start, log, self._options, sample, timed_out, self._terms is not None)
         origin = origin_of(start, rule)
         return (layout.pack_states(origin.grid, origin.begin),
                 layout.pack_place(origin.grid_ns, origin.begin_ns, sample, timed_out))
 
 
-def _checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], bool, int]:
-    """Return times, whether they ascend, and the latest of them."""
-    times = instants(at, 'at')
-    if times.size > 1:
-        ascends, first_ns, last_ns = _order(times)
-    else:  # calling a kernel takes as long as all the rest
-        ascends, (first_ns, last_ns) = True, 2 * (times.tolist() or [start_ns])
-    if first_ns < start_ns:
-        raise ValueError(f'at: expected no time before the start ({start_ns} ns), '
-                         f'found {first_ns} ns')
-    if last_ns == NEVER_NS:
-        raise ValueError(f'at: expected times before {NEVER_NS} ns, found {last_ns} ns')
-    if last_ns - start_ns >= NEVER_NS:
-        raise ValueError(f'at: expected times within 292 years of the start ({start_ns} ns), '
-                         f'found {last_ns} ns')
-    return times, ascends, int(last_ns)  # a numpy integer if numba is absent
-
-
-@njit
-def _order(times_ns: NDArray[np.int64]) -> tuple[bool, int, int]:
-    # Return whether times ascend, the earliest and the latest of them.
-    ascends, first, last = True, times_ns[0], times_ns[0]
-    for k in range(1, len(times_ns)):
-        ascends = ascends and times_ns[k] >= times_ns[k - 1]
-        first, last = min(first, times_ns[k]), max(last, times_ns[k])
-    return ascends, first, last
+def _constant_terms(body: RigidBody, start: State, options: Options) -> Floats | None:
+    if not (start._has_rotors or body.is_damped):
+        return None
+    options.check_linear_terms(body.is_damped, start._has_rotors)
+    terms = np.zeros((1, 4, 3))
+    terms[0, 2:] = start._rotors
+    return terms
 
 
 def _check_solver(options: Options, log: TorqueLog) -> None:
@@ -242,14 +240,17 @@ def _check_solver(options: Options, log: TorqueLog) -> None:
 
 
 def _rule_at_start(body: RigidBody, start: State, log: TorqueLog, options: Options, sample: int,
-                   timed_out: bool) -> Hashable:
-    if sample < 0 or timed_out:
+                   timed_out: bool, has_terms: bool) -> Hashable:
+    if sample < 0:
         return options.rule(body, np.zeros(3), False)
-    torque = log.torques[sample]
+    stamp_ns, torque = int(log.times_ns[sample]), log.torques[sample]
+    if timed_out:
+        stamp_ns, torque = stamp_ns + options.timeout_ns, np.zeros(3)
     # A torque at the start begins a segment there, even if it repeats the one before.
-    if log.interpolation != 'hold' or (torque.any() and log.times_ns[sample] == start.time_ns):
+    begins = stamp_ns == start.time_ns and (has_terms or torque.any())
+    if begins or (log.interpolation != 'hold' and not timed_out):
         return None
-    return options.rule(body, torque, bool(log.in_space[sample]))
+    return options.rule(body, torque, bool(log.in_space[sample]) and not timed_out)
 
 
 def warm_up() -> None:

@@ -26,8 +26,8 @@ from typing import NamedTuple
 
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.kernels import euler_equations, four, vector
-from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.kernels import euler_equations, four, linear_terms, vector
+from rigid_body_ros.kernels.jit import inlined, internal, optional
 from rigid_body_ros.propagation import layout
 from rigid_body_ros.propagation.layout import Body, Log
 
@@ -38,7 +38,7 @@ class Interval(NamedTuple):
     #: N m; its variable is 0 at the stamp and 1 at the next stamp.
     torque: vector.Polynomial
     #: Whether the torque is zero throughout.
-    coasts: bool
+    is_zero: bool
     #: Stamps of the sample in force (0 if none is) and of the next (NEVER_NS if there is none).
     stamp_ns: int
     next_ns: int
@@ -60,6 +60,22 @@ class Drive(NamedTuple):
     span: float
 
 
+class Extras(NamedTuple):
+    """What acts during an interval besides the drive."""
+
+    #: Momentum of the rotors, N m s, in the same fraction as the drive, and the low-order part of
+    #: the first coefficient.
+    momentum: linear_terms.Momentum
+    low_momentum: vector.Vector
+    #: Of the body.
+    constants: linear_terms.Constants
+    #: Degree of the momentum; negative: there are neither rotors nor damping.
+    linear_degree: int
+    #: Torque in space axes, N m, beside a drive in body axes, and its degree; negative: none.
+    space_torque: vector.Polynomial
+    space_degree: int
+
+
 @internal
 def sample_in_force(log: Log, time_ns: int) -> tuple[int, bool]:
     """Return the sample in force at a time, -1 for none yet, and whether it has timed out."""
@@ -73,24 +89,29 @@ def sample_in_force(log: Log, time_ns: int) -> tuple[int, bool]:
 def interval(torque: vector.Polynomial, stamp_ns: int, next_ns: int, idle: bool,
              timeout_ns: int) -> Interval:
     """Return the interval that begins with a sample, or, if it is idle, with its timeout."""
-    coasts = is_zero(torque)
+    none = is_zero(torque)
     if timeout_ns > 0 and not idle and stamp_ns + timeout_ns < next_ns:
-        return Interval(torque, coasts, stamp_ns, next_ns, True, stamp_ns + timeout_ns)
-    return Interval(torque, coasts, stamp_ns, next_ns, False, next_ns)
+        return Interval(torque, none, stamp_ns, next_ns, True, stamp_ns + timeout_ns)
+    return Interval(torque, none, stamp_ns, next_ns, False, next_ns)
+
+
+@inlined
+def span(now: Interval, degree: int) -> float:
+    """Return the seconds until the fraction of a polynomial is 1."""
+    if degree > 0 and now.next_ns < NEVER_NS:
+        return (now.next_ns - now.stamp_ns) / 1e9
+    return 1.0
 
 
 @inlined
 def drive(now: Interval, low: vector.Polynomial, degree: int, in_space: bool,
           body: Body) -> Drive:
     """Return the drive of an interval: the acceleration by a body torque, or a space torque."""
-    span = 1.0
-    if degree > 0 and now.next_ns < NEVER_NS:
-        span = (now.next_ns - now.stamp_ns) / 1e9
     polynomial = now.torque
-    if not in_space and not now.coasts:
+    if not in_space and not now.is_zero:
         polynomial = euler_equations.acceleration_polynomial(
             body.coefficients, body.form, polynomial, low)
-    return Drive(polynomial, degree, in_space, now.stamp_ns, span)
+    return Drive(polynomial, degree, in_space, now.stamp_ns, span(now, degree))
 
 
 @inlined
@@ -135,3 +156,89 @@ def is_zero(torque: vector.Polynomial) -> bool:
     a, b, c, d = torque
     return (layout.is_zero_vector(a) and layout.is_zero_vector(b) and layout.is_zero_vector(c)
             and layout.is_zero_vector(d))
+
+
+@optional
+def extras_of(terms: Floats, index: int, degree: int, span: float,
+              constants: linear_terms.Constants) -> Extras:
+    """Return what acts besides the drive, from `terms` of `loop.run_with_terms`."""
+    index = index if vary(terms) else 0
+    space = polynomial_of(terms, index, 0, degree)
+    a, b, c, d = polynomial_of(terms, index, degree + 1, degree)
+    momentum = coefficient(terms, index, 2 * degree + 2)
+    varies = not is_zero((a, b, c, d))
+    acts = varies or not (layout.is_zero_vector(momentum) and linear_terms.is_zero(
+        constants.damping.matrix))
+    return Extras((momentum, vector.scale(span, a), vector.scale(span / 2, b),
+                   vector.scale(span / 3, c), vector.scale(span / 4, d)),
+                  coefficient(terms, index, 2 * degree + 3), constants,
+                  (degree + 1 if varies else 0) if acts else -1,
+                  space, -1 if is_zero(space) else degree)
+
+
+@optional
+def degree_of(terms: Floats) -> int:
+    """Return the degree of the polynomials in the terms."""
+    return terms.shape[1] // 2 - 2
+
+
+@inlined
+def vary(terms: Floats | None) -> bool:
+    """Return whether the terms differ from sample to sample."""
+    if terms is None:
+        return False
+    return len(terms) > 1
+
+
+@inlined
+def polynomial_of(terms: Floats, index: int, first: int, degree: int) -> vector.Polynomial:
+    """Return the coefficients of a polynomial, the first of which is the one given."""
+    none = four.broadcast(0.0)
+    return (coefficient(terms, index, first),
+            coefficient(terms, index, first + 1) if degree > 0 else none,
+            coefficient(terms, index, first + 2) if degree > 1 else none,
+            coefficient(terms, index, first + 3) if degree > 1 else none)
+
+
+@inlined
+def acts(extras: Extras | None) -> bool:
+    """Return whether anything acts besides the drive."""
+    if extras is None:
+        return False
+    return extras.linear_degree >= 0 or extras.space_degree >= 0
+
+
+@inlined
+def change(extras: Extras | None) -> bool:
+    """Return whether the momentum of the rotors changes."""
+    if extras is None:
+        return False
+    return extras.linear_degree > 0
+
+
+@inlined
+def has_space_torque(extras: Extras | None) -> bool:
+    """Return whether a torque in space axes acts beside the drive."""
+    if extras is None:
+        return False
+    return extras.space_degree >= 0
+
+
+@inlined
+def coasts(polynomials: Floats, terms: Floats | None, index: int,
+           constants: linear_terms.Constants | None) -> bool:
+    """Return whether nothing acts from a sample to the next."""
+    return (is_zero(torque_of(polynomials, index, False))
+            and not acts(extras_of(terms, index, degree_of(terms), 1.0, constants)))
+
+
+@optional
+def ramp(extras: Extras, seconds: float) -> linear_terms.Ramp:
+    """Return the linear terms during a step from the beginning of an interval of held torques."""
+    change = linear_terms.rotor_matrix(extras.constants, vector.scale(seconds, extras.momentum[1]))
+    if layout.is_zero_vector(extras.momentum[1]):
+        start = linear_terms.at(extras.constants, extras.momentum[0], extras.low_momentum)
+    else:  # the rounding error of the matrix changes from step to step, so it does not add up
+        start = linear_terms.rounded_at(extras.constants, extras.momentum[0])
+    return linear_terms.Ramp(start, change, linear_terms.square_rate(start.matrix),
+                             linear_terms.square_rate(change))

@@ -27,8 +27,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import body_layout, euler_equations, state_layout, taylor, vector
-from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.kernels import (
+    body_layout,
+    euler_equations,
+    linear_terms,
+    state_layout,
+    taylor,
+    vector,
+)
+from rigid_body_ros.kernels.jit import inlined, internal, optional
 
 #: Offsets in the array of progress.
 GRID_NS, BEGIN_NS, SAMPLE, TIMED_OUT, DONE = range(5)
@@ -151,6 +158,12 @@ def unpack_body(constants: Floats) -> Body:
     coefficients = body_layout.coefficients(constants)
     frame = body_layout.principal_frame(constants)
     return Body(coefficients, _form(coefficients, frame[0]), frame)
+
+
+@optional
+def unpack_linear(_terms: Floats, constants: Floats) -> linear_terms.Constants:
+    """Return the matrices of a body in a scene that has terms."""
+    return body_layout.linear_constants(constants)
 
 
 @internal

@@ -45,7 +45,9 @@ from rigid_body_ros.kernels import (
     vector,
 )
 from rigid_body_ros.kernels.jit import inlined, internal, njit
+from rigid_body_ros.kernels.linear_terms import Constants
 from rigid_body_ros.propagation import intervals, layout, stepping
+from rigid_body_ros.propagation.intervals import Extras
 from rigid_body_ros.propagation.layout import Body, Log, Method, Outputs, Place, States
 
 #: Results of `run`. FINISHED: all outputs are filled, or the sample to stop at is reached.
@@ -76,7 +78,7 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
         See `layout.Outputs`.
     stamps_ns, polynomials, in_space, first, stop
         See `layout.Log`.
-    constants : float64 (104,)
+    constants : float64 (128,)
         See `body_layout.pack`.
     settings : float64 (6,)
         See `layout.pack_settings`.
@@ -89,6 +91,31 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
         FINISHED, UNFINISHED or TOO_FAST.
 
     """
+    return _run(states, progress, times_ns, rows, motion, closed, stamps_ns, polynomials, in_space,
+                first, stop, constants, settings, budget, None)
+
+
+@njit
+def run_with_terms(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64],
+                   rows: NDArray[np.intp], motion: Floats, closed: NDArray[np.bool_],
+                   stamps_ns: NDArray[np.int64], polynomials: Floats,
+                   in_space: NDArray[np.bool_], first: int, stop: int, constants: Floats,
+                   settings: Floats, budget: int, terms: Floats) -> int:
+    """
+    Do what `run` does for a scene that has more terms.
+
+    `terms` is that of `summation.Summed`, or a single row of it that holds for every sample.
+    """
+    return _run(states, progress, times_ns, rows, motion, closed, stamps_ns, polynomials, in_space,
+                first, stop, constants, settings, budget, terms)
+
+
+@inlined
+def _run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64],
+         rows: NDArray[np.intp], motion: Floats, closed: NDArray[np.bool_],
+         stamps_ns: NDArray[np.int64], polynomials: Floats, in_space: NDArray[np.bool_],
+         first: int, stop: int, constants: Floats, settings: Floats, budget: int,
+         terms: Floats | None) -> int:
     log = Log(stamps_ns, polynomials, in_space, first, stop, layout.unpack_timeout(settings))
     place, reached = layout.load_place(progress), layout.load_states(states)
     if place.sample == layout.IN_FORCE:
@@ -97,7 +124,8 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
         reached = States(reached.grid, reached.grid, reached.grid)
     place, reached = _run_segments(place, reached, Outputs(times_ns, rows, motion, closed), log,
                                    layout.unpack_body(constants),
-                                   layout.unpack_method(settings), budget)
+                                   layout.unpack_method(settings), budget, terms,
+                                   layout.unpack_linear(terms, constants))
     layout.store_place(place, progress)
     layout.store_states(reached, states)
     if stepping.is_too_fast(reached.latest):
@@ -109,7 +137,8 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
 # pass, which costs a third of a step.
 @internal
 def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, body: Body,
-                  method: Method, budget: int) -> tuple[Place, States]:
+                  method: Method, budget: int, terms: Floats | None,
+                  linear: Constants | None) -> tuple[Place, States]:
     grid, begin, latest = reached
     grid_ns, begin_ns, sample, timed_out, done = place
     times_ns, rows, motion, closed = outputs
@@ -121,17 +150,21 @@ def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, bod
         now = intervals.interval(
             intervals.torque_of(polynomials, index, idle), stamps_ns[sample] if sample >= 0 else 0,
             stamps_ns[sample + 1] if sample + 1 < len(stamps_ns) else NEVER_NS, idle, timeout_ns)
-        continues = now.coasts and (now.times_out or (now.next_ns < NEVER_NS and intervals.is_zero(
-            intervals.torque_of(polynomials, index + 1, False))))
+        extras = intervals.extras_of(
+            terms, index, intervals.degree_of(terms),
+            intervals.span(now, polynomials.shape[1] // 2), linear)
+        coasts = now.is_zero and not intervals.acts(extras)
+        continues = coasts and (now.times_out or (now.next_ns < NEVER_NS and intervals.coasts(
+            polynomials, terms, index + 1, linear)))
         row = done if len(rows) == 0 else rows[done]
         asked = times_ns[row] <= now.end_ns
         if asked or not continues:
             time_ns = times_ns[row] if asked else now.end_ns
-            degree = 0 if now.coasts else polynomials.shape[1] // 2
-            space = not now.coasts and in_space[sample]
+            degree = 0 if coasts else polynomials.shape[1] // 2
+            space = not now.is_zero and in_space[sample]
             acceleration = euler_equations.acceleration_from_torque(
                 body.coefficients, body.form, now.torque[0])
-            by_formula = now.coasts and _is_closed(method, begin, time_ns - begin_ns)
+            by_formula = coasts and _is_closed(method, begin, time_ns - begin_ns)
             if by_formula and not prepared:
                 coast, prepared = free_motion.prepare(begin, body.frame), True
             if by_formula and coast.kind != free_motion.NEAR_SEPARATRIX:
@@ -140,23 +173,25 @@ def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, bod
                 budget -= stepping.STEP_COST
             elif time_ns == grid_ns:
                 latest = grid
-            elif (grid_ns == begin_ns and degree == 0 and not space
-                  and _is_short(grid, time_ns - grid_ns, acceleration, method)):
-                if not (asked or now.coasts or now.times_out):
+            elif (grid_ns == begin_ns and degree == 0 and not space and _is_short(
+                    grid, time_ns - grid_ns, acceleration, extras, body, method)):
+                if time_ns == now.end_ns and not (idle or coasts or now.times_out):
                     budget += sample
                     grid, grid_ns, sample, done = _run_short_steps(
                         grid, Place(grid_ns, begin_ns, sample, timed_out, done),
-                        min(budget, len(stamps_ns) - 1), outputs, log, body, method)
-                    begin, begin_ns, prepared = grid, grid_ns, False
+                        min(budget, len(stamps_ns) - 1), outputs, log, body, method, terms,
+                        linear)
+                    begin, latest, begin_ns, prepared = grid, grid, grid_ns, False
                     budget -= sample
                     continue
-                latest = short_step.step(grid, (time_ns - grid_ns) / 1e9, body.coefficients,
-                                         body.form, acceleration, method.tolerance)
+                seconds = (time_ns - grid_ns) / 1e9
+                latest = short_step.step(grid, seconds, body.coefficients, body.form, acceleration,
+                                         method.tolerance, intervals.ramp(extras, seconds))
             else:
                 low = intervals.low_order_parts(polynomials, index)
                 grid, grid_ns, latest, arrived, budget = stepping.advance(
                     grid, grid_ns, time_ns, intervals.drive(now, low, degree, space, body),
-                    body, method, table, budget)
+                    body, method, table, budget, extras)
                 if not arrived:
                     break
             if asked:
@@ -181,23 +216,29 @@ def _is_closed(method: Method, begin: vector.KernelState, span_ns: int) -> bool:
 
 @inlined
 def _is_short(grid: vector.KernelState, rest_ns: int, acceleration: vector.Vector,
-              method: Method) -> bool:
+              extras: Extras | None, body: Body, method: Method) -> bool:
     # Return whether one short step is enough, if the torque is held in body axes.
+    seconds = rest_ns / 1e9
     return (rest_ns < method.max_step_ns and not method.fixed_step
-            and short_step.is_accurate(grid, rest_ns / 1e9, acceleration, method.tolerance))
+            and not intervals.has_space_torque(extras)
+            and short_step.is_accurate(grid, seconds, acceleration, method.tolerance,
+                                       intervals.ramp(extras, seconds)))
 
 
 @internal
-def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs: Outputs,
-                     log: Log, body: Body,
-                     method: Method) -> tuple[vector.KernelState, int, int, int]:
+def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs: Outputs, log: Log,
+                     body: Body, method: Method, terms: Floats | None,
+                     linear: Constants | None) -> tuple[vector.KernelState, int, int, int]:
     # Step from stamp to stamp, at most to the stamp of the sample `last`, under held body torques,
-    # as long as one short step is enough and no output lies between the stamps. Return state,
+    # as long as one short step is enough and no output lies between the stamps. Fill the outputs
+    # at the stamps, except one at the last that is reached. Return state,
     # grid_ns, sample and done. In a function of its own, the compiler keeps the state in
     # registers.
     grid_ns, sample, done = place.grid_ns, place.sample, place.done
     times_ns, rows, motion, _ = outputs
     stamps_ns, polynomials, in_space, _, _, timeout_ns = log
+    extras = intervals.extras_of(terms, sample, 0, 1.0, linear)
+    ramp = intervals.ramp(extras, 1.0)
     while sample < last and done < len(times_ns):
         row = done if len(rows) == 0 else rows[done]
         if times_ns[row] == grid_ns:
@@ -209,13 +250,19 @@ def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs:
             body.coefficients, body.form, torque)
         span_ns = next_ns - grid_ns
         seconds = span_ns / 1e9
+        if intervals.vary(terms):
+            extras = intervals.extras_of(terms, sample, 0, 1.0, linear)
+            ramp = intervals.ramp(extras, seconds)
         if (times_ns[row] < next_ns or span_ns >= method.max_step_ns
-                or in_space[sample] or layout.is_zero_vector(torque)
+                or (in_space[sample] and not layout.is_zero_vector(torque))
+                or (layout.is_zero_vector(torque) and not intervals.acts(extras))
+                or intervals.has_space_torque(extras)
                 or 0 < timeout_ns < next_ns - stamps_ns[sample]
-                or not short_step.is_accurate(grid, seconds, acceleration, method.tolerance)):
+                or not short_step.is_accurate(grid, seconds, acceleration, method.tolerance,
+                                              ramp)):
             break
         grid = short_step.step(grid, seconds, body.coefficients, body.form, acceleration,
-                               method.tolerance)
+                               method.tolerance, ramp)
         grid_ns = next_ns
         sample += 1
     return grid, grid_ns, sample, done

@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.solvers import AUTO, EXACT, LONG_COAST, TAYLOR
+from rigid_body_ros.propagation.summation import Summed
 from rigid_body_ros.torque import TorqueLog
 
 
@@ -45,6 +47,7 @@ class SolverUsage(NamedTuple):
     end_ns: int
     #: At index sample + 1, whether a coast was computed in closed form.
     closed: NDArray[np.bool_]
+    has_rotors: bool = False
 
     def models(self) -> tuple[Model, ...]:
         """Return the spans from the start to the last requested time, in order."""
@@ -79,6 +82,12 @@ class SolverUsage(NamedTuple):
                 return Model(EXACT.name, start_ns, end_ns,
                              f'auto: coast of a body that is {_with_article(self.body.symmetry)}, '
                              'in closed form from its beginning')
+            terms = [name for name, found in (('rotors', self.has_rotors),
+                                              ('damping', self.body.is_damped)) if found]
+            if terms:
+                return Model(TAYLOR.name, start_ns, end_ns,
+                             f'auto: no closed form with {" and ".join(terms)}, truncated below '
+                             f'{self.options.tolerance:g} rad per radian turned')
             return Model(TAYLOR.name, start_ns, end_ns,
                          f'auto: torque, or a coast of up to {LONG_COAST:g} rad or too close to '
                          f'the separatrix, truncated below {self.options.tolerance:g} rad per '
@@ -87,6 +96,28 @@ class SolverUsage(NamedTuple):
             return Model(TAYLOR.name, start_ns, end_ns,
                          'too close to the separatrix for the closed form')
         return Model(solver.name, start_ns, end_ns, 'as requested')
+
+
+class CombinedUsage(NamedTuple):
+    """The same for a motion under several torque logs, with rotors or damping."""
+
+    body: RigidBody
+    #: When the torques change.
+    times_ns: NDArray[np.int64]
+    total: Summed
+    options: Options
+    start_ns: int
+    end_ns: int
+    #: See `SolverUsage`.
+    closed: NDArray[np.bool_]
+    has_rotors: bool
+
+    def models(self) -> tuple[Model, ...]:
+        """Return the spans from the start to the last requested time, in order."""
+        acts = self.total.acts() | self.body.is_damped
+        activity = TorqueLog(self.times_ns, acts[:, None] * np.ones(3))
+        return SolverUsage(self.body, activity, replace(self.options, torque_timeout=0.0),
+                           self.start_ns, self.end_ns, self.closed, self.has_rotors).models()
 
 
 def _with_article(name: str) -> str:

@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -95,10 +95,27 @@ class Options:
         return layout.pack_settings(record.code, record.fixed_step, record.closed_form_beyond,
                                     self.tolerance, self.max_step_ns, self.timeout_ns)
 
-    def rule(self, body: RigidBody, torque: Floats, in_space: bool) -> Hashable:
-        """Return what determines the motion under a held torque, apart from the start."""
+    @cached_property
+    def held_settings(self) -> Floats:
+        """Return the same without the timeout, for torques that do not time out."""
+        return replace(self, torque_timeout=0.0).settings
+
+    def check_linear_terms(self, damping: bool, rotors: bool) -> None:
+        """Raise ValueError if the scene has damping or rotors that the solver does not handle."""
+        if (damping or rotors) and not self.record.takes_linear_terms:
+            raise ValueError(f'solver {self.solver!r} handles neither rotors nor damping, found '
+                             + ('damping' if damping else 'rotors'))
+
+    def rule(self, body: RigidBody, torque: Floats, in_space: bool,
+             terms: Floats | None = None) -> Hashable:
+        """
+        Return what determines the motion under a held torque, apart from the start.
+
+        The terms are the torque in space axes beside one in body axes, and that on the rotors.
+        """
         return (body._constants.tobytes(), self.solver, float(self.tolerance), self.max_step_ns,
-                tuple(torque.ravel().tolist()), in_space and bool(torque.any()))
+                tuple(torque.ravel().tolist()), in_space and bool(torque.any()),
+                tuple(terms.ravel().tolist()) if terms is not None and terms.any() else None)
 
     def too_fast(self, time_ns: int) -> ValueError:
         """Return the error to raise if a nanosecond, the shortest step, is too long."""

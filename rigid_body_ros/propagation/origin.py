@@ -19,8 +19,8 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import NamedTuple
 
-from rigid_body_ros.body import State
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.state import State
 
 
 class Origin(NamedTuple):
@@ -38,6 +38,8 @@ class Origin(NamedTuple):
     #: Time and state of the last grid point before the state.
     grid_ns: int
     grid: Floats
+    #: Momentum of the rotors at the beginning, N m s, and its low-order part, shape (2, 3).
+    rotors: Floats
 
 
 def origin_of(start: State, rule: Hashable) -> Origin:
@@ -50,9 +52,9 @@ def origin_of(start: State, rule: Hashable) -> Origin:
     found = start._origin
     if isinstance(found, Origin) and found.rule == rule:
         return found
-    return Origin(rule, start.time_ns, start._packed, start.time_ns, start._packed)
+    return Origin(rule, start.time_ns, start._packed, start.time_ns, start._packed, start._rotors)
 
 
 def without_origin(state: State) -> State:
     """Return a state at which a new segment begins."""
-    return State._as_computed(state.time_ns, state._packed)
+    return State._as_computed(state.time_ns, state._packed, None, state._rotors)

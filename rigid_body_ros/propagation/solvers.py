@@ -37,6 +37,8 @@ class Solver(NamedTuple):
     #: Whether every step is `max_step` long.
     fixed_step: bool = False
     takes_torque: bool = True
+    #: Whether it takes rotors and damping, which add terms linear in the angular velocity.
+    takes_linear_terms: bool = True
     #: rad; a coast in which the body turns by more is computed in closed form. Negative: every
     #: coast.
     closed_form_beyond: float = math.inf
@@ -44,9 +46,10 @@ class Solver(NamedTuple):
 
 AUTO = Solver('auto', 0, closed_form_beyond=LONG_COAST)
 TAYLOR = Solver('taylor', 1)
-EXACT = Solver('exact', 2, takes_torque=False, closed_form_beyond=-1.0)
+EXACT = Solver('exact', 2, takes_torque=False, takes_linear_terms=False,
+               closed_form_beyond=-1.0)
 RK4 = Solver('rk4', 3, order=steppers.CLASSICAL.order, fixed_step=True)
-STRANG = Solver('strang', 4, order=2, fixed_step=True)
+STRANG = Solver('strang', 4, order=2, fixed_step=True, takes_linear_terms=False)
 EXPLICIT_EULER = Solver('explicit_euler', 5, order=1, fixed_step=True)
 RECORDS = (AUTO, TAYLOR, EXACT, RK4, STRANG, EXPLICIT_EULER)
 #: Their names.

@@ -33,13 +33,14 @@ A step must leave:
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import euler_equations, steppers, taylor, vector
-from rigid_body_ros.kernels.jit import inlined, internal
-from rigid_body_ros.propagation import solvers
-from rigid_body_ros.propagation.intervals import Drive
+from rigid_body_ros.kernels import euler_equations, linear_terms, steppers, taylor, vector
+from rigid_body_ros.kernels.jit import inlined, internal, optional
+from rigid_body_ros.propagation import intervals, solvers
+from rigid_body_ros.propagation.intervals import Drive, Extras
 from rigid_body_ros.propagation.layout import Body, Method
 from rigid_body_ros.propagation.options import FASTEST
 
@@ -63,9 +64,21 @@ class Reached(NamedTuple):
     budget: int
 
 
+class Local(NamedTuple):
+    """The linear terms from a grid point on."""
+
+    #: N m s, in the fraction of the interval.
+    momentum: linear_terms.Momentum
+    linear: linear_terms.Linear
+    #: `linear_terms.square_rate` of the matrix, 1/s^2.
+    square_rate: float
+    #: Bound on the change of the rate, 1/s^2.
+    growth: float
+
+
 @internal
 def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, body: Body,
-            method: Method, table: Floats, budget: int) -> Reached:
+            method: Method, table: Floats, budget: int, extras: Extras | None) -> Reached:
     """
     Step to the last grid point before a time, and from there to the time.
 
@@ -81,30 +94,35 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
         Workspace.
     budget : int
         Units of work after which to return; a step costs `STEP_COST`.
+    extras : Extras or None
+        What acts besides the drive.
 
     Returns
     -------
     Reached
 
     """
-    bound = euler_equations.acceleration_bound(drive.polynomial, drive.in_space, body.coefficients)
-    latest = grid
+    bound = _acceleration_bound(drive, extras, body)
+    latest, now = grid, _local(extras, drive, grid_ns)
     while grid_ns < time_ns:
         if budget <= 0:
             return Reached(grid, grid_ns, latest, False, budget)
         budget -= STEP_COST
         rest_ns = time_ns - grid_ns
-        step_ns = _step_length_ns(grid, rest_ns, bound, method)
+        step_ns = _natural_ns(grid, rest_ns, bound, method, now)
         last = step_ns >= rest_ns
         if last:
             step_ns = rest_ns
-        latest = _step(grid, step_ns / 1e9, grid_ns, drive, bound, body, method, table)
+        latest = _step(grid, step_ns / 1e9, grid_ns, drive, bound, body, method, table, extras,
+                       now)
         if last:
             break
         grid = latest
         grid_ns += step_ns
         if is_too_fast(latest):
             return Reached(grid, grid_ns, latest, False, budget)
+        if intervals.change(extras):
+            now = _local(extras, drive, grid_ns)
     return Reached(grid, grid_ns, latest, True, budget)
 
 
@@ -115,12 +133,15 @@ def is_too_fast(state: vector.KernelState) -> bool:
 
 
 @inlined
-def _step_length_ns(state: vector.KernelState, rest_ns: int, bound: float, method: Method) -> int:
+def _natural_ns(state: vector.KernelState, rest_ns: int, bound: float, method: Method,
+                now: Local | None) -> int:
     # Return the length of the next step on the grid. It depends on the time left only if the step
     # would be longer than that.
     if method.fixed_step:
         return method.max_step_ns
     square, rest = vector.dot(state[0], state[0]), rest_ns / 1e9
+    if now is not None:  # linear terms change the motion as fast as a rotation at that rate
+        square, bound = square + now.square_rate, bound + now.growth
     if rest_ns <= method.max_step_ns and rest * rest * (square + bound) < 0.01:
         return rest_ns  # turns by about 0.1 rad at most
     seconds = taylor.step_seconds(square, bound, method.angle)
@@ -128,29 +149,98 @@ def _step_length_ns(state: vector.KernelState, rest_ns: int, bound: float, metho
 
 
 @inlined
+def _acceleration_bound(drive: Drive, extras: Extras | None, body: Body) -> float:
+    bound = euler_equations.acceleration_bound(drive.polynomial, drive.in_space, body.coefficients)
+    if extras is None:
+        return bound
+    return bound + euler_equations.acceleration_bound(extras.space_torque, True, body.coefficients)
+
+
+@optional
+def _local(extras: Extras, drive: Drive, grid_ns: int) -> Local:
+    # Return the linear terms from a grid point on.
+    if extras.linear_degree <= 0:
+        linear = linear_terms.at(extras.constants, extras.momentum[0], extras.low_momentum)
+        return Local(extras.momentum, linear, linear_terms.square_rate(linear.matrix), 0.0)
+    change, momentum = _rotors_from(extras.momentum,
+                                    (grid_ns - drive.origin_ns) / 1e9 / drive.span)
+    first, low = vector.two_sum(extras.momentum[0], change)
+    linear = linear_terms.at(extras.constants, first, vector.add(low, extras.low_momentum))
+    growth = 0.0
+    for i in range(1, extras.linear_degree + 1):
+        growth += i * math.sqrt(linear_terms.square_rate(
+            linear_terms.rotor_matrix(extras.constants, momentum[i])))
+    return Local(momentum, linear, linear_terms.square_rate(linear.matrix), growth / drive.span)
+
+
+@inlined
+def _rotors_from(momentum: linear_terms.Momentum,
+                 offset: float) -> tuple[vector.Vector, linear_terms.Momentum]:
+    # Return p(offset) - p(0) and p(offset + s) for a polynomial p(s).
+    a, b, c, d, e = momentum
+    change = vector.scale(offset, vector.add_scaled(b, offset, vector.add_scaled(
+        c, offset, vector.add_scaled(d, offset, e))))
+    b = vector.add_scaled(b, offset, vector.add_scaled(
+        vector.scale(2.0, c), offset, vector.add_scaled(
+            vector.scale(3.0, d), 4.0 * offset, e)))
+    c = vector.add_scaled(c, offset, vector.add_scaled(vector.scale(3.0, d), 6.0 * offset, e))
+    d = vector.add_scaled(d, 4.0 * offset, e)
+    return change, (vector.add(a, change), b, c, d, e)
+
+
+@optional
+def _others(extras: Extras, now: Local, drive: Drive, grid_ns: int,
+            seconds: float) -> steppers.Others:
+    # Return what acts besides the drive, in the fraction of a step.
+    offset, ratio = (grid_ns - drive.origin_ns) / 1e9 / drive.span, seconds / drive.span
+    space = extras.space_torque
+    if extras.space_degree > 0:
+        space = vector.shifted(space, offset, ratio)
+    a, b, c, d, e = now.momentum
+    square = ratio * ratio
+    return steppers.Others(
+        (a, vector.scale(ratio, b), vector.scale(square, c), vector.scale(square * ratio, d),
+         vector.scale(square * square, e)), extras.constants.damping.matrix, space)
+
+
+@optional
+def _series(extras: Extras, now: Local, others: steppers.Others,
+            seconds: float) -> taylor.Extras:
+    # Return the same for a step of the series.
+    none = vector.of(0.0, 0.0, 0.0)
+    one = two = three = four = none, none, none
+    if extras.linear_degree > 0:
+        _, b, c, d, e = others.momentum
+        one, two = _change(extras.constants, seconds, b), _change(extras.constants, seconds, c)
+        three, four = _change(extras.constants, seconds, d), _change(extras.constants, seconds, e)
+    changes = one, two, three, four
+    return taylor.Extras(linear_terms.scaled(now.linear, seconds), changes, extras.linear_degree,
+                         others.space_torque, extras.space_degree)
+
+
+@inlined
+def _change(constants: linear_terms.Constants, seconds: float,
+            momentum: vector.Vector) -> linear_terms.Matrix:
+    return linear_terms.rotor_matrix(constants, vector.scale(seconds, momentum))
+
+
+@inlined
 def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive, bound: float,
-          body: Body, method: Method, table: Floats) -> vector.KernelState:
+          body: Body, method: Method, table: Floats, extras: Extras | None,
+          now: Local | None) -> vector.KernelState:
     local = drive.polynomial
     if drive.degree != 0:
-        local = _shifted(local, (grid_ns - drive.origin_ns) / 1e9 / drive.span,
-                         seconds / drive.span)
+        local = vector.shifted(local, (grid_ns - drive.origin_ns) / 1e9 / drive.span,
+                               seconds / drive.span)
+    others = _others(extras, now, drive, grid_ns, seconds)
     if method.solver == _RK4:
-        return steppers.rk4(state, seconds, body.coefficients, local, drive.in_space)
+        return steppers.rk4(state, seconds, body.coefficients, local, drive.in_space, others)
     if method.solver == _STRANG:
         return steppers.strang(state, seconds, body.coefficients, body.frame, local,
-                               drive.in_space)
+                               drive.in_space, others)
     if method.solver == _EXPLICIT_EULER:
-        return steppers.explicit_euler(state, seconds, body.coefficients, local, drive.in_space)
+        return steppers.explicit_euler(state, seconds, body.coefficients, local, drive.in_space,
+                                       others)
     return taylor.step(state, seconds, body.coefficients, body.form, local, drive.degree,
-                       drive.in_space, bound, method.tolerance, table)
-
-
-@internal
-def _shifted(polynomial: vector.Polynomial, offset: float, ratio: float) -> vector.Polynomial:
-    # Return p(offset + ratio s) for a polynomial p(s), by Horner's rule (a Taylor shift).
-    a, b, c, d = polynomial
-    a = vector.add_scaled(a, offset, vector.add_scaled(b, offset, vector.add_scaled(c, offset, d)))
-    b = vector.add_scaled(b, offset, vector.add_scaled(vector.scale(2.0, c), 3.0 * offset, d))
-    c = vector.add_scaled(c, 3.0 * offset, d)
-    square = ratio * ratio
-    return a, vector.scale(ratio, b), vector.scale(square, c), vector.scale(square * ratio, d)
+                       drive.in_space, bound, method.tolerance, table,
+                       _series(extras, now, others, seconds))

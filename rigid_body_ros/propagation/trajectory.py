@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from rigid_body_ros import euler, so3
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.propagation.models import Model, SolverUsage
+from rigid_body_ros.propagation.models import CombinedUsage, Model, SolverUsage
+from rigid_body_ros.propagation.summation import Rotors
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -50,7 +51,9 @@ class Trajectory:
     times_ns: NDArray[np.int64]
     attitude: Floats
     angular_velocity: Floats
-    _usage: SolverUsage
+    _usage: SolverUsage | CombinedUsage
+    #: None without rotors.
+    _rotors: Rotors | None = None
 
     def __repr__(self) -> str:
         if not self.times_ns.size:
@@ -105,11 +108,21 @@ class Trajectory:
         return self._usage.models()
 
     @cached_property
+    def rotor_momentum(self) -> Floats:
+        """Momentum of the rotors relative to the body, N m s, body axes, shape (m, 3)."""
+        if self._rotors is None:
+            return np.zeros((self.times_ns.size, 3))
+        return self._rotors.momentum(self.times_ns)
+
+    @cached_property
     def angular_momentum_space(self) -> Floats:
-        """Angular momentum in space axes, N m s, shape (m, 3)."""
-        return so3.rotate(self.attitude, self.body.angular_momentum(self.angular_velocity))
+        """Angular momentum in space axes, N m s, shape (m, 3), that of the rotors included."""
+        momentum = self.body.angular_momentum(self.angular_velocity)
+        if self._rotors is not None:
+            momentum = momentum + self.rotor_momentum
+        return so3.rotate(self.attitude, momentum)
 
     @cached_property
     def kinetic_energy(self) -> Floats:
-        """Kinetic energy, J, shape (m,)."""
+        """Kinetic energy w . J w / 2, J, shape (m,); that of the rotors is not included."""
         return self.body.kinetic_energy(self.angular_velocity)

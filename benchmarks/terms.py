@@ -1,0 +1,110 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Measure what rotors, damping and several sources cost: the time of a run relative to one without.
+
+    python benchmarks/terms.py [WORD]
+
+With WORD, only the rows whose names contain it. Both runs take turns. A ratio is that of the
+median times, with a 95 % confidence interval from the ratios of single rounds; its upper end must
+not exceed the limit. Strong damping has no limit: the steps must follow it.
+"""
+
+import sys
+
+import numpy as np
+from pairs import compare
+from problems import PROBLEMS, wave
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+
+SECOND = 10 ** 9
+MOMENTS, RATES = (1.0, 2.0, 3.0), (0.3, -0.2, 0.5)
+HELD = TorqueLog([0], [[0.02, -0.01, 0.03]])
+#: A minute at 1 kHz.
+STAMPS = np.arange(60_000) * (SECOND // 1000)
+STREAM = TorqueLog(STAMPS, wave())
+DAMPING = np.diag([0.01, 0.02, 0.03])
+#: Limits of the ratios.
+LINEAR, SOURCES = 1.25, 2.0
+
+
+class Run:
+    """A motion over a minute, for `compare`."""
+
+    def __init__(self, log=None, wheels=None, rotors=(0.0, 0.0, 0.0), damping=None, at=60):
+        """Take the arguments of `propagate`, a momentum, a tensor, and the end, s, or times."""
+        self._body = RigidBody(np.diag(MOMENTS), damping)
+        self._start = State(0, angular_velocity=RATES, rotor_momentum=rotors)
+        self._log = log
+        self._options = {'wheels': wheels, 'solver': 'taylor',
+                         'at': [at * SECOND] if isinstance(at, int) else at}
+
+    def reset(self):
+        """Do nothing: a motion is a function of its scene."""
+
+    def run(self):
+        """Propagate."""
+        propagate(self._body, self._start, self._log, **self._options)
+
+
+def linear_rows():
+    """Yield name, limit and both runs for rotors and damping, each with the same torques."""
+    for name, log, at in (('coast', None, 60), ('held torque', HELD, 60),
+                          ('1 kHz', STREAM, PROBLEMS['P4'].at)):
+        plain = Run(log, at=at)
+        for share in (0.1, 1.0):
+            rotors = share * np.multiply(MOMENTS, RATES)
+            yield (f'{name}, rotors {share:g} J w', LINEAR, plain, Run(log, None, rotors, at=at))
+        yield f'{name}, damping', LINEAR, plain, Run(log, damping=DAMPING, at=at)
+
+
+def source_rows():
+    """Yield the same for a minute at 1 kHz with wheels and two sources."""
+    at = PROBLEMS['P4'].at
+    wheels = TorqueLog(STAMPS, 0.1 * wave()[::-1])
+    for name, other in (
+            ('two sources in body axes', TorqueLog(STAMPS, 0.2 * wave()[::-1])),
+            ('sources in body and space axes', TorqueLog(STAMPS, 0.2 * wave()[::-1], 'space')),
+            ('second source at 100 Hz', TorqueLog(STAMPS[::10], 0.2 * wave()[::10], 'space')),
+            ('second source between the stamps', TorqueLog(STAMPS + 300_000, 0.2 * wave()))):
+        yield (f'1 kHz, wheels, {name}', SOURCES, Run(STREAM, at=at),
+               Run([STREAM, other], wheels, at=at))
+
+
+def strong_rows():
+    """Yield the same for strong damping under a torque, without a limit."""
+    for rate in (5.0, 50.0, 500.0, 5000.0):
+        yield (f'held torque, damping of {rate:g} 1/s', np.inf, Run(HELD),
+               Run(HELD, damping=rate * np.diag(MOMENTS)))
+
+
+def main():
+    """Print a row for each comparison."""
+    word = ' '.join(sys.argv[1:])
+    for name, limit, plain, other in (*linear_rows(), *source_rows(), *strong_rows()):
+        if word in name:
+            for run in (plain, other):
+                run.run()  # compiles
+            times = compare(plain, other)
+            ratio = times.ratio
+            verdict = '' if limit == np.inf else \
+                f' limit {limit:g}  {"pass" if ratio[2] <= limit else "MISS"}'
+            print(f'{name:50} {1e6 * np.median(times.ours):9.1f} us '
+                  f'{1e6 * np.median(times.peers):9.1f} us  '
+                  'ratio {:.3g} [{:.3g}, {:.3g}]'.format(*ratio) + verdict, flush=True)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,189 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The terms of Euler's equations that are linear in the angular velocity: rotors and damping.
+
+    J dw/dt = (J w + h) x w + tau - D w
+
+The momentum h of the rotors and the damping D contribute A w to the acceleration, where
+A = J^-1 ([h]x - D). The matrix is computed in twice the working precision: an error of A that is
+the same in every step would change the energy of a long run.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from rigid_body_ros.kernels import four
+from rigid_body_ros.kernels.jit import inlined
+from rigid_body_ros.kernels.vector import add, of, scale, total, two_sum, Vector
+
+#: The entries (i, i + k) of a matrix, modulo 3, for k = 0, 1 and 2: a product with a vector takes
+#: three multiplications of four numbers each.
+Matrix = tuple[Vector, Vector, Vector]
+#: N m s: coefficients of the momentum of the rotors, of degree 4 in the fraction of a span.
+Momentum = tuple[Vector, Vector, Vector, Vector, Vector]
+
+
+class Linear(NamedTuple):
+    """A matrix and its low-order part."""
+
+    matrix: Matrix
+    low: Matrix
+
+
+class Constants(NamedTuple):
+    """The matrices of a body."""
+
+    #: J^-1, 1 / (kg m^2).
+    inverse: Linear
+    #: J^-1 D, 1/s.
+    damping: Linear
+
+
+class Ramp(NamedTuple):
+    """The matrix A, 1/s, during a step in which the torque on the rotors is held."""
+
+    start: Linear
+    #: The change during the step, 1/s.
+    change: Matrix
+    #: `square_rate` of both, 1/s^2.
+    square_rate: float
+    square_change: float
+
+
+@inlined
+def from_columns(a: Vector, b: Vector, c: Vector) -> Matrix:
+    """Return the matrix with these columns."""
+    return of(a[0], b[1], c[2]), of(b[0], c[1], a[2]), of(c[0], a[1], b[2])
+
+
+@inlined
+def at(constants: Constants, momentum: Vector, low: Vector) -> Linear:
+    """
+    Return the matrix A for a momentum of the rotors.
+
+    Parameters
+    ----------
+    constants : Constants
+        Of the body.
+    momentum, low : Vector
+        Momentum of the rotors and its low-order part, N m s, body axes.
+
+    Returns
+    -------
+    Linear
+        In 1/s.
+
+    """
+    (p, q, r), (low_p, low_q, low_r) = constants.inverse
+    (d, e, f), (low_d, low_e, low_f) = constants.damping
+    h, low_h, minus_h, minus_low_h = momentum, low, four.negative(momentum), four.negative(low)
+    yzx, low_yzx = four.yzx(h), four.yzx(low_h)
+    zxy, low_zxy = four.zxy(h), four.zxy(low_h)
+    one, low_one = _diagonal(q, low_q, zxy, low_zxy, r, low_r, four.yzx(minus_h),
+                             four.yzx(minus_low_h), d, low_d)
+    two, low_two = _diagonal(r, low_r, h, low_h, p, low_p, four.zxy(minus_h),
+                             four.zxy(minus_low_h), e, low_e)
+    three, low_three = _diagonal(p, low_p, yzx, low_yzx, q, low_q, minus_h, minus_low_h, f, low_f)
+    return Linear((one, two, three), (low_one, low_two, low_three))
+
+
+@inlined
+def _diagonal(p: Vector, low_p: Vector, a: Vector, low_a: Vector, q: Vector, low_q: Vector,
+              b: Vector, low_b: Vector, d: Vector, low_d: Vector) -> tuple[Vector, Vector]:
+    # Return p a + q b - d and its low-order part.
+    left, right = four.multiply(p, a), four.multiply(q, b)
+    rest = add(four.fma(p, a, four.negative(left)), four.fma(q, b, four.negative(right)))
+    rest = four.fma(low_p, a, four.fma(low_q, b, rest))
+    rest = four.fma(p, low_a, four.fma(q, low_b, rest))
+    both, lost = two_sum(left, right)
+    diagonal, more = two_sum(both, four.negative(d))
+    return diagonal, add(four.subtract(rest, low_d), add(lost, more))
+
+
+@inlined
+def rotor_matrix(constants: Constants, momentum: Vector) -> Matrix:
+    """Return J^-1 [h]x, 1/s, without low-order parts."""
+    p, q, r = constants.inverse.matrix
+    yzx, zxy, minus = four.yzx(momentum), four.zxy(momentum), four.negative(momentum)
+    return (four.fma(q, zxy, four.multiply(r, four.yzx(minus))),
+            four.fma(r, momentum, four.multiply(p, four.zxy(minus))),
+            four.fma(p, yzx, four.multiply(q, minus)))
+
+
+@inlined
+def rounded_at(constants: Constants, momentum: Vector) -> Linear:
+    """Return what `at` returns, without low-order parts, which take most of its time."""
+    x, y, z = rotor_matrix(constants, momentum)
+    d, e, f = constants.damping.matrix
+    none = four.broadcast(0.0)
+    return Linear((four.subtract(x, d), four.subtract(y, e), four.subtract(z, f)),
+                  (none, none, none))
+
+
+@inlined
+def square_rate(matrix: Matrix) -> float:
+    """
+    Return the square of the rate of rotation that limits a step as much as the matrix, 1/s^2.
+
+    The rate is half the Frobenius norm. Linear terms limit a step less than products of w do: on
+    their own they give an entire function, whose series converges everywhere.
+    """
+    x, y, z = matrix
+    return 0.25 * total(four.fma(x, x, four.fma(y, y, four.multiply(z, z))))
+
+
+@inlined
+def is_zero(matrix: Matrix) -> bool:
+    """Return whether all entries are zero."""
+    return square_rate(matrix) == 0.0
+
+
+@inlined
+def add_product(rest: Vector, matrix: Matrix, w: Vector, w_yzx: Vector, w_zxy: Vector) -> Vector:
+    """Return the product with a vector, given in its three permutations, plus a rest."""
+    x, y, z = matrix
+    return add(four.fma(z, w_zxy, rest), four.fma(y, w_yzx, four.multiply(x, w)))
+
+
+@inlined
+def product(matrix: Matrix, w: Vector) -> Vector:
+    """Return the product with a vector."""
+    return add_product(four.broadcast(0.0), matrix, w, four.yzx(w), four.zxy(w))
+
+
+@inlined
+def scaled(linear: Linear, factor: float) -> Linear:
+    """Return a multiple of a matrix with a low-order part."""
+    (x, y, z), (low_x, low_y, low_z) = linear
+    one, low_one = _scaled_diagonal(x, low_x, factor)
+    two, low_two = _scaled_diagonal(y, low_y, factor)
+    three, low_three = _scaled_diagonal(z, low_z, factor)
+    return Linear((one, two, three), (low_one, low_two, low_three))
+
+
+@inlined
+def scaled_matrix(matrix: Matrix, factor: float) -> Matrix:
+    """Return a multiple of a matrix."""
+    x, y, z = matrix
+    return scale(factor, x), scale(factor, y), scale(factor, z)
+
+
+@inlined
+def _scaled_diagonal(diagonal: Vector, low: Vector, factor: float) -> tuple[Vector, Vector]:
+    by = four.broadcast(factor)
+    high = four.multiply(by, diagonal)
+    return high, four.fma(by, low, four.fma(by, diagonal, four.negative(high)))

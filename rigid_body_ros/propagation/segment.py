@@ -1,0 +1,169 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The motion under held torques that do not change."""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Mapping
+import sys
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rigid_body_ros.body import RigidBody
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import motion_layout
+from rigid_body_ros.propagation import layout, loop, summation
+from rigid_body_ros.propagation.options import Options
+from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
+from rigid_body_ros.state import State
+
+#: The key of the torque on the rotors among the sources: the last one.
+WHEELS = sys.maxsize
+#: Outputs of the loop that are not read: only its latest state is used.
+_UNUSED = motion_layout.allocate(1), np.empty(2, np.bool_)
+_NONE = np.full((1, 3), -0.0)  # to add to -0 changes no bit of a torque
+_ONE_SOURCE = np.zeros((2, 3))
+
+
+class Sample(NamedTuple):
+    """A torque, N m, shape (1, 3), of one source."""
+
+    stamp_ns: int
+    torque: Floats
+    in_space: bool
+
+
+class Sum(NamedTuple):
+    """The sum of the torques of all sources, as `summation.Summed` arranges it."""
+
+    torque: Floats
+    in_space: bool
+    #: In space axes beside one in body axes, and on the rotors; shape (2, 3), N m.
+    terms: Floats
+
+    def is_zero(self) -> bool:
+        """Return whether no torque acts."""
+        return not (self.torque.any() or self.terms.any())
+
+
+def summed(samples: Mapping[int, Sample], time_ns: int, timeout_ns: int) -> Sum:
+    """Return the sum of the samples that have not timed out, in the order of the sources."""
+    body = space = rotors = _NONE
+    for source in sorted(samples):
+        stamp_ns, torque, in_space = samples[source]
+        if 0 < timeout_ns <= time_ns - stamp_ns:
+            continue
+        if source == WHEELS:
+            rotors = rotors + torque
+            body = body - torque
+        elif in_space:
+            space = space + torque
+        else:
+            body = body + torque
+    if not body.any() and space.any():
+        body, space, in_space = space, np.zeros((1, 3)), True
+    else:
+        in_space = False
+    if space is _NONE and rotors is _NONE:
+        return Sum(body, in_space, _ONE_SOURCE)
+    return Sum(body, in_space, np.concatenate([space, rotors]))
+
+
+def timed_out(reached_ns: int) -> TimeoutError:
+    """Return the error to raise at the limit on the computing time."""
+    return TimeoutError(f'the limit on the computing time was reached at {reached_ns} ns of the '
+                        'motion: call again to continue from there, or raise the limit')
+
+
+def _read_only(values: ArrayLike) -> NDArray[Any]:
+    """Return a read-only array, as in a log: the kernels are compiled for this type."""
+    array = np.array(values)
+    array.flags.writeable = False
+    return array
+
+
+class Segment:
+    """The motion under held torques, with the grid points reached so far."""
+
+    def __init__(self, body: RigidBody, options: Options, history_ns: int, start: State,
+                 total: Sum) -> None:
+        torque, in_space, terms = total
+        self.coasts = total.is_zero() and not (body.is_damped or start._has_rotors)
+        self._options, self._history_ns = options, history_ns
+        self._rule = options.rule(body, torque, in_space, terms)
+        origin = origin_of(start, self._rule)
+        self._rotors = origin.rotors
+        #: See `summation.Summed`; None if only a torque in one frame acts.
+        self._terms = None
+        if body.is_damped or terms.any() or origin.rotors.any():
+            self._terms = np.concatenate([terms, origin.rotors])[None]
+        self._grid_ns = [*dict.fromkeys((origin.begin_ns, origin.grid_ns))]
+        self._states = [origin.begin, origin.grid][:len(self._grid_ns)]
+        self._log = _read_only([origin.begin_ns]), _read_only([torque]), _read_only([in_space])
+        self._constants = body._constants
+
+    def state_at(self, time_ns: int, until: float) -> State:
+        """Return the state at a time, or raise TimeoutError or ValueError as `Propagator.at`."""
+        begin_ns, begin = self._grid_ns[0], self._states[0]
+        if time_ns == begin_ns:
+            return self._state(time_ns, begin, begin_ns, begin)
+        nearest = bisect.bisect_right(self._grid_ns, time_ns) - 1
+        states = layout.pack_states(self._states[nearest], begin)
+        progress = layout.pack_place(self._grid_ns[nearest], begin_ns, 0)
+        self._run(states, progress, time_ns, until)
+        grid, _, latest = layout.unpack_states(states)
+        grid_ns = int(progress[layout.GRID_NS])
+        if grid_ns > self._grid_ns[-1]:
+            self._grid_ns.append(grid_ns)
+            self._states.append(grid)
+            self._discard_grid_points(grid_ns - self._history_ns)
+        if not progress[layout.DONE]:
+            raise timed_out(grid_ns)
+        return self._state(time_ns, latest, grid_ns, grid)
+
+    def _state(self, time_ns: int, packed: Floats, grid_ns: int, grid: Floats) -> State:
+        begin_ns, rotors = self._grid_ns[0], self._rotors
+        if self._terms is not None:
+            rotors = summation.momentum_at(np.array([begin_ns]), self._terms,
+                                           np.array([time_ns]))[0]
+            rotors.flags.writeable = False
+        return State._as_computed(time_ns, packed, Origin(
+            self._rule, begin_ns, self._states[0], grid_ns, grid, self._rotors), rotors)
+
+    def _run(self, states: Floats, progress: NDArray[np.int64], time_ns: int,
+             until: float) -> None:
+        """Run the loop up to a time, or until the computing time is used up."""
+        arguments = (states, progress, np.array([time_ns]), loop.IN_ORDER, *_UNUSED, *self._log,
+                     0, 1, self._constants, self._options.held_settings, loop.BUDGET)
+        while result := (loop.run(*arguments) if self._terms is None
+                         else loop.run_with_terms(*arguments, self._terms)):
+            if result == loop.TOO_FAST:
+                raise self._options.too_fast(
+                    time_ns if progress[layout.DONE] else int(progress[layout.GRID_NS]))
+            if time.monotonic() > until:
+                break
+
+    def end_at(self, time_ns: int, until: float) -> State:
+        """Return the state that the next segment begins with, even if the torque is the same."""
+        return without_origin(self.state_at(time_ns, until))
+
+    def _discard_grid_points(self, horizon_ns: int) -> None:
+        # Keep those of the last `history`, which `at` resumes from after a late torque, and the
+        # beginning, from which it computes any earlier time.
+        while len(self._grid_ns) > 2 and self._grid_ns[2] <= horizon_ns:
+            del self._grid_ns[1], self._states[1]

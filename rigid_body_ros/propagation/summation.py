@@ -1,0 +1,346 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The sum of several torque logs, and the momentum of the rotors.
+
+The sum changes whenever one of its sources does. Torques are added in the order of the sources,
+so the order in which they arrive changes no bit. The momentum of the rotors is the integral of the
+torque on them, in twice the working precision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.kernels import four
+from rigid_body_ros.kernels.double_double import DoubleDouble
+from rigid_body_ros.kernels.jit import fma, inlined, njit
+from rigid_body_ros.kernels.vector import (
+    add,
+    add_scaled,
+    of,
+    Polynomial,
+    scale,
+    shifted,
+    two_sum,
+    Vector,
+)
+from rigid_body_ros.propagation import intervals, layout
+from rigid_body_ros.torque import TorqueLog
+
+
+class Summed(NamedTuple):
+    """The sum of torque logs from a start on."""
+
+    #: int64 (n,), ns, strictly ascending: the start, and the times at which a torque changes.
+    times_ns: NDArray[np.int64]
+    #: float64 (n, 2 degree + 1, 3), N m: torque from each time to the next, as
+    #: `TorqueLog.polynomials` returns it. In body axes the torque on the rotors is subtracted.
+    polynomials: Floats
+    #: bool (n,): whether these are in space axes.
+    in_space: NDArray[np.bool_]
+    #: float64 (n, 2 degree + 4, 3): the coefficients, N m, of a torque in space axes where one in
+    #: body axes acts as well; those of the torque on the rotors; the momentum of the rotors,
+    #: N m s, at each time, and its low-order part.
+    terms: Floats
+
+    def acts(self, rows: slice = slice(None)) -> NDArray[np.bool_]:
+        """Return whether torques or rotors act on the body from each time on."""
+        torques, terms = self.polynomials[rows], self.terms[rows]
+        return np.asarray(torques.any(axis=(1, 2)) | terms.any(axis=(1, 2)))
+
+
+class Rotors(NamedTuple):
+    """The momentum of the rotors during a motion; see `Summed`, or one row that always holds."""
+
+    times_ns: NDArray[np.int64]
+    terms: Floats
+
+    def momentum(self, times_ns: NDArray[np.int64]) -> Floats:
+        """Return the momentum at times in any order, N m s, shape (m, 3)."""
+        return momentum_at(self.times_ns, self.terms, times_ns)[:, 0]
+
+
+#: Momentum of the rotors, N m s, and its low-order part.
+Rotor = tuple[Vector, Vector]
+
+
+class _Total(NamedTuple):
+    """The sum of torques, N m, in the fraction of an interval."""
+
+    body: Polynomial
+    #: Low-order parts of the coefficients.
+    low: Polynomial
+    space: Polynomial
+    rotors: Polynomial
+
+
+class _Samples(NamedTuple):
+    """The samples of all sources, one source after the other."""
+
+    #: float64 (n, 2 degree + 1, 3), N m.
+    coefficients: Floats
+    stamps_ns: NDArray[np.int64]
+    in_space: NDArray[np.bool_]
+    #: int (sources + 1,): where each source begins.
+    offsets: NDArray[np.intp]
+
+
+def summed(logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int, momentum: Floats,
+           timeout_ns: int) -> Summed:
+    """
+    Return the sum of torque logs and the momentum of the rotors.
+
+    Parameters
+    ----------
+    logs : sequence of TorqueLog
+        Torques on the body.
+    wheels : TorqueLog
+        Torque on the rotors, body axes.
+    start_ns : int
+        Start of the motion.
+    momentum : array, shape (2, 3), N m s
+        Momentum of the rotors at the start, and its low-order part.
+    timeout_ns : int
+        As for `TorqueLog.segments`.
+
+    Returns
+    -------
+    Summed
+
+    """
+    sources = [*logs, wheels]
+    pieces = [_pieces(log) for log in sources]
+    degree = max(piece.shape[1] // 2 for piece in pieces)
+    samples = _Samples(np.concatenate([_padded(piece, degree) for piece in pieces]),
+                       np.concatenate([log.times_ns for log in sources]),
+                       np.concatenate([log.in_space for log in sources]),
+                       np.cumsum([0, *map(len, sources)]))
+    result = Summed(*_sum(*samples, timeout_ns, start_ns, momentum))
+    for array in (result.polynomials, result.in_space):  # one type for the kernels
+        array.flags.writeable = False
+    return result
+
+
+def _pieces(log: TorqueLog) -> Floats:
+    """Return the polynomials of a log, shape (n, 2 degree + 1, 3), N m."""
+    chunks = [chunk[:stop - first] for first, stop, chunk in log.polynomials(0)]
+    return chunks[0] if len(chunks) == 1 else np.concatenate(chunks)
+
+
+def _padded(coefficients: Floats, degree: int) -> Floats:
+    """Return polynomials with zeros for the coefficients up to a degree."""
+    count, own = len(coefficients), coefficients.shape[1] // 2
+    if own == degree:
+        return coefficients
+    result = np.zeros((count, 2 * degree + 1, 3))
+    result[:, :own + 1] = coefficients[:, :own + 1]
+    result[:, degree + 1:degree + 1 + own] = coefficients[:, own + 1:]
+    return result
+
+
+@njit
+def _sum(coefficients: Floats, stamps_ns: NDArray[np.int64], in_space: NDArray[np.bool_],
+         offsets: NDArray[np.intp], timeout_ns: int, start_ns: int,
+         momentum: Floats) -> tuple[NDArray[np.int64], Floats, NDArray[np.bool_], Floats]:
+    count, degree = len(offsets) - 1, coefficients.shape[1] // 2
+    limit = 1 + len(stamps_ns) * (2 if timeout_ns > 0 else 1)
+    samples = offsets[:-1] - 1  # in force, of each source
+    # Memory that is never touched takes no time: sources with the same stamps do not need it all.
+    times, spaces = np.empty(limit, np.int64), np.empty(limit, np.bool_)
+    torques, terms = np.empty((limit, 2 * degree + 1, 3)), np.empty((limit, 2 * degree + 4, 3))
+    rotors = (of(momentum[0, 0], momentum[0, 1], momentum[0, 2]),
+              of(momentum[1, 0], momentum[1, 1], momentum[1, 2]))
+    at, time_ns = 0, start_ns
+    while time_ns < NEVER_NS:
+        next_ns = NEVER_NS
+        for k in range(count):
+            while samples[k] + 1 < offsets[k + 1] and stamps_ns[samples[k] + 1] <= time_ns:
+                samples[k] += 1
+            next_ns = min(next_ns, _next_change(stamps_ns, samples[k], offsets[k],
+                                                offsets[k + 1], time_ns, timeout_ns))
+        length_ns = next_ns - time_ns if next_ns < NEVER_NS else NEVER_NS
+        total = _Total(_nothing(), _nothing(), _nothing(), _nothing())
+        for k in range(count):
+            row = samples[k]
+            if row >= offsets[k] and not 0 < timeout_ns <= time_ns - stamps_ns[row]:
+                span_ns = stamps_ns[row + 1] - stamps_ns[row] if row + 1 < offsets[k + 1] \
+                    else NEVER_NS
+                total = _add(total, _piece(coefficients, row, time_ns - stamps_ns[row], span_ns,
+                                           length_ns), k == count - 1, in_space[row])
+        times[at], spaces[at] = time_ns, _store(total, rotors, at, torques, terms)
+        if next_ns < NEVER_NS:
+            rotors = _after(rotors, total.rotors, length_ns, length_ns)
+        at, time_ns = at + 1, next_ns
+    return times[:at], torques[:at], spaces[:at], terms[:at]
+
+
+@inlined
+def _nothing() -> Polynomial:
+    # To add to -0 changes no bit of a torque.
+    nothing = four.broadcast(-0.0)
+    return nothing, nothing, nothing, nothing
+
+
+@inlined
+def _zero() -> Polynomial:
+    zero = four.broadcast(0.0)
+    return zero, zero, zero, zero
+
+
+@inlined
+def _next_change(stamps_ns: NDArray[np.int64], sample: int, first: int, stop: int, time_ns: int,
+                 timeout_ns: int) -> int:
+    # Return when the torque of a source changes next: at its next stamp, or when it times out.
+    next_ns = stamps_ns[sample + 1] if sample + 1 < stop else NEVER_NS
+    if timeout_ns > 0 and sample >= first and stamps_ns[sample] + timeout_ns > time_ns:
+        return min(next_ns, stamps_ns[sample] + timeout_ns)
+    return next_ns
+
+
+@inlined
+def _piece(coefficients: Floats, row: int, passed_ns: int, span_ns: int,
+           length_ns: int) -> tuple[Polynomial, Polynomial]:
+    # Return a part of a polynomial that begins some time after its stamp; with the low-order parts
+    # if it is the whole polynomial.
+    torque = intervals.torque_of(coefficients, row, False)
+    if coefficients.shape[1] == 1 or (passed_ns == 0 and length_ns == span_ns):
+        return torque, intervals.low_order_parts(coefficients, row)
+    return shifted(torque, passed_ns / span_ns, length_ns / span_ns), _zero()
+
+
+@inlined
+def _add(total: _Total, piece: tuple[Polynomial, Polynomial], on_rotors: bool,
+         in_space: bool) -> _Total:
+    (body, low, space, rotors), (torque, torque_low) = total, piece
+    if in_space:
+        return _Total(body, low, _plus(space, torque), rotors)
+    if on_rotors:
+        return _Total(_minus(body, torque), _minus(low, torque_low), space, _plus(rotors, torque))
+    return _Total(_plus(body, torque), _plus(low, torque_low), space, rotors)
+
+
+@inlined
+def _plus(p: Polynomial, q: Polynomial) -> Polynomial:
+    (a, b, c, d), (e, f, g, h) = p, q
+    return add(a, e), add(b, f), add(c, g), add(d, h)
+
+
+@inlined
+def _minus(p: Polynomial, q: Polynomial) -> Polynomial:
+    (a, b, c, d), (e, f, g, h) = p, q
+    return four.subtract(a, e), four.subtract(b, f), four.subtract(c, g), four.subtract(d, h)
+
+
+@inlined
+def _store(total: _Total, rotors: Rotor, at: int, torques: Floats, terms: Floats) -> bool:
+    # Store the sum at a row. If only a torque in space axes acts, store it where a single one
+    # stands, and return True.
+    (body, low, space, on_rotors), degree = total, torques.shape[1] // 2
+    only_space = intervals.is_zero(body) and not intervals.is_zero(space)
+    if only_space:
+        body, low, space = space, _zero(), _zero()
+    _store_polynomial(torques, at, 0, degree, body)
+    _store_vector(torques, at, degree + 1, low[1], degree > 0)
+    _store_vector(torques, at, degree + 2, low[2], degree > 1)
+    _store_vector(torques, at, degree + 3, low[3], degree > 1)
+    _store_polynomial(terms, at, 0, degree, space)
+    _store_polynomial(terms, at, degree + 1, degree, on_rotors)
+    _store_vector(terms, at, 2 * degree + 2, rotors[0], True)
+    _store_vector(terms, at, 2 * degree + 3, rotors[1], True)
+    return only_space
+
+
+@inlined
+def _store_polynomial(rows: Floats, at: int, first: int, degree: int,
+                      polynomial: Polynomial) -> None:
+    _store_vector(rows, at, first, polynomial[0], True)
+    _store_vector(rows, at, first + 1, polynomial[1], degree > 0)
+    _store_vector(rows, at, first + 2, polynomial[2], degree > 1)
+    _store_vector(rows, at, first + 3, polynomial[3], degree > 1)
+
+
+@inlined
+def _store_vector(rows: Floats, at: int, i: int, vector: Vector, exists: bool) -> None:
+    if exists:
+        rows[at, i, 0], rows[at, i, 1], rows[at, i, 2] = vector[0], vector[1], vector[2]
+
+
+@inlined
+def _after(before: Rotor, torque: Polynomial, passed_ns: int, span_ns: int) -> Rotor:
+    # Return the momentum of the rotors some time after a change of the torque.
+    (a, b, c, d), fraction = torque, passed_ns / span_ns
+    mean = add_scaled(a, fraction, add_scaled(scale(1 / 2, b), fraction, add_scaled(
+        scale(1 / 3, c), fraction, scale(1 / 4, d))))
+    if layout.is_zero_vector(mean):
+        return before
+    (h, low), (high_seconds, low_seconds) = before, _seconds(passed_ns)
+    factor = four.broadcast(high_seconds)
+    change = four.multiply(factor, mean)
+    rest = four.fma(factor, mean, four.negative(change))
+    h, lost = two_sum(h, change)
+    low = add(add(lost, low), add_scaled(rest, low_seconds, mean))
+    new = add(h, low)
+    return new, four.subtract(low, four.subtract(new, h))
+
+
+@inlined
+def _seconds(span_ns: int) -> DoubleDouble:
+    # `double_double.seconds` is exact to more digits than needed here, and takes several times
+    # as long.
+    rounded = float(span_ns)
+    high = rounded / 1e9
+    return high, (fma(-high, 1e9, rounded) + float(span_ns - int(rounded))) / 1e9
+
+
+@njit
+def momentum_at(summed_times_ns: NDArray[np.int64], terms: Floats,
+                times_ns: NDArray[np.int64]) -> Floats:
+    """
+    Return the momentum of the rotors and its low-order part.
+
+    Parameters
+    ----------
+    summed_times_ns, terms
+        See `Summed`.
+    times_ns : int64 (m,), ns
+        In any order, none before the first time of the sum.
+
+    Returns
+    -------
+    array, shape (m, 2, 3), N m s
+
+    """
+    result, last = np.empty((len(times_ns), 2, 3)), len(summed_times_ns) - 1
+    degree = terms.shape[1] // 2 - 2
+    row = 0
+    for k in range(len(times_ns)):
+        if not (summed_times_ns[row] <= times_ns[k]
+                and (row == last or times_ns[k] < summed_times_ns[row + 1])):
+            row = np.searchsorted(summed_times_ns, times_ns[k], side='right') - 1
+        begin_ns = summed_times_ns[row]
+        span_ns = summed_times_ns[row + 1] - begin_ns if row < last else NEVER_NS
+        before = (intervals.coefficient(terms, row, 2 * degree + 2),
+                  intervals.coefficient(terms, row, 2 * degree + 3))
+        torque = intervals.polynomial_of(terms, row, degree + 1, degree)
+        high, low = _after(before, torque, times_ns[k] - begin_ns, span_ns)
+        _store_vector(result, k, 0, high, True)
+        _store_vector(result, k, 1, low, True)
+    return result

@@ -1,0 +1,107 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Motions under several sources, rotors and damping, with fifty digits, and random logs."""
+
+from functools import cached_property
+import json
+from pathlib import Path
+
+import numpy as np
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+import truth
+
+TRUTH = Path(__file__).resolve().parent / 'truth_terms'
+NAMES = sorted(path.stem for path in TRUTH.glob('*.json'))
+SECOND = 10 ** 9
+
+
+class Reference:
+    """
+    A scene and its motion with 24 digits, read from a file.
+
+    Attributes
+    ----------
+    body : RigidBody
+    start : State
+    logs : [TorqueLog]
+    wheels : TorqueLog
+    times_ns : array of int, shape (m,)
+
+    """
+
+    def __init__(self, name):
+        values = json.loads((TRUTH / f'{name}.json').read_text())
+        damping = values.get('damping_xx_yy_zz_xy_xz_yz')
+        self.body = RigidBody(_tensor(values['inertia_ixx_iyy_izz_ixy_ixz_iyz']),
+                              None if damping is None else _tensor(damping))
+        self._rows = values['truth']
+        self.times_ns = np.array([row['t_ns'] for row in self._rows])
+        self.start = State(int(self.times_ns[0]), values['initial_attitude_xyzw'],
+                           values['initial_angular_velocity'],
+                           values.get('rotor_momentum', (0, 0, 0)))
+        self.logs = [_log(values['torque_t_ns_x_y_z'], values['torque_frame'])]
+        self.logs += [_log(rows, frame)
+                      for frame, rows in values.get('other_torques_frame_rows', ())]
+        self.wheels = _log(values.get('wheel_torque_t_ns_x_y_z', ()), 'body')
+
+    def propagate(self, at, **options):
+        return propagate(self.body, self.start, self.logs, at=at, wheels=self.wheels, **options)
+
+    def truth(self, key):
+        """Return the rows of a quantity, shape (m, n), in 24 digits."""
+        return truth.exact([row.get(key, ['0.0'] * 3) for row in self._rows])
+
+    @cached_property
+    def bound(self):
+        """Return the bound on the errors at each time, rad or relative, shape (m,)."""
+        fine = np.union1d(self.times_ns, np.linspace(
+            self.times_ns[0], self.times_ns[-1], 20_001).astype(np.int64))
+        return bound(self.propagate(fine))[np.searchsorted(fine, self.times_ns)]
+
+
+def bound(motion):
+    """Return 1e-15 (10 + integral of |w| dt), by time, for a motion at close times."""
+    speed = np.linalg.norm(motion.angular_velocity, axis=1)
+    turned = 0.5 * (speed[1:] + speed[:-1]) * np.diff(motion.times_ns) / 1e9
+    return 1e-15 * (10.0 + np.append(0.0, np.cumsum(turned)))
+
+
+def arrivals(logs, wheels):
+    """Return the samples of all sources as (time_ns, source, torque, frame); -1: the rotors."""
+    return [(int(time_ns), source, log.torques[row], 'space' if log.in_space[row] else 'body')
+            for source, log in [*enumerate(logs), (-1, wheels)]
+            for row, time_ns in enumerate(log.times_ns)]
+
+
+def apply(propagator, arrival):
+    """Apply a sample to a propagator; return whether it was taken."""
+    time_ns, source, torque, frame = arrival
+    if source < 0:
+        return propagator.apply_wheels(time_ns, torque)
+    return propagator.apply(time_ns, torque, frame, source)
+
+
+def numbers(motion):
+    """Return all numbers of a trajectory or a state, in rows."""
+    return np.hstack([motion.attitude, motion.angular_velocity, motion.rotor_momentum])
+
+
+def _tensor(values):
+    xx, yy, zz, xy, xz, yz = values
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _log(rows, frame):
+    return TorqueLog([row[0] for row in rows], [row[1:] for row in rows], frame)

@@ -1,0 +1,266 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Rotors, damping and torques in two frames: accuracy, conservation and known motions."""
+
+from conftest import chord, SECOND
+from mpmath import mp
+import numpy as np
+import pytest
+from rigid_body_ros import propagate, Propagator, RigidBody, so3, State, TorqueLog
+import terms
+from test_steppers import LADDERS, slope
+import truth
+
+FULL = [[1.1, 0.15, -0.2], [0.15, 2.0, 0.05], [-0.2, 0.05, 2.7]]
+DAMPING = np.array([[0.3, 0.05, 0.0], [0.05, 0.2, -0.02], [0.0, -0.02, 0.1]])
+BODY = RigidBody(FULL, DAMPING)
+START = State(0, (0.1, -0.3, 0.2, 0.9), (0.5, -0.7, 0.9), (0.2, 0.4, -0.3))
+STAMPS = np.arange(6) * SECOND
+TORQUES = np.random.default_rng(1).normal(scale=0.4, size=(3, 6, 3))
+
+
+def largest(vectors):
+    return np.linalg.norm(vectors.astype(float), axis=1).max()
+
+
+def relative(found, expected):
+    """Return errors relative to the largest of the expected vectors; zero ones are exact."""
+    return np.linalg.norm((found - expected).astype(float), axis=1) / (largest(expected) or 1.0)
+
+
+@pytest.mark.parametrize('name', terms.NAMES)
+def test_every_motion_is_the_one_of_fifty_digits(name, fifty_digits):
+    scene = terms.Reference(name)
+    motion = scene.propagate(scene.times_ns)
+    attitude = [truth.chord(*pair) for pair in zip(scene.truth('q'), motion.attitude)]
+    assert np.all(attitude <= scene.bound)
+    for found, key in ((motion.angular_velocity, 'w'), (motion.angular_momentum_space, 'L_space'),
+                       (motion.rotor_momentum, 'rotor_momentum')):
+        assert np.all(relative(truth.exact(found), scene.truth(key)) <= scene.bound)
+
+
+def test_wheels_alone_keep_the_total_momentum_in_space():
+    random = np.random.default_rng(5)
+    stamps = np.sort(random.choice(1000 * SECOND, 500, replace=False))
+    wheels = TorqueLog(stamps, random.normal(scale=0.05, size=(500, 3)))
+    start = State(0, (0.1, -0.3, 0.2, 0.9), (0.05, -0.1, 0.2), (0.5, -1.0, 0.3))
+    motion = propagate(RigidBody(FULL), start, at=np.arange(0, 1000 * SECOND, SECOND // 10),
+                       wheels=wheels)
+    momentum = motion.angular_momentum_space
+    assert largest(motion.rotor_momentum - start.rotor_momentum) > 1.0
+    apart = np.linalg.norm(momentum - momentum[0], axis=1) / np.linalg.norm(momentum[0])
+    assert np.all(apart <= terms.bound(motion))
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_the_energy_of_a_gyrostat_does_not_drift(seed):
+    # Without the low-order part of J^-1 in the linear terms it changes by 1.6e-13 or more.
+    random = np.random.default_rng(seed)
+    start = State(0, angular_velocity=random.normal(size=3),
+                  rotor_momentum=2.0 * random.normal(size=3))
+    motion = propagate(RigidBody(FULL), start, at=np.arange(0, 201) * 100 * SECOND)
+    energy = motion.kinetic_energy
+    assert np.abs(energy / energy[0] - 1.0).max() < 1.2e-13
+
+
+def test_a_wheel_that_speeds_up_about_z_turns_the_body_about_minus_z():
+    body, wheels = RigidBody.from_moments(1.0, 2.0, 2.5), TorqueLog([0], [[0.0, 0.0, 0.5]])
+    motion = propagate(body, State(), at=[2 * SECOND], wheels=wheels)
+    np.testing.assert_allclose(motion.rotor_momentum, [[0.0, 0.0, 1.0]], rtol=1e-15)
+    np.testing.assert_allclose(motion.angular_velocity, [[0.0, 0.0, -0.4]], rtol=1e-15)
+    np.testing.assert_allclose(so3.log(motion.attitude), [[0.0, 0.0, -0.4]],
+                               rtol=1e-15)
+
+
+@pytest.mark.parametrize(('across', 'along', 'spin', 'rotors'), [
+    (2.0, 3.0, 1.5, 4.0), (2.0, 1.0, 1.5, 4.0), (2.0, 3.0, 1.5, -1.5), (2.0, 2.0, -0.25, 1.0)])
+def test_the_rates_of_a_symmetric_gyrostat_turn_at_a_constant_rate(across, along, spin, rotors,
+                                                                   fifty_digits):
+    # The third one stands still in the body: the rotors cancel the precession.
+    start = State(0, angular_velocity=(0.5, -0.25, spin), rotor_momentum=(0.0, 0.0, rotors))
+    times = np.arange(0, 101) * SECOND
+    motion = propagate(RigidBody.from_moments(across, across, along), start, at=times)
+    rate = ((along - across) * spin + rotors) / across
+    expected = [mp.mpc(0.5, -0.25) * mp.expj(rate * k) for k in range(101)]
+    expected = np.array([(float(z.real), float(z.imag), spin) for z in expected])
+    assert np.all(relative(motion.angular_velocity, expected) <= terms.bound(motion))
+
+
+def damped_turn(damping, inertia, rate, torque, seconds):
+    """Return rate and angle about a fixed axis, in fifty digits."""
+    damping, rate, torque = mp.mpf(damping), mp.mpf(rate), mp.mpf(torque)
+    decay = damping / mp.mpf(inertia)
+    terminal = torque / damping
+    return (terminal + (rate - terminal) * mp.exp(-decay * seconds),
+            terminal * seconds - (rate - terminal) * mp.expm1(-decay * seconds) / decay)
+
+
+def test_a_damped_sphere_slows_down_about_a_fixed_axis(fifty_digits):
+    rates = np.array([0.6, -1.2, 2.5])
+    times = np.arange(0, 41) * SECOND
+    motion = propagate(RigidBody(2.0 * np.eye(3), 0.25 * np.eye(3)),
+                       State(0, angular_velocity=rates), at=times)
+    speed = mp.sqrt(sum(mp.mpf(rate) ** 2 for rate in rates))
+    for k in range(41):
+        rate, angle = damped_turn(0.25, 2.0, speed, 0.0, k)
+        axis = truth.exact(rates) / speed
+        attitude = np.append(axis * mp.sin(angle / 2), mp.cos(angle / 2))
+        assert truth.chord(attitude, motion.attitude[k]) <= 1e-15 * (10.0 + float(angle))
+        error = truth.exact(motion.angular_velocity[k]) - axis * rate
+        assert np.linalg.norm(error.astype(float)) <= 1e-15 * (10.0 + float(angle)) * float(speed)
+
+
+@pytest.mark.parametrize('per_second', [50.0, 500.0, 5000.0])
+def test_strong_damping_reaches_the_terminal_velocity(per_second, fifty_digits):
+    # About one principal axis, so that the motion is known; at times within the decay and after.
+    inertia, torque = 2.5, 3.0 * 2.5 * per_second
+    body = RigidBody(np.diag([1.0, 2.0, inertia]), per_second * np.diag([1.0, 2.0, inertia]))
+    times = np.unique(np.geomspace(1e4, 2e9, 40).astype(np.int64))
+    motion = propagate(body, State(0, angular_velocity=(0.0, 0.0, -7.0)),
+                       TorqueLog([0], [[0.0, 0.0, torque]]), at=times)
+    for k, time_ns in enumerate(times.tolist()):
+        seconds = mp.mpf(time_ns) / SECOND
+        rate, angle = damped_turn(per_second * inertia, inertia, -7.0, torque, seconds)
+        attitude = truth.exact([0, 0, mp.sin(angle / 2), mp.cos(angle / 2)])
+        assert truth.chord(attitude, motion.attitude[k]) <= 1e-15 * (10.0 + 3.0 * float(seconds))
+        assert abs(float(rate - mp.mpf(motion.angular_velocity[k, 2]))) <= 1e-14 * 7.0
+    assert motion.angular_velocity[-1, 2] == pytest.approx(3.0, rel=1e-14)
+
+
+@pytest.mark.parametrize('per_second', [50.0, 500.0, 5000.0])
+def test_strong_damping_of_a_full_tensor_does_not_blow_up(per_second):
+    body = RigidBody(FULL, per_second * DAMPING)
+    torque = np.array([30.0, -20.0, 10.0])
+    motion = propagate(body, START, TorqueLog([0], [torque]), at=[10 * SECOND, 11 * SECOND],
+                       wheels=TorqueLog([0], [[0.1, 0.0, -0.1]]))
+    rates, rotors = motion.angular_velocity, motion.rotor_momentum
+    # Nothing is left of the start: the torques balance, up to the slow change of the rotors.
+    balance = (torque - [0.1, 0.0, -0.1] - rates @ body.damping
+               - np.cross(rates, body.angular_momentum(rates) + rotors))
+    assert np.abs(balance).max() < 0.01 * np.linalg.norm(torque) * 50.0 / per_second
+    assert np.abs(np.linalg.norm(motion.attitude, axis=1) - 1.0).max() < 1e-15
+
+
+@pytest.mark.parametrize('rotors', [0.9, 0.99, -0.9, 1.01, 1.1, -1.1, 3.0])
+def test_a_fast_rotor_stabilises_the_intermediate_axis(rotors):
+    # Dual spin (Schaub and Junkins, Analytical Mechanics of Space Systems, chapter 4): a spin W
+    # about axis 2 is stable where k = (I2 - I1 + h / W) (I2 - I3 + h / W) W^2 / (I1 I3) > 0: for
+    # these moments beyond |h| = 1. Small deviations swing at sqrt(k), or grow with sqrt(-k).
+    square = (1.0 + rotors) * (rotors - 1.0) / 3.0
+    body, rate = RigidBody.from_moments(1.0, 2.0, 3.0), np.sqrt(abs(square))
+    end = 8.0 / rate
+    times = np.linspace(0.0, end * SECOND, 400).astype(np.int64)
+    motion = propagate(body, State(0, angular_velocity=(1e-8, 1.0, 0.0),
+                                   rotor_momentum=(0.0, rotors, 0.0)), at=times)
+    swing = np.cos if square > 0.0 else np.cosh
+    expected = 1e-8 * swing(rate * times / SECOND)
+    error = np.abs(motion.angular_velocity[:, 0] - expected)
+    assert error.max() < 1e-6 * np.abs(expected).max()
+    assert (np.abs(motion.angular_velocity[:, 0]).max() > 1e-6) == (abs(rotors) < 1.0)
+
+
+def everything(at, **options):
+    """Return a motion with all terms at once, every source with its own interpolation."""
+    logs = [TorqueLog(STAMPS, TORQUES[0], interpolation='linear'),
+            TorqueLog(STAMPS + SECOND // 2, TORQUES[1], 'space', 'cubic')]
+    return propagate(BODY, START, logs, at=at, wheels=TorqueLog(STAMPS, TORQUES[2]), **options)
+
+
+def assert_order(order, solver, steps, run):
+    exact = run(solver='taylor')
+    motions = [run(solver=solver, max_step=step) for step in steps]
+    for errors in ([chord(exact.attitude, motion.attitude)[0] for motion in motions],
+                   [largest(motion.angular_velocity - exact.angular_velocity)
+                    for motion in motions]):
+        found, correlation = slope(steps, errors)
+        assert abs(found - order) < 0.2
+        assert correlation > 0.999
+
+
+@pytest.mark.parametrize('solver', ['rk4', 'explicit_euler'])
+def test_the_order_with_all_terms_is_the_one_promised(solver):
+    order, steps = LADDERS[solver]
+    assert_order(order, solver, steps, lambda **options: everything([5 * SECOND], **options))
+
+
+def test_strang_takes_torques_in_two_frames_to_second_order():
+    logs = [TorqueLog(STAMPS, TORQUES[0]), TorqueLog(STAMPS, TORQUES[1], 'space', 'cubic')]
+    assert_order(2, 'strang', LADDERS['strang'][1], lambda **options: propagate(
+        RigidBody(FULL), State(0, START.attitude, START.angular_velocity), logs,
+        at=[5 * SECOND], **options))
+
+
+@pytest.mark.parametrize('solver', ['strang', 'exact'])
+@pytest.mark.parametrize(('damping', 'rotors', 'found'), [
+    (DAMPING, (0, 0, 0), 'damping'), (None, (0, 0, 1), 'rotors'), (DAMPING, (0, 0, 1), 'damping')])
+def test_a_solver_without_these_terms_rejects_them(solver, damping, rotors, found):
+    body, start = RigidBody(FULL, damping), State(rotor_momentum=rotors)
+    message = f'^solver {solver!r} handles neither rotors nor damping, found {found}$'
+    with pytest.raises(ValueError, match=message):
+        propagate(body, start, at=[1], solver=solver, max_step=0.1)
+    with pytest.raises(ValueError, match=message):
+        Propagator(body, start, solver=solver, max_step=0.1)
+
+
+@pytest.mark.parametrize('solver', ['strang', 'exact'])
+def test_a_solver_without_rotors_rejects_a_torque_on_them(solver):
+    with pytest.raises(ValueError, match=f'^solver {solver!r} handles .*$'):
+        propagate(RigidBody(FULL), State(), at=[1], solver=solver, max_step=0.1,
+                  wheels=TorqueLog([0], [[0.0, 0.0, 1.0]]))
+    propagator = Propagator(RigidBody(FULL), State(), solver=solver, max_step=0.1)
+    with pytest.raises(ValueError, match=f'^solver {solver!r} handles .*$'):
+        propagator.apply_wheels(0, [0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize(('damping', 'message'), [
+    (np.eye(2), r'damping: expected 3 by 3 finite numbers, found \[\[1.0, 0.0\], \[0.0, 1.0\]\]'),
+    (np.diag([1.0, np.nan, 0.0]), 'damping: expected 3 by 3 finite numbers, found .*nan.*'),
+    (np.triu(np.ones((3, 3))), 'damping: expected a symmetric tensor, found .*'),
+    (np.diag([1.0, -0.5, 2.0]), 'damping: expected a tensor without negative eigenvalues, found '
+                                '.* with the eigenvalue -0.5 N m s/rad'),
+])
+def test_impossible_damping_is_rejected(damping, message):
+    with pytest.raises(ValueError, match=f'^{message}$'):
+        RigidBody(FULL, damping)
+
+
+@pytest.mark.parametrize('rotors', [(0.0, np.inf, 0.0), (0.0, 1.0), 1.0])
+def test_impossible_rotor_momentum_is_rejected(rotors):
+    with pytest.raises(ValueError, match='^rotor momentum: expected 3 finite numbers, found .*$'):
+        State(rotor_momentum=rotors)
+
+
+def test_a_torque_on_the_rotors_in_space_axes_is_rejected():
+    wheels = TorqueLog([0, 5], np.ones((2, 3)), ['body', 'space'])
+    with pytest.raises(ValueError, match='^wheels: expected torques in body axes, found torques '
+                                         'in space axes$'):
+        propagate(RigidBody(FULL), State(), at=[1], wheels=wheels)
+
+
+@pytest.mark.parametrize(('torque', 'message'), [
+    ([0.0, np.nan, 0.0], r'torque at 3 ns: expected 3 finite numbers, found \[0.0, nan, 0.0\]'),
+    ([0.0, 1.0], r'torque at 3 ns: expected 3 finite numbers, found \[0.0, 1.0\]'),
+])
+def test_a_propagator_rejects_an_impossible_torque_on_the_rotors(torque, message):
+    propagator = Propagator(RigidBody(FULL), State())
+    with pytest.raises(ValueError, match=f'^{message}$'):
+        propagator.apply_wheels(3, torque)
+    np.testing.assert_array_equal(propagator.at(9).rotor_momentum, [0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize('source', [-1, 2 ** 63 - 1])
+def test_a_source_out_of_range_is_rejected(source):
+    with pytest.raises(ValueError, match=f'^source: expected .*, found {source}$'):
+        Propagator(RigidBody(FULL), State()).apply(0, [0.0, 0.0, 1.0], source=source)
