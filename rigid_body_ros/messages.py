@@ -34,9 +34,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros.body import State
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import quoted
+from rigid_body_ros.common.errors import listed, quoted
+from rigid_body_ros.frames import Frame, Frames
+from rigid_body_ros.state import State
 
 #: The latest time that a ROS stamp can represent, ns; it is in January 2038.
 LAST_NS = 2 ** 31 * 10 ** 9 - 1
@@ -294,6 +295,34 @@ def torque_frame(frame_id: str, body_frame: str, space_frame: str) -> str:
         return 'space'
     raise ValueError(f"frame_id: expected '{body_frame}' or '' (body axes) or "
                      f"'{space_frame}' (space axes), found {quoted(frame_id)}")
+
+
+def wrench_frame(frame_id: str, body_frame: str, space_frame: str,
+                 links: Frames) -> tuple[str, Frame | None]:
+    """
+    Return the axes, 'body' or 'space', of the torque of a WrenchStamped, and its frame.
+
+    The frame is one of `links`, which are fixed to the body; it converts the wrench to a torque
+    about the centre of mass. Without a frame the torque is about the centre of mass already, and
+    the force has no effect.
+
+    Raises
+    ------
+    ValueError
+        The frame_id is neither one that `torque_frame` accepts nor one of the links.
+
+    """
+    if frame_id not in ('', body_frame, space_frame) and (
+            frame_id in links or frame_id in links.others):
+        return 'body', links[frame_id]
+    try:
+        axes = torque_frame(frame_id, body_frame, space_frame)
+    except ValueError as error:
+        if links:
+            others = listed([repr(name) for name in links if name != links.link])
+            raise ValueError(f'{error}; links fixed to {quoted(links.link)}: {others}') from error
+        raise
+    return axes, links.of_body(body_frame) if axes == 'body' else None
 
 
 def odometry(state: State, space_frame: str, body_frame: str) -> bytes:

@@ -13,17 +13,20 @@
 # limitations under the License.
 
 """
-The inertia of a link in a URDF file.
+The inertia of a link in a URDF file, and the frames that are fixed to the link.
 
-The format is specified in http://wiki.ros.org/urdf/XML/link. Where the specification leaves a
-choice, this module follows urdfdom, the parser of ROS (`parseInertial` in
-urdf_parser/src/link.cpp).
+The format is specified in http://wiki.ros.org/urdf/XML/link and
+http://wiki.ros.org/urdf/XML/joint. Where the specification leaves a choice, this module follows
+urdfdom, the parser of ROS (`parseInertial` in urdf_parser/src/link.cpp, `parseJoint` in
+urdf_parser/src/joint.cpp).
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 import math
 import re
+from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -31,9 +34,15 @@ import numpy as np
 from rigid_body_ros import euler, so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import listed, quoted, shortened
+from rigid_body_ros.frames import Frame, Frames
 
 #: Attributes of <inertia>, row by row.
 _ENTRIES = ('ixx', 'ixy', 'ixz', 'ixy', 'iyy', 'iyz', 'ixz', 'iyz', 'izz')
+_FIXED = 'fixed'
+#: Types of joints that move.
+_MOVING = ('revolute', 'continuous', 'prismatic', 'floating', 'planar')
+#: m; beyond it, products of positions may not fit a double.
+_FARTHEST = 1e300
 #: Numbers as urdfdom reads them; `float` also accepts 1_000 and digits of other scripts.
 _NUMBER = re.compile(r'[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?')
 #: Bound on the rounding error of a rotated tensor, relative to its largest moment.
@@ -74,16 +83,50 @@ def inertia(text: str, link: str = '') -> Floats:
     """
     name, inertial = _inertial_of_link(_parse_robot(text), link)
     where = f'URDF link {quoted(name)}'
-    entries, origin = _child(inertial, 'inertia'), _child(inertial, 'origin')
+    entries = _child(inertial, 'inertia')
     tensor = np.reshape([_numbers(entries, entry, 1, where) for entry in _ENTRIES], (3, 3))
-    if origin.get('quat_xyzw') is not None:
-        raise ValueError(f'{where}: expected the rotation as rpy, found quat_xyzw')
-    _numbers(origin, 'xyz', 3, where, '0 0 0')
-    angles = _numbers(origin, 'rpy', 3, where, '0 0 0')
+    _, angles = _origin(inertial, where)
     if any(angles):
         _check_thickness(tensor, where)
     attitude = euler.to_quaternion(angles, 'xyz')
     return so3.rotate(attitude, so3.rotate(attitude, tensor).T)
+
+
+def fixed_frames(text: str, link: str = '') -> Frames:
+    """
+    Return the frames of the links that fixed joints connect to a link, in either direction.
+
+    Parameters
+    ----------
+    text : str
+        Contents of the file, after xacro.
+    link : str
+        Name of the link that is the body; may be empty if only one link has an <inertial>. The
+        body axes are those of the link; the centre of mass is at the xyz of its <inertial>.
+
+    Returns
+    -------
+    Frames
+        By name of the link; that of the body is included. Any other name raises
+        UnknownFrameError, a KeyError and ValueError, with the reason: the joint that moves the
+        link, the joint that has no valid <origin>, or that no joints connect the link to the body.
+
+    Raises
+    ------
+    ValueError
+        The text is not URDF, or has not been through xacro; the link does not exist, is not
+        unique, or has no <inertial>; the <origin> of its <inertial> is not valid.
+
+    """
+    robot = _parse_robot(text)
+    body, inertial = _inertial_of_link(robot, link)
+    centre, _ = _origin(inertial, f'URDF link {quoted(body)}')
+    links = [element.get('name', '') for element in robot.findall('{*}link')]
+    paths = _paths(body, _joints(robot, {*links}, body), [-x for x in centre])
+    fixed = {name: path.frame for name, path in paths.items() if not path.barrier}
+    others = dict.fromkeys(links, f'no joints connect it to {quoted(body)}')
+    others |= {name: path.barrier for name, path in paths.items()}
+    return Frames(body, fixed, {name: others[name] for name in links if name not in fixed})
 
 
 def _check_thickness(tensor: Floats, where: str) -> None:
@@ -130,6 +173,130 @@ def _inertial_of_link(robot: Element, link: str) -> tuple[str, Element]:
     return name, found[0]
 
 
+class _Joint(NamedTuple):
+    """
+    A joint between two links.
+
+    Attributes
+    ----------
+    parent, child : str
+    shift : list of 3 floats, m
+        Position of the child relative to the parent, in the axes of the parent.
+    turn : list of 3 rows of 3 floats
+        Rotation matrix from the axes of the child to those of the parent.
+    barrier : str
+        Why it does not fix the child to the parent; '' if it does.
+
+    """
+
+    parent: str
+    child: str
+    shift: list[float]
+    turn: list[list[float]]
+    barrier: str
+
+
+class _Path(NamedTuple):
+    """
+    A chain of joints from the body to a link.
+
+    Attributes
+    ----------
+    rotation : list of 3 rows of 3 floats
+        Rotation matrix from the axes of the link to those of the body.
+    position, rest : list of 3 floats, m, body axes
+        Position of the link relative to the centre of mass, and the rounding error of that sum.
+    barrier : str
+        Why the link is not fixed to the body; '' if it is.
+
+    """
+
+    rotation: list[list[float]]
+    position: list[float]
+    rest: list[float]
+    barrier: str = ''
+
+    @property
+    def frame(self) -> Frame:
+        """Return the frame of the link."""
+        return Frame(np.array(self.rotation), np.add(self.position, self.rest))
+
+    def across(self, joint: _Joint, to_child: bool) -> _Path:
+        """Return the path to the other link of a joint."""
+        barrier = self.barrier or joint.barrier
+        if barrier:
+            return self._replace(barrier=barrier)
+        back = [list(row) for row in zip(*joint.turn)]
+        rotation = _product(self.rotation, joint.turn if to_child else back)
+        to_parent = self.rotation if to_child else rotation
+        column = _product(to_parent, [[x if to_child else -x] for x in joint.shift])
+        sums = [total + x for total, (x,) in zip(self.position, column)]
+        rest = [rest + _rounding(total, x)
+                for rest, total, (x,) in zip(self.rest, self.position, column)]
+        if not all(abs(x) <= _FARTHEST for x in sums):
+            barrier = f'expected a position of at most {_FARTHEST:g} m'
+        return _Path(rotation, sums, rest, barrier)
+
+
+def _paths(body: str, joints: list[_Joint], start: list[float]) -> dict[str, _Path]:
+    """Return the path to each link that joints connect to the body, which is at `start`."""
+    joints_of = defaultdict(list)
+    for joint in joints:
+        joints_of[joint.parent].append((joint, joint.child))
+        joints_of[joint.child].append((joint, joint.parent))
+    paths, reached = {body: _Path(np.eye(3).tolist(), start, [0.0] * 3)}, [body]
+    for name in reached:  # grows
+        for joint, other in joints_of[name]:
+            if other not in paths:
+                paths[other] = paths[name].across(joint, other == joint.child)
+                reached.append(other)
+    if sum(joint.parent in paths for joint in joints) >= len(paths):
+        loop = f'the joints between it and {quoted(body)} form a closed loop'
+        return {name: path if name == body else path._replace(barrier=path.barrier or loop)
+                for name, path in paths.items()}
+    return paths
+
+
+def _joints(robot: Element, links: set[str], body: str) -> list[_Joint]:
+    """Return the joints between links that exist."""
+    joints, angles = [], []
+    for element in robot.findall('{*}joint'):
+        parent, child = (_child(element, end).get('link', '') for end in ('parent', 'child'))
+        if {parent, child} <= links:
+            shift, turn, barrier = _attachment(element, body)
+            angles.append(turn)
+            joints.append(_Joint(parent, child, shift, [], barrier))
+    turns = so3.matrix(euler.to_quaternion(np.reshape(angles, (-1, 3)), 'xyz'))  # all at once
+    return [joint._replace(turn=turn) for joint, turn in zip(joints, turns.tolist())]
+
+
+def _attachment(joint: Element, body: str) -> tuple[list[float], list[float], str]:
+    """Return the shift and the angles of a joint, and why it does not fix its child, or ''."""
+    name, kind = quoted(joint.get('name', '')), joint.get('type', '')
+    zero, types = [0.0] * 3, (_FIXED, *_MOVING)
+    if kind in _MOVING:
+        return zero, zero, f'joint {name} ({kind}) moves it relative to {quoted(body)}'
+    try:
+        if kind != _FIXED:
+            raise ValueError(f'URDF joint {name}: type: expected one of {", ".join(types)}, '
+                             f'found {quoted(kind)}')
+        return *_origin(joint, f'URDF joint {name}'), ''
+    except ValueError as error:
+        return zero, zero, str(error)
+
+
+def _product(one: list[list[float]], other: list[list[float]]) -> list[list[float]]:
+    """Return a product of matrices, 3 by 3 and 3 by n."""
+    return [[a * x + b * y + c * z for x, y, z in zip(*other)] for a, b, c in one]
+
+
+def _rounding(one: float, other: float) -> float:
+    """Return the rounding error of a sum (Knuth, TAOCP 2, 4.2.2, theorem B)."""
+    total = one + other
+    part = total - one
+    return (one - (total - part)) + (other - part)
+
+
 def _listed(names: list[str]) -> str:
     return listed([*map(repr, names)])
 
@@ -137,6 +304,14 @@ def _listed(names: list[str]) -> str:
 def _child(parent: Element, name: str) -> Element:
     child = parent.find('{*}' + name)
     return Element(name) if child is None else child
+
+
+def _origin(element: Element, where: str) -> tuple[list[float], list[float]]:
+    """Return the xyz, m, and the roll, pitch and yaw, rad, of the <origin> of an element."""
+    origin = _child(element, 'origin')
+    if origin.get('quat_xyzw') is not None:
+        raise ValueError(f'{where}: expected the rotation as rpy, found quat_xyzw')
+    return _numbers(origin, 'xyz', 3, where, '0 0 0'), _numbers(origin, 'rpy', 3, where, '0 0 0')
 
 
 def _numbers(element: Element, name: str, count: int, where: str,

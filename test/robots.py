@@ -1,0 +1,63 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A robot as a URDF, and wrenches in the frames of its links."""
+
+import bags
+import numpy as np
+from rigid_body_ros import urdf
+
+SHIFT = ' xyz="0.25 0 -0.5" rpy="0.3 -0.2 1"'
+#: A force at its origin acts 0.75 m ahead of the centre of mass, along y of the body.
+THRUSTER = ('fixed', 'base_link', 'thruster', '1 0 -0.5', '0 0 1.5707963267948966')
+JOINTS = (THRUSTER, ('fixed', 'base_link', 'mast', '0 0 0.5', '0 0 0'),
+          ('fixed', 'mast', 'lamp', '0 0.5 0', '0.1 0.2 0.3'),
+          ('fixed', 'footprint', 'base_link', '0 0 2', '0 0 0'),
+          ('revolute', 'mast', 'arm', '0 0 1', '0 0 0'),
+          ('fixed', 'arm', 'hand', '1 0 0', '0 0 0'))
+
+
+def robot(*joints, body='base_link', origin=SHIFT, loose=()):
+    """Return a URDF with the given joints: type, parent, child, xyz, rpy."""
+    names = dict.fromkeys([body, *(name for joint in joints for name in joint[1:3]), *loose])
+    inertial = (f'<inertial><origin{origin}/><mass value="2"/><inertia ixx="0.05" iyy="0.12" '
+                'izz="0.14" ixy="0.002" ixz="0" iyz="0"/></inertial>')
+    links = [f'<link name="{name}">{inertial if name == body else ""}</link>' for name in names]
+    parts = [f'<joint name="to_{child}" type="{kind}"><parent link="{parent}"/>'
+             f'<child link="{child}"/><origin xyz="{xyz}" rpy="{rpy}"/></joint>'
+             for kind, parent, child, xyz, rpy in joints]
+    return '<robot name="it">' + ''.join(links + parts) + '</robot>'
+
+
+#: Its arm and hand move, its label is not attached.
+ROBOT = robot(*JOINTS, loose=['label'])
+
+
+def wrenches(count, frames=('base_link', 'world', '', 'thruster', 'mast', 'lamp', 'footprint')):
+    """Return small random wrenches in several frames, some without a force."""
+    sent = bags.torques(count, frames)
+    sent.values[:] = np.random.default_rng(3).normal(size=(count, 6)) * 1e-3
+    sent.values[::5, :3] = 0.0
+    return sent
+
+
+def converted(sent):
+    """Return wrenches as torques about the centre of mass, in body or in space axes."""
+    frames = urdf.fixed_frames(ROBOT)
+    values = np.zeros_like(sent.values)
+    for row, frame_id, wrench in zip(values, sent.frame_ids, sent.values):
+        row[3:] = wrench[3:] if frame_id == 'world' else \
+            frames[frame_id or 'base_link'].torque(wrench[:3], wrench[3:])
+    frame_ids = ['world' if name == 'world' else 'base_link' for name in sent.frame_ids]
+    return bags.Torques(sent.stamps_ns, frame_ids, values)
