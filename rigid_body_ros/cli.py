@@ -75,7 +75,7 @@ def _guarded(name: str, command: Callable[[], int], arguments: Sequence[str] | N
         if package == __package__:
             raise
         report(f'{name}: error: Python module {package!r} is not installed; '
-                f'run python3 -m pip install {package}')
+               f'run python3 -m pip install {package}')
         return USER_ERROR
     except BrokenPipeError:
         sys.stdout = None  # otherwise Python flushes it again at exit

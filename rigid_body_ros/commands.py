@@ -99,9 +99,13 @@ def _scene(options: argparse.Namespace) -> Scene:
 
 
 def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
-    return {'topic': options.topic, 'interpolation': options.interpolation, 'rate': options.rate,
-            'until': options.until, 'start': options.start, 'time_source': options.time_source,
-            'also': options.also}
+    return {**_torque_options(options), 'rate': options.rate, 'until': options.until,
+            'start': options.start, 'time_source': options.time_source, 'also': options.also}
+
+
+def _torque_options(options: argparse.Namespace) -> dict[str, Any]:
+    return {'topic': options.topic, 'wheel_torque': options.wheel_torque,
+            'wheel_momentum': options.wheel_momentum, 'interpolation': options.interpolation}
 
 
 def _replay_many(options: argparse.Namespace) -> int:
@@ -129,8 +133,7 @@ def _verify(options: argparse.Namespace) -> int:
               if getattr(options, name)]
     if unused:
         raise InputError(f'--verify: cannot be combined with --{unused[0]}')
-    result = verify(options.input[0], _scene(options), options.verify,
-                    topic=options.topic, interpolation=options.interpolation)
+    result = verify(options.input[0], _scene(options), options.verify, **_torque_options(options))
     show(summary(result))
     return OK if result.same.all() else DIFFERENT
 
@@ -158,6 +161,9 @@ def _measure(options: argparse.Namespace) -> tuple[Tradeoff, str]:
     from rigid_body_ros import replay
     from rigid_body_ros.tradeoff import measure, TARGET
     loaded = _scene(options)
+    if not replay.topics_of(options.topic).is_plain(loaded):
+        raise InputError(f'{options.scene}: expected one topic of torques, and neither rotors nor '
+                         'damping, which attitude_tradeoff does not measure')
     log, start, where = None, loaded.start, options.scene
     title = f'{Path(options.scene).name}: no torque'
     if options.recording:
@@ -226,11 +232,21 @@ def replay_parser() -> argparse.ArgumentParser:
                         'with the columns time (s), tx, ty, tz (N m), or with column names and '
                         'units in its first line')
     _add_scene(parser)
+    parser.add_argument('--topic', action='append', help='topic of the torques; repeat it for '
+                        'torques that add up (default: the torque_topics of the scene; if scene '
+                        'and recording have one topic each, the names may differ)')
+    parser.add_argument('--wheel-torque', metavar='TOPIC',
+                        help='topic of the torque of the motors on the rotors (default: '
+                        'wheel_torque, if the recording has it); needs a scene with wheels: true')
+    parser.add_argument('--wheel-momentum', metavar='TOPIC',
+                        help='topic of the measured momentum of the rotors (Vector3Stamped, N m '
+                        's, body axes), linear between samples; needs a scene with wheels: true')
     target = parser.add_mutually_exclusive_group()
     target.add_argument('-o', '--output', metavar='OUTPUT',
-                        help='write attitude, euler_angles and angular_velocity to this MCAP '
-                        'file, or, if the name does not end in .mcap, to a new rosbag2 folder; '
-                        'for several recordings, a folder of MCAP files')
+                        help='write attitude, euler_angles, angular_velocity and, if there '
+                        'are rotors, rotor_momentum to this MCAP file, or, if the name does not '
+                        'end in .mcap, to a new rosbag2 folder; for several recordings, a folder '
+                        'of MCAP files')
     target.add_argument('--verify', metavar='MOTION',
                         help='recorded motion to compare with the computed one, bit for bit: '
                         'the committed states of a node or the attitude of a replay; if they '
@@ -263,6 +279,7 @@ def tradeoff_parser() -> argparse.ArgumentParser:
         description='Measure the cost and the error of every solver on your own motion, and '
         'recommend a setting.')
     _add_scene(parser)
+    parser.add_argument('--topic', help='topic of the torques (default: as for attitude_replay)')
     parser.add_argument('--recording', metavar='IN', help='recording of torques, as for '
                         'attitude_replay (default: 50 turns without torque)')
     parser.add_argument('--target', type=_angle, action='append', metavar='RAD',
@@ -282,7 +299,6 @@ def _add_scene(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--scene', required=True, metavar='FILE',
                         help='ROS 2 parameter file with the inertia and the initial state, as for '
                         'attitude_node')
-    parser.add_argument('--topic', help='topic of the torques; required if there are several')
 
 
 def _add_overwrite(parser: argparse.ArgumentParser) -> None:

@@ -22,19 +22,22 @@ parameters, so a file means the same to all of them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
+import re
 from typing import Any, NamedTuple
 
-from rigid_body_ros import euler
-from rigid_body_ros.body import RigidBody, State
+from rigid_body_ros import euler, urdf
+from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.errors import InputError as InputError  # part of the interface
 from rigid_body_ros.common.errors import quoted
 from rigid_body_ros.common.times import duration_ns
+from rigid_body_ros.frames import Frames
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.runtime.parameter_file import is_number, node_parameters, unknown_parameter
 from rigid_body_ros.runtime.reading import read_yaml
+from rigid_body_ros.state import State
 from rigid_body_ros.torque import INTERPOLATIONS
 
 #: The name of the node whose parameters a scene file has.
@@ -45,7 +48,7 @@ class Parameter(NamedTuple):
     """A parameter of a scene. If it has no default, it is a required float."""
 
     name: str
-    default: bool | int | float | str | None
+    default: bool | int | float | str | list[str] | None
     unit: str
     description: str
     #: Lowest and highest value of a number, both allowed.
@@ -63,6 +66,8 @@ _TINY = 1e-300
 _MOMENT = 'moment of inertia about the centre of mass, body axes'
 _PRODUCT = 'off-diagonal entry of the inertia tensor, with the sign of the matrix as in URDF'
 _QUATERNION = 'initial attitude quaternion, body to space'
+_DAMPING = 'entry of the damping tensor D, body axes; the torque of the damping is -D w'
+_ROTORS = 'initial momentum of the rotors relative to the body, body axes'
 _VELOCITY = 'initial angular velocity, body axes'
 #: Accepted difference from 1 of the norm of a quaternion, for components with three digits.
 _UNIT = 1e-2
@@ -70,6 +75,8 @@ _UNIT = 1e-2
 _FAST = 10.0
 MODES = REALTIME, LOCKSTEP = 'realtime', 'lockstep'
 TIME_SOURCES = HEADER, ARRIVAL = 'header', 'arrival'
+#: A topic as ROS accepts it.
+_TOPIC = re.compile(r'(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*')
 TIME_JUMPS = RESET, REBASE, IGNORE = 'reset', 'rebase', 'ignore'
 
 PARAMETERS = {parameter.name: parameter for parameter in (
@@ -78,16 +85,25 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     *(Parameter(f'inertia.{name}', 0.0, 'kg m^2', _PRODUCT, (-_BIG, _BIG))
       for name in ('ixy', 'ixz', 'iyz')),
     Parameter('robot_description', '', '', 'URDF text to read the inertia from, instead of '
-              'inertia.*'),
+              'inertia.*, and the frames of forces'),
     Parameter('link', '', '', 'link of robot_description whose inertia is used; empty: the only '
               'link with an inertia'),
+    *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (0.0, _BIG))
+      for name in ('dxx', 'dyy', 'dzz')),
+    *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (-_BIG, _BIG))
+      for name in ('dxy', 'dxz', 'dyz')),
     *(Parameter(f'initial_attitude.{name}', default, '', _QUATERNION, (-_BIG, _BIG))
       for name, default in zip('xyzw', (0.0, 0.0, 0.0, 1.0))),
     *(Parameter(f'initial_angular_velocity.{name}', 0.0, 'rad/s', _VELOCITY, (-1e9, 1e9))
       for name in 'xyz'),
+    *(Parameter(f'initial_rotor_momentum.{name}', 0.0, 'N m s', _ROTORS, (-_BIG, _BIG))
+      for name in 'xyz'),
     Parameter('start_time', 0, 'ns', 'time of the initial state; 0: the stamp of the first torque '
               '(replay, lockstep) or the first valid clock reading (realtime); a running node '
               'reports the value in use', (0, 2 ** 31 * 10 ** 9 - 1)),
+    Parameter('torque_topics', ['torque'], '', 'topics of the torques; the torques of several '
+              'topics add up'),
+    Parameter('wheels', False, '', 'whether the body has rotors with motors'),
     Parameter('mode', REALTIME, '', 'realtime: publish the motion at publish_rate; lockstep: '
               'reply to each torque, stamped t, with the state at t + step', choices=MODES),
     Parameter('step', 0.001, 's', 'lockstep: time from the stamp of a torque to the state that '
@@ -137,6 +153,8 @@ class Scene:
         Value of every parameter by full name; defaults included.
     path : Path or None
         Absolute path of the scene file, None if the scene was not read from a file.
+    links : Frames
+        The links of robot_description that are fixed to the body.
 
     """
 
@@ -144,6 +162,7 @@ class Scene:
     start: State
     values: Mapping[str, Any]
     path: Path | None = None
+    links: Frames = field(default_factory=Frames)
 
     def __repr__(self) -> str:
         source = self.path.name if self.path else 'no file'
@@ -155,6 +174,21 @@ class Scene:
         return _options(self.values)
 
     @property
+    def torque_topics(self) -> tuple[str, ...]:
+        """Return the topics of the torques, in the order in which they add up."""
+        return tuple(self.values['torque_topics'])
+
+    @property
+    def wheels(self) -> bool:
+        """Return whether there are rotors with motors."""
+        return bool(self.values['wheels'])
+
+    @property
+    def has_rotors(self) -> bool:
+        """Return whether there are rotors, with motors or with a constant momentum."""
+        return self.wheels or bool(self.start.rotor_momentum.any())
+
+    @property
     def timeout_ns(self) -> int:
         """Return the torque timeout, ns; 0 if a torque is held for ever."""
         return duration_ns(self.values['torque_timeout'], 'torque_timeout')
@@ -162,7 +196,7 @@ class Scene:
     @property
     def warnings(self) -> list[str]:
         """Return one line for each value that is allowed but probably a mistake."""
-        return [*_warnings(self.values, self.body)]
+        return [*_warnings(self.values, self.body, self.links)]
 
     @classmethod
     def from_values(cls, given: Mapping[str, Any]) -> Scene:
@@ -189,13 +223,17 @@ class Scene:
                   for name, parameter in PARAMETERS.items()}
         try:
             _check_together(values)
-            Options(**_options(values))
-            body = RigidBody.from_moments(**_group(values, 'inertia'))
+            body = _body(values)
             start = State(values['start_time'], [*_group(values, 'initial_attitude').values()],
-                          [*_group(values, 'initial_angular_velocity').values()])
+                          [*_group(values, 'initial_angular_velocity').values()],
+                          [*_group(values, 'initial_rotor_momentum').values()])
+            Options(**_options(values)).check_linear_terms(
+                body.is_damped, values['wheels'] or bool(start.rotor_momentum.any()))
+            robot = values['robot_description']
+            links = urdf.fixed_frames(robot, values['link']) if robot else Frames()
         except ValueError as error:
             raise InputError(str(error)) from error
-        return cls(body, start, values)
+        return cls(body, start, values, links=links)
 
 
 def load(path: str | Path) -> Scene:
@@ -234,7 +272,7 @@ def checked(parameter: Parameter, given: Any) -> Any:
              or not isinstance(value, parameter.value_type))
     if wrong:
         kind = {float: 'a number', int: 'an integer', str: 'text',
-                bool: 'true or false'}[parameter.value_type]
+                bool: 'true or false', list: 'a list of text'}[parameter.value_type]
         in_quotes = isinstance(value, str) and is_number(value)
         hint = '; remove the quotes' if in_quotes else f': {parameter.description}'
         raise InputError(f'{name}: expected {kind}{unit}, found {quoted(value)}{hint}')
@@ -285,6 +323,7 @@ def limits(low: float, high: float) -> str:
 
 
 def _check_together(values: Mapping[str, Any]) -> None:
+    _check_topics(values['torque_topics'])
     euler.check_sequence(values['euler_sequence'])
     for name in ('space_frame', 'body_frame'):
         if not values[name]:
@@ -307,11 +346,27 @@ def _check_together(values: Mapping[str, Any]) -> None:
                          f'({values["history"]} s), found {values["max_future"]} s')
 
 
-def _warnings(values: Mapping[str, Any], body: RigidBody) -> Iterator[str]:
+def _check_topics(names: list[Any]) -> None:
+    if not names:
+        raise InputError('torque_topics: expected at least one topic, found an empty list')
+    for number, name in enumerate(names):
+        if not isinstance(name, str) or not _TOPIC.fullmatch(name):
+            raise InputError('torque_topics: expected names of topics (letters, digits, _ and /), '
+                             f'found {quoted(name)}')
+        if name in names[:number]:
+            raise InputError(f'torque_topics: expected each topic once, found {name!r} twice')
+
+
+def _warnings(values: Mapping[str, Any], body: RigidBody, links: Frames) -> Iterator[str]:
     if body.triangle_excess:
         yield ('inertia: the largest principal moment exceeds the sum of the other two by '
                f'{100.0 * body.triangle_excess:.2g} %, which no body can have; are the numbers '
                'rounded?')
+    name = values['body_frame']
+    if name in links.others or (name in links and not links[name].is_aligned):
+        yield (f'body_frame: {quoted(name)} is a link of robot_description, but its axes are not '
+               f'those of link {quoted(links.link)}, whose axes are the body axes; expected '
+               f'{quoted(links.link)}')
     norm = math.hypot(*_group(values, 'initial_attitude').values())
     if abs(norm - 1.0) > _UNIT:
         yield ('initial_attitude: expected a quaternion x y z w of norm 1, found norm '
@@ -326,3 +381,17 @@ def _warnings(values: Mapping[str, Any], body: RigidBody) -> Iterator[str]:
 def _group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     return {name.split('.')[1]: value for name, value in values.items()
             if name.startswith(prefix + '.')}
+
+
+def _body(values: Mapping[str, Any]) -> RigidBody:
+    try:
+        return RigidBody(_tensor(values, 'inertia'), _tensor(values, 'damping'))
+    except ValueError as error:
+        keys = 'damping.dxx ... damping.dyz:'
+        raise InputError(str(error).replace('damping:', keys, 1)) from error
+
+
+def _tensor(values: Mapping[str, Any], prefix: str) -> list[list[float]]:
+    """Return the symmetric tensor of a group with the entries xx, yy, zz, xy, xz and yz."""
+    xx, yy, zz, xy, xz, yz = _group(values, prefix).values()
+    return [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]

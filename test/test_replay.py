@@ -351,8 +351,9 @@ def test_wrong_arguments_are_answered_by_the_usage(arguments, output, capsys):
 
 
 @pytest.mark.parametrize(('option', 'first', 'second'), [
-    ('--topic', '/one', '/other'), ('-o', 'a.mcap', 'b.mcap'), ('--scene', 'a.yaml', 'b.yaml'),
-    ('--rate', '1', '2'), ('--also', 'imu', 'tf'), ('--interpolation', 'hold', 'hold')])
+    ('--wheel-torque', '/one', '/other'), ('-o', 'a.mcap', 'b.mcap'),
+    ('--scene', 'a.yaml', 'b.yaml'), ('--rate', '1', '2'), ('--also', 'imu', 'tf'),
+    ('--interpolation', 'hold', 'hold')])
 def test_an_option_that_is_given_twice_is_refused(option, first, second, capsys):
     assert cli.attitude_replay([ISS[0], option, first, option, second]) == 2
     line, = capsys.readouterr().err.splitlines()

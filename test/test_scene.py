@@ -67,6 +67,26 @@ def test_nested_and_dotted_names_are_the_same(tmp_path):
     assert found.start.angular_velocity.tolist() == [0.0, 0.0, 0.5]
 
 
+def test_damping_rotors_and_sources_are_read(tmp_path):
+    found = load(tmp_path, parameters(
+        '    damping: {dxx: 0.1, dyy: 0.2, dzz: 0.3, dxy: 0.01, dxz: -0.02, dyz: 0.03}\n'
+        '    initial_rotor_momentum: {z: -0.5}\n'
+        '    torque_topics: [control, /thrusters/torque]\n    wheels: true'))
+    assert found.body.damping.tolist() == [[0.1, 0.01, -0.02], [0.01, 0.2, 0.03],
+                                           [-0.02, 0.03, 0.3]]
+    assert found.start.rotor_momentum.tolist() == [0.0, 0.0, -0.5]
+    assert found.torque_topics == ('control', '/thrusters/torque')
+    assert found.wheels
+
+
+def test_a_plain_scene_has_one_source_and_no_wheels(tmp_path):
+    found = load(tmp_path, parameters(''))
+    assert found.torque_topics == ('torque',)
+    assert not found.wheels
+    assert not found.body.is_damped
+    assert not found.start.rotor_momentum.any()
+
+
 def test_a_group_that_stands_twice_is_merged_as_by_rcl(tmp_path):
     found = load(tmp_path, parameters('    inertia: {izz: 2.25}'))
     assert found.body.inertia.diagonal().tolist() == [1.0, 2.0, 2.25]
@@ -128,6 +148,27 @@ def test_a_scene_is_printed_with_units(tmp_path):
     ({'use_sim_timeX': 3}, 'use_sim_timeX: unknown key'),
     ({'start_time': 2.0 ** 70}, 'start_time: expected an integer'),
     ({'space_frame': '\ud800'}, 'space_frame: expected UTF-8 text without NUL'),
+    ({'damping.dxx': -1e-3}, 'damping.dxx: expected a finite number not less than 0'),
+    ({'damping.dxy': float('inf')}, r'damping.dxy: expected a finite number \(N m s/rad\), '
+                                    'found inf'),
+    ({'damping.dxx': 1.0, 'damping.dyy': 1.0, 'damping.dxy': 2.0},
+     'damping.dxx .* damping.dyz: expected a tensor without negative eigenvalues, .* -1 N m s'),
+    ({'damping.dxx': 1e300, 'inertia.ixx': 1e-20, 'inertia.iyy': 1e-20, 'inertia.izz': 1e-20},
+     'damping.dxx .* damping.dyz: expected entries whose quotients by the moments'),
+    ({'damping': 1.0}, 'damping: expected a group of dxx, dyy, dzz, dxy, dxz, dyz, found 1.0'),
+    ({'initial_rotor_momentum.y': float('nan')}, 'initial_rotor_momentum.y: expected a finite '
+                                                 r'number \(N m s\), found nan'),
+    ({'solver': 'exact', 'wheels': True}, "solver 'exact' .* rotors"),
+    ({'solver': 'exact', 'damping.dzz': 0.1}, "solver 'exact' .* damping"),
+    ({'solver': 'strang', 'max_step': 0.1, 'initial_rotor_momentum.x': 1.0},
+     "solver 'strang' .* rotors"),
+    ({'wheels': 1}, 'wheels: expected true or false, found 1'),
+    ({'torque_topics': 'torque'}, "torque_topics: expected a list of text, found 'torque'"),
+    ({'torque_topics': []}, 'torque_topics: expected at least one topic, found an empty list'),
+    ({'torque_topics': ['a', 'b', 'a']}, "torque_topics: expected each topic once, found 'a' "
+                                         'twice'),
+    ({'torque_topics': ['a', 3]}, r'torque_topics: expected names of topics \(.*\), found 3'),
+    ({'torque_topics': ['a b']}, r"torque_topics: expected names of topics \(.*\), found 'a b'"),
     ({'body_frame': 'world'}, "space_frame, body_frame: expected different names,.*'world' twice"),
     ({'max_future': 2.0}, r'max_future: expected less than history \(1.0 s\), found 2.0 s')])
 def test_invalid_values_are_rejected_with_name_and_value(change, message):

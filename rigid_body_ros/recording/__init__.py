@@ -31,6 +31,7 @@ from rigid_body_ros.recording.source import (
     read,
     Source,
     TIME_SOURCES,
+    topics,
     TORQUES,
     Track,
 )
@@ -44,5 +45,5 @@ from rigid_body_ros.recording.torques import (
 from rigid_body_ros.recording.writer import Column, Writer
 
 __all__ = ['TIME_SOURCES', 'TORQUES', 'Column', 'FolderWriter', 'Messages', 'NotInOrderError',
-           'Piece', 'Source', 'Track', 'Writer', 'joined', 'new_logs', 'read', 'torque_log',
-           'torque_pieces']
+           'Piece', 'Source', 'Track', 'Writer', 'joined', 'new_logs', 'read', 'topics',
+           'torque_log', 'torque_pieces']

@@ -111,6 +111,8 @@ class Source:
         'header', 'log' (time of recording) or 'publish' (time of publishing).
     skip : float, s
         Skip the messages of the first `skip` seconds of the topic.
+    preferred : str
+        The topic to take if it is omitted and several topics have one of the types.
 
     Attributes
     ----------
@@ -135,7 +137,7 @@ class Source:
     """
 
     def __init__(self, path: str | Path, topic: str | None, kinds: Sequence[MessageType],
-                 time_source: str = 'header', skip: float = 0.0) -> None:
+                 time_source: str = 'header', skip: float = 0.0, preferred: str = '') -> None:
         self._path = path
         self._skip_ns = duration_ns(skip, 'skip')
         self._time_source = time_source
@@ -143,7 +145,8 @@ class Source:
         with ExitStack() as stack:
             self._files, self._compressed, self._missing = _open_files(Path(path), stack)
             self.types = {name: kind for file in self._files for name, kind in file.types.items()}
-            self.topic, self.kind = _select_topic(path, self.types, topic, kinds)
+            self.topic, self.kind = _select_topic(path, self.types, topic, kinds,
+                                                  preferred)
             self._stack = stack.pop_all()
         self._with_topic = [file for file in self._files if self.topic in file.types]
         self.count = sum(file.count(self.topic) for file in self._with_topic)
@@ -225,7 +228,8 @@ class Source:
 
 
 def read(path: str | Path, topic: str | None = None, kind: MessageType | None = None,
-         track: Track = lambda items, total: items, time_source: str = 'header') -> Messages:
+         track: Track = lambda items, total: items, time_source: str = 'header',
+         skip: float = 0.0, preferred: str = '') -> Messages:
     """
     Read the messages of a topic.
 
@@ -242,6 +246,8 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
         Wraps the iteration over blocks of messages, to show progress.
     time_source : str
         Source of the stamps: 'header', 'log' (time of recording) or 'publish'.
+    skip, preferred
+        As for `Source`.
 
     Returns
     -------
@@ -254,8 +260,18 @@ def read(path: str | Path, topic: str | None = None, kind: MessageType | None = 
         or a message does not match its type.
 
     """
-    with Source(path, topic, TORQUES if kind is None else (kind,), time_source) as source:
+    with Source(path, topic, TORQUES if kind is None else (kind,), time_source, skip,
+                preferred) as source:
         return joined(source.topic, source.kind, list(track(source, source.count)), source.damage)
+
+
+def topics(path: str | Path, kinds: Sequence[MessageType]) -> list[str]:
+    """Return the topics of a recording that have one of the types, with the errors of `read`."""
+    names = {kind.name for kind in kinds}
+    with ExitStack() as stack:
+        files, _, _ = _open_files(Path(path), stack)
+        return [*{topic: None for file in files for topic, kind in file.types.items()
+                  if kind in names}]
 
 
 def joined(topic: str, kind: MessageType, blocks: list[Messages], damage: str) -> Messages:
@@ -272,11 +288,13 @@ def joined(topic: str, kind: MessageType, blocks: list[Messages], damage: str) -
 
 
 def _select_topic(path: str | Path, types: dict[str, str], topic: str | None,
-                  kinds: Sequence[MessageType]) -> tuple[str, MessageType]:
+                  kinds: Sequence[MessageType], preferred: str) -> tuple[str, MessageType]:
     by_name = {kind.name: kind for kind in kinds}
     expected = ' or '.join(by_name)
     fitting = [name for name, kind in types.items() if kind in by_name]
     if topic is None:
+        if preferred in fitting:
+            fitting = [preferred]
         if len(fitting) != 1:
             advice = '; choose one with --topic' if fitting else ''
             raise InputError(f'{path}: expected one topic of type {expected}, '

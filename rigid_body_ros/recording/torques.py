@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.frames import Frames, NO_FRAMES
 from rigid_body_ros.recording.source import Messages
 from rigid_body_ros.torque import TorqueLog
 
@@ -37,7 +38,7 @@ _NEIGHBOURS = 2
 
 
 def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_frame: str,
-               interpolation: str = 'hold') -> TorqueLog:
+               interpolation: str = 'hold', links: Frames = NO_FRAMES) -> TorqueLog:
     """
     Return the torque log of WrenchStamped messages; if they form several logs, the last one.
 
@@ -53,6 +54,9 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
         The frame_ids of torques in body axes (or empty) and in space axes.
     interpolation : str
         'hold', 'linear' or 'cubic'.
+    links : Frames
+        The links of a URDF that are fixed to the body (see `urdf.fixed_frames`): a wrench in the
+        frame of one acts at its origin.
 
     Returns
     -------
@@ -69,8 +73,7 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
     if not len(recorded.stamps_ns):
         lost = f' ({recorded.damage})' if recorded.damage else ''
         raise InputError(f'{where}: expected torques, found no messages{lost}')
-    torques = recorded.values[:, 3:]
-    axes = _checked(where, recorded, body_frame, space_frame)
+    torques, axes = _torques(where, recorded, (body_frame, space_frame, links))
     # The log begins with the torque after the last marker or, if no torque follows, with the
     # marker itself, a zero torque.
     first = min(int(np.append(0, new_logs(recorded) + 1)[-1]), len(torques) - 1)
@@ -83,22 +86,43 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
         raise InputError(f'{where}: {error}') from error
 
 
-def _checked(where: str, recorded: Messages, body_frame: str, space_frame: str,
-             before: int = 0) -> list[str]:
-    """Return the axes of each frame; raise InputError that numbers the first invalid message."""
-    torques = recorded.values[:, 3:]
-    if not np.isfinite(torques).all():
-        row = int(np.flatnonzero(~np.isfinite(torques).all(axis=1))[0])
-        raise InputError(f'{where}: message {before + row + 1} at {recorded.stamps_ns[row]} ns: '
-                         f'expected a finite torque, found {torques[row].tolist()}')
-    axes = []
+def _torques(where: str, recorded: Messages, frames: tuple[str, str, Frames],
+             before: int = 0) -> tuple[Floats, list[str]]:
+    """
+    Return the torques about the centre of mass, N m, shape (n, 3), and the axes of each frame.
+
+    `frames` are the body frame, the space frame and the links that are fixed to the body. Raise
+    InputError that names the first invalid message; `before` messages of the topic came before.
+    """
+    torques, axes, moved = recorded.values[:, 3:], [], {}
     for code, frame_id in enumerate(recorded.names):
         try:
-            axes.append(messages.torque_frame(frame_id, body_frame, space_frame))
+            one, frame = messages.wrench_frame(frame_id, *frames)
         except ValueError as error:
             number = before + int(np.argmax(recorded.frames == code)) + 1
             raise InputError(f'{where}: message {number}: {error}') from error
-    return axes
+        axes.append(one)
+        if frame:
+            moved[code] = frame
+    if moved:
+        torques = torques.copy()
+    for code, frame in moved.items():
+        rows = recorded.frames == code
+        torques[rows] = frame.torque(recorded.values[rows, :3], recorded.values[rows, 3:])
+    _check_finite(where, recorded, torques, moved, before)
+    return torques, axes
+
+
+def _check_finite(where: str, recorded: Messages, torques: Floats, moved: Collection[int],
+                  before: int) -> None:
+    """Raise InputError that names the first message whose torque is not finite."""
+    if np.isfinite(torques).all():
+        return
+    row = int(np.flatnonzero(~np.isfinite(torques).all(axis=1))[0])
+    source = f', from the wrench {recorded.values[row].tolist()} in frame ' \
+             f'{recorded.names[recorded.frames[row]]!r}' if recorded.frames[row] in moved else ''
+    raise InputError(f'{where}: message {before + row + 1} at {recorded.stamps_ns[row]} ns: '
+                     f'expected a finite torque, found {torques[row].tolist()}{source}')
 
 
 def _check_stamped(where: str, stamps_ns: NDArray[np.int64], first: int) -> None:
@@ -163,8 +187,8 @@ class Piece(NamedTuple):
         return TorqueLog(self.times_ns, self.torques, self.in_space, interpolation)
 
 
-def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str,
-                  space_frame: str) -> Iterator[Piece]:
+def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str, space_frame: str,
+                  links: Frames = NO_FRAMES) -> Iterator[Piece]:
     """
     Generate the torque log in pieces from blocks of messages, so that it need not fit in memory.
 
@@ -180,7 +204,7 @@ def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str,
 
     """
     piece, dropped = _EMPTY, 0
-    for samples in _ascending(where, blocks, body_frame, space_frame):
+    for samples in _ascending(where, blocks, (body_frame, space_frame, links)):
         piece = _concatenated(piece, samples)
         stop = len(piece.times_ns) - 1 - _NEIGHBOURS
         if stop >= _SAMPLES:
@@ -190,8 +214,8 @@ def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str,
     yield piece._replace(dropped=dropped)
 
 
-def _ascending(where: str, blocks: Iterable[Messages], body_frame: str,
-               space_frame: str) -> Iterator[Piece]:
+def _ascending(where: str, blocks: Iterable[Messages],
+               frames: tuple[str, str, Frames]) -> Iterator[Piece]:
     """
     Generate the samples of all blocks, sorted by stamp.
 
@@ -199,14 +223,14 @@ def _ascending(where: str, blocks: Iterable[Messages], body_frame: str,
     """
     waiting, last_ns, number = _EMPTY, -2 ** 63, 0
     for block in blocks:
-        axes = _checked(where, block, body_frame, space_frame, number)
+        torques, axes = _torques(where, block, frames, number)
         number += len(block)
         in_space = np.array([name == 'space' for name in axes])[block.frames]
         first_ns = int(block.stamps_ns.min())
         if first_ns <= last_ns or not block.stamps_ns.all():
             raise NotInOrderError
         waiting = _sorted(_concatenated(
-            waiting, Piece(block.stamps_ns, block.values[:, 3:], in_space)))
+            waiting, Piece(block.stamps_ns, torques, in_space)))
         ready = int(np.searchsorted(waiting.times_ns, first_ns))
         if ready:
             last_ns = int(waiting.times_ns[ready - 1])

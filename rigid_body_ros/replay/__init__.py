@@ -14,6 +14,8 @@
 
 """Compute the motion of a body from recorded torques."""
 
-from rigid_body_ros.replay.single import plot, progress, read, Replay, replay, suffix_of
+from rigid_body_ros.replay.outputs import suffix_of
+from rigid_body_ros.replay.single import plot, progress, read, Replay, replay
+from rigid_body_ros.replay.sources import topics_of
 
-__all__ = ['Replay', 'plot', 'progress', 'read', 'replay', 'suffix_of']
+__all__ = ['Replay', 'plot', 'progress', 'read', 'replay', 'suffix_of', 'topics_of']

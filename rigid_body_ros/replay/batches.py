@@ -16,7 +16,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Thread
@@ -29,8 +30,10 @@ from rigid_body_ros import messages, so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
-from rigid_body_ros.propagation import Integration, Trajectory
+from rigid_body_ros.propagation import Integration, Options, Trajectory
+from rigid_body_ros.propagation.combined import CombinedMotion
 from rigid_body_ros.recording import NotInOrderError, Piece
+from rigid_body_ros.replay.sources import Sources
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
 
@@ -55,9 +58,18 @@ class Request:
 class Batch(NamedTuple):
     """A part of the motion, its piece of the torque log, and the wall time to compute it, s."""
 
-    log: TorqueLog
+    #: Of a motion with several topics, rotors or damping: all logs as a whole.
+    log: TorqueLog | Sequence[TorqueLog]
     trajectory: Trajectory
     seconds: float
+    #: Torque on the rotors.
+    wheels: TorqueLog | None = None
+
+    @property
+    def last_ns(self) -> int:
+        """Return the last stamp of the logs."""
+        logs = [self.log] if isinstance(self.log, TorqueLog) else [*self.log, self.wheels]
+        return max(int(log.times_ns[-1]) for log in logs if log)
 
 
 class Batches:
@@ -95,8 +107,7 @@ class Batches:
         self._thread: Thread | None = None
         #: The exception that the thread raised.
         self._failure: BaseException | None = None
-        #: End of the motion so far, and number of its outputs.
-        self._end_ns, self._count = self.start.time_ns, 0
+        self._outputs = _OutputTimes(request, self.start.time_ns)
         self._until_ns = None if request.until is None else \
             end_of(request.path, 0, self.start.time_ns, request.until)
 
@@ -129,7 +140,7 @@ class Batches:
                 raise NotInOrderError  # the log as a whole is rejected
             self._alternatives.clear()
             self._final_attitudes.clear()
-        numbers, times_of = self._outputs(piece.times_ns, stop)
+        numbers, times_of = self._outputs.up_to(piece.times_ns, stop)
         self._thread = Thread(target=self._advance_alternatives,
                               args=(piece, stop, times_of(numbers[-1:])), daemon=True)
         self._thread.start()
@@ -145,15 +156,99 @@ class Batches:
         except ValueError as error:
             raise InputError(f'{self._where}: {error}') from error
 
-    def _outputs(self, stamps_ns: NDArray[np.int64], stop: int | None
-                 ) -> tuple[range, Callable[[range], NDArray[np.int64]]]:
+    def _wait(self) -> None:
+        if self._thread:
+            self._thread.join()
+        if self._failure:
+            raise self._failure
+
+    def _advance_alternatives(self, piece: Piece, stop: int | None,
+                              last: NDArray[np.int64]) -> None:
+        """Advance the motions with the other interpolations to the end of the piece."""
+        try:
+            for name, run in [*self._alternatives.items()]:
+                self._final_attitudes[name] = None
+                try:
+                    motion = run.advance(piece.log(name), last if stop is None else [],
+                                         dropped=piece.dropped, stop=stop)
+                except ValueError:  # the body spins too fast with this interpolation
+                    del self._alternatives[name]
+                else:
+                    self._final_attitudes[name] = motion.attitude[-1] if stop is None else None
+        except BaseException as error:  # raised in the main thread by `_wait`
+            self._failure = error
+
+
+class CombinedBatches:
+    """
+    The motion of a scene with several topics, rotors or damping; iteration yields each `Batch`.
+
+    Attributes
+    ----------
+    start : State
+    first_ns : int
+        Stamp of the first torque.
+
+    """
+
+    def __init__(self, request: Request, topics: str, sources: Sources) -> None:
+        self._where, self._request, self._sources = f'{request.path}: {topics}', request, sources
+        self.start, self._stamps_ns = sources.start, sources.times_ns
+        self.first_ns = int(self._stamps_ns[0])
+        self._outputs = _OutputTimes(request, self.start.time_ns)
+        self._end_ns = end_of(request.path, int(self._stamps_ns[-1]), self.start.time_ns,
+                              request.until)
+
+    def __iter__(self) -> Iterator[Batch]:
+        began = time.perf_counter()
+        numbers, times_of = self._outputs.up_to(self._stamps_ns, None)
+        try:
+            motion = self._motion(self._sources)
+            for first in range(0, max(len(numbers), 1), _LARGEST):
+                trajectory = motion.advance(times_of(numbers[first:first + _LARGEST]))
+                yield Batch(self._sources.logs, trajectory, time.perf_counter() - began,
+                            self._sources.wheels)
+                began = time.perf_counter()
+        except ValueError as error:
+            raise InputError(f'{self._where}: {error}') from error
+
+    def differences(self, end: Floats) -> dict[str, float | None]:
+        """Return the angles, rad, of the other final attitudes from `end`, by interpolation."""
+        if any(np.unique(log.in_space).size > 1 for log in self._sources.logs):
+            return {}
+        found: dict[str, float | None] = {}
+        for name in INTERPOLATIONS:
+            if name != self._request.interpolation:
+                found[name] = None
+                with suppress(ValueError):  # the body spins too fast with this interpolation
+                    motion = self._motion(self._sources.interpolated(name))
+                    attitude = motion.advance([self._end_ns]).attitude[0]
+                    found[name] = float(so3.angle_between(attitude, end))
+        return found
+
+    def _motion(self, sources: Sources) -> CombinedMotion:
+        scene = self._request.scene
+        return CombinedMotion(scene.body, self.start, sources.logs,
+                              sources.wheels or TorqueLog([], []), Options(**scene.options))
+
+
+class _OutputTimes:
+    """The times of the outputs, from one piece of the log to the next."""
+
+    def __init__(self, request: Request, start_ns: int) -> None:
+        self._request, self._start_ns = request, start_ns
+        #: End of the motion so far, and number of its outputs.
+        self._end_ns, self._count = start_ns, 0
+
+    def up_to(self, stamps_ns: NDArray[np.int64], stop: int | None
+              ) -> tuple[range, Callable[[range], NDArray[np.int64]]]:
         """
         Return the numbers of the next outputs and a function that returns their times.
 
         The outputs end at the end of the piece or of the motion. At a high rate the times of all
         of them would not fit in memory.
         """
-        start_ns, rate = self.start.time_ns, self._request.rate
+        start_ns, rate = self._start_ns, self._request.rate
         end_ns = int(stamps_ns[-1 if stop is None else stop])
         if stop is None:
             end_ns = end_of(self._request.path, end_ns, start_ns, self._request.until)
@@ -182,28 +277,6 @@ class Batches:
         self._count += len(numbers)
         self._end_ns = max(self._end_ns, end_ns)
         return numbers, times_of
-
-    def _wait(self) -> None:
-        if self._thread:
-            self._thread.join()
-        if self._failure:
-            raise self._failure
-
-    def _advance_alternatives(self, piece: Piece, stop: int | None,
-                              last: NDArray[np.int64]) -> None:
-        """Advance the motions with the other interpolations to the end of the piece."""
-        try:
-            for name, run in [*self._alternatives.items()]:
-                self._final_attitudes[name] = None
-                try:
-                    motion = run.advance(piece.log(name), last if stop is None else [],
-                                         dropped=piece.dropped, stop=stop)
-                except ValueError:  # the body spins too fast with this interpolation
-                    del self._alternatives[name]
-                else:
-                    self._final_attitudes[name] = motion.attitude[-1] if stop is None else None
-        except BaseException as error:  # raised in the main thread by `_wait`
-            self._failure = error
 
 
 def end_of(path: str | Path, last_ns: int, start_ns: int, until: float | None = None) -> int:

@@ -13,23 +13,25 @@
 # limitations under the License.
 
 """
-Check a motion against the conservation laws: work and energy, or momentum without torque.
+Check a motion against the conservation laws: momentum, or work and energy.
 
 Also estimate how far a change of the last digits of the data moves a motion, with any solver.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import so3
-from rigid_body_ros.body import State
-from rigid_body_ros.propagation import propagate, Trajectory
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.propagation import propagate, summation, Trajectory
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.torque import TorqueLog
+from rigid_body_ros.state import State
+from rigid_body_ros.torque import torque_logs, TorqueLog
 
 #: The energy balance covers at most this many intervals of at most this angle, rad.
 _MOST_INTERVALS = 200_000
@@ -74,8 +76,8 @@ class LastDigits(NamedTuple):
                 f'attitude by {self.effect:.1e} rad{part}: no solver guarantees a smaller error')
 
 
-def last_digits(scene: Scene, log: TorqueLog, start: State,
-                trajectory: Trajectory) -> LastDigits | None:
+def last_digits(scene: Scene, log: TorqueLog | Sequence[TorqueLog], start: State,
+                trajectory: Trajectory, wheels: TorqueLog | None = None) -> LastDigits | None:
     """
     Return the effect of the last digits on the beginning of a motion.
 
@@ -85,15 +87,19 @@ def last_digits(scene: Scene, log: TorqueLog, start: State,
     begin_ns, end_ns = start.time_ns, int(trajectory.times_ns[-1])
     speed = float(np.linalg.norm(trajectory.angular_velocity, axis=1).max())
     covered_ns = end_ns - begin_ns
-    following = log.times_ns[log.times_ns > begin_ns][_SAMPLES - 1:_SAMPLES]
+    logs = torque_logs(log)
+    stamps = np.unique(np.concatenate([one.times_ns for one in (*logs, *torque_logs(wheels))]))
+    following = stamps[stamps > begin_ns][_SAMPLES - 1:_SAMPLES]
     if following.size:
         covered_ns = min(covered_ns, int(following[0]) - begin_ns)
     if speed * covered_ns * 1e-9 > _ANGLE:
         covered_ns = int(_ANGLE / speed * 1e9)
-    log = log.between(begin_ns, begin_ns + covered_ns)
+    span = begin_ns, begin_ns + covered_ns
     times = np.unique(np.linspace(0, covered_ns, _TIMES + 1)[1:].astype(np.int64))
     try:
-        effect = last_digit_effect(scene.body, start, log, at=begin_ns + times,
+        effect = last_digit_effect(scene.body, start, [one.between(*span) for one in logs],
+                                   at=begin_ns + times,
+                                   wheels=wheels.between(*span) if wheels else None,
                                    torque_timeout=scene.values['torque_timeout'])
     except ValueError:  # the body spins too fast
         return None
@@ -104,29 +110,66 @@ def last_digits(scene: Scene, log: TorqueLog, start: State,
                       (end_ns - begin_ns) * 1e-9)
 
 
-def drift(scene: Scene, log: TorqueLog, start: State, trajectory: Trajectory) -> Check:
-    """Return how much a motion with at least one output violates the conservation laws."""
+def drift(scene: Scene, log: TorqueLog | Sequence[TorqueLog], start: State,
+          trajectory: Trajectory, wheels: TorqueLog | None = None) -> Check:
+    """
+    Return how much a motion with at least one output violates the conservation laws.
+
+    Without a torque from outside, the angular momentum in space axes is constant; under torques in
+    space axes it follows their integral. Under torques in body axes, or damping, work and energy
+    are compared.
+    """
     seconds = float(trajectory.times_ns[-1] - start.time_ns) * 1e-9
-    if not log.torques.any():
+    acting = [one for one in torque_logs(log) if one.torques.any()]
+    if not acting and not scene.body.is_damped:
         momentum = trajectory.angular_momentum_space
-        size = float(np.linalg.norm(momentum[0]))
-        lost = float(np.linalg.norm(momentum - momentum[0], axis=1).max())
+        size = max(_norm(momentum[:1]), _norm(trajectory.rotor_momentum))
+        lost = _norm(momentum - momentum[0])
         return Check(
             f'relative drift of the space angular momentum {lost / size if size else lost:.1e}',
             seconds, seconds)
-    imbalance, covered = energy_balance(scene, log, start, trajectory)
+    if not scene.body.is_damped and all(_is_in_space(one) for one in acting):
+        return Check('space angular momentum and the integral of the torque differ by '
+                     f'{_momentum_balance(scene, acting, start, trajectory):.1e} of the largest '
+                     'momentum', seconds, seconds)
+    imbalance, covered = energy_balance(scene, log, start, trajectory, wheels)
     return Check(f'work and energy differ by {imbalance:.1e} of the largest energy', covered,
                  seconds)
 
 
-def energy_balance(scene: Scene, log: TorqueLog, start: State,
-                   trajectory: Trajectory) -> tuple[float, float]:
-    """
-    Compare the work of the torques with the change of the kinetic energy.
+def _momentum_balance(scene: Scene, logs: Sequence[TorqueLog], start: State,
+                      trajectory: Trajectory) -> float:
+    """Return the largest error of the momentum under torques in space axes, relative to it."""
+    times = trajectory.times_ns
+    momentum = start_momentum = so3.rotate(
+        start.attitude, scene.body.angular_momentum(start.angular_velocity) + start.rotor_momentum)
+    for log in logs:  # the momentum of a rotor is the integral of a torque, too
+        driven = TorqueLog(log.times_ns, log.torques, interpolation=log.interpolation)
+        total = summation.summed([], driven, start.time_ns, np.zeros((2, 3)), scene.timeout_ns)
+        momentum = momentum + summation.momentum_at(total.times_ns, total.terms, times)[:, 0]
+    scale = max(_norm(momentum), _norm(start_momentum[None]), _norm(trajectory.rotor_momentum))
+    lost = _norm(trajectory.angular_momentum_space - momentum)
+    return lost / scale if scale else lost
 
-    The work is the integral of tau . w over time, by Gaussian quadrature with three points in
-    intervals of at most 0.05 rad between changes of the torque. The points are rounded to whole
-    nanoseconds, which limits the comparison to about 1e-10 of an interval.
+
+def _norm(vectors: Floats) -> float:
+    """Return the length of the longest vector."""
+    return float(np.linalg.norm(vectors, axis=1).max())
+
+
+def _is_in_space(log: TorqueLog) -> bool:
+    return bool(log.in_space[log.torques.any(axis=1)].all())
+
+
+def energy_balance(scene: Scene, log: TorqueLog | Sequence[TorqueLog], start: State,
+                   trajectory: Trajectory, wheels: TorqueLog | None = None) -> tuple[float, float]:
+    """
+    Compare the work on the body with the change of its kinetic energy.
+
+    The work is the integral of (tau - tau_wheel - D w) . w over time, by Gaussian quadrature with
+    three points in intervals of at most 0.05 rad between changes of the torque. The intervals are
+    shorter where rotors or damping change the rates faster than the body turns. The points are
+    rounded to whole nanoseconds, which limits the comparison to about 1e-10 of an interval.
 
     Returns
     -------
@@ -137,15 +180,21 @@ def energy_balance(scene: Scene, log: TorqueLog, start: State,
 
     """
     timeout_ns = scene.timeout_ns
-    edges = _interval_edges(log, start, trajectory, timeout_ns)
+    logs = torque_logs(log)
+    edges = _interval_edges([*logs, *torque_logs(wheels)], start, trajectory, timeout_ns)
     lengths = np.diff(edges)
     points = edges[:-1, None] + np.round(lengths[:, None] * _GAUSS_POINTS).astype(np.int64)
     times = np.concatenate([points.ravel(), edges[[0, -1]]])
-    motion = propagate(scene.body, start, log, at=times, **scene.options)
-    torque, in_space = log.at(times[:-2], timeout_ns)
+    motion = propagate(scene.body, start, logs, at=times, wheels=wheels, **scene.options)
+    rates = motion.angular_velocity[:-2]
     to_body = so3.conjugate(motion.attitude[:-2])
-    torque = np.where(in_space[:, None], so3.rotate(to_body, torque), torque)
-    power = np.sum(torque * motion.angular_velocity[:-2], axis=1).reshape(-1, 3)
+    total = -rates @ scene.body.damping
+    for one in logs:
+        torque, in_space = one.at(times[:-2], timeout_ns)
+        total += np.where(in_space[:, None], so3.rotate(to_body, torque), torque)
+    if wheels:
+        total -= wheels.at(times[:-2], timeout_ns)[0]
+    power = np.sum(total * rates, axis=1).reshape(-1, 3)
     work = np.sum(power @ _GAUSS_WEIGHTS * lengths) * 1e-9
     energy = motion.kinetic_energy
     change, scale = energy[-1] - energy[-2], energy.max()
@@ -153,15 +202,16 @@ def energy_balance(scene: Scene, log: TorqueLog, start: State,
         float(edges[-1] - edges[0]) * 1e-9
 
 
-def _interval_edges(log: TorqueLog, start: State, trajectory: Trajectory,
+def _interval_edges(logs: Sequence[TorqueLog], start: State, trajectory: Trajectory,
                     timeout_ns: int) -> NDArray[np.int64]:
     # Return the changes of the torque and times in between, such that all intervals are short.
-    changes, _ = log.segments(timeout_ns)
+    changes = np.unique(np.concatenate(
+        [np.empty(0, np.int64), *(log.segments(timeout_ns)[0] for log in logs)]))
     start_ns, end_ns = start.time_ns, int(trajectory.times_ns[-1])
     inside = changes[(changes > start_ns) & (changes < end_ns)]
     edges = np.concatenate([[start_ns], inside, [end_ns]])[:_MOST_INTERVALS + 1]
     lengths = np.diff(edges)
-    speed = float(np.linalg.norm(trajectory.angular_velocity, axis=1).max())
+    speed = _norm(trajectory.angular_velocity) + _linear_rate(trajectory)
     counts = np.ceil(lengths * 1e-9 * speed / _INTERVAL_ANGLE)
     counts = counts.clip(1, _MOST_INTERVALS).astype(int)
     counts = counts[:np.searchsorted(np.cumsum(counts), _MOST_INTERVALS) + 1]
@@ -170,3 +220,10 @@ def _interval_edges(log: TorqueLog, start: State, trajectory: Trajectory,
     offsets = np.round(number / np.repeat(counts, counts) * np.repeat(lengths, counts))
     inner = np.repeat(edges[:len(counts)], counts) + offsets.astype(np.int64)
     return np.append(inner, edges[len(counts)])[:_MOST_INTERVALS + 1]
+
+
+def _linear_rate(trajectory: Trajectory) -> float:
+    """Return a bound, 1/s, on how fast rotors and damping change the angular velocity."""
+    body = trajectory.body
+    return (_norm(trajectory.rotor_momentum) + float(np.linalg.norm(body.damping))) \
+        / float(body.principal_moments[0])

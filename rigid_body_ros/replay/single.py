@@ -21,38 +21,33 @@ recordings with stamps far out of order, or with several logs of a node, are rea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
-import json
 from pathlib import Path
 import sys
 import time
 from typing import Any
 
 import numpy as np
-from rigid_body_ros import messages, recording
-from rigid_body_ros.body import State
+from rigid_body_ros import recording
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.messages import MessageType
+from rigid_body_ros.messages import VECTOR3
 from rigid_body_ros.propagation import Trajectory, warm_up
-from rigid_body_ros.recording import Column, Messages, NotInOrderError, Piece, Source
-from rigid_body_ros.replay import markers
-from rigid_body_ros.replay.batches import Batch, Batches, Request
+from rigid_body_ros.recording import Messages, NotInOrderError, Piece, Source
+from rigid_body_ros.replay import outputs
+from rigid_body_ros.replay.batches import Batch, Batches, CombinedBatches, Request
 from rigid_body_ros.replay.check import Check, drift, last_digits, LastDigits
+from rigid_body_ros.replay.outputs import INPUT, suffix_of
+from rigid_body_ros.replay.sources import absolute, read_sources, Sources, Topics, topics_of
 from rigid_body_ros.runtime import files, interrupts
-from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.scene import Scene
+from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
 from tqdm import tqdm
 
-ATTITUDE, EULER_ANGLES, ANGULAR_VELOCITY = '/attitude', '/euler_angles', '/angular_velocity'
-_TOPICS = {ATTITUDE: messages.QUATERNION, EULER_ANGLES: messages.VECTOR3,
-           ANGULAR_VELOCITY: messages.VECTOR3}
-#: Names of the additional topics that can be written.
-IMU, TF, MARKERS, INPUT = 'imu', 'tf', 'markers', 'input'
-_IMU_DATA, _TF = '/imu/data', '/tf'
-_ALSO = {IMU: {_IMU_DATA: messages.IMU}, TF: {_TF: messages.TRANSFORM}, MARKERS: markers.TOPICS}
+#: The types of all topics that a motion depends on.
+_KINDS = (*recording.TORQUES, VECTOR3)
 
 
 @dataclass(eq=False)
@@ -65,7 +60,9 @@ class Replay:
     scene : Scene
     interpolation : str
     topic : str
-        Topic of the torques.
+        Topic of the torques; several are separated by commas.
+    wheel_source : str
+        Where the torque on the rotors comes from.
     messages : int
         Number of torque messages.
     unordered : int
@@ -91,13 +88,17 @@ class Replay:
     seconds : dict
         Wall time spent to read, propagate and write, s.
     log, trajectory : TorqueLog, Trajectory, optional
-        The whole log and motion, if `keep` was set.
+        The whole log and motion, if `keep` was set. A scene with several topics, rotors or damping
+        has a tuple of logs, one for each topic.
+    wheels : TorqueLog, optional
+        The torque on the rotors, if `keep` was set and the recording has it.
 
     """
 
     scene: Scene
     interpolation: str
     topic: str
+    wheel_source: str = ''
     messages: int = 0
     unordered: int = 0
     logs: int = 1
@@ -112,14 +113,16 @@ class Replay:
     last_digits: LastDigits | None = None
     seconds: dict[str, float] = field(
         default_factory=lambda: {'read': 0.0, 'propagate': 0.0, 'write': 0.0})
-    log: TorqueLog | None = None
+    log: TorqueLog | Sequence[TorqueLog] | None = None
+    wheels: TorqueLog | None = None
     trajectory: Trajectory | None = None
 
 
 def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
-           topic: str | None = None, interpolation: str | None = None, rate: float | None = None,
-           until: float | None = None, start: float = 0.0, time_source: str = 'header',
-           also: Collection[str] = (), keep: bool | None = None) -> Replay:
+           topic: str | Sequence[str] | None = None, interpolation: str | None = None,
+           rate: float | None = None, until: float | None = None, start: float = 0.0,
+           time_source: str = 'header', also: Collection[str] = (), keep: bool | None = None,
+           wheel_torque: str | None = None, wheel_momentum: str | None = None) -> Replay:
     """
     Compute the motion of a body from the torques of a recording.
 
@@ -128,13 +131,15 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     path : str or Path
         The recording; see `recording.Source`.
     scene : Scene
-        If its start_time is 0, the motion starts at the stamp of the first torque.
+        If its start_time is 0, the motion starts at the earliest stamp of all topics.
     output : str or Path, optional
-        Where to write attitude, Euler angles and angular velocity: an MCAP file, which may
-        exist, or, if the name does not end in .mcap, a new rosbag2 folder. It must not be the
-        recording or the scene file, under any name, or lie in the folder of the bag.
-    topic : str, optional
-        Topic of the torques; required if the recording has several.
+        Where to write attitude, Euler angles, angular velocity and, if there are rotors, their
+        momentum: an MCAP file, which may exist, or, if the name does not end in .mcap, a new
+        rosbag2 folder. It must not be the recording or the scene file, under any name, or lie in
+        the folder of the bag.
+    topic : str or sequence of str, optional
+        Topics of the torques, which add up; by default those of the scene. If the scene has one
+        topic and the recording has one, their names may differ.
     interpolation : str, optional
         Interpolation between samples; otherwise the scene's.
     rate : float, optional, Hz
@@ -143,7 +148,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     until : float, optional, s
         End of the motion after its start; otherwise the last stamp.
     start : float, s
-        Skip this many seconds of the recording.
+        Skip this many seconds of the recording. Only for one topic of torques.
     time_source : str
         When a torque takes effect: 'header' (its stamp), 'log' or 'publish'.
     also : collection of str
@@ -151,6 +156,12 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         'input' (all messages of the recording, byte for byte).
     keep : bool, optional
         Whether to return log and trajectory, which takes memory; by default if there is no output.
+    wheel_torque : str, optional
+        Topic of the torque of the motors on the rotors; by default wheel_torque, if the scene has
+        wheels and the recording has that topic.
+    wheel_momentum : str, optional
+        Topic of the measured momentum of the rotors, which is linear between samples. The motion
+        starts with the measured momentum.
 
     Returns
     -------
@@ -164,7 +175,9 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         `start` or `until` is negative or longer than 1e9 s.
 
     """
-    _check_names(also)
+    outputs.check_names(also)
+    given = topics_of(topic, wheel_torque, wheel_momentum)
+    is_plain = given.is_plain(scene)
     keep = output is None if keep is None else keep
     interpolation = interpolation or scene.values['interpolation']
     request = Request(path, scene, interpolation, rate, until, also)
@@ -173,14 +186,20 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
             files.check((output, suffix_of(output)))
         for prepare in progress('loading kernels (compiled on first use)')([warm_up], 1):
             prepare()
-        with Source(path, topic, recording.TORQUES, time_source, start) as source:
+        if not is_plain:
+            topics = given.found_in(path, scene)
+            return _combined(request, topics, output, keep, time_source, start)
+        with Source(path, next(iter(given.torques), None), recording.TORQUES, time_source, start,
+                    absolute(scene.torque_topics[0])) as source:
             return _in_pieces_or_whole(request, source, output, keep)
 
 
-def suffix_of(output: str | Path) -> str:
-    """Return the format of an output: '.mcap', or `files.FOLDER` for a rosbag2 folder."""
-    name = Path(output).name.lower()  # like rosbag2
-    return '.mcap' if name.endswith('.mcap') else files.FOLDER
+def read_all(path: str | Path, scene: Scene, topics: Topics,
+             interpolation: str | None = None) -> Sources:
+    """Return the torques of a scene that is not plain, with the errors of `read`."""
+    return read_sources(path, scene, topics.found_in(path, scene),
+                        interpolation or scene.values['interpolation'],
+                        progress('reading', size=len))
 
 
 def read(path: str | Path, scene: Scene, topic: str | None = None,
@@ -194,10 +213,11 @@ def read(path: str | Path, scene: Scene, topic: str | None = None,
         The recording cannot be read or does not fit the scene.
 
     """
-    recorded = recording.read(path, topic, track=progress('reading', size=len))
+    recorded = recording.read(path, topic, track=progress('reading', size=len),
+                              preferred=absolute(scene.torque_topics[0]))
     log = recording.torque_log(path, recorded, scene.values['body_frame'],
                                scene.values['space_frame'],
-                               interpolation or scene.values['interpolation'])
+                               interpolation or scene.values['interpolation'], scene.links)
     start = replace(scene.start, time_ns=scene.start.time_ns or int(log.times_ns[0]))
     return recorded, log, start
 
@@ -255,7 +275,8 @@ def _pieces(request: Request, source: Source, result: Replay) -> Iterator[Piece]
             yield block
     values = request.scene.values
     return recording.torque_pieces(f'{request.path}: {source.topic}', counted(),
-                                   values['body_frame'], values['space_frame'])
+                                   values['body_frame'], values['space_frame'],
+                                   request.scene.links)
 
 
 def _whole(request: Request, source: Source, result: Replay) -> Iterator[Piece]:
@@ -263,51 +284,70 @@ def _whole(request: Request, source: Source, result: Replay) -> Iterator[Piece]:
     blocks = [*progress('reading', size=len)(source, source.count)]
     recorded = recording.joined(source.topic, source.kind, blocks, source.damage)
     values = request.scene.values
-    log = recording.torque_log(request.path, recorded, values['body_frame'], values['space_frame'])
+    log = recording.torque_log(request.path, recorded, values['body_frame'],
+                               values['space_frame'], links=request.scene.links)
     result.messages, result.logs = len(recorded), len(recording.new_logs(recorded)) + 1
     if result.logs == 1:
         result.unordered = int(np.sum(np.diff(recorded.stamps_ns) <= 0))
     yield Piece(log.times_ns, log.torques, log.in_space)
 
 
-def _check_names(also: Collection[str]) -> None:
-    """Raise InputError if a name of additional topics is unknown."""
-    known = *_ALSO, INPUT
-    for name in also:
-        if name not in known:
-            raise InputError(f'also: expected some of {", ".join(known)}, found {name!r}')
-
-
 def _in_pieces_or_whole(request: Request, source: Source, output: str | Path | None,
                         keep: bool) -> Replay:
     """Replay piece by piece; if `keep` is set or stamps are far out of order, as a whole."""
     if INPUT in request.also:
-        source.check_copied(_topics(request.also))
+        source.check_copied(outputs.topics_of(request))
+
+    def read_by(pieces: Callable[[Request, Source, Replay], Iterator[Piece]]
+                ) -> Callable[[Replay], Batches]:
+        return lambda result: Batches(request, source.topic, pieces(request, source, result))
     if not keep:
         with suppress(NotInOrderError):
-            return _replayed(request, source, _pieces, output)
-    return _replayed(request, source, _whole, output, keep)
+            return _replayed(request, source, source.topic, read_by(_pieces), output)
+    return _replayed(request, source, source.topic, read_by(_whole), output, keep)
 
 
-def _replayed(request: Request, source: Source,
-              pieces: Callable[[Request, Source, Replay], Iterator[Piece]],
+def _combined(request: Request, topics: Topics, output: str | Path | None, keep: bool,
+              time_source: str, skip: float) -> Replay:
+    """Replay a scene with several topics, rotors or damping, whose logs are read as a whole."""
+    if skip and (len(topics.torques) != 1 or topics.wheel_torque or topics.wheel_momentum):
+        raise InputError('--start: expected one topic of torques, found several, or rotors; set '
+                         'start_time in the scene instead')
+    names = [*topics.torques, *filter(None, [topics.wheel_torque, topics.wheel_momentum])]
+    named = ', '.join(names)
+
+    def begin(result: Replay) -> CombinedBatches:
+        result.wheel_source = topics.wheel_source
+        sources = read_sources(request.path, request.scene, topics, request.interpolation,
+                               progress('reading', size=len), time_source, skip)
+        result.messages, result.unordered = sources.messages, sources.unordered
+        result.logs, result.damage = sources.epochs, sources.damage
+        return CombinedBatches(request, named, sources)
+    with Source(request.path, names[0], _KINDS, time_source) as source:
+        if INPUT in request.also:
+            source.check_copied(outputs.topics_of(request))
+        return _replayed(request, source, named, begin, output, keep)
+
+
+def _replayed(request: Request, source: Source, topic: str,
+              begin: Callable[[Replay], Batches | CombinedBatches],
               output: str | Path | None, keep: bool = False) -> Replay:
-    result = Replay(request.scene, request.interpolation, source.topic)
+    result = Replay(request.scene, request.interpolation, topic)
     began, kept = time.perf_counter(), []
-    batches = Batches(request, source.topic, pieces(request, source, result))
+    batches = begin(result)
     result.start = result.last = batches.start
     result.first_ns = batches.first_ns
     with ExitStack() as stack:
-        writer = stack.enter_context(_writer(output)) if output is not None else None
+        writer = stack.enter_context(outputs.writer_of(output)) if output is not None else None
         if writer:
-            _add_topics(writer, request)
+            outputs.add_topics(writer, request)
         for batch in batches:
             interrupts.check()
             _update(result, batch)
             interrupts.check()
             if writer:
                 writing = time.perf_counter()
-                _write(writer, request, batch.trajectory)
+                outputs.write(writer, request, batch.trajectory)
                 result.seconds['write'] += time.perf_counter() - writing
             if keep:
                 kept.append(batch)
@@ -316,10 +356,11 @@ def _replayed(request: Request, source: Source,
         interrupts.check()  # last chance before the output gets its final name
     result.seconds['read'] = time.perf_counter() - began - result.seconds['propagate'] \
         - result.seconds['write']
-    result.damage = source.damage
+    result.damage = result.damage or source.damage
     result.interpolation_differences = batches.differences(result.last.attitude)
     if keep:
-        result.log, result.trajectory = kept[0].log, _joined(kept)
+        result.log, result.wheels = kept[0].log, kept[0].wheels
+        result.trajectory = _joined(kept)
     return result
 
 
@@ -327,12 +368,12 @@ def _update(result: Replay, batch: Batch) -> None:
     """Update the result with a batch of the motion."""
     began = time.perf_counter()
     log, trajectory = batch.log, batch.trajectory
-    result.last_ns = int(log.times_ns[-1])
+    result.last_ns = batch.last_ns
     if trajectory.times_ns.size:
         result.last = State(int(trajectory.times_ns[-1]), trajectory.attitude[-1],
-                            trajectory.angular_velocity[-1])
+                            trajectory.angular_velocity[-1], trajectory.rotor_momentum[-1])
         if not result.check:
-            checked = result.scene, log, result.start, trajectory
+            checked = result.scene, log, result.start, trajectory, batch.wheels
             result.check, result.last_digits = drift(*checked), last_digits(*checked)
         total = float(result.last.time_ns - result.start.time_ns) * 1e-9
         result.check = result.check._replace(total=total)
@@ -342,45 +383,6 @@ def _update(result: Replay, batch: Batch) -> None:
         name = f'{model.solver} ({model.reason})'
         result.solvers[name] = result.solvers.get(name, 0) + model.end_ns - model.start_ns
     result.seconds['propagate'] += batch.seconds + time.perf_counter() - began
-
-
-def _writer(output: str | Path) -> recording.Writer:
-    kind = recording.FolderWriter if suffix_of(output) == files.FOLDER else recording.Writer
-    return kind(output, keep_partial=True)
-
-
-def _topics(also: Collection[str]) -> dict[str, MessageType]:
-    topics = dict(_TOPICS)
-    for name in also:
-        topics.update(_ALSO.get(name, {}))  # 'input' copies the topics of the recording
-    return topics
-
-
-def _add_topics(writer: recording.Writer, request: Request) -> None:
-    """Add the topics and the metadata of the motion to a recording."""
-    for topic, kind in _topics(request.also).items():
-        writer.add_topic(topic, kind)
-    writer.add_metadata(NAME, {
-        'fingerprint': json.dumps(fingerprint()), 'scene': json.dumps(dict(request.scene.values)),
-        'interpolation': request.interpolation,
-        # A file name may hold bytes that are not text.
-        'torques': Path(request.path).name.encode(errors='replace').decode()})
-
-
-def _write(writer: recording.Writer, request: Request, trajectory: Trajectory) -> None:
-    values = request.scene.values
-    space, body = values['space_frame'], values['body_frame']
-    attitude, rates = trajectory.attitude, trajectory.angular_velocity
-    columns = [Column(ATTITUDE, space, attitude),
-               Column(EULER_ANGLES, space, trajectory.euler_angles(values['euler_sequence'])),
-               Column(ANGULAR_VELOCITY, body, rates)]
-    if IMU in request.also:
-        columns.append(Column(_IMU_DATA, body, messages.imu_values(attitude, rates)))
-    if TF in request.also:
-        columns.append(Column(_TF, space, messages.transform_values(attitude), body))
-    if MARKERS in request.also:
-        columns += markers.columns(trajectory, space)
-    writer.write_columns(trajectory.times_ns, columns)
 
 
 def _joined(batches: list[Batch]) -> Trajectory:

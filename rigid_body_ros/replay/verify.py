@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 import json
 from pathlib import Path
@@ -23,14 +24,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages, recording, so3
-from rigid_body_ros.body import State
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, shortened
 from rigid_body_ros.propagation import propagate
 from rigid_body_ros.recording import Source
-from rigid_body_ros.replay.single import read
+from rigid_body_ros.replay.single import read, read_all
+from rigid_body_ros.replay.sources import Topics, topics_of
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, PROCESSOR, processor
 from rigid_body_ros.scene import Scene
+from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
 
 #: Message types of the states of a node and the attitude of a replay.
@@ -64,8 +66,10 @@ class Verified:
     versions: dict[str, tuple[str, str]]
 
 
-def verify(path: str | Path, scene: Scene, motion_path: str | Path, *, topic: str | None = None,
-           motion_topic: str | None = None, interpolation: str | None = None) -> Verified:
+def verify(path: str | Path, scene: Scene, motion_path: str | Path, *,
+           topic: str | Sequence[str] | None = None, motion_topic: str | None = None,
+           interpolation: str | None = None, wheel_torque: str | None = None,
+           wheel_momentum: str | None = None) -> Verified:
     """
     Compute a recorded motion again and compare the two.
 
@@ -77,8 +81,10 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *, topic: st
         Scene of the recorded motion; its start and its options affect every bit.
     motion_path : str or Path
         Recording of the motion: the committed states of a node, or the attitude of a replay.
-    topic, motion_topic : str, optional
-        Required if the recording has several suitable topics.
+    topic, wheel_torque, wheel_momentum
+        As for `replay`.
+    motion_topic : str, optional
+        Required if the recording of the motion has several suitable topics.
     interpolation : str, optional
         Interpolation between samples; otherwise the scene's.
 
@@ -92,7 +98,8 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *, topic: st
         A recording cannot be read, does not match the scene, or has no states after the start.
 
     """
-    _, log, start = read(path, scene, topic, interpolation)
+    logs, wheels, torques_ns, start = _torques(
+        path, scene, topics_of(topic, wheel_torque, wheel_momentum), interpolation)
     with Source(motion_path, motion_topic, _KINDS) as source:
         recorded = recording.joined(source.topic, source.kind, list(source), source.damage)
         made_by = source.metadata(NAME)
@@ -102,12 +109,12 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *, topic: st
     first = int(begun[-1]) if is_state and begun.size else 0
     stamps, values = recorded.stamps_ns[first:], recorded.values[first:]
     try:
-        _check_begins(start, log, stamps)
+        _check_begins(start, torques_ns, stamps)
         if is_state:
-            _check_complete(start, log, stamps, values[0, messages.ORIENTATION])
+            _check_complete(start, torques_ns, stamps, values[0, messages.ORIENTATION])
     except InputError as error:
         raise InputError(f'{motion_path}: {source.topic}: {error}') from error
-    motion = propagate(scene.body, start, log, at=stamps, **scene.options)
+    motion = propagate(scene.body, start, logs, at=stamps, wheels=wheels, **scene.options)
     attitude = values[:, messages.ORIENTATION] if is_state else values
     found, expected = attitude, motion.attitude
     if is_state:
@@ -118,11 +125,22 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *, topic: st
     return Verified(source.topic, stamps, same, angles, _different_versions(made_by))
 
 
-def _check_begins(start: State, log: TorqueLog, stamps_ns: NDArray[np.int64]) -> None:
+def _torques(path: str | Path, scene: Scene, topics: Topics, interpolation: str | None
+             ) -> tuple[Sequence[TorqueLog], TorqueLog | None, NDArray[np.int64], State]:
+    """Return the torques on body and rotors, the stamps of all, and the initial state."""
+    if topics.is_plain(scene):
+        _, log, start = read(path, scene, next(iter(topics.torques), None), interpolation)
+        return [log], None, log.times_ns, start
+    sources = read_all(path, scene, topics, interpolation)
+    return sources.logs, sources.wheels, sources.times_ns, sources.start
+
+
+def _check_begins(start: State, torques_ns: NDArray[np.int64],
+                  stamps_ns: NDArray[np.int64]) -> None:
     """Raise InputError if a recorded motion has no states or begins before its torques."""
     if not stamps_ns.size:
         raise InputError('expected states, found no messages')
-    first_ns, torque_ns = int(stamps_ns.min()), int(log.times_ns[0])
+    first_ns, torque_ns = int(stamps_ns.min()), int(torques_ns[0])
     if first_ns >= start.time_ns:
         return
     if start.time_ns == torque_ns:
@@ -134,7 +152,7 @@ def _check_begins(start: State, log: TorqueLog, stamps_ns: NDArray[np.int64]) ->
                      f'{start.time_ns} ns, found it at {first_ns} ns')
 
 
-def _check_complete(start: State, log: TorqueLog, stamps_ns: NDArray[np.int64],
+def _check_complete(start: State, torques_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64],
                     first: Floats) -> None:
     """
     Raise InputError if the committed states of a node, or their torques, are incomplete.
@@ -149,9 +167,9 @@ def _check_complete(start: State, log: TorqueLog, stamps_ns: NDArray[np.int64],
     if angle > _SAME_START:
         raise InputError(f'expected the initial attitude of the scene at {start.time_ns} ns, '
                          f'found an attitude {angle:.2g} rad away: {late}')
-    missing = np.setdiff1d(stamps_ns, [start.time_ns, *log.times_ns])
+    missing = np.setdiff1d(stamps_ns, [start.time_ns, *torques_ns])
     if missing.size:
-        where = 'the beginning' if missing[0] < log.times_ns[0] else 'a part'
+        where = 'the beginning' if missing[0] < torques_ns[0] else 'a part'
         raise InputError(
             f'expected a torque at the stamp of each state, found none for {missing.size} of '
             f'{stamps_ns.size} states, the first at {missing[0]} ns: {where} of the torque log is '

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import shortened
 from rigid_body_ros.propagation import Trajectory
-from rigid_body_ros.torque import TorqueLog
+from rigid_body_ros.torque import torque_logs, TorqueLog
 
 #: The palette of Okabe and Ito, safe for colour-blind readers; line styles serve greyscale prints.
 _COLOURS = ('#0072B2', '#D55E00', '#009E73', '#000000', '#CC79A7', '#56B4E9')
@@ -44,10 +44,12 @@ _POINTS = 20_000
 _TITLE = 50
 
 
-def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog, sequence: str,
-           title: str, timeout_ns: int = 0) -> None:
+def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[TorqueLog],
+           sequence: str, title: str, timeout_ns: int = 0) -> None:
     """
     Draw Euler angles, quaternion, angular velocity and torque over time into a PNG file.
+
+    If the rotors have a momentum, it is drawn as well.
 
     Parameters
     ----------
@@ -55,8 +57,8 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog, sequence: s
         The PNG file, with any suffix; an existing file is overwritten.
     trajectory : Trajectory
         In ascending order of time.
-    log : TorqueLog
-        Drawn in the axes that its samples are given in.
+    log : TorqueLog or sequence of TorqueLog
+        Drawn in the axes that its samples are given in; several in a panel each.
     sequence : str
         Sequence of the Euler angles.
     title : str
@@ -73,19 +75,27 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog, sequence: s
     rows = np.unique(np.linspace(0, len(trajectory.times_ns) - 1, _POINTS).astype(int))
     start_ns, end_ns = int(trajectory.times_ns[0]), int(trajectory.times_ns[-1])
     seconds = (trajectory.times_ns[rows] - start_ns) * 1e-9
-    figure = Figure(figsize=(9.0, 10.0), layout='constrained')
+    logs, has_rotors = torque_logs(log), bool(trajectory.rotor_momentum.any())
+    count = 3 + has_rotors + len(logs)
+    figure = Figure(figsize=(9.0, 2.5 * count), layout='constrained')
     figure.suptitle(_literal(title), parse_math=False)
-    panels = figure.subplots(4, 1, sharex=True)
+    panels = figure.subplots(count, 1, sharex=True)
     _draw_angles(panels[0], seconds, trajectory.euler_angles(sequence)[rows], sequence)
     _draw_curves(panels[1], seconds, trajectory.attitude[rows], ('x', 'y', 'z', 'w'))
     panels[1].set_ylabel('quaternion')
     _draw_curves(panels[2], seconds, trajectory.angular_velocity[rows], ('ω₁', 'ω₂', 'ω₃'))
     _label(panels[2].yaxis, 'angular velocity,\nbody axes', 'rad/s',
            trajectory.angular_velocity[rows])
-    _draw_torque(panels[3], log, start_ns, end_ns, timeout_ns)
+    if has_rotors:
+        momentum = trajectory.rotor_momentum[rows]
+        _draw_curves(panels[3], seconds, momentum, ('h₁', 'h₂', 'h₃'))
+        _label(panels[3].yaxis, 'rotor momentum,\nbody axes', 'N m s', momentum)
+    for number, one in enumerate(logs, 1):
+        name = f'torque {number}' if len(logs) > 1 else 'torque'
+        _draw_torque(panels[number - 1 - len(logs)], one, name, start_ns, end_ns, timeout_ns)
     figure.align_ylabels(panels)
-    panels[3].set_xlim(0.0, max(float(seconds[-1]), 1e-9))
-    _label(panels[3].xaxis, 'time from the start', 's', np.append(seconds, 1e-9))
+    panels[-1].set_xlim(0.0, max(float(seconds[-1]), 1e-9))
+    _label(panels[-1].xaxis, 'time from the start', 's', np.append(seconds, 1e-9))
     FigureCanvasAgg(figure).print_figure(path, dpi=120, format='png')
 
 
@@ -150,7 +160,7 @@ def _draw_angles(panel: Axes, seconds: Floats, angles: Floats, sequence: str) ->
                      [labels[number] for number in range(low, high + 1)])
 
 
-def _draw_torque(panel: Axes, log: TorqueLog, start_ns: int, end_ns: int,
+def _draw_torque(panel: Axes, log: TorqueLog, name: str, start_ns: int, end_ns: int,
                  timeout_ns: int) -> None:
     times = _torque_times(log, start_ns, end_ns, timeout_ns)
     torques = log.at(times, timeout_ns)[0]
@@ -158,7 +168,7 @@ def _draw_torque(panel: Axes, log: TorqueLog, start_ns: int, end_ns: int,
     axes = 'body axes' if not frames.any() else 'space axes' if frames.all() else 'mixed axes'
     seconds = np.asarray((times - start_ns) * 1e-9, np.float64)
     _draw_curves(panel, seconds, torques, ('τ₁', 'τ₂', 'τ₃'))
-    _label(panel.yaxis, f'torque,\n{axes}', 'N m', torques)
+    _label(panel.yaxis, f'{name},\n{axes}', 'N m', torques)
 
 
 def _draw_curves(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...]) -> None:

@@ -25,11 +25,12 @@ from fractions import Fraction
 
 import numpy as np
 from rigid_body_ros import so3
-from rigid_body_ros.body import RigidBody, State
+from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import body_layout, state_layout, tensor
 from rigid_body_ros.kernels import double_double as dd
 from rigid_body_ros.kernels.jit import njit
+from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
 
 #: A coefficient too small to change a motion. It makes the kernels use the arithmetic for full
@@ -55,7 +56,7 @@ class PrincipalAxes:
         coefficients[0, 0, 1] = _NEGLIGIBLE
         self.body = RigidBody(np.diag(moments[0]))
         self.body._constants = body_layout.pack(
-            coefficients, moments, np.stack([np.eye(3), np.zeros((3, 3))]))
+            coefficients, moments, np.stack([np.eye(3), np.zeros((3, 3))]), np.zeros((2, 3, 3)))
         self._rotation = so3.from_matrix(self._axes[0])
 
     def start(self, start: State) -> State:

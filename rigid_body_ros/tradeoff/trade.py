@@ -25,9 +25,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from rigid_body_ros import so3
-from rigid_body_ros.body import RigidBody, State
+from rigid_body_ros.body import RigidBody
 from rigid_body_ros.propagation import Trajectory, warm_up
 from rigid_body_ros.propagation.solvers import RECORDS
+from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
 from rigid_body_ros.tradeoff.interpolation import (
     better_interpolation,

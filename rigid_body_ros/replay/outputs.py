@@ -1,0 +1,100 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Write a replayed motion: its topics and their messages."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+import json
+from pathlib import Path
+
+from rigid_body_ros import messages, recording
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.messages import MessageType
+from rigid_body_ros.propagation import Trajectory
+from rigid_body_ros.recording import Column
+from rigid_body_ros.replay import markers
+from rigid_body_ros.replay.batches import Request
+from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
+
+ATTITUDE, EULER_ANGLES, ANGULAR_VELOCITY = '/attitude', '/euler_angles', '/angular_velocity'
+_ROTOR_MOMENTUM = '/rotor_momentum'
+_TOPICS = {ATTITUDE: messages.QUATERNION, EULER_ANGLES: messages.VECTOR3,
+           ANGULAR_VELOCITY: messages.VECTOR3}
+#: Names of the additional topics that can be written.
+IMU, TF, MARKERS, INPUT = 'imu', 'tf', 'markers', 'input'
+_IMU_DATA, _TF = '/imu/data', '/tf'
+_ALSO = {IMU: {_IMU_DATA: messages.IMU}, TF: {_TF: messages.TRANSFORM}, MARKERS: markers.TOPICS}
+
+
+def suffix_of(output: str | Path) -> str:
+    """Return the format of an output: '.mcap', or `files.FOLDER` for a rosbag2 folder."""
+    name = Path(output).name.lower()  # like rosbag2
+    return '.mcap' if name.endswith('.mcap') else files.FOLDER
+
+
+def check_names(also: Collection[str]) -> None:
+    """Raise InputError if a name of additional topics is unknown."""
+    known = *_ALSO, INPUT
+    for name in also:
+        if name not in known:
+            raise InputError(f'also: expected some of {", ".join(known)}, found {name!r}')
+
+
+def writer_of(output: str | Path) -> recording.Writer:
+    """Return a writer for the format of an output."""
+    kind = recording.FolderWriter if suffix_of(output) == files.FOLDER else recording.Writer
+    return kind(output, keep_partial=True)
+
+
+def topics_of(request: Request) -> dict[str, MessageType]:
+    """Return the topics of an output with their types."""
+    topics = dict(_TOPICS)
+    if request.scene.has_rotors:
+        topics[_ROTOR_MOMENTUM] = messages.VECTOR3
+    for name in request.also:
+        topics.update(_ALSO.get(name, {}))  # 'input' copies the topics of the recording
+    return topics
+
+
+def add_topics(writer: recording.Writer, request: Request) -> None:
+    """Add the topics and the metadata of the motion to a recording."""
+    for topic, kind in topics_of(request).items():
+        writer.add_topic(topic, kind)
+    writer.add_metadata(NAME, {
+        'fingerprint': json.dumps(fingerprint()), 'scene': json.dumps(dict(request.scene.values)),
+        'interpolation': request.interpolation,
+        # A file name may hold bytes that are not text.
+        'torques': Path(request.path).name.encode(errors='replace').decode()})
+
+
+def write(writer: recording.Writer, request: Request, trajectory: Trajectory) -> None:
+    """Write a part of a motion."""
+    values = request.scene.values
+    space, body = values['space_frame'], values['body_frame']
+    attitude, rates = trajectory.attitude, trajectory.angular_velocity
+    columns = [Column(ATTITUDE, space, attitude),
+               Column(EULER_ANGLES, space, trajectory.euler_angles(values['euler_sequence'])),
+               Column(ANGULAR_VELOCITY, body, rates)]
+    if request.scene.has_rotors:
+        columns.append(Column(_ROTOR_MOMENTUM, body, trajectory.rotor_momentum))
+    if IMU in request.also:
+        columns.append(Column(_IMU_DATA, body, messages.imu_values(attitude, rates)))
+    if TF in request.also:
+        columns.append(Column(_TF, space, messages.transform_values(attitude), body))
+    if MARKERS in request.also:
+        columns += markers.columns(trajectory, space)
+    writer.write_columns(trajectory.times_ns, columns)

@@ -1,0 +1,361 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""attitude_replay of scenes with several torque topics, wheels and damping."""
+
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+
+from conftest import CONFIG, RECORDINGS, SECOND
+import numpy as np
+import pytest
+from rigid_body_ros import cli, messages, propagate, recording, scene, State, TorqueLog
+from rigid_body_ros.propagation.sensitivity import last_digit_effect
+from rigid_body_ros.replay import replay
+from rigid_body_ros.replay.many import replay_many
+from rigid_body_ros.replay.report import summary
+
+MS = 10 ** 6
+STARTED = 1_700_000_000 * SECOND
+#: Stamps of the two torques, of the torque on the wheels and of their momentum.
+TIMES = {'/control': STARTED + 20 * MS * np.arange(100),
+         '/disturbance': STARTED + 7 * MS + 33 * MS * np.arange(60),
+         '/wheel_torque': STARTED + 50 * MS * np.arange(40),
+         '/wheel_momentum': STARTED - 5 * MS + 100 * MS * np.arange(21)}
+FRAMES = {'/disturbance': 'world'}
+TWO = 'torque_topics: [control, disturbance]'
+WHEELS = 'wheels: true'
+DAMPING = 'damping: {dxx: 0.01, dyy: 0.02, dzz: 0.03, dxy: 0.001}'
+ROTORS = 'initial_rotor_momentum: {x: 0.01, y: -0.02, z: 0.03}'
+
+
+def values(topic):
+    """Return the recorded vectors of a topic."""
+    seed = list(TIMES).index(topic)
+    return 0.01 * np.random.default_rng(seed).normal(size=(len(TIMES[topic]), 3))
+
+
+def log(topic, interpolation='hold'):
+    return TorqueLog(TIMES[topic], values(topic), 'space' if topic in FRAMES else 'body',
+                     interpolation)
+
+
+def write(path, topics, names=None):
+    """Write topics to a recording, under other names if any are given."""
+    with recording.Writer(path) as writer:
+        for topic in topics:
+            name = (names or {}).get(topic, topic)
+            momentum = topic == '/wheel_momentum'
+            kind = messages.VECTOR3 if momentum else messages.WRENCH
+            writer.add_topic(name, kind)
+            for stamp_ns, vector in zip(TIMES[topic].tolist(), values(topic)):
+                numbers = vector if momentum else [9.0, 9.0, 9.0, *vector]
+                writer.write(name, stamp_ns,
+                             kind.encode(stamp_ns, FRAMES.get(topic, 'base_link'), numbers))
+    return str(path)
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    return write(tmp_path / 'recorded.mcap', list(TIMES))
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Return what writes a scene of the tumbler with more keys."""
+    def write_scene(*lines):
+        path = tmp_path / 'scene.yaml'
+        path.write_text((CONFIG / 'tumbler.yaml').read_text()
+                        + ''.join(f'    {line}\n' for line in lines))
+        return str(path)
+    return write_scene
+
+
+def expected(path, logs, wheels=None):
+    """Return the motion that the library computes."""
+    loaded = scene.load(path)
+    begin = State(STARTED, loaded.start.attitude, loaded.start.angular_velocity,
+                  loaded.start.rotor_momentum)
+    stamps = [one.times_ns for one in (*logs, wheels) if one]
+    return propagate(loaded.body, begin, logs, wheels=wheels, at=np.unique(np.hstack(stamps)),
+                     **loaded.options)
+
+
+def check_written(path, motion, has_rotors=True):
+    for topic, kind, frame, found in (
+            ('/attitude', messages.QUATERNION, 'world', motion.attitude),
+            ('/angular_velocity', messages.VECTOR3, 'base_link', motion.angular_velocity),
+            ('/rotor_momentum', messages.VECTOR3, 'base_link', motion.rotor_momentum)):
+        if topic == '/rotor_momentum' and not has_rotors:
+            assert topic not in recording.topics(path, [kind])
+            continue
+        read = recording.read(path, topic, kind)
+        np.testing.assert_array_equal(read.stamps_ns, motion.times_ns)
+        np.testing.assert_array_equal(read.values, found)
+        assert set(read.frame_ids) == {frame}
+
+
+@pytest.mark.parametrize('interpolation', ['hold', 'linear'])
+@pytest.mark.parametrize('lines', [(TWO, WHEELS, DAMPING, ROTORS), (TWO, WHEELS)],
+                         ids=['all', 'wheels'])
+def test_two_torques_and_wheels_give_the_motion_of_the_library(recorded, written, tmp_path, lines,
+                                                               interpolation):
+    path, output = written(*lines), tmp_path / 'motion.mcap'
+    assert cli.attitude_replay([recorded, '--scene', path, '-o', str(output),
+                                '--interpolation', interpolation]) == 0
+    check_written(output, expected(
+        path, [log('/control', interpolation), log('/disturbance', interpolation)],
+        log('/wheel_torque', interpolation)))
+    assert cli.attitude_replay([recorded, '--scene', path, '--verify', str(output),
+                                '--interpolation', interpolation]) == 0
+
+
+def test_topics_that_are_given_replace_those_of_the_scene(recorded, written, tmp_path):
+    path, output = written(WHEELS, DAMPING), tmp_path / 'motion.mcap'
+    assert cli.attitude_replay([
+        recorded, '--scene', path, '-o', str(output), '--topic', '/disturbance',
+        '--topic', '/control', '--wheel-torque', '/wheel_torque']) == 0
+    check_written(output, expected(path, [log('/disturbance'), log('/control')],
+                                   log('/wheel_torque')))
+
+
+def test_the_rotors_follow_their_measured_momentum(recorded, written, tmp_path):
+    path, output = written(WHEELS), tmp_path / 'motion.mcap'
+    assert cli.attitude_replay([recorded, '--scene', path, '-o', str(output), '--topic',
+                                '/control', '--wheel-momentum', '/wheel_momentum']) == 0
+    stamps, momenta = TIMES['/wheel_momentum'], values('/wheel_momentum')
+    read = recording.read(output, '/rotor_momentum', messages.VECTOR3)
+    seconds = (read.stamps_ns - stamps[0]) * 1e-9
+    for axis in range(3):
+        measured = np.interp(seconds, (stamps - stamps[0]) * 1e-9, momenta[:, axis])
+        np.testing.assert_allclose(read.values[:, axis], measured, rtol=0.0, atol=1e-16)
+    # The earliest sample begins the motion, so its momentum is that of the start.
+    assert read.stamps_ns[0] == stamps[0]
+    np.testing.assert_array_equal(read.values[0], momenta[0])
+
+
+def test_a_start_between_two_samples_has_the_momentum_in_between(recorded, written):
+    start_ns = int(TIMES['/wheel_momentum'][3]) + 25 * MS
+    result = replay(recorded, scene.load(written(WHEELS, f'start_time: {start_ns}')),
+                    topic='/control', wheel_momentum='/wheel_momentum')
+    before, after = values('/wheel_momentum')[3:5]
+    np.testing.assert_allclose(result.start.rotor_momentum, 0.75 * before + 0.25 * after,
+                               rtol=1e-15)
+
+
+def test_wheels_need_no_torque_on_the_body(tmp_path, written):
+    path = write(tmp_path / 'wheels.mcap', ['/wheel_torque'])
+    result = replay(path, scene.load(written(WHEELS)))
+    np.testing.assert_array_equal(
+        result.trajectory.attitude,
+        expected(tmp_path / 'scene.yaml', [], log('/wheel_torque')).attitude)
+    text = summary(result)
+    assert 'rotors        torque on /wheel_torque\n' in text
+    assert '  rotors      ' in text
+    assert 'relative drift of the space angular momentum' in text
+    assert float(result.check.finding.split()[-1]) < 1e-14
+
+
+def test_damping_alone_has_no_rotors(tmp_path, written):
+    output = tmp_path / 'motion.mcap'
+    path = write(tmp_path / 'one.mcap', ['/control'])
+    result = replay(path, scene.load(written(DAMPING)), output)
+    check_written(output, expected(tmp_path / 'scene.yaml', [log('/control')]), has_rotors=False)
+    assert 'rotors' not in summary(result)
+
+
+@pytest.mark.parametrize(('topics', 'lines', 'law', 'bound'), [
+    (['/control', '/disturbance'], [TWO, WHEELS, DAMPING, ROTORS], 'work and energy', 1e-9),
+    (['/control', '/wheel_torque'], [WHEELS], 'work and energy', 1e-9),
+    (['/control'], ['damping: {dxx: 2.0, dyy: 3.0, dzz: 4.0}'], 'work and energy', 1e-7),
+    (['/disturbance', '/wheel_torque'], [WHEELS, ROTORS], 'integral of the torque', 1e-14),
+    (['/disturbance'], [], 'integral of the torque', 1e-14),
+    (['/wheel_torque'], [WHEELS, ROTORS], 'drift of the space angular momentum', 1e-14)])
+@pytest.mark.parametrize('interpolation', ['hold', 'linear'])
+def test_the_check_is_the_conservation_law_of_the_scene(tmp_path, written, topics, lines, law,
+                                                        bound, interpolation):
+    path = write(tmp_path / 'recorded.mcap', topics)
+    result = replay(path, scene.load(written(*lines)), interpolation=interpolation)
+    assert law in result.check.finding
+    number, = re.findall(r'\d\.\de[+-]\d+', result.check.finding)
+    assert float(number) < bound
+
+
+def test_the_last_digits_of_all_inputs_count(recorded, written):
+    result = replay(recorded, scene.load(written(TWO, WHEELS, DAMPING, ROTORS)))
+    assert 0.0 < result.last_digits.effect < 1e-13
+    given = result.scene.body, result.start, result.log
+    effect = last_digit_effect(*given, at=result.trajectory.times_ns, wheels=result.wheels)
+    assert effect == last_digit_effect(*given, at=result.trajectory.times_ns,
+                                       wheels=result.wheels)
+    assert effect > 0.0
+
+
+def test_outputs_at_a_rate_come_in_blocks_of_the_same_motion(recorded, written, tmp_path,
+                                                             monkeypatch):
+    path = written(TWO, WHEELS, DAMPING, ROTORS)
+    outputs = [tmp_path / 'whole.mcap', tmp_path / 'blocks.mcap']
+    for output, largest in zip(outputs, (2 ** 16, 37)):
+        monkeypatch.setattr('rigid_body_ros.replay.batches._LARGEST', largest)
+        assert cli.attitude_replay([recorded, '--scene', path, '-o', str(output), '--rate', '200',
+                                    '--until', '3']) == 0
+    whole, blocks = (recording.read(output, '/attitude', messages.QUATERNION)
+                     for output in outputs)
+    assert len(whole) == 601
+    np.testing.assert_array_equal(whole.values, blocks.values)
+
+
+def test_several_recordings_are_replayed_in_parallel(recorded, written, tmp_path):
+    path = written(TWO, WHEELS)
+    outcome, = replay_many([recorded], scene.load(path), tmp_path / 'out')
+    assert not outcome.error
+    check_written(outcome.output, expected(path, [log('/control'), log('/disturbance')],
+                                           log('/wheel_torque')))
+
+
+@pytest.mark.slow
+def test_a_signal_interrupts_a_scene_with_rotors(tmp_path):
+    spin, config = RECORDINGS / 'fast_spin', tmp_path / 'spin.yaml'
+    config.write_text(f'{spin.with_suffix(".yaml").read_text()}    {ROTORS}\n')
+    program = 'import sys; from rigid_body_ros.cli import attitude_replay; ' \
+              'sys.exit(attitude_replay())'
+    process = subprocess.Popen(
+        [sys.executable, '-c', program, f'{spin}.mcap', '--scene', str(config), '-o',
+         str(tmp_path / 'motion.mcap'), '--until', '86400'], stderr=subprocess.PIPE, text=True)
+    process.stderr.readline()  # the warning of a fast spin
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.communicate(timeout=10)
+    process.terminate()
+    _, words = process.communicate(timeout=60)
+    assert process.returncode == 128 + signal.SIGTERM
+    assert words == 'attitude_replay: interrupted; no partial output was left\n'
+    assert [path.name for path in tmp_path.iterdir()] == ['spin.yaml']
+
+
+def test_torques_and_momentum_are_drawn(recorded, written, tmp_path):
+    assert cli.attitude_replay([recorded, '--scene', written(TWO, WHEELS), '--also', 'markers',
+                                'imu', '-o', str(tmp_path / 'motion.mcap'), '--plot',
+                                str(tmp_path / 'motion.png')]) == 0
+    assert (tmp_path / 'motion.png').stat().st_size > 10_000
+
+
+def test_a_source_without_messages_has_no_torque(tmp_path, written):
+    path = tmp_path / 'silent.mcap'
+    with recording.Writer(path) as writer:
+        for topic in ('/control', '/disturbance'):
+            writer.add_topic(topic, messages.WRENCH)
+            writer.write(topic, SECOND, messages.wrench(SECOND, 'base_link', (1.0, 0.0, 0.0)))
+            writer.write(topic, 0, messages.new_log())
+        for stamp_ns, vector in zip(TIMES['/control'].tolist(), values('/control')):
+            writer.write('/control', stamp_ns, messages.wrench(stamp_ns, 'base_link', vector))
+    motion = replay(path, scene.load(written(TWO))).trajectory
+    alone = expected(tmp_path / 'scene.yaml', [log('/control'), TorqueLog([], [])])
+    np.testing.assert_array_equal(motion.attitude, alone.attitude)
+
+
+def test_a_plain_scene_takes_the_topic_that_it_names(tmp_path, written):
+    path = write(tmp_path / 'two.mcap', ['/control', '/disturbance'], {'/control': '/torque'})
+    result = replay(path, scene.load(written()))
+    assert result.topic == '/torque'
+    np.testing.assert_array_equal(result.log.torques, values('/control'))
+
+
+@pytest.mark.parametrize(('lines', 'options', 'message'), [
+    ([TWO], ['--topic', '/control', '--topic', '/control'], "found '/control' twice"),
+    ([TWO], ['--topic', '/control', '--topic', '/none'], 'expected a topic /none, found /control'),
+    (['torque_topics: [control, thrusters]'], [],
+     'expected the torque_topics of the scene, found no topic thrusters among /control'),
+    (['torque_topics: [a, a]'], [], "torque_topics: expected each topic once, found 'a' twice"),
+    ([TWO], ['--wheel-torque', '/wheel_torque'],
+     '--wheel-torque: expected a scene with wheels: true, found wheels: false'),
+    ([TWO], ['--wheel-momentum', '/wheel_momentum'],
+     '--wheel-momentum: expected a scene with wheels: true'),
+    ([TWO, WHEELS], ['--wheel-torque', '/wheel_torque', '--wheel-momentum', '/wheel_momentum'],
+     'expected one of --wheel-torque and --wheel-momentum, found both'),
+    (['torque_topics: [control, /control]'], [],
+     "recorded.mcap: torque_topics: expected each topic once, found '/control' twice"),
+    ([TWO, WHEELS], ['--wheel-torque', ''], '--wheel-torque: expected a topic, found an empty'),
+    ([TWO, WHEELS], ['--wheel-momentum', ''], '--wheel-momentum: expected a topic, found an'),
+    ([TWO, WHEELS], ['--wheel-torque', '/control', '--topic', '/control'],
+     "expected each topic once, found '/control' twice"),
+    ([TWO, WHEELS], ['--wheel-torque', '/disturbance', '--topic', '/control'],
+     "/disturbance: message 1: frame_id: expected 'base_link' or '' (body axes), found 'world'"),
+    ([TWO, WHEELS], ['--wheel-torque', '/wheel_momentum'],
+     '/wheel_momentum: expected geometry_msgs/msg/WrenchStamped or'),
+    ([TWO, WHEELS], ['--wheel-momentum', '/wheel_torque'],
+     '/wheel_torque: expected geometry_msgs/msg/Vector3Stamped, found'),
+    ([TWO, WHEELS, ROTORS], ['--wheel-momentum', '/wheel_momentum'],
+     'initial_rotor_momentum: expected [0.0'),
+    ([TWO, WHEELS, 'torque_timeout: 0.09'], ['--wheel-momentum', '/wheel_momentum'],
+     'expected samples at most torque_timeout (0.09 s) apart, found a gap of 0.1 s'),
+    ([TWO, WHEELS], ['--start', '1'], '--start: expected one topic of torques'),
+    ([TWO, 'solver: exact'], [], 'handles torque-free motion only'),
+    ([WHEELS, 'solver: exact'], ['--topic', '/control'], "solver 'exact' handles neither rotors"),
+    (['damping: {dxx: 1.0, dxy: 2.0}'], [], 'expected a tensor without negative eigenvalues')])
+def test_a_mistake_is_reported_in_one_line(recorded, written, tmp_path, capsys, lines, options,
+                                           message):
+    output = tmp_path / 'motion.mcap'
+    assert cli.attitude_replay([recorded, '--scene', written(*lines), '-o', str(output),
+                                *options]) == 2
+    captured = capsys.readouterr()
+    line, = captured.err.splitlines()
+    assert message in line
+    assert not captured.out
+    assert {one.name for one in tmp_path.iterdir()} == {'scene.yaml', 'recorded.mcap'}
+
+
+@pytest.mark.parametrize(('frame_id', 'numbers', 'message'), [
+    ('world', (0.0, 0.0, 1.0), "message 1: frame_id: expected 'base_link' or '' (body axes)"),
+    ('', (0.0, float('nan'), 1.0), 'message 1 at'),
+    ('', None, 'expected the momentum of the rotors, found no messages')])
+def test_a_momentum_that_cannot_be_used_is_named(tmp_path, written, capsys, frame_id, numbers,
+                                                 message):
+    path = tmp_path / 'momentum.mcap'
+    with recording.Writer(path) as writer:
+        writer.add_topic('/h', messages.VECTOR3)
+        if numbers:
+            writer.write('/h', SECOND, messages.VECTOR3.encode(SECOND, frame_id, numbers))
+    assert cli.attitude_replay([str(path), '--scene', written(WHEELS), '--wheel-momentum', '/h',
+                                '-o', str(tmp_path / 'motion.mcap')]) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert f'momentum.mcap: /h: {message}' in line
+    assert not (tmp_path / 'motion.mcap').exists()
+
+
+def test_damage_is_reported_if_no_torque_could_be_read(recorded, written, tmp_path, capsys):
+    damaged = tmp_path / 'damaged.mcap'
+    data = bytearray(Path(recorded).read_bytes())
+    data[len(data) // 2] ^= 255
+    damaged.write_bytes(data)
+    assert cli.attitude_replay([str(damaged), '--scene', written(TWO, WHEELS)]) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert 'found no messages on /control, /disturbance, /wheel_torque (' in line
+    assert 'damaged chunk at byte' in line
+
+
+def test_the_trade_off_of_a_damped_scene_is_rejected(recorded, written, capsys):
+    assert cli.attitude_tradeoff(['--scene', written(DAMPING), '--recording', recorded,
+                                  '--topic', '/control']) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert 'expected one topic of torques, and neither rotors nor damping' in line
+
+
+def test_a_plain_scene_has_the_motion_of_one_torque():
+    result = replay(RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml'))
+    motion = propagate(result.scene.body, result.start, result.log, at=result.trajectory.times_ns)
+    np.testing.assert_array_equal(result.trajectory.attitude, motion.attitude)
+    assert result.trajectory._rotors is None
