@@ -28,6 +28,7 @@ from rigid_body_ros import commands, scene
 
 WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
 VECTOR3 = 'geometry_msgs/msg/Vector3Stamped'
+TORQUE = 'best effort, keep last 1000; in lockstep reliable'
 STATE, LOG = 'reliable, keep last 10', 'reliable, transient local, keep last 10 000'
 
 
@@ -41,13 +42,24 @@ class Topic(NamedTuple):
 
 
 SUBSCRIBED = [
-    Topic('torque', WRENCH, 'best effort, keep last 1000; in lockstep reliable',
-          'Torque about the centre of mass, N m, that acts from its stamp on. `header.frame_id` '
-          'empty or the body frame: body axes; the space frame: space axes; any other is '
-          'rejected. Stamp 0: acts on arrival. A force is ignored, counted, and logged once.'),
+    Topic('torque', WRENCH, TORQUE,
+          'The default of `torque_topics`; every topic listed there is read in the same way. '
+          'Torque, N m, and force, N, that act from its stamp on. `header.frame_id` empty or the '
+          'body frame: body axes; the space frame: space axes; a link that fixed joints of '
+          '`robot_description` connect to the body: its axes and origin; any other is rejected. '
+          'Stamp 0: acts on arrival. A force without a lever arm is ignored, counted, and logged '
+          'once.'),
     Topic('initial_state', ODOMETRY, STATE,
           'Attitude and body rates at its stamp, from which a new epoch begins. Position and '
-          'linear velocity are ignored.'),
+          'linear velocity are ignored. The rotors keep the momentum that they have at that '
+          'time.'),
+]
+SUBSCRIBED_IF_ENABLED = [
+    Topic('wheel_torque', WRENCH, TORQUE,
+          'If `wheels` is true: torque of the motors on the rotors, N m, body axes, that acts '
+          'from its stamp on; the body feels the opposite torque. `header.frame_id` empty or the '
+          'body frame; any other is rejected. If `wheels` is false, the node does not subscribe '
+          'to it.'),
 ]
 PUBLISHED = [
     Topic('attitude', 'geometry_msgs/msg/QuaternionStamped', STATE,
@@ -63,16 +75,26 @@ PUBLISHED = [
           'Attitude and angular velocity, at position zero, for rviz and controllers; space frame '
           'to body frame.'),
     Topic('~/accepted_torque', WRENCH, LOG,
-          'Every accepted torque, with the stamp from which it acts. Together with the scene it '
-          'is the log of the run. A zero torque without stamp and frame marks a new epoch.'),
+          'Every accepted torque, about the centre of mass, with the stamp from which it acts. '
+          'Together with the scene it is the log of the run. A zero torque without stamp and '
+          'frame marks a new epoch.'),
     Topic('~/committed', ODOMETRY, LOG,
-          'The start state of every epoch, then the final state at the stamp of each accepted '
-          'torque: once the stamp is older than `history`, or at the end of the epoch.'),
+          'The start state of every epoch, then the final state at each stamp of an accepted '
+          'torque, once for all topics: when the stamp is older than `history`, or at the end of '
+          'the epoch.'),
     Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', STATE,
           'Once a second: counts of torques received, applied, waiting, lost, and rejected by '
           'cause; which nodes are not connected, and why.'),
 ]
 OPTIONAL = [
+    Topic('rotor_momentum', VECTOR3, STATE,
+          'If `wheels` is true: N m s, body axes, momentum of the rotors relative to the body; in '
+          'the body frame.'),
+    Topic('~/accepted_torque_1', WRENCH, LOG,
+          'As `~/accepted_torque`, for the second topic of `torque_topics`; `_2` for the third, '
+          'and so on.'),
+    Topic('~/accepted_wheel_torque', WRENCH, LOG,
+          'If `wheels` is true: every accepted torque on the rotors.'),
     Topic('/tf', 'tf2_msgs/msg/TFMessage', STATE,
           'Space frame to body frame, if `publish_tf` is true (needs tf2_msgs).'),
     Topic('/clock', 'rosgraph_msgs/msg/Clock', STATE,
@@ -81,7 +103,8 @@ OPTIONAL = [
 #: The causes of rejection of a torque, and their meanings.
 CAUSES = {
     'malformed': 'The bytes are not a WrenchStamped, or its stamp is invalid.',
-    'unknown frame': '`header.frame_id` is neither empty nor `body_frame` nor `space_frame`.',
+    'unknown frame': '`header.frame_id` is neither empty nor `body_frame` nor `space_frame`; on '
+                     '`wheel_torque`: neither empty nor `body_frame`.',
     'not finite': 'A component of the torque is NaN or infinite.',
     'too large': 'The torque would accelerate this inertia beyond 1e9 rad/s^2.',
     'no clock': 'With `use_sim_time`: no time was received on `/clock` yet.',
@@ -117,6 +140,10 @@ remapped (`-r torque:=/wrench`). Quality of service can be overridden
 
 {subscribed}
 
+### Subscribes if enabled
+
+{subscribed_if_enabled}
+
 ### Publishes
 
 {published}
@@ -130,7 +157,8 @@ infinity are never published.
 
 ### Service
 
-`~/reset` (std_srvs/srv/Trigger): begins a new epoch with the initial state of the scene.
+`~/reset` (std_srvs/srv/Trigger): begins a new epoch with the initial state of the scene, its
+`initial_rotor_momentum` included. In `realtime` the torques that act at that time continue to act.
 
 ### What happens to a torque
 
@@ -156,6 +184,67 @@ the previous ticks.
 With `use_sim_time` the node waits for `/clock`, and `on_time_jump` decides what happens when that
 clock jumps back. For a bag that is played without `--clock`, use `time_source:=arrival`.
 
+### Forces and frames
+
+A thruster publishes its force in its own frame: it acts at the origin of that frame. If fixed
+joints of `robot_description` connect the frame to the body, the node rotates force and torque into
+body axes, and adds the torque of the force about the centre of mass, which is at the `xyz` of the
+`<inertial>` of the body. A scene with two thrusters, one of them turned:
+
+```yaml
+/**:
+  ros__parameters:
+    link: base_link
+    robot_description: |
+      <robot name="drone">
+        <link name="base_link">
+          <inertial>
+            <origin xyz="0 0 0.03"/>
+            <mass value="1.2"/>
+            <inertia ixx="0.010" iyy="0.012" izz="0.020" ixy="0" ixz="0" iyz="0"/>
+          </inertial>
+        </link>
+        <link name="left_thruster"/>
+        <joint name="left_mount" type="fixed">
+          <parent link="base_link"/><child link="left_thruster"/>
+          <origin xyz="0 0.2 0.03"/>
+        </joint>
+        <link name="tail_thruster"/>
+        <joint name="tail_mount" type="fixed">
+          <parent link="base_link"/><child link="tail_thruster"/>
+          <origin xyz="-0.3 0 0.03" rpy="0 0 1.5707963267948966"/>
+        </joint>
+      </robot>
+```
+
+A force of 3 N along x in the frame `left_thruster` is a torque of -0.6 N m about z, and in
+`tail_thruster`, whose x axis is the y axis of the body, of -0.9 N m. `~/accepted_torque` has these
+torques, in body axes and without a force, so that it is the log of the run. A replay of the
+original messages computes the same bits. A frame that a joint moves relative to the body is
+rejected (`unknown frame`), and the log names the joint. [Conventions](conventions.md#force) has
+the formula and all cases.
+
+### Which torques add up?
+
+Each topic of `torque_topics`, and `wheel_torque`, is a source of its own. A source holds its last
+torque until the next one, and times out on its own. The torques of different sources add up, in
+the order of `torque_topics`. The order in which they arrive changes no bit of the committed
+states. Only torques of the same topic replace each other if their stamps are equal. So two
+publishers on one topic overwrite each other, and diagnostics name both: give each publisher a
+topic of its own. `late` refers to the newest torque of all topics.
+
+To replay such a run, record all logs of accepted torques, and pass them in the order of
+`torque_topics`:
+
+```
+attitude_replay RECORDING --scene DUMP --topic /attitude_node/accepted_torque \\
+    --topic /attitude_node/accepted_torque_1 \\
+    --wheel-torque /attitude_node/accepted_wheel_torque
+```
+
+`/diagnostics` has a status for each source: `torques` for the first topic, `torques_1`,
+`torques_2` and so on for the others, and `wheel torques`.
+
 ### Why is a torque rejected?
 
 The log names the cause, what was expected and what was found. `/diagnostics` counts each cause
@@ -170,6 +259,12 @@ each torque stamped t immediately, with the state at t + `step`. A controller th
 each state with a torque at the stamp of that state closes a loop. The loop is a single chain with
 one torque for each state.
 
+- If several topics have publishers, `wheel_torque` included, the response to a stamp waits until
+  each of these topics has a torque with exactly this stamp. So the order in which the torques
+  arrive does not change the response, and the loop has the same bits every time. A topic without a
+  publisher is not waited for. Each publisher must therefore respond to every state; diagnostics
+  name a topic that does not. Start all publishers before the first torque, because the loop waits
+  for a publisher only from when it is connected.
 - While no node publishes torques, the latest state is published again at 10 Hz. A controller that
   starts or restarts receives it once, half a second after it connects.
 - A controller may be slow. The state is published again only after 2 s without a torque, then
@@ -195,7 +290,9 @@ but `publish_rate` are read-only. `ros2 param describe` prints the descriptions 
 {parameters}
 
 Either the three moments or a `robot_description` are required. The inertia is checked as one
-tensor: positive definite, no principal moment greater than the sum of the other two.
+tensor: positive definite, no principal moment greater than the sum of the other two. The damping
+is checked as one tensor, too: no negative eigenvalue. `torque_topics` names at least one topic,
+each of them once. The solvers `exact` and `strang` take neither rotors nor damping.
 
 ## attitude_replay
 
@@ -240,7 +337,9 @@ EXITS = [
 def main():
     """Print the page."""
     print(PAGE.format(
-        subscribed=topics(SUBSCRIBED), published=topics(PUBLISHED), optional=topics(OPTIONAL),
+        subscribed=topics(SUBSCRIBED),
+        subscribed_if_enabled=topics(SUBSCRIBED_IF_ENABLED),
+        published=topics(PUBLISHED), optional=topics(OPTIONAL),
         causes=table(('cause', 'meaning'),
                      [(f'`{cause}`', meaning) for cause, meaning in CAUSES.items()]),
         parameters=table(('parameter', 'unit', 'default', 'values', 'meaning'), [
@@ -280,6 +379,8 @@ def default(parameter):
         return 'none'
     if isinstance(parameter.default, bool):
         return str(parameter.default).lower()
+    if isinstance(parameter.default, list):
+        return str(parameter.default)
     return f'{parameter.default:g}' if isinstance(parameter.default, float) \
         else str(parameter.default) or 'empty'
 
@@ -289,7 +390,7 @@ def values(parameter):
     if parameter.choices:
         return ', '.join(parameter.choices)
     if not parameter.interval:
-        return {bool: 'true, false', str: 'text'}[parameter.value_type]
+        return {bool: 'true, false', str: 'text', list: 'list of text'}[parameter.value_type]
     return scene.limits(*parameter.interval)
 
 

@@ -82,6 +82,9 @@ class LiveSession:
 
     """
 
+    #: The topic on which `publish` publishes.
+    topic = 'torque'
+
     def __init__(self, scene, domain, *arguments):
         self._domain = domain
         self.environment = os.environ | _LOCAL | {'ROS_DOMAIN_ID': str(domain)}
@@ -112,7 +115,7 @@ class LiveSession:
         return self
 
     def _connect(self):
-        self._torque = self.node.create_publisher(WrenchStamped, 'torque', 100_000)
+        self._torque = self.node.create_publisher(WrenchStamped, self.topic, 100_000)
         if 'use_sim_time:=true' in self._waits:
             self._clock = self.node.create_publisher(Clock, '/clock', 10)
         everything = QoSProfile(depth=100_000, durability=DurabilityPolicy.TRANSIENT_LOCAL)

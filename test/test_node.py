@@ -39,6 +39,8 @@ from rigid_body_ros import (
     State,
     TorqueLog,
 )
+from rigid_body_ros.replay.verify import verify
+from robots import converted, ROBOT, wrenches
 from sensor_msgs.msg import Imu
 import yaml
 
@@ -231,6 +233,45 @@ def test_the_inertia_comes_from_the_robot_description(tmp_path, domain):
         run = replayed(tmp_path, live)
     np.testing.assert_array_equal(run.committed, run.replay)
     np.testing.assert_array_equal(scene.load(tmp_path / 'live.yaml').body.inertia, tensor)
+
+
+def test_wrenches_of_links_act_live_as_in_a_replay(tmp_path, domain):
+    parameters, sent = tmp_path / 'robot.yaml', wrenches(300)
+    parameters.write_text(yaml.dump({'/**': {'ros__parameters': {
+        'robot_description': ROBOT, 'initial_angular_velocity': {'y': 0.6}}}}))
+    with LiveSession(parameters, domain, *RELIABLE) as live:
+        stamps = live.now_ns() + np.arange(300) * SECOND // 1000
+        rows = [messages.WRENCH.encode(stamp, frame_id, values) for stamp, frame_id, values in
+                zip(stamps.tolist(), sent.frame_ids, sent.values)]
+        for number in np.random.default_rng(1).permutation(300):
+            live.publish_bytes(rows[number])
+        for frame_id, force in (('arm', 0.0), ('hand', 0.0), ('map', 0.0), ('mast', np.nan)):
+            live.publish_bytes(messages.WRENCH.encode(
+                int(stamps[-1]), frame_id, [force, 0.0, 0.0, 0.0, 0.0, 1.0]))
+        live.wait_until(lambda: live.diagnosis('torques')[0]['received'] == 304, 'all torques')
+        counts, _, _ = live.diagnosis('torques')
+        live.dump_parameters(tmp_path / 'live.yaml')
+        words = live.end()
+        run = replayed(tmp_path, live)
+    assert [counts[name] for name in ('applied', 'rejected: unknown frame',
+                                      'rejected: not finite')] == [300, 3, 1]
+    in_space = np.array(sent.frame_ids) == 'world'
+    assert counts['force ignored'] == np.count_nonzero(sent.values[in_space, 0])
+    assert "frame 'arm': joint 'to_arm' (revolute) moves it relative to 'base_link'" in words \
+        or "frame 'hand': joint 'to_arm' (revolute) moves it relative to 'base_link'" in words
+    np.testing.assert_array_equal(run.committed, run.replay)
+    order = np.argsort(run.accepted.stamps_ns)
+    assert run.accepted.values[order].tobytes() == converted(sent).values.tobytes()
+    assert {*run.accepted.frame_ids} == {'base_link', 'world'}
+    with recording.Writer(tmp_path / 'sent.mcap') as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        for stamp, row in zip(stamps.tolist(), rows):
+            writer.write('/torque', stamp, row)
+    loaded = scene.load(tmp_path / 'live.yaml')
+    verified = verify(tmp_path / 'sent.mcap', loaded, tmp_path / 'live.mcap',
+                      motion_topic=COMMITTED)
+    assert len(verified.same) == 301
+    assert verified.same.all()
 
 
 @pytest.mark.nightly

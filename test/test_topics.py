@@ -63,10 +63,17 @@ def test_the_page_lists_every_cause_of_rejection():
     assert list(nodes.CAUSES) == list(CAUSES)
 
 
-@pytest.mark.parametrize('mode', ['realtime', 'lockstep'])
-def test_every_topic_of_the_page_is_there_and_no_other(domain, mode):
+@pytest.mark.parametrize(('mode', 'arguments'), [
+    ('realtime', ()), ('lockstep', ()),
+    ('realtime', ('-p', 'torque_topics:=[torque, disturbance]', '-p', 'wheels:=true'))])
+def test_every_topic_of_the_page_is_there_and_no_other(domain, mode, arguments):
     published, subscribed = by_full_name(nodes.PUBLISHED), by_full_name(nodes.SUBSCRIBED)
-    with LiveSession(TUMBLER, domain, '-p', f'mode:={mode}') as live:
+    if arguments:
+        published |= by_full_name(nodes.OPTIONAL)
+        del published['/tf'], published['/clock']
+        subscribed |= by_full_name(nodes.SUBSCRIBED_IF_ENABLED)
+        subscribed['/disturbance'] = subscribed['/torque']
+    with LiveSession(TUMBLER, domain, '-p', f'mode:={mode}', *arguments) as live:
         node = live.node
         writers = found(live, len(published), node.get_publisher_names_and_types_by_node,
                         node.get_publishers_info_by_topic)
@@ -76,8 +83,9 @@ def test_every_topic_of_the_page_is_there_and_no_other(domain, mode):
     for page, topics in ((published, writers), (subscribed, readers)):
         assert {name: types for name, (types, _) in topics.items()} \
             == {name: [topic.kind] for name, topic in page.items()}
-    _, torque = readers.pop('/torque')  # the one that depends on the mode
-    assert (torque.reliability == ReliabilityPolicy.RELIABLE) == (mode == 'lockstep')
+    for name in [name for name in readers if name != '/initial_state']:
+        _, torque = readers.pop(name)  # those that depend on the mode
+        assert (torque.reliability == ReliabilityPolicy.RELIABLE) == (mode == 'lockstep')
     for page, topics in ((published, writers), (subscribed, readers)):
         assert [name for name, (_, profile) in topics.items()
                 if not agrees(page[name], profile)] == []

@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from copy import copy
+from functools import partial
 import os
 from pathlib import Path
 import signal
@@ -39,14 +40,15 @@ from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 from rigid_body_ros import scene
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.node.diagnostics import Diagnostics, RECEIVED, STATES
+from rigid_body_ros.node.diagnostics import Diagnostics, RECEIVED
 from rigid_body_ros.node.drain import DrainCallback, Sender
+from rigid_body_ros.node.epoch import warm_up_for
 from rigid_body_ros.node.inputs import Inputs, RejectedError
 from rigid_body_ros.node.lockstep import Lockstep
 from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import check_qos_overrides, Parameters
 from rigid_body_ros.node.realtime import Realtime
-from rigid_body_ros.propagation import warm_up
+from rigid_body_ros.node.sources import check_topics, Source, sources_of
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.scene import LOCKSTEP
 from std_srvs.srv import Trigger
@@ -80,20 +82,25 @@ class AttitudeNode(Node):
     """
 
     def __init__(self) -> None:
-        super().__init__(scene.NODE, automatically_declare_parameters_from_overrides=True)
+        try:
+            super().__init__(scene.NODE, automatically_declare_parameters_from_overrides=True)
+        except ValueError as error:  # rclpy reads an empty list as no value, and does not name it
+            raise InputError('expected a value for each parameter, found one without a value, '
+                             'such as an empty list') from error
         parameters = Parameters(self, lambda rate: self._mode.set_rate(rate))
         self._scene = parameters.scene
-        warm_up()
+        self._sources = sources_of(self._scene)
+        warm_up_for(self._scene)
         self._announce()
         try:
-            self._diagnostics = Diagnostics(self)
+            self._diagnostics = Diagnostics(self, self._sources)
             self._inputs = Inputs(self._scene, self._diagnostics.count_force)
-            self._outputs = Outputs(self, self._scene, self._diagnostics)
+            self._outputs = Outputs(self, self._scene, self._sources, self._diagnostics)
             mode = Lockstep if self._scene.values['mode'] == LOCKSTEP else Realtime
             self._mode = mode(self, parameters, self._inputs, self._outputs, self._diagnostics)
             self._subscribe()
             self._mode.connect(self._torques)
-            check_qos_overrides(self, (self._torques, self._states), self._outputs.publishers)
+            check_qos_overrides(self, self._listening, self._outputs.publishers)
         except (RuntimeError, AssertionError) as error:  # such as an invalid QoS override
             raise InputError(' '.join(str(error).split())) from error
         self.create_service(Trigger, '~/reset', self._on_reset)
@@ -128,22 +135,34 @@ class AttitudeNode(Node):
             return self.create_subscription(
                 kind, topic, callback, copy(qos), raw=True, event_callbacks=events,
                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
-        callback = DrainCallback(self._on_torque, self._start_work,
-                                 self._diagnostics.count_missing)
-        self._torques = callback.subscription = subscription(
-            WrenchStamped, 'torque', callback, _TORQUE_QOS[self._scene.values['mode']],
-            SubscriptionEventCallbacks(message_lost=self._on_lost, use_default_callbacks=False))
+
+        def torques(source: Source) -> Subscription:
+            callback = DrainCallback(partial(self._on_torque, source.number), self._start_work,
+                                     partial(self._diagnostics.count_missing, source.number))
+            callback.subscription = subscription(
+                WrenchStamped, source.topic, callback, _TORQUE_QOS[self._scene.values['mode']],
+                SubscriptionEventCallbacks(message_lost=partial(self._on_lost, source.number),
+                                           use_default_callbacks=False))
+            return callback.subscription
         self._states = subscription(
             Odometry, 'initial_state', self._on_state,
             QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE),
             SubscriptionEventCallbacks(use_default_callbacks=False))
+        check_topics(self, self._sources, [self._states.topic_name, *(
+            publisher.topic_name for publisher in self._outputs.publishers)])
+        #: By number of the source.
+        self._torques = {source.number: torques(source) for source in self._sources}
 
-    def _on_torque(self, data: bytes, sender: Sender) -> None:
-        self._diagnostics.count(RECEIVED)
+    @property
+    def _listening(self) -> list[Subscription]:
+        return [*self._torques.values(), self._states]
+
+    def _on_torque(self, source: int, data: bytes, sender: Sender) -> None:
+        self._diagnostics.count(RECEIVED, source)
         try:
-            self._mode.enqueue(data, sender)
+            self._mode.enqueue(data, sender, source)
         except RejectedError as rejected:
-            self._diagnostics.reject(rejected)
+            self._diagnostics.reject(rejected, source)
 
     def _start_work(self) -> None:
         if self._worker.is_canceled():  # otherwise the timer continues the work
@@ -162,7 +181,7 @@ class AttitudeNode(Node):
     def _on_state(self, data: bytes) -> None:
         try:
             self._mode.set_state(self._inputs.state(data))
-            self._diagnostics.count(STATES)
+            self._diagnostics.count_state()
         except RejectedError as rejected:
             self._diagnostics.reject_state(rejected)
 
@@ -174,12 +193,12 @@ class AttitudeNode(Node):
             response.message = str(rejected)
         return response
 
-    def _on_lost(self, event: Any) -> None:
-        self._diagnostics.count_lost(event.total_count_change)
+    def _on_lost(self, source: int, event: Any) -> None:
+        self._diagnostics.count_lost(source, event.total_count_change)
 
     def _publish_diagnostics(self) -> None:
         problems = self._mode.problems() + self._diagnostics.connection_problems(
-            self._torques, (self._torques, self._states), self._outputs.publishers,
+            self._torques.values(), self._listening, self._outputs.publishers,
             self._mode.several_publishers)
         self._report(problems)
 
@@ -187,7 +206,8 @@ class AttitudeNode(Node):
         pipeline = self._mode.pipeline
         epoch = 'waiting for the first torque or clock reading' if pipeline.epoch is None else \
             f'epoch from {pipeline.epoch.start.time_ns} ns'
-        self._diagnostics.publish(problems, pipeline.waiting, epoch, self._mode.stamp())
+        self._diagnostics.publish(problems, pipeline.waiting_by_source(), epoch,
+                                  self._mode.stamp())
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

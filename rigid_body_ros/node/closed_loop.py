@@ -109,6 +109,10 @@ class DuplicateFilter:
             or time.monotonic() - first.responded_at < _IN_FLIGHT
         return in_flight and self.is_same(torque)
 
+    def is_waiting(self, torque: Torque) -> bool:
+        """Return whether the accepted torque of this stamp has not got a response yet."""
+        return self._accepted[torque.stamp_ns].responded_at is None
+
     def is_same(self, torque: Torque) -> bool:
         """Return whether a torque equals the accepted torque with the same stamp."""
         other = self._accepted[torque.stamp_ns].torque

@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 import time
 from typing import TYPE_CHECKING
 
@@ -28,6 +28,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import qos_check_compatible, QoSCompatibility
 from rclpy.subscription import Subscription
 from rigid_body_ros.node.inputs import CAUSES, RejectedError
+from rigid_body_ros.node.sources import Source
 
 if TYPE_CHECKING:  # Lyrical has it in rclpy.endpoint_info
     from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -54,42 +55,62 @@ def rejections(cause: str) -> str:
     return f'rejected: {cause}'
 
 
+class _Counts(Counter[str]):
+    """The counts of one status."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._published: Counter[str] = Counter()
+        #: Torques that are missing between two torques from one publisher.
+        self.missing = 0
+
+    def increments(self) -> Counter[str]:
+        """Return by how much the counts have increased since the last call."""
+        new = Counter(self) - self._published
+        self._published = Counter(self)
+        return new
+
+
 class Diagnostics:
     """
-    Count events of torques and of the motion.
+    Count events of the torques of each source, and of the motion.
 
     Every torque sent is either lost in transit, dropped from the full queue, or received. Every
     torque received is applied, rejected for a cause, or waiting.
     """
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
+    def __init__(self, node: Node, sources: Sequence[Source]) -> None:
+        self._node, self._sources = node, {source.number: source for source in sources}
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._counts: Counter[str] = Counter()
-        self._published_counts: Counter[str] = Counter()
+        self._torques = {source: _Counts() for source in self._sources}
+        self._motion = _Counts()
         #: Monotonic time, s, of the last log message of each kind.
         self._logged_at: dict[str, float] = {}
-        self._missing = 0
 
-    def count(self, name: str) -> None:
-        """Count an event without logging it."""
-        self._counts[name] += 1
+    def count(self, name: str, source: int) -> None:
+        """Count an event of a torque of a source without logging it."""
+        self._torques[source][name] += 1
 
-    def reject(self, rejected: RejectedError) -> None:
-        """Count a rejected torque and log the reason."""
-        cause = rejected.cause
-        self._counts[cause] += 1
-        self._log(cause, f'torque rejected ({self._counts[cause]} so far): {cause}: {rejected}')
+    def count_state(self) -> None:
+        """Count a state that begins an epoch."""
+        self._motion[STATES] += 1
 
-    def event(self, name: str, text: str, number: int = 1) -> None:
-        """Count a problem and log it."""
-        self._counts[name] += number
+    def reject(self, rejected: RejectedError, source: int) -> None:
+        """Count a rejected torque of a source and log the reason."""
+        cause, counts = rejected.cause, self._torques[source]
+        counts[cause] += 1
+        self._log(f'{cause} {source}', f'torque{self._place(source)} rejected '
+                  f'({counts[cause]} so far): {cause}: {rejected}')
+
+    def event(self, name: str, text: str) -> None:
+        """Count a problem of the motion and log it."""
+        self._motion[name] += 1
         self._log(name, text)
 
-    def count_force(self) -> None:
+    def count_force(self, source: int) -> None:
         """Count an ignored force, and log only the first, as it is not a fault."""
-        self._counts[FORCE] += 1
-        if self._counts[FORCE] == 1:
+        self._torques[source][FORCE] += 1
+        if sum(counts[FORCE] for counts in self._torques.values()) == 1:
             self._node.get_logger().warning('the force of a WrenchStamped is ignored: its torque '
                                             'is taken about the centre of mass')
 
@@ -97,40 +118,47 @@ class Diagnostics:
         """Count a rejected initial state and log the reason."""
         self.event(STATES_REJECTED, f'initial_state rejected: {rejected.cause}: {rejected}')
 
-    def count_lost(self, number: int) -> None:
+    def count_lost(self, source: int, number: int) -> None:
         """Count torques that the middleware reports as lost in transit."""
-        self.event(LOST, f'torques lost in transit so far: {self._counts[LOST] + number}', number)
-        self.count_missing(0)
+        counts = self._torques[source]
+        counts[LOST] += number
+        self._log(f'{LOST} {source}',
+                  f'torques{self._place(source)} lost in transit so far: {counts[LOST]}')
+        self.count_missing(source, 0)
 
-    def count_missing(self, number: int) -> None:
+    def count_missing(self, source: int, number: int) -> None:
         """
         Count torques that are missing between two torques from one publisher.
 
         Missing torques that the middleware does not report as lost in transit were dropped from
         the full queue.
         """
-        self._missing += number
-        self._counts[OVERFLOW] = max(0, self._missing - self._counts[LOST])
-        if number and self._counts[OVERFLOW]:
-            self._log(OVERFLOW, 'torques dropped from the full queue so far: '
-                      f'{self._counts[OVERFLOW]}; they arrive faster than this machine can '
-                      'process them')
+        counts = self._torques[source]
+        counts.missing += number
+        counts[OVERFLOW] = max(0, counts.missing - counts[LOST])
+        if number and counts[OVERFLOW]:
+            self._log(f'{OVERFLOW} {source}',
+                      f'torques{self._place(source)} dropped from the full queue so far: '
+                      f'{counts[OVERFLOW]}; they arrive faster than this machine can process them')
 
-    def connection_problems(self, torques: Subscription, inputs: Iterable[Subscription],
+    def _place(self, source: int) -> str:
+        return f' on {self._sources[source].topic}' if len(self._sources) > 1 else ''
+
+    def connection_problems(self, torques: Iterable[Subscription], inputs: Iterable[Subscription],
                             outputs: Iterable[Publisher], several: str) -> list[str]:
         """
         Return missing, surplus and incompatible connections.
 
         Parameters
         ----------
-        torques : Subscription
-            The subscription to torques.
+        torques : iterable of Subscription
+            The subscriptions to torques.
         inputs : iterable of Subscription
             All subscriptions of the node.
         outputs : iterable of Publisher
             All publishers of the node.
         several : str
-            Text for the log: what happens to the torques of several publishers.
+            Text for the log: what happens to the torques of several publishers of one topic.
 
         Returns
         -------
@@ -138,13 +166,14 @@ class Diagnostics:
 
         """
         problems = []
-        found = self._node.get_publishers_info_by_topic(torques.topic_name)
-        if not found:
-            problems.append(f'{torques.topic_name}: no publisher')
-        if len(found) > 1:
-            names = ', '.join(sorted(_full_name(info) for info in found))
-            problems.append(f'{torques.topic_name}: {len(found)} publishers: {names}; {several}')
-            self._log(_SEVERAL_PUBLISHERS, problems[-1])
+        for topic in [subscription.topic_name for subscription in torques]:
+            found = self._node.get_publishers_info_by_topic(topic)
+            if not found:
+                problems.append(f'{topic}: no publisher')
+            if len(found) > 1:
+                names = ', '.join(sorted(_full_name(info) for info in found))
+                problems.append(f'{topic}: {len(found)} publishers: {names}; {several}')
+                self._log(f'{_SEVERAL_PUBLISHERS} {topic}', problems[-1])
         for subscription in inputs:
             peers = self._node.get_publishers_info_by_topic(subscription.topic_name)
             problems += self._incompatible(subscription.topic_name, peers, 'subscriptions')
@@ -171,25 +200,36 @@ class Diagnostics:
             self._log(f'{_QOS} {topic}', '; '.join(problems))
         return problems
 
-    def publish(self, problems: list[str], waiting: int, epoch: str, stamp: Time) -> None:
-        """Publish all counts; warn of those that have increased since the last call."""
-        counts, new = self._counts, self._counts - self._published_counts
-        self._published_counts = counts.copy()
+    def publish(self, problems: list[str], waiting: Mapping[int, int], epoch: str,
+                stamp: Time) -> None:
+        """
+        Publish all counts; those that have increased since the last call set the levels.
+
+        The problems become part of the status of the first source; the waiting torques are
+        counted by source.
+        """
+        statuses = [self._torque_status(source, problems if not number else [], waiting[source])
+                    for number, source in enumerate(self._sources)]
+        counts, new = self._motion, self._motion.increments()
+        errors = [f'{name}: {new[name]}' for name in _ERRORS if new[name]]
+        warnings = [f'{name}: {new[name]}' for name in _WARNINGS if new[name]]
+        statuses.append(self._status(
+            'motion', bool(errors), bool(warnings), '; '.join(errors + warnings) or epoch,
+            {name: counts[name] for name in _OF_MOTION}))
+        array = DiagnosticArray(status=statuses)
+        array.header.stamp = stamp
+        self._publisher.publish(array)
+
+    def _torque_status(self, source: int, problems: list[str], waiting: int) -> DiagnosticStatus:
+        counts, new = self._torques[source], self._torques[source].increments()
         rejected = [f'{rejections(cause)}: {new[cause]}' for cause in CAUSES if new[cause]]
         warnings = problems + [f'{name}: {new[name]}' for name in _TORQUE_WARNINGS if new[name]]
-        torques = self._status(
-            'torques', bool(rejected), bool(warnings), '; '.join(rejected + warnings) or 'OK',
+        return self._status(
+            self._sources[source].status, bool(rejected), bool(warnings),
+            '; '.join(rejected + warnings) or 'OK',
             {RECEIVED: counts[RECEIVED], APPLIED: counts[APPLIED],
              **{rejections(cause): counts[cause] for cause in CAUSES}, WAITING: waiting,
              **{name: counts[name] for name in _OF_TORQUES}})
-        errors = [f'{name}: {new[name]}' for name in _ERRORS if new[name]]
-        warnings = [f'{name}: {new[name]}' for name in _WARNINGS if new[name]]
-        motion = self._status(
-            'motion', bool(errors), bool(warnings), '; '.join(errors + warnings) or epoch,
-            {name: counts[name] for name in _OF_MOTION})
-        array = DiagnosticArray(status=[torques, motion])
-        array.header.stamp = stamp
-        self._publisher.publish(array)
 
     def _status(self, name: str, is_error: bool, is_warning: bool, message: str,
                 values: Mapping[str, int]) -> DiagnosticStatus:

@@ -20,10 +20,11 @@ import bisect
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from rigid_body_ros.body import State
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.propagation import Propagator
+from rigid_body_ros.propagation import Propagator, warm_up
+from rigid_body_ros.propagation.segment import WHEELS
 from rigid_body_ros.scene import Scene
+from rigid_body_ros.state import State
 
 
 class Torque(NamedTuple):
@@ -32,10 +33,20 @@ class Torque(NamedTuple):
     stamp_ns: int
     values: Floats
     frame: str
+    #: Of `Propagator.apply`; WHEELS for a torque on the rotors.
+    source: int = 0
 
 
 def _stamp_ns(torque: Torque) -> int:
     return torque.stamp_ns
+
+
+def warm_up_for(scene: Scene) -> None:
+    """Compile the kernels that a scene needs, or load the code of an earlier process."""
+    warm_up()
+    if (len(scene.torque_topics) > 1 or scene.wheels or scene.body.is_damped
+            or scene.start.rotor_momentum.any()):
+        Propagator(scene.body, State(rotor_momentum=(1.0, 0.0, 0.0))).at(1)
 
 
 class Epoch:
@@ -55,8 +66,11 @@ class Epoch:
         self.start = start
         self._propagator = Propagator(scene.body, start, **scene.options,
                                       history=scene.values['history'])
-        #: Sorted by stamp: the torque in force `history` before the newest stamp, and later ones.
-        self._torques: list[Torque] = []
+        #: The newest stamp of all sources, ns, or None before the first torque.
+        self.newest_ns: int | None = None
+        #: By source, sorted by stamp: the torque in force `history` before the newest stamp, and
+        #: later ones.
+        self._torques: dict[int, list[Torque]] = {}
         #: Stamps, ascending, whose states are not committed yet.
         self._uncommitted: list[int] = []
         for torque in torques:
@@ -67,10 +81,9 @@ class Epoch:
         """How much older than the newest stamp a torque may be, ns; older ones are dropped."""
         return self._propagator.history_ns
 
-    @property
-    def newest_ns(self) -> int | None:
-        """Return the newest stamp, ns, or None before the first torque."""
-        return self._torques[-1].stamp_ns if self._torques else None
+    def newest_of(self, source: int) -> int | None:
+        """Return the newest stamp of a source, ns, or None before its first torque."""
+        return self._torques[source][-1].stamp_ns if source in self._torques else None
 
     def at(self, time_ns: int, within: float) -> State:
         """Return the state at a time; arguments and errors are those of `Propagator.at`."""
@@ -78,22 +91,32 @@ class Epoch:
 
     def apply(self, torque: Torque) -> bool:
         """Apply a torque; return False if it is too old, and raise as `Propagator.apply` does."""
-        if not self._propagator.apply(*torque):
+        stamp_ns, values, _, source = torque
+        is_taken = self._propagator.apply_wheels(stamp_ns, values) if source == WHEELS else \
+            self._propagator.apply(*torque)
+        if not is_taken:
             return False
-        place = bisect.bisect_left(self._torques, torque.stamp_ns, key=_stamp_ns)
-        is_replacement = self.has_torque_at(torque.stamp_ns)
-        self._torques[place:place + is_replacement] = [torque]
-        if not is_replacement and torque.stamp_ns > self.start.time_ns:
-            bisect.insort(self._uncommitted, torque.stamp_ns)
-        horizon = self._torques[-1].stamp_ns - self.history_ns
-        oldest = bisect.bisect_right(self._torques, horizon, key=_stamp_ns) - 1
-        del self._torques[:max(oldest, 0)]
+        is_replacement = self.has_torque_at(stamp_ns, source)
+        torques = self._torques.setdefault(source, [])
+        place = bisect.bisect_left(torques, stamp_ns, key=_stamp_ns)
+        torques[place:place + is_replacement] = [torque]
+        if not is_replacement and stamp_ns > self.start.time_ns:
+            self._await_commitment(stamp_ns)
+        self.newest_ns = stamp_ns if self.newest_ns is None else max(self.newest_ns, stamp_ns)
+        oldest = bisect.bisect_right(torques, self.newest_ns - self.history_ns, key=_stamp_ns) - 1
+        del torques[:max(oldest, 0)]
         return True
 
-    def has_torque_at(self, stamp_ns: int) -> bool:
-        """Return whether there is a torque with this stamp that may still be replaced."""
-        place = bisect.bisect_left(self._torques, stamp_ns, key=_stamp_ns)
-        return place < len(self._torques) and self._torques[place].stamp_ns == stamp_ns
+    def _await_commitment(self, stamp_ns: int) -> None:
+        place = bisect.bisect_left(self._uncommitted, stamp_ns)
+        if self._uncommitted[place:place + 1] != [stamp_ns]:  # one state for all sources
+            self._uncommitted.insert(place, stamp_ns)
+
+    def has_torque_at(self, stamp_ns: int, source: int) -> bool:
+        """Return whether a source has a torque of this stamp that may still be replaced."""
+        torques = self._torques.get(source, [])
+        place = bisect.bisect_left(torques, stamp_ns, key=_stamp_ns)
+        return place < len(torques) and torques[place].stamp_ns == stamp_ns
 
     def uncommitted(self, horizon_ns: int | None = None) -> list[int]:
         """Return the stamps, up to a time if given, whose states are not committed yet."""
@@ -106,6 +129,9 @@ class Epoch:
         del self._uncommitted[:bisect.bisect_right(self._uncommitted, horizon_ns)]
 
     def torques_since(self, time_ns: int) -> list[Torque]:
-        """Return the torque that acts at a time, and all later ones."""
-        place = bisect.bisect_right(self._torques, time_ns, key=_stamp_ns)
-        return self._torques[max(place - 1, 0):]
+        """Return, sorted by stamp, the torques that act at a time, and all later ones."""
+        found: list[Torque] = []
+        for torques in self._torques.values():
+            place = bisect.bisect_right(torques, time_ns, key=_stamp_ns)
+            found += torques[max(place - 1, 0):]
+        return sorted(found, key=_stamp_ns)

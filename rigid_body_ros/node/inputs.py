@@ -21,11 +21,14 @@ import math
 from typing import NamedTuple
 
 from rigid_body_ros import messages
-from rigid_body_ros.body import State
+from rigid_body_ros.common.errors import quoted
+from rigid_body_ros.frames import Frame
 from rigid_body_ros.node.drain import Sender
 from rigid_body_ros.node.epoch import Torque
 from rigid_body_ros.propagation.options import FASTEST
+from rigid_body_ros.propagation.segment import WHEELS
 from rigid_body_ros.scene import Scene
+from rigid_body_ros.state import State
 
 #: rad/s^2; an acceleration that reaches FASTEST, a radian per nanosecond, within a second.
 _LARGEST_ACCELERATION = 1e9
@@ -45,6 +48,8 @@ class QueuedMessage(NamedTuple):
     sender: Sender
     time_ns: int
     since: float
+    #: As in `Torque`.
+    source: int
 
 
 class RejectedError(ValueError):
@@ -62,14 +67,17 @@ class EarlyError(RejectedError):
 class Inputs:
     """Decode messages in the frames of a scene."""
 
-    def __init__(self, scene: Scene, on_force: Callable[[], None]) -> None:
+    def __init__(self, scene: Scene, on_force: Callable[[int], None]) -> None:
         self._on_force = on_force
         self._frames = scene.values['body_frame'], scene.values['space_frame']
+        self._links = scene.links
         self._largest = _LARGEST_ACCELERATION * scene.body.principal_moments[0]
 
-    def torque(self, data: bytes) -> Torque:
+    def torque(self, data: bytes, source: int) -> Torque:
         """
-        Return the torque of a WrenchStamped in CDR, and report an ignored force.
+        Return the torque of a WrenchStamped in CDR of a source, about the centre of mass.
+
+        A force without a lever arm is ignored and reported.
 
         Raises
         ------
@@ -79,19 +87,29 @@ class Inputs:
         """
         wrench = _decoded(messages.WRENCH, data)
         try:
-            frame = messages.torque_frame(wrench.frame_id, *self._frames)
+            axes, frame = messages.wrench_frame(wrench.frame_id, *self._frames, self._links)
         except ValueError as error:
             raise RejectedError(FRAME, str(error)) from error
-        torque = messages.torque(wrench)
+        if source == WHEELS:
+            if wrench.frame_id not in ('', self._frames[0]):
+                raise RejectedError(FRAME, f"frame_id: expected '{self._frames[0]}' or '', "
+                                    'because the torque on rotors is in body axes, '
+                                    f"found '{wrench.frame_id}'")
+            frame = None  # a force does not act on rotors
+        force, torque = wrench.values[:3], messages.torque(wrench)
+        if frame:
+            torque = frame.torque(force, torque)
         x, y, z = torque.tolist()
         if not math.isfinite(x + y + z):
-            raise RejectedError(NOT_FINITE, f'expected a finite torque, found {[x, y, z]}')
+            raise RejectedError(NOT_FINITE, f'expected a finite torque, found {[x, y, z]}'
+                                + _source(wrench, frame))
         if math.hypot(x, y, z) > self._largest:
             raise RejectedError(TOO_LARGE, f'expected a torque of at most {self._largest:.3g} N m '
-                                f'for this inertia, found {[x, y, z]}')
-        if wrench.values[:3].any():
-            self._on_force()
-        return Torque(wrench.stamp_ns, torque, frame)
+                                f'for this inertia, found {[x, y, z]}'
+                                + _source(wrench, frame))
+        if force.any() and not (frame and frame.has_arm):
+            self._on_force(source)
+        return Torque(wrench.stamp_ns, torque, axes, source)
 
     def state(self, data: bytes) -> State:
         """
@@ -118,6 +136,12 @@ class Inputs:
             return State(odometry.stamp_ns, odometry.values[messages.ORIENTATION], rates)
         except ValueError as error:
             raise RejectedError(NOT_FINITE, str(error)) from error
+
+
+def _source(wrench: messages.Stamped, frame: Frame | None) -> str:
+    """Return the end of a sentence that names the wrench from which a torque was computed."""
+    found = f', from the wrench {wrench.values.tolist()} in frame {quoted(wrench.frame_id)}'
+    return found if frame else ''
 
 
 def _decoded(kind: messages.MessageType, data: bytes) -> messages.Stamped:

@@ -12,11 +12,16 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Lockstep: the response to each torque is the state one step later."""
+"""
+Lockstep: the response to each torque is the state one step later.
+
+If several topics have publishers, the response to a stamp waits until each of these topics has a
+torque with this stamp. So the order in which they arrive does not change the response.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 import time
 
@@ -27,7 +32,6 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from rigid_body_ros import messages
-from rigid_body_ros.body import State
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.node.clocks import ClockMonitor
@@ -46,6 +50,8 @@ from rigid_body_ros.node.inputs import (
 from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import Parameters
 from rigid_body_ros.node.pipeline import Pipeline
+from rigid_body_ros.node.sources import sources_of
+from rigid_body_ros.state import State
 from rosgraph_msgs.msg import Clock
 
 #: s; period of the check whether to publish the state again.
@@ -58,7 +64,7 @@ _CLOCK = '/clock'
 
 
 class Lockstep:
-    """Publish the state `step` after every torque as soon as the torque arrives."""
+    """Publish the state `step` after a stamp as soon as all torques of this stamp are there."""
 
     several_publishers = 'only the first torque for each state is used'
 
@@ -72,10 +78,13 @@ class Lockstep:
         self._monitor = ClockMonitor(node)
         self._step_ns = max(1, duration_ns(values['step'], 'step'))
         self.pipeline = Pipeline(parameters.scene, outputs, diagnostics, self._read,
-                                 self._respond, self._step_ns)
-        self._duplicates = DuplicateFilter(duration_ns(values['history'], 'history'))
+                                 self._respond, self._is_due, self._step_ns)
+        history_ns = duration_ns(values['history'], 'history')
+        #: By source, as the subscriptions to torques.
+        self._duplicates = {source.number: DuplicateFilter(history_ns)
+                            for source in sources_of(parameters.scene)}
+        self._torques: Mapping[int, Subscription] = {}
         self._republishing = RepublishPolicy(self._connected)
-        self._torques: Subscription | None = None
         #: The state that waits for a torque, the start state, and since when it waits, s.
         self._latest = self._start = self.pipeline.initial(self._given_start_ns)
         self._since = time.monotonic()
@@ -85,16 +94,16 @@ class Lockstep:
                                         clock=RosClock(clock_type=ClockType.STEADY_TIME))
         self._begin_at_given_start()
 
-    def connect(self, torques: Subscription) -> None:
-        """Set the subscription to torques, whose publishers are counted."""
+    def connect(self, torques: Mapping[int, Subscription]) -> None:
+        """Set the subscriptions to torques by source; their publishers are counted."""
         self._torques = torques
 
     def set_rate(self, rate: float) -> None:
         """Do nothing: torques set the pace."""
 
-    def enqueue(self, data: bytes, sender: Sender) -> None:
+    def enqueue(self, data: bytes, sender: Sender, source: int) -> None:
         """
-        Queue a torque message, which gets a response.
+        Queue a torque message of a source, which gets a response.
 
         Raises
         ------
@@ -102,11 +111,13 @@ class Lockstep:
             Too many torques wait.
 
         """
-        self.pipeline.enqueue(data, sender, 0)
+        self.pipeline.enqueue(data, sender, 0, source)
 
     def set_state(self, state: State) -> None:
         """
         Begin an epoch with a state; if its stamp is zero, at the stamp of the next torque.
+
+        The rotors keep their momentum.
 
         Raises
         ------
@@ -114,12 +125,15 @@ class Lockstep:
             The state is older than the newest torque by `history` or more.
 
         """
+        torques = self.pipeline.torques_since(state.time_ns) if state.time_ns else []
+        state = self.pipeline.with_rotor_momentum(
+            state, state.time_ns or self._latest.time_ns, self._start)
         if state.time_ns:
-            self._begin(state, self.pipeline.torques_since(state.time_ns))
+            self._begin(state, torques)
         else:
             self.pipeline.end()
             self._start = state
-        self._duplicates.clear()
+        self._clear_duplicates()
         self._publish(self._start, self._start)
 
     def reset(self) -> str:
@@ -127,7 +141,7 @@ class Lockstep:
         self.pipeline.end()
         self._start = self.pipeline.initial(self._given_start_ns)
         self._begin_at_given_start()
-        self._duplicates.clear()
+        self._clear_duplicates()
         # The torque that responds to this state may be in transit.
         self._stale_ns = self._latest.time_ns
         self._publish(self._start, self._start)
@@ -146,8 +160,10 @@ class Lockstep:
             problems.append('computing the response to a torque has taken '
                             f'{self.pipeline.waiting_time:.0f} s so far')
         elif not self.pipeline.waiting and silence > _WARN_AFTER:
-            problems.append(f'no torque for {silence:.0f} s: the controller has not responded to '
-                            f'the state at {self._latest.time_ns} ns')
+            missing = self._missing(self._latest.time_ns, self._torques)
+            topics = f' on {", ".join(missing)}' if len(self._torques) > 1 and missing else ''
+            problems.append(f'no torque{topics} for {silence:.0f} s: the controller has not '
+                            f'responded to the state at {self._latest.time_ns} ns')
         return problems
 
     def stamp(self) -> Time:
@@ -166,15 +182,28 @@ class Lockstep:
         self._parameters.set_start(start)
 
     def _read(self, message: QueuedMessage) -> Torque | None:
-        torque, sender = self._inputs.torque(message.data), message.sender
+        torque, sender = self._inputs.torque(message.data, message.source), message.sender
         self._check_stamp(torque.stamp_ns)
-        if self._duplicates.is_duplicate(torque, sender):
+        duplicates = self._duplicates[torque.source]
+        if duplicates.is_duplicate(torque, sender) and not (
+                duplicates.is_waiting(torque) and self._is_due(torque)):
             self._skip_duplicate(torque)
             return None
         if self.pipeline.epoch is None:
             self._begin(replace(self._start, time_ns=torque.stamp_ns))
-        self._duplicates.accepted(torque, sender)
+        duplicates.accepted(torque, sender)
         return torque
+
+    def _is_due(self, torque: Torque) -> bool:
+        # A publisher that a response waited for may have ended: then a repeated torque gets it.
+        return not self._missing(torque.stamp_ns, self._torques.keys() - {torque.source})
+
+    def _missing(self, stamp_ns: int, sources: Iterable[int]) -> list[str]:
+        """Return the topics, of sources with a publisher, that have no torque of this stamp."""
+        epoch = self.pipeline.epoch
+        return [self._torques[source].topic_name for source in sources
+                if self._torques[source].handle.get_publisher_count()
+                and not (epoch and epoch.has_torque_at(stamp_ns, source))]
 
     def _check_stamp(self, stamp_ns: int) -> None:
         latest_ns = messages.LAST_NS - self._step_ns
@@ -187,18 +216,19 @@ class Lockstep:
 
     def _skip_duplicate(self, torque: Torque) -> None:
         """Count a repeated torque; raise RejectedError if it differs from the first."""
-        if not self._duplicates.is_same(torque):
+        if not self._duplicates[torque.source].is_same(torque):
             raise RejectedError(DIFFERS, 'a different torque was accepted before for the state '
                                 f'at {torque.stamp_ns} ns; {self.several_publishers}')
-        self._diagnostics.count(APPLIED)
-        self._diagnostics.count(REPLACED)
+        self._diagnostics.count(APPLIED, torque.source)
+        self._diagnostics.count(REPLACED, torque.source)
 
     def _respond(self, torque: Torque, state: State | None) -> None:
         if state is None:
-            self._duplicates.discard(torque)
+            self._duplicates[torque.source].discard(torque)
             return
         self._publish(state, max(state, self._latest, key=lambda state: state.time_ns))
-        self._duplicates.responded(torque)
+        for duplicates in self._duplicates.values():
+            duplicates.responded(torque)
 
     def _publish(self, state: State, latest: State) -> None:
         self._latest, self._since = latest, time.monotonic()
@@ -216,10 +246,16 @@ class Lockstep:
         self._outputs.publish(state)
         self._republishing.published(is_repeated)
         if self._republishing.has_controller or self.pipeline.epoch is not None:
-            self._duplicates.published(state.time_ns)
+            for duplicates in self._duplicates.values():
+                duplicates.published(state.time_ns)
+
+    def _clear_duplicates(self) -> None:
+        for duplicates in self._duplicates.values():
+            duplicates.clear()
 
     def _connected(self) -> tuple[int, int]:
-        publishers = self._torques.handle.get_publisher_count() if self._torques else 0
+        publishers = sum(torques.handle.get_publisher_count()
+                         for torques in self._torques.values())
         return publishers, self._outputs.subscription_count
 
     def _clock_publisher(self) -> Publisher:

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from copy import copy
 import time
@@ -29,11 +29,12 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rigid_body_ros import euler, messages
-from rigid_body_ros.body import State
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.node.diagnostics import Diagnostics, UNSENT
 from rigid_body_ros.node.epoch import Torque
+from rigid_body_ros.node.sources import Source
 from rigid_body_ros.scene import Scene
+from rigid_body_ros.state import State
 from sensor_msgs.msg import Imu
 
 try:
@@ -58,7 +59,8 @@ class Outputs:
     failure is counted and logged.
     """
 
-    def __init__(self, node: Node, scene: Scene, diagnostics: Diagnostics) -> None:
+    def __init__(self, node: Node, scene: Scene, sources: Iterable[Source],
+                 diagnostics: Diagnostics) -> None:
         self._node, self._diagnostics = node, diagnostics
         values = scene.values
         space, body, sequence = (values[name] for name in (
@@ -76,16 +78,22 @@ class Outputs:
             (self._publisher(Imu, 'imu/data'), lambda state: messages.imu(state, body)),
             (self._publisher(Odometry, 'odometry'), lambda state: (
                 messages.odometry(state, space, body)))]
+        if scene.wheels:
+            self._states.append((self._publisher(Vector3Stamped, 'rotor_momentum'), lambda state: (
+                messages.VECTOR3.encode(state.time_ns, body, state.rotor_momentum))))
         if values['publish_tf']:
             self._states.append((self._publisher(_transform_type(), '/tf'), lambda state: (
                 messages.transform(state, space, body))))
-        self._accepted = self._publisher(WrenchStamped, '~/accepted_torque', _LOG_QOS)
+        #: By number of the source.
+        self._accepted = {source.number: self._publisher(WrenchStamped, source.log, _LOG_QOS)
+                          for source in sources}
         self._committed = self._publisher(Odometry, '~/committed', _LOG_QOS)
 
     @property
     def publishers(self) -> list[Publisher]:
         """All publishers of states and of the log."""
-        return [*(publisher for publisher, _ in self._states), self._accepted, self._committed]
+        return [*(publisher for publisher, _ in self._states), *self._accepted.values(),
+                self._committed]
 
     @property
     def subscription_count(self) -> int:
@@ -99,12 +107,13 @@ class Outputs:
                 self._send(publisher, encode(state))
 
     def begin_log(self) -> None:
-        """Mark in the log of torques that a new epoch follows."""
-        self._send(self._accepted, messages.new_log())
+        """Mark in the logs of torques that a new epoch follows."""
+        for publisher in self._accepted.values():
+            self._send(publisher, messages.new_log())
 
     def log_torque(self, torque: Torque) -> None:
         """Log an accepted torque."""
-        self._send(self._accepted, messages.wrench(
+        self._send(self._accepted[torque.source], messages.wrench(
             torque.stamp_ns, self._frames[torque.frame], torque.values))
 
     def log_state(self, state: State) -> None:
@@ -114,7 +123,7 @@ class Outputs:
 
     def deliver(self, until: float) -> None:
         """Wait until subscribers acknowledge the log, at most to `until`, s, monotonic clock."""
-        for publisher in (self._committed, self._accepted):
+        for publisher in (self._committed, *self._accepted.values()):
             remaining = max(0.0, until - time.monotonic())
             with suppress(RuntimeError):  # not every middleware supports it
                 publisher.wait_for_all_acked(Duration(seconds=remaining))

@@ -31,10 +31,10 @@ from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rigid_body_ros import scene
-from rigid_body_ros.body import State
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.propagation.solvers import solver_named
 from rigid_body_ros.scene import Scene
+from rigid_body_ros.state import State
 
 _RATE = 'publish_rate'
 _QOS = 'qos_overrides.'
@@ -42,7 +42,8 @@ _QOS = 'qos_overrides.'
 _OF_RCLPY = ('/clock.', '/parameter_events.', '/rosout.')
 #: Parameters that the node sets when an epoch begins, so that a dump is the scene of the epoch.
 _EPOCH = ('start_time', *(f'initial_attitude.{name}' for name in 'xyzw'),
-          *(f'initial_angular_velocity.{name}' for name in 'xyz'))
+          *(f'initial_angular_velocity.{name}' for name in 'xyz'),
+          *(f'initial_rotor_momentum.{name}' for name in 'xyz'))
 
 
 class Parameters:
@@ -67,7 +68,8 @@ class Parameters:
 
     def set_start(self, start: State) -> None:
         """Set the parameters to the start state of an epoch, or raise RuntimeError."""
-        values = [start.time_ns, *start.attitude.tolist(), *start.angular_velocity.tolist()]
+        values = [start.time_ns, *start.attitude.tolist(), *start.angular_velocity.tolist(),
+                  *start.rotor_momentum.tolist()]
         self._epoch = dict(zip(_EPOCH, values))
         result = self._node.set_parameters_atomically(
             [Parameter(name, value=value) for name, value in self._epoch.items()])

@@ -16,12 +16,11 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 import time
 
-from rigid_body_ros.body import State
 from rigid_body_ros.node.diagnostics import APPLIED, Diagnostics, MISSED, NOT_COMPUTABLE, REPLACED
 from rigid_body_ros.node.drain import Sender
 from rigid_body_ros.node.epoch import Epoch, Torque
@@ -37,6 +36,7 @@ from rigid_body_ros.node.inputs import (
 )
 from rigid_body_ros.node.outputs import LOG_DEPTH, Outputs
 from rigid_body_ros.scene import Scene
+from rigid_body_ros.state import State
 
 #: s; length of a slice of work, after which all other callbacks run.
 _BUDGET = 0.02
@@ -68,6 +68,9 @@ class Pipeline:
     respond : callable, optional
         Lockstep: receives each torque and the state `step` later, as soon as the torque is
         applied. The state is None if the torque is rejected or the state cannot be computed.
+    is_due : callable
+        Lockstep: returns whether an applied torque gets its response now. Otherwise it waits for
+        torques of other sources.
     step_ns : int
         Lockstep: `step`, ns.
 
@@ -76,9 +79,11 @@ class Pipeline:
     def __init__(self, scene: Scene, outputs: Outputs, diagnostics: Diagnostics,
                  read: Callable[[QueuedMessage], Torque | None],
                  respond: Callable[[Torque, State | None], None] | None = None,
+                 is_due: Callable[[Torque], bool] = lambda torque: True,
                  step_ns: int = 0) -> None:
         self._scene, self._outputs, self._diagnostics = scene, outputs, diagnostics
         self._read, self._respond, self._step_ns = read, respond, step_ns
+        self._is_due = is_due
         self.epoch: Epoch | None = None
         #: Whether the log has torques of an earlier epoch.
         self._is_logged = False
@@ -101,6 +106,11 @@ class Pipeline:
         """Return the number of torques that wait to be applied or for the clock."""
         return len(self._queue) + sum(map(len, self._early.values()))
 
+    def waiting_by_source(self) -> Counter[int]:
+        """Return `waiting` for each source."""
+        return Counter(message.source for queue in (self._queue, *self._early.values())
+                       for message in queue)
+
     @property
     def waiting_time(self) -> float:
         """How long the first torque of the queue has waited, s."""
@@ -112,7 +122,7 @@ class Pipeline:
 
     def torques_since(self, time_ns: int) -> list[Torque]:
         """
-        Return the torque that acts at a time, and all later ones.
+        Return the torques that act at a time, and all later ones.
 
         Raises
         ------
@@ -124,6 +134,16 @@ class Pipeline:
             return []
         self.check_age(time_ns)
         return self.epoch.torques_since(time_ns)
+
+    def with_rotor_momentum(self, start: State, time_ns: int, default: State) -> State:
+        """
+        Return a start state with the rotor momentum at a time of the present epoch.
+
+        If there is no epoch, or no motor on the rotors, the momentum is that of a default state.
+        """
+        if self.epoch is not None and self._scene.wheels and time_ns > self.epoch.start.time_ns:
+            default = self.last_state(time_ns) or default
+        return replace(start, rotor_momentum=default.rotor_momentum)
 
     def begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
         """Begin an epoch and its log; `torques` are earlier ones that still act."""
@@ -150,17 +170,18 @@ class Pipeline:
         for queue, event in (
                 (self._queue, 'this torque was applied'),
                 (self._early[FUTURE], 'the clock reached the stamp of this torque')):
-            for _ in queue:
-                self._diagnostics.reject(RejectedError(ENDED, f'the epoch ended before {event}'))
+            for message in queue:
+                self._diagnostics.reject(
+                    RejectedError(ENDED, f'the epoch ended before {event}'), message.source)
             queue.clear()
         self._torque, self._deferred_ns = None, 0
         if self.epoch is not None:
             self._finish(time.monotonic() + _END_BUDGET if until is None else until)
         self.epoch = None
 
-    def enqueue(self, data: bytes, sender: Sender, time_ns: int) -> None:
+    def enqueue(self, data: bytes, sender: Sender, time_ns: int, source: int) -> None:
         """
-        Append a message that arrives at a time to the queue.
+        Append a message of a source that arrives at a time to the queue.
 
         Raises
         ------
@@ -174,7 +195,7 @@ class Pipeline:
         if is_late or len(queue) >= _MAX_QUEUE:
             raise RejectedError(OVERLOAD, f'{len(queue)} torques wait, the first for '
                                 f'{waited:.3g} s; new ones are rejected until the node catches up')
-        queue.append(QueuedMessage(data, sender, time_ns, now))
+        queue.append(QueuedMessage(data, sender, time_ns, now, source))
 
     def hold_early_torques(self) -> None:
         """Before the epoch ends, move torques that wait for the clock out of the queue."""
@@ -254,7 +275,7 @@ class Pipeline:
         except EarlyError as early:
             self._early[early.cause].append(message)
         except RejectedError as rejected:
-            self._diagnostics.reject(rejected)
+            self._diagnostics.reject(rejected, message.source)
         return None
 
     def _requeue_early(self) -> None:
@@ -284,7 +305,7 @@ class Pipeline:
                 if self._respond is not None:
                     self._respond(torque, None)
                 return
-        if self._respond is not None:
+        if self._respond is not None and self._is_due(torque):
             self._respond(torque, self.state(torque.stamp_ns + self._step_ns, until))
         self._log(torque)
 
@@ -315,19 +336,19 @@ class Pipeline:
                 f'({newest_ns} ns), expected less than history ({history_ns * 1e-9:g} s)')
 
     def _apply(self, torque: Torque) -> bool:
-        is_replacement = self.epoch.has_torque_at(torque.stamp_ns)
+        is_replacement = self.epoch.has_torque_at(torque.stamp_ns, torque.source)
         try:
             self.check_age(torque.stamp_ns)
             self.epoch.apply(torque)
         except RejectedError as rejected:
-            self._diagnostics.reject(rejected)
+            self._diagnostics.reject(rejected, torque.source)
             return False
         except ValueError as error:  # the motion before it is too fast to compute
-            self._diagnostics.reject(RejectedError(NO_STATE, str(error)))
+            self._diagnostics.reject(RejectedError(NO_STATE, str(error)), torque.source)
             return False
-        self._diagnostics.count(APPLIED)
+        self._diagnostics.count(APPLIED, torque.source)
         if is_replacement:
-            self._diagnostics.count(REPLACED)
+            self._diagnostics.count(REPLACED, torque.source)
         return True
 
     def _finalize(self, horizon_ns: int, until: float) -> None:

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 import time
 
@@ -24,7 +24,6 @@ from builtin_interfaces.msg import Time
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.subscription import Subscription
-from rigid_body_ros.body import State
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.node.clocks import ArrivalStamps, ClockMonitor
 from rigid_body_ros.node.diagnostics import Diagnostics, NOT_COMPUTABLE, TIME_JUMP
@@ -43,6 +42,7 @@ from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import Parameters
 from rigid_body_ros.node.pipeline import Pipeline
 from rigid_body_ros.scene import ARRIVAL, REBASE, RESET
+from rigid_body_ros.state import State
 
 #: A stamp further ahead of or behind the clock is assumed to come from another clock.
 _OTHER_CLOCK_NS = 3600 * 10 ** 9
@@ -57,8 +57,8 @@ _FORWARD_JUMP_NS = 10 ** 9
 class Realtime:
     """Publish the state at the present time, at a rate."""
 
-    several_publishers = ('torques of several publishers are not summed; each replaces the '
-                          'previous one')
+    several_publishers = ('torques of several publishers of one topic are not summed, and each '
+                          'replaces the previous one; list a topic for each in torque_topics')
 
     def __init__(self, node: Node, parameters: Parameters, inputs: Inputs, outputs: Outputs,
                  diagnostics: Diagnostics) -> None:
@@ -70,6 +70,7 @@ class Realtime:
         self.pipeline = Pipeline(parameters.scene, outputs, diagnostics, self._read)
         self._latest_ns = 0
         self._arrivals, self._monitor = ArrivalStamps(), ClockMonitor(node)
+        self._torques: Mapping[int, Subscription] = {}
         self._is_simulated = node.get_parameter('use_sim_time').value
         # If a wall clock is set back, a timer that follows it stops; a steady timer does not.
         clock = node.get_clock() if self._is_simulated else Clock(clock_type=ClockType.STEADY_TIME)
@@ -77,17 +78,18 @@ class Realtime:
                                         clock=clock)
         self._now_ns()
 
-    def connect(self, torques: Subscription) -> None:
-        """Do nothing: the timer runs whether or not a publisher is connected."""
+    def connect(self, torques: Mapping[int, Subscription]) -> None:
+        """Set the subscriptions to torques by source; the timer runs without publishers, too."""
+        self._torques = torques
 
     def set_rate(self, rate: float) -> None:
         """Publish at another rate, Hz."""
         self._timer.timer_period_ns = duration_ns(1.0 / rate, 'publish_rate')
         self._timer.reset()  # otherwise the next call is due after the old period
 
-    def enqueue(self, data: bytes, sender: Sender) -> None:
+    def enqueue(self, data: bytes, sender: Sender, source: int) -> None:
         """
-        Queue a torque message from any sender.
+        Queue a torque message of a source from any sender.
 
         Raises
         ------
@@ -96,11 +98,11 @@ class Realtime:
 
         """
         self._valid_now_ns()
-        self.pipeline.enqueue(data, sender, self._arrivals.stamp())
+        self.pipeline.enqueue(data, sender, self._arrivals.stamp(), source)
 
     def set_state(self, state: State) -> None:
         """
-        Begin an epoch with a state.
+        Begin an epoch with an attitude and body rates; the rotors keep their momentum.
 
         Raises
         ------
@@ -112,7 +114,9 @@ class Realtime:
         now_ns = self._valid_now_ns()
         start = replace(state, time_ns=state.time_ns or now_ns)
         self._check_stamp(start.time_ns, now_ns)
-        self._begin(start, self.pipeline.torques_since(start.time_ns), 'initial_state received')
+        torques = self.pipeline.torques_since(start.time_ns)
+        start = self.pipeline.with_rotor_momentum(start, start.time_ns, self.pipeline.epoch.start)
+        self._begin(start, torques, 'initial_state received')
 
     def reset(self) -> str:
         """
@@ -136,11 +140,14 @@ class Realtime:
         problems = self._monitor.problems()
         if not self._now_ns():
             return problems
-        newest_ns = self.pipeline.epoch.newest_ns
-        silence = 0.0 if newest_ns is None else (self._latest_ns - newest_ns) * 1e-9
-        if silence > self._values['torque_timeout'] > 0.0:
-            problems.append(f'no torque for {silence:.3g} s: the torque is zero, because '
-                            f'torque_timeout ({self._values["torque_timeout"]:g} s) has passed')
+        timeout = self._values['torque_timeout']
+        for source, subscription in self._torques.items():
+            newest_ns = self.pipeline.epoch.newest_of(source)
+            silence = 0.0 if newest_ns is None else (self._latest_ns - newest_ns) * 1e-9
+            if silence > timeout > 0.0:
+                problems.append(f'{subscription.topic_name}: no torque for {silence:.3g} s: the '
+                                f'torque is zero, because torque_timeout ({timeout:g} s) has '
+                                'passed')
         return problems
 
     def stamp(self) -> Time:
@@ -148,7 +155,7 @@ class Realtime:
         return self._node.get_clock().now().to_msg()
 
     def _read(self, message: QueuedMessage) -> Torque:
-        torque = self._inputs.torque(message.data)
+        torque = self._inputs.torque(message.data, message.source)
         if not torque.stamp_ns or self._values['time_source'] == ARRIVAL:
             torque = torque._replace(stamp_ns=message.time_ns)
         if self._is_simulated:
@@ -222,10 +229,10 @@ class Realtime:
             return False
         # Shift the stamp, so that the torque keeps its age for torque_timeout.
         torques = [torque._replace(stamp_ns=max(1, torque.stamp_ns + now_ns - latest_ns))
-                   for torque in self.pipeline.epoch.torques_since(latest_ns)[:1]
+                   for torque in self.pipeline.epoch.torques_since(latest_ns)
                    if torque.stamp_ns <= latest_ns]
-        self._begin(State(now_ns, state.attitude, state.angular_velocity), torques,
-                    'clock jumped back, state kept')
+        start = State(now_ns, state.attitude, state.angular_velocity, state.rotor_momentum)
+        self._begin(start, torques, 'clock jumped back, state kept')
         return True
 
     def _begin(self, start: State, torques: Sequence[Torque], reason: str) -> str:

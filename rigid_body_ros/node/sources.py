@@ -1,0 +1,73 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The sources of torque of a scene: their topics, logs and names in diagnostics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from rclpy.node import Node
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.propagation.segment import WHEELS as WHEELS
+from rigid_body_ros.scene import Scene
+
+#: The topic of the torque of the motors on the rotors.
+_WHEEL_TORQUE = 'wheel_torque'
+
+
+class Source(NamedTuple):
+    """A topic of torques."""
+
+    #: The source of `Propagator.apply`, or WHEELS.
+    number: int
+    topic: str
+    #: The topic on which its accepted torques are logged.
+    log: str
+    #: Its name in diagnostics.
+    status: str
+
+
+def sources_of(scene: Scene) -> tuple[Source, ...]:
+    """Return the sources of torque of a scene, in the order in which they are summed."""
+    suffixes = ['', *(f'_{number}' for number in range(1, len(scene.torque_topics)))]
+    sources = [Source(number, topic, f'~/accepted_torque{suffix}', f'torques{suffix}')
+               for number, (topic, suffix) in enumerate(zip(scene.torque_topics, suffixes))]
+    if scene.wheels:
+        sources.append(Source(WHEELS, _WHEEL_TORQUE, '~/accepted_wheel_torque', 'wheel torques'))
+    return tuple(sources)
+
+
+def check_topics(node: Node, sources: Iterable[Source], others: Iterable[str]) -> None:
+    """
+    Check that the topics of the sources differ from each other and from others of the node.
+
+    The others are full names.
+
+    Raises
+    ------
+    InputError
+        Two topics are the same after remapping.
+    RuntimeError
+        A name is not valid.
+
+    """
+    used = set(others)
+    for source in sources:
+        name = node.resolve_topic_name(source.topic)
+        if name in used:
+            raise InputError('torque_topics: expected topics that the node does not use for '
+                             f'anything else, found {name} twice')
+        used.add(name)
