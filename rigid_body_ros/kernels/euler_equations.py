@@ -62,6 +62,15 @@ def gyroscopic_acceleration(coefficients: Coefficients, form: int, products: Pro
 
 
 @inlined
+def add_gyroscopic_acceleration(rest: Vector, coefficients: Coefficients, form: int,
+                                products: Products) -> Vector:
+    """Return the same plus a vector."""
+    if form == DIAGONAL:
+        return four.fma(coefficients[2], products[0], rest)
+    return add(rest, gyroscopic_acceleration(coefficients, form, products))
+
+
+@inlined
 def _add_combined(rest: Vector, columns: tuple[Vector, Vector, Vector], a: Vector) -> Vector:
     # Round each sum once: with more roundings the energy of a long run drifts.
     rest = add_scaled(rest, a[2], columns[2])

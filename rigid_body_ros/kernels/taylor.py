@@ -184,7 +184,11 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
     past = (zero, zero, zero, zero)  # the terms of u before the latest
     for k in range(MAX_ORDER):
         products, rotation = _cauchy(table, k, first, latest, form)
-        u = euler_equations.gyroscopic_acceleration(coefficients, form, products)
+        if extras is None:
+            u = euler_equations.gyroscopic_acceleration(coefficients, form, products)
+        else:
+            u = euler_equations.add_gyroscopic_acceleration(
+                _linear_term(k, latest, past, extras), coefficients, form, products)
         if in_space:
             torque_acceleration = euler_equations.acceleration_from_torque(
                 coefficients, form, _torque_term(table, k, degree))
@@ -196,8 +200,6 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
                 torque_acceleration = euler_equations.acceleration_from_torque(
                     coefficients, form, _torque_term(table, k, extras.space_degree))
                 u = add_scaled(u, seconds * seconds, torque_acceleration)
-            if extras.linear_degree >= 0:
-                u = add(u, _linear_term(k, latest, past, extras))
             past = (latest[0], past[0], past[1], past[2])
         u = scale(1.0 / (k + 1), u)
         factor = 0.5 / (k + 1)

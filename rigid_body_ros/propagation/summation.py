@@ -177,14 +177,28 @@ def _sum(coefficients: Floats, stamps_ns: NDArray[np.int64], in_space: NDArray[n
             next_ns = min(next_ns, _next_change(stamps_ns, samples[k], offsets[k],
                                                 offsets[k + 1], time_ns, timeout_ns))
         length_ns = next_ns - time_ns if next_ns < NEVER_NS else NEVER_NS
-        total = _Total(_nothing(), _nothing(), _nothing(), _nothing())
-        for k in range(count):
-            row = samples[k]
-            if row >= offsets[k] and not 0 < timeout_ns <= time_ns - stamps_ns[row]:
-                span_ns = stamps_ns[row + 1] - stamps_ns[row] if row + 1 < offsets[k + 1] \
-                    else NEVER_NS
-                total = _add(total, _piece(coefficients, row, time_ns - stamps_ns[row], span_ns,
-                                           length_ns), k == count - 1, in_space[row])
+        if degree == 0:  # otherwise copies of zero coefficients take half of the time
+            body = space = on_rotors = four.broadcast(-0.0)
+            for k in range(count):
+                row = samples[k]
+                if row >= offsets[k] and not 0 < timeout_ns <= time_ns - stamps_ns[row]:
+                    torque = intervals.coefficient(coefficients, row, 0)
+                    if in_space[row]:
+                        space = add(space, torque)
+                    elif k == count - 1:
+                        body, on_rotors = four.subtract(body, torque), add(on_rotors, torque)
+                    else:
+                        body = add(body, torque)
+            total = _Total(_held(body), _zero(), _held(space), _held(on_rotors))
+        else:
+            total = _Total(_nothing(), _nothing(), _nothing(), _nothing())
+            for k in range(count):
+                row = samples[k]
+                if row >= offsets[k] and not 0 < timeout_ns <= time_ns - stamps_ns[row]:
+                    span_ns = stamps_ns[row + 1] - stamps_ns[row] if row + 1 < offsets[k + 1] \
+                        else NEVER_NS
+                    total = _add(total, _piece(coefficients, row, time_ns - stamps_ns[row],
+                                               span_ns, length_ns), k == count - 1, in_space[row])
         times[at], spaces[at] = time_ns, _store(total, rotors, at, torques, terms)
         if next_ns < NEVER_NS:
             rotors = _after(rotors, total.rotors, length_ns, length_ns)
@@ -197,6 +211,12 @@ def _nothing() -> Polynomial:
     # To add to -0 changes no bit of a torque.
     nothing = four.broadcast(-0.0)
     return nothing, nothing, nothing, nothing
+
+
+@inlined
+def _held(torque: Vector) -> Polynomial:
+    zero = four.broadcast(0.0)
+    return torque, zero, zero, zero
 
 
 @inlined
