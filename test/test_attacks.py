@@ -115,6 +115,7 @@ def names(option, attacked):
     return [name for name in found if name != 'hard link' or attacked.is_file()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('recorded', 'attacked'), VICTIMS.values(), ids=VICTIMS)
 @pytest.mark.parametrize('option', OUTPUTS)
 def test_an_output_never_replaces_an_input(place, capsys, option, recorded, attacked):

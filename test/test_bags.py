@@ -136,6 +136,7 @@ def test_frames_may_have_any_length(tmp_path, form):
     assert read_whole(FORMS[form](tmp_path, traffic(recorded))).rows() == recorded.rows()
 
 
+@pytest.mark.slow
 @some_forms
 def test_messages_are_in_the_order_of_the_file(tmp_path, form):
     recorded = ALONE[np.random.default_rng(4).permutation(200)]
@@ -315,6 +316,7 @@ def test_compressed_messages_without_their_description_are_read_or_told(tmp_path
     assert told or rows == ALONE.rows()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('compression', ['zstd', 'lz4'])
 @pytest.mark.parametrize('claimed', [1000, 2 ** 60])
 @pytest.mark.parametrize('says_its_size', [True, False])

@@ -217,6 +217,7 @@ def motion(output):
                                 ('/angular_velocity', messages.VECTOR3))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('form', ['mcap-zstd', 'mcap-big-endian', 'rosbag2-sqlite3-none',
                                   'split-mcap'])
 def test_a_replay_of_wrenches_is_that_of_their_torques(tmp_path, scene_file, form):
@@ -234,6 +235,7 @@ def test_a_replay_of_wrenches_is_that_of_their_torques(tmp_path, scene_file, for
     assert ends[0] == ends[1]
 
 
+@pytest.mark.slow
 def test_wrenches_that_do_not_fit_in_one_piece_are_converted_in_each(tmp_path, scene_file):
     count, path = 150_000, tmp_path / 'long.mcap'
     sent = wrenches(count, ['thruster', 'base_link'])

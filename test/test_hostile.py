@@ -268,6 +268,7 @@ def with_messages(path, *sent):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('says_its_size', [True, False])
 @pytest.mark.parametrize('storage', ['MCAP', 'SQLITE3'])
 def test_a_message_may_not_be_larger_than_a_chunk_may(tmp_path, monkeypatch, storage,

@@ -46,6 +46,7 @@ def same(state, motion, row):
             and np.array_equal(state.angular_velocity, motion.angular_velocity[row]))
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(seed=strategies.integers(0, 2 ** 32 - 1), timeout=strategies.sampled_from([0.0, 0.03, 0.4]))
 def test_any_order_of_arrival_and_any_questions_give_the_states_of_the_log(seed, timeout):

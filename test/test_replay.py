@@ -189,6 +189,7 @@ def test_work_and_energy_agree(name, interpolation):
     assert seconds == pytest.approx(span * 1e-9)
 
 
+@pytest.mark.slow
 def test_work_and_energy_are_compared_over_what_memory_allows(monkeypatch):
     result = replay(RECORDINGS / 'fast_spin.mcap', scene.load(RECORDINGS / 'fast_spin.yaml'))
     motion = result.scene, result.log, result.start, result.trajectory
@@ -333,6 +334,7 @@ def test_a_link_stays_a_link(tmp_path, output):
     assert (tmp_path / 'real.mcap').is_file()
 
 
+@pytest.mark.slow
 def test_any_file_name_makes_a_title(tmp_path, output):
     recorded = tmp_path / os.fsdecode(b'$\\frac$ _{{ \xff.mcap')
     recorded.write_bytes((RECORDINGS / 'iss.mcap').read_bytes())
@@ -519,6 +521,7 @@ def test_an_input_with_the_topics_of_the_output_is_not_copied(tmp_path, capsys):
     assert not again.exists()
 
 
+@pytest.mark.slow
 def test_messages_compressed_one_by_one_are_copied_as_they_were(tmp_path):
     sent = bags.torques()
     sent.values[:6] = 0.0  # of which there is no motion

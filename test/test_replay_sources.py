@@ -205,6 +205,7 @@ def test_the_last_digits_of_all_inputs_count(recorded, written):
     assert effect > 0.0
 
 
+@pytest.mark.slow
 def test_outputs_at_a_rate_come_in_blocks_of_the_same_motion(recorded, written, tmp_path,
                                                              monkeypatch):
     path = written(TWO, WHEELS, DAMPING, ROTORS)
@@ -219,6 +220,7 @@ def test_outputs_at_a_rate_come_in_blocks_of_the_same_motion(recorded, written, 
     np.testing.assert_array_equal(whole.values, blocks.values)
 
 
+@pytest.mark.slow
 def test_several_recordings_are_replayed_in_parallel(recorded, written, tmp_path):
     path = written(TWO, WHEELS)
     outcome, = replay_many([recorded], scene.load(path), tmp_path / 'out')
@@ -246,6 +248,7 @@ def test_a_signal_interrupts_a_scene_with_rotors(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ['spin.yaml']
 
 
+@pytest.mark.slow
 def test_torques_and_momentum_are_drawn(recorded, written, tmp_path):
     assert cli.attitude_replay([recorded, '--scene', written(TWO, WHEELS), '--also', 'markers',
                                 'imu', '-o', str(tmp_path / 'motion.mcap'), '--plot',

@@ -61,6 +61,7 @@ def common_stamps(random, logs, wheels):
             for log in (*logs, wheels)]
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(seed=strategies.integers(0, 2 ** 32 - 1), timeout=strategies.sampled_from([0.0, 0.03, 0.4]))
 def test_any_order_of_arrival_gives_the_states_of_the_logs(seed, timeout):

@@ -42,6 +42,7 @@ runpy.run_path(sys.argv[0], run_name='__main__')
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('command', 'number', 'then'), [
     ('attitude_replay', signal.SIGINT, 'pass'), ('attitude_replay', signal.SIGTERM, 'pass'),
     ('attitude_replay', signal.SIGINT, 'time.sleep(60)'),
@@ -59,6 +60,7 @@ def test_a_signal_during_the_imports_ends_a_command_in_one_line(command, number,
     assert result.returncode == 128 + number
 
 
+@pytest.mark.slow
 def test_the_engine_is_imported_when_a_name_is_first_used():
     script = """
 import sys

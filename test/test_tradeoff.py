@@ -140,6 +140,7 @@ def test_a_short_run_is_timed_after_one_of_its_own(monkeypatch):
         assert set(np.diff(timed)[::2].tolist()) == {1}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', NAMES)
 def test_the_floor_is_about_the_true_error_or_more(name):
     known = Known(name)
