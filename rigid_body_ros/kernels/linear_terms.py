@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 from rigid_body_ros.kernels import four
 from rigid_body_ros.kernels.jit import inlined
-from rigid_body_ros.kernels.vector import add, of, scale, total, two_sum, Vector
+from rigid_body_ros.kernels.vector import add, of, total, two_sum, Vector
 
 #: The entries (i, i + k) of a matrix, modulo 3, for k = 0, 1 and 2: a product with a vector takes
 #: three multiplications of four numbers each.
@@ -149,7 +149,8 @@ def square_rate(matrix: Matrix) -> float:
 @inlined
 def is_zero(matrix: Matrix) -> bool:
     """Return whether all entries are zero."""
-    return square_rate(matrix) == 0.0
+    x, y, z = matrix  # squares of small entries would underflow
+    return total(add(four.absolute(x), add(four.absolute(y), four.absolute(z)))) == 0.0
 
 
 @inlined
@@ -173,13 +174,6 @@ def scaled(linear: Linear, factor: float) -> Linear:
     two, low_two = _scaled_diagonal(y, low_y, factor)
     three, low_three = _scaled_diagonal(z, low_z, factor)
     return Linear((one, two, three), (low_one, low_two, low_three))
-
-
-@inlined
-def scaled_matrix(matrix: Matrix, factor: float) -> Matrix:
-    """Return a multiple of a matrix."""
-    x, y, z = matrix
-    return scale(factor, x), scale(factor, y), scale(factor, z)
 
 
 @inlined

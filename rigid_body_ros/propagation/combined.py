@@ -110,7 +110,7 @@ class CombinedMotion:
         progress, end = self._progress, len(self._times_ns)
         closed = np.zeros(end + 1, np.bool_)
         progress[layout.DONE] = 0
-        while times.size and (result := loop.run_with_terms(
+        while times.size and (result := loop.run(
                 self._states, progress, times, rows, motion, closed, self._times_ns,
                 self._sum.polynomials, self._sum.in_space, 0, end, self._body._constants,
                 self._options.held_settings, loop.BUDGET, self._sum.terms)):

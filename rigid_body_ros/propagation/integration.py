@@ -183,12 +183,10 @@ class Integration:
         progress[layout.DONE] = 0
         chunks = log.polynomials(int(progress[layout.SAMPLE])) if times.size else ()
         for first, end, polynomials in chunks:
-            arguments = (
-                states, progress, times, rows, motion, closed, log.times_ns, polynomials,
-                log.in_space, first, min(end, stop), self._body._constants,
-                self._options.settings, loop.BUDGET)
-            while result := (loop.run(*arguments) if self._terms is None
-                             else loop.run_with_terms(*arguments, self._terms)):
+            while result := loop.run(
+                    states, progress, times, rows, motion, closed, log.times_ns, polynomials,
+                    log.in_space, first, min(end, stop), self._body._constants,
+                    self._options.settings, loop.BUDGET, self._terms):
                 if result == loop.TOO_FAST:
                     raise self._options.too_fast(int(progress[layout.GRID_NS]))
         done = int(progress[layout.DONE])

@@ -89,10 +89,10 @@ def sample_in_force(log: Log, time_ns: int) -> tuple[int, bool]:
 def interval(torque: vector.Polynomial, stamp_ns: int, next_ns: int, idle: bool,
              timeout_ns: int) -> Interval:
     """Return the interval that begins with a sample, or, if it is idle, with its timeout."""
-    none = is_zero(torque)
+    zero = is_zero(torque)
     if timeout_ns > 0 and not idle and stamp_ns + timeout_ns < next_ns:
-        return Interval(torque, none, stamp_ns, next_ns, True, stamp_ns + timeout_ns)
-    return Interval(torque, none, stamp_ns, next_ns, False, next_ns)
+        return Interval(torque, zero, stamp_ns, next_ns, True, stamp_ns + timeout_ns)
+    return Interval(torque, zero, stamp_ns, next_ns, False, next_ns)
 
 
 @inlined
@@ -161,8 +161,8 @@ def is_zero(torque: vector.Polynomial) -> bool:
 @optional
 def extras_of(terms: Floats, index: int, degree: int, span: float,
               constants: linear_terms.Constants) -> Extras:
-    """Return what acts besides the drive, from `terms` of `loop.run_with_terms`."""
-    index = index if vary(terms) else 0
+    """Return what acts besides the drive, from `terms` of `loop.run`."""
+    index = index if terms_vary(terms) else 0
     space = polynomial_of(terms, index, 0, degree)
     a, b, c, d = polynomial_of(terms, index, degree + 1, degree)
     momentum = coefficient(terms, index, 2 * degree + 2)
@@ -183,7 +183,7 @@ def degree_of(terms: Floats) -> int:
 
 
 @inlined
-def vary(terms: Floats | None) -> bool:
+def terms_vary(terms: Floats | None) -> bool:
     """Return whether the terms differ from sample to sample."""
     if terms is None:
         return False
@@ -209,7 +209,7 @@ def acts(extras: Extras | None) -> bool:
 
 
 @inlined
-def change(extras: Extras | None) -> bool:
+def rotors_change(extras: Extras | None) -> bool:
     """Return whether the momentum of the rotors changes."""
     if extras is None:
         return False

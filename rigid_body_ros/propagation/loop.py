@@ -64,7 +64,8 @@ BUDGET = 20_000 * stepping.STEP_COST
 def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64],
         rows: NDArray[np.intp], motion: Floats, closed: NDArray[np.bool_],
         stamps_ns: NDArray[np.int64], polynomials: Floats, in_space: NDArray[np.bool_],
-        first: int, stop: int, constants: Floats, settings: Floats, budget: int) -> int:
+        first: int, stop: int, constants: Floats, settings: Floats, budget: int,
+        terms: Floats | None) -> int:
     """
     Compute the motion from torque change to torque change, and store it at the requested times.
 
@@ -84,6 +85,9 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
         See `layout.pack_settings`.
     budget : int
         Units of work, at least 1, after which to return; see `stepping.STEP_COST`.
+    terms : float64 (n, 2 degree + 4, 3) or None
+        See `summation.Summed`; a single row holds for every sample. None if only a torque in one
+        frame acts: the compiler then leaves out the code for the rest.
 
     Returns
     -------
@@ -91,31 +95,6 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
         FINISHED, UNFINISHED or TOO_FAST.
 
     """
-    return _run(states, progress, times_ns, rows, motion, closed, stamps_ns, polynomials, in_space,
-                first, stop, constants, settings, budget, None)
-
-
-@njit
-def run_with_terms(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64],
-                   rows: NDArray[np.intp], motion: Floats, closed: NDArray[np.bool_],
-                   stamps_ns: NDArray[np.int64], polynomials: Floats,
-                   in_space: NDArray[np.bool_], first: int, stop: int, constants: Floats,
-                   settings: Floats, budget: int, terms: Floats) -> int:
-    """
-    Do what `run` does for a scene that has more terms.
-
-    `terms` is that of `summation.Summed`, or a single row of it that holds for every sample.
-    """
-    return _run(states, progress, times_ns, rows, motion, closed, stamps_ns, polynomials, in_space,
-                first, stop, constants, settings, budget, terms)
-
-
-@inlined
-def _run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64],
-         rows: NDArray[np.intp], motion: Floats, closed: NDArray[np.bool_],
-         stamps_ns: NDArray[np.int64], polynomials: Floats, in_space: NDArray[np.bool_],
-         first: int, stop: int, constants: Floats, settings: Floats, budget: int,
-         terms: Floats | None) -> int:
     log = Log(stamps_ns, polynomials, in_space, first, stop, layout.unpack_timeout(settings))
     place, reached = layout.load_place(progress), layout.load_states(states)
     if place.sample == layout.IN_FORCE:
@@ -250,7 +229,7 @@ def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs:
             body.coefficients, body.form, torque)
         span_ns = next_ns - grid_ns
         seconds = span_ns / 1e9
-        if intervals.vary(terms):
+        if intervals.terms_vary(terms):
             extras = intervals.extras_of(terms, sample, 0, 1.0, linear)
             ramp = intervals.ramp(extras, seconds)
         if (times_ns[row] < next_ns or span_ns >= method.max_step_ns

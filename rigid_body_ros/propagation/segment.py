@@ -149,9 +149,8 @@ class Segment:
              until: float) -> None:
         """Run the loop up to a time, or until the computing time is used up."""
         arguments = (states, progress, np.array([time_ns]), loop.IN_ORDER, *_UNUSED, *self._log,
-                     0, 1, self._constants, self._options.held_settings, loop.BUDGET)
-        while result := (loop.run(*arguments) if self._terms is None
-                         else loop.run_with_terms(*arguments, self._terms)):
+                     0, 1, self._constants, self._options.held_settings, loop.BUDGET, self._terms)
+        while result := loop.run(*arguments):
             if result == loop.TOO_FAST:
                 raise self._options.too_fast(
                     time_ns if progress[layout.DONE] else int(progress[layout.GRID_NS]))

@@ -121,7 +121,7 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
         grid_ns += step_ns
         if is_too_fast(latest):
             return Reached(grid, grid_ns, latest, False, budget)
-        if intervals.change(extras):
+        if intervals.rotors_change(extras):
             now = _local(extras, drive, grid_ns)
     return Reached(grid, grid_ns, latest, True, budget)
 

@@ -146,7 +146,7 @@ def _momentum_balance(scene: Scene, logs: Sequence[TorqueLog], start: State,
     for log in logs:  # the momentum of a rotor is the integral of a torque, too
         driven = TorqueLog(log.times_ns, log.torques, interpolation=log.interpolation)
         total = summation.summed([], driven, start.time_ns, np.zeros((2, 3)), scene.timeout_ns)
-        momentum = momentum + summation.momentum_at(total.times_ns, total.terms, times)[:, 0]
+        momentum = momentum + summation.Rotors(total.times_ns, total.terms).momentum(times)
     scale = max(_norm(momentum), _norm(start_momentum[None]), _norm(trajectory.rotor_momentum))
     lost = _norm(trajectory.angular_momentum_space - momentum)
     return lost / scale if scale else lost
