@@ -110,7 +110,7 @@ class DuplicateFilter:
         return in_flight and self.is_same(torque)
 
     def is_waiting(self, torque: Torque) -> bool:
-        """Return whether the accepted torque of this stamp has not got a response yet."""
+        """Return whether the torque accepted at this stamp still awaits a response."""
         return self._accepted[torque.stamp_ns].responded_at is None
 
     def is_same(self, torque: Torque) -> bool:
