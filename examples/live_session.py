@@ -198,6 +198,14 @@ class LiveSession:
                                    f'{self.words()}')
             self.spin(0.05)
 
+    def wait_for_torques(self, count):
+        """Receive messages until the node has applied or rejected this many torques."""
+        def are_done():
+            values, *_ = self.diagnosis('torques')
+            return count == values['applied'] + sum(
+                number for name, number in values.items() if name.startswith('rejected'))
+        self.wait_until(are_done, f'{count} torques')
+
     def call(self, kind, name, **fields):
         """Call a private service of the node and return its response."""
         client = self.node.create_client(kind, f'/{NODE}/{name}')
@@ -231,9 +239,7 @@ class LiveSession:
 
     def end(self):
         """Stop the node with SIGINT, receive its last messages, return its log."""
-        self.process.send_signal(signal.SIGINT)
-        self.process.wait(timeout=_PATIENCE_S)
-        self.spin(0.5)
+        self.stop()
         return self.words()
 
     def words(self):

@@ -25,6 +25,8 @@ from rigid_body_ros import messages, propagate, recording, scene
 from rigid_body_ros.replay.verify import verify
 
 TUMBLER = CONFIG / 'tumbler.yaml'
+#: Accept every torque, however long the machine keeps a process waiting.
+PATIENT = ('-p', 'history:=60.0', '-p', 'max_future:=59.5')
 
 
 def decoded(live, topic, kind):
@@ -63,6 +65,13 @@ def live_values(committed):
     """Return attitude and body rates of Odometry messages, shape (n, 7)."""
     return np.hstack([committed.values[:, messages.ORIENTATION],
                       committed.values[:, messages.ANGULAR_VELOCITY]])
+
+
+def commit(live, count):
+    """Make `count` states of a PATIENT node final: publish a torque that is far ahead."""
+    live.spin(1.0)  # longer than the `history` that a torque ahead by `max_future` leaves
+    live.publish(live.now_ns() + 59 * SECOND, '', [0.0, 0.0, 0.0])
+    live.wait_until(lambda: len(live.received[COMMITTED]) == count, 'all states')
 
 
 def run_clock(live, start_ns, until=lambda: False, seconds=100):

@@ -73,9 +73,7 @@ def test_nothing_is_published_before_the_clock_is_valid(domain):
         live.publish(5 * SECOND, '', [1.0, 0.0, 0.0])
         live.spin(0.5)
         assert not any(live.received.values())
-        for _ in range(20):
-            live.set_clock(7 * SECOND)
-            live.spin(0.02)
+        start_clock(live, 7 * SECOND)
         assert live.stop() == 0
         first = decoded(live, COMMITTED, messages.ODOMETRY)[0]
         assert first.stamp_ns == 7 * SECOND
@@ -139,9 +137,10 @@ def test_a_clock_that_jumps_back(tmp_path, domain, action, back_ns):
         first = len(decoded(live, ACCEPTED, messages.WRENCH))
         run_clock(live, again_ns, again_ns + 3 * SECOND // 2, wobble)
         live.dump_parameters(tmp_path / 'live.yaml')
-        live.spin(1.5)
         # Simulated time is faster than real time, so a pause of the node may be a jump ahead, too.
-        assert live.diagnosis('motion')[0]['clock jumps']
+        live.wait_until(lambda: live.diagnosis('motion')[0]['clock jumps'], 'a diagnosis')
+        live.wait_for_torques(len(range(begin_ns, end_ns + 1, SECOND // 10))
+                              + len(range(again_ns, again_ns + 3 * SECOND // 2 + 1, SECOND // 10)))
         torques, _, _ = live.diagnosis('torques')
         assert live.stop() == 0
         accepted_stamps = accepted(live)
@@ -173,7 +172,7 @@ def test_a_torque_that_timed_out_is_not_revived(tmp_path, domain):
                      '-p', 'torque_timeout:=0.2') as live:
         settle(live, 5 * SECOND)
         live.publish(5 * SECOND, '', [0.05, 0.0, 0.0])
-        live.spin(0.3)
+        live.wait_until(lambda: accepted(live), 'the torque')
         run_clock(live, 5 * SECOND, 7 * SECOND)
         settle(live, 7 * SECOND)
         run_clock(live, 4 * SECOND, 5 * SECOND)
@@ -211,7 +210,7 @@ def test_a_torque_that_the_clock_does_not_reach_is_rejected(domain):
             live.publish(7 * SECOND, '', [1.0, 0.0, 0.0])
         live.publish(5 * SECOND, '', [0.0, 0.0, 0.01])  # passes them
         live.wait_until(lambda: live.received[ACCEPTED], 'the torque of now')
-        live.spin(2.0)
+        live.wait_for_torques(4)
         values, *_ = live.diagnosis('torques')
         assert live.stop() == 0
     assert (values['received'], values['rejected: future'], values['waiting']) == (4, 3, 0)
@@ -267,7 +266,7 @@ def test_a_torque_ahead_of_a_clock_that_jumps_back(domain):
                      '-p', 'max_future:=0.999') as live:
         settle(live, 5 * SECOND)
         live.publish(5 * SECOND + 999 * 10 ** 6, '', [0.05, 0.0, 0.0])
-        live.spin(0.3)
+        live.wait_until(lambda: accepted(live), 'the torque')
         run_clock(live, 3 * SECOND, 4 * SECOND, wobble)
         settle(live, 4 * SECOND)
         assert live.stop() == 0
@@ -298,6 +297,7 @@ def test_an_epoch_may_begin_before_the_first_torque(tmp_path, domain):
         for _ in range(5):
             live.publish(live.now_ns(), '', [0.01, 0.0, 0.0])
             live.spin(0.05)
+        live.wait_for_torques(5)
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         run = replayed(tmp_path, live)
@@ -326,7 +326,7 @@ def test_torques_of_another_clock_are_rejected_with_advice(domain):
     with LiveSession(TUMBLER, domain, *RELIABLE) as live:
         live.publish(live.now_ns() - 86400 * SECOND, 'base_link', [0.01, 0.0, 0.0])
         live.publish(12 * SECOND, 'base_link', [0.01, 0.0, 0.0])
-        live.spin(0.5)
+        live.wait_for_torques(2)
         words = live.end()
     assert not live.received[ACCEPTED]
     assert 'torque rejected (1 so far): late: stamped 86400' in words
@@ -339,6 +339,7 @@ def test_torques_may_be_timed_by_their_arrival(tmp_path, domain):
         for number in range(20):
             live.publish(number * SECOND, 'base_link', [0.01, 0.0, 1e-3 * number])
             live.spin(0.02)
+        live.wait_for_torques(20)
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         run = replayed(tmp_path, live)
@@ -359,6 +360,7 @@ def test_torques_between_two_ticks_of_the_clock_all_have_effect(tmp_path, domain
                 live.spin(0.1 / count)
                 stamp_ns = 5 * SECOND if source == 'arrival' else 0
                 live.publish(stamp_ns, '', [1e-3, 1e-4 * tick, 1e-5 * number])
+        live.wait_for_torques(10 * count)
         settle(live, 7 * SECOND)
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
@@ -415,10 +417,10 @@ def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
         run_clock(live, 6 * SECOND, 7 * SECOND, wobble)
         live.dump_parameters(tmp_path / 'live.yaml')
         live.set_state(State(SECOND, (0, 0, 0, 1), (0, 0, 0)))  # far too old
-        live.spin(0.3)
+        live.wait_until(lambda: 'initial_state rejected: late' in live.words(), 'its rejection')
         count = len(live.received[ACCEPTED])
         assert live.reset().success
-        live.spin(0.3)
+        live.wait_until(lambda: len(live.received[ACCEPTED]) == count + 2, 'the new epoch')
         torques = live.received[ACCEPTED][count:]
         words = live.end()
         live.received[ACCEPTED] = live.received[ACCEPTED][:count]
