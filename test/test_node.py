@@ -73,6 +73,7 @@ def test_live_is_replay_bit_for_bit_though_torques_come_late_and_out_of_order(
             live.spin((due_ns - live.now_ns()) * 1e-9)
             live.publish(stamp_ns, frame_id, torque)
         stamps = np.unique([row[1] for row in torques])
+        live.wait_until(lambda: len(live.received[ACCEPTED]) == len(torques), 'all torques')
         commit(live, 1 + len(stamps))
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
@@ -258,7 +259,7 @@ def test_wrenches_of_links_act_live_as_in_a_replay(tmp_path, domain):
         for frame_id, force in (('arm', 0.0), ('hand', 0.0), ('map', 0.0), ('mast', np.nan)):
             live.publish_bytes(messages.WRENCH.encode(
                 int(stamps[-1]), frame_id, [force, 0.0, 0.0, 0.0, 0.0, 1.0]))
-        live.wait_until(lambda: live.diagnosis('torques')[0]['received'] == 304, 'all torques')
+        live.wait_for_torques(304)
         counts, _, _ = live.diagnosis('torques')
         live.dump_parameters(tmp_path / 'live.yaml')
         words = live.end()

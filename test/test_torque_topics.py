@@ -120,6 +120,8 @@ def test_live_is_replay_bit_for_bit_with_several_sources(tmp_path, domain, argum
             live.spin((due_ns - live.now_ns()) * 1e-9)
             live.publish_on(topic, stamp_ns, torque, frame_id)
         stamps = np.unique([row[2] for row in rows])
+        live.wait_until(lambda: sum(len(live.accepted(topic)) for topic in LOGS) == len(rows),
+                        'all torques')
         commit(live, 1 + len(stamps))
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
