@@ -252,6 +252,21 @@ under the key `rejected: CAUSE`.
 
 {causes}
 
+### In a process of your own
+
+`from rigid_body_ros.node import AttitudeNode` imports an ordinary node, whose arguments are those
+of `rclpy.node.Node`: `node_name`, `namespace`, `parameter_overrides`, `context` and so on. A name,
+a parameter or a scene that is not valid raises an `InputError` of one line. Any executor may spin
+it, alone or beside other nodes. A callback of another node that blocks delays what is published,
+but changes no bit of it. Before `destroy_node` destroys the node, it publishes the states that are
+pending, for which it takes at most 0.8 s. ROS must not be shut down yet: rclpy's own signal
+handlers do that, so replace them as `examples/two_bodies.py` does.
+
+- `EventsExecutor` is what the command uses, because it takes the least time per torque. In the
+  wheels of PyPI its `spin()` hangs; `spin_once(timeout_sec=0.1)` in a loop works.
+- `SingleThreadedExecutor` and `rclpy.spin` take twice the processor time per torque.
+- `MultiThreadedExecutor` is no faster, because the callbacks of the node exclude each other.
+
 ### Lockstep
 
 In `realtime` a timer publishes the state at `publish_rate`. In `lockstep` the node responds to

@@ -31,6 +31,33 @@ def decoded(live, topic, kind):
     return [kind.decode(data) for data in live.received[topic]]
 
 
+class LateTorque(NamedTuple):
+    """A torque, and when to publish it, ns."""
+
+    due_ns: int
+    stamp_ns: int
+    frame_id: str
+    torque: np.ndarray
+
+
+def late_torques(start_ns, count, rate):
+    """Return torques in the order of publication: half are delayed by up to half a second."""
+    random, torques = np.random.default_rng(17), []
+    for number in range(count):
+        stamp_ns = start_ns + number * SECOND // rate + int(random.integers(0, SECOND // 500))
+        delay_ns = int(random.integers(0, SECOND // 2)) * int(random.integers(0, 2))
+        torque = random.normal(size=3) * 0.02 * (random.random() > 0.3)
+        frame_id = ('', 'base_link', 'world')[random.integers(3)]
+        torques.append(LateTorque(stamp_ns + delay_ns, stamp_ns, frame_id, torque))
+    return sorted(torques)
+
+
+def publish_when_due(live, torques):
+    for due_ns, *torque in torques:
+        live.spin((due_ns - live.now_ns()) * 1e-9)
+        live.publish(*torque)
+
+
 class Run(NamedTuple):
     """The committed states (attitude and body rates) of the last epoch, and their replay."""
 

@@ -22,7 +22,16 @@ import time
 
 from conftest import at_night, RECORDINGS, ROOT, SECOND
 from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
-from live import decoded, get_parameters, replayed, run_clock, set_parameter, TUMBLER
+from live import (
+    decoded,
+    get_parameters,
+    late_torques,
+    publish_when_due,
+    replayed,
+    run_clock,
+    set_parameter,
+    TUMBLER,
+)
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 from nav_msgs.msg import Odometry
 import numpy as np
@@ -50,25 +59,16 @@ pytestmark = pytest.mark.ros
 @pytest.mark.parametrize('timeout', [0.0, *at_night(0.02)])
 def test_live_is_replay_bit_for_bit_though_torques_come_late_and_out_of_order(
         tmp_path, domain, timeout):
-    random = np.random.default_rng(17)
     with LiveSession(TUMBLER, domain, *RELIABLE,
                      '-p', f'torque_timeout:={timeout}') as live:
-        start_ns, torques = live.now_ns(), []
-        for number in range(800):
-            stamp_ns = start_ns + number * SECOND // 200 + int(random.integers(0, SECOND // 500))
-            delay_ns = int(random.integers(0, SECOND // 2)) * int(random.integers(0, 2))
-            torque = random.normal(size=3) * 0.02 * (random.random() > 0.3)
-            frame_id = ('', 'base_link', 'world')[random.integers(3)]
-            torques.append((stamp_ns + delay_ns, stamp_ns, frame_id, torque))
-        for due_ns, stamp_ns, frame_id, torque in sorted(torques, key=lambda row: row[0]):
-            live.spin((due_ns - live.now_ns()) * 1e-9)
-            live.publish(stamp_ns, frame_id, torque)
+        torques = late_torques(live.now_ns(), 800, rate=200)
+        publish_when_due(live, torques)
         live.spin(0.3)
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         run = replayed(tmp_path, live)
-    stamps = np.unique([row[1] for row in torques])
-    assert sorted(run.accepted.stamps_ns) == sorted(row[1] for row in torques)
+    stamps = np.unique([torque.stamp_ns for torque in torques])
+    assert sorted(run.accepted.stamps_ns) == sorted(torque.stamp_ns for torque in torques)
     assert np.any(np.diff(run.accepted.stamps_ns) < 0)  # they did come out of order
     np.testing.assert_array_equal(run.stamps_ns[1:], stamps)
     np.testing.assert_array_equal(run.committed, run.replay)

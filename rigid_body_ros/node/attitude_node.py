@@ -31,6 +31,7 @@ from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
 import rclpy
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import NameValidationException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -61,7 +62,7 @@ except ModuleNotFoundError:  # Humble
 #: Best effort matches any publisher; in lockstep a lost torque stops the loop.
 _TORQUE_QOS = {scene.REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),
                LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
-#: s; how long a clean shutdown may take.
+#: s; how long publishing the pending states may take.
 _SHUTDOWN_TIME = 0.8
 #: s; period of the worker. A slice of work takes longer, so slices follow each other immediately.
 #: The worker is idle between slices only while all torques wait for the clock.
@@ -74,19 +75,41 @@ class AttitudeNode(Node):
     """
     Compute the attitude of a rigid body from torques on a topic, and publish it.
 
+    Any executor may spin it, alone or beside other nodes. All its callbacks are in one mutually
+    exclusive group, so that a MultiThreadedExecutor runs one of them at a time.
+
+    Parameters
+    ----------
+    node_name : str
+    **kwargs
+        Arguments of `rclpy.node.Node`, such as `namespace` or `parameter_overrides`.
+
     Raises
     ------
     InputError
-        The parameters are not a valid scene.
+        The name is not valid, or the parameters are not a valid scene.
 
     """
 
-    def __init__(self) -> None:
+    def __init__(self, node_name: str = scene.NODE, **kwargs: Any) -> None:
         try:
-            super().__init__(scene.NODE, automatically_declare_parameters_from_overrides=True)
+            super().__init__(node_name, automatically_declare_parameters_from_overrides=True,
+                             **kwargs)
+        except NameValidationException as error:
+            text, name, _ = str(error).splitlines()  # the last line points at a character
+            raise InputError(f'{text} {name.strip()}') from error
         except ValueError as error:  # rclpy reads an empty list as no value, and does not name it
             raise InputError('expected a value for each parameter, found one without a value, '
                              'such as an empty list') from error
+        #: Whether states may be pending.
+        self._is_running = False
+        try:
+            self._start()
+        except BaseException:  # otherwise the node would stay in the graph
+            self.destroy_node()
+            raise
+
+    def _start(self) -> None:
         parameters = Parameters(self, lambda rate: self._mode.set_rate(rate))
         self._scene = parameters.scene
         self._sources = sources_of(self._scene)
@@ -111,8 +134,19 @@ class AttitudeNode(Node):
         self._worker = self.create_timer(_WORK_PERIOD, self._work, clock=steady)
         self._worker.cancel()
         self._mode.pipeline.wake = self._start_worker
+        self._is_running = True
 
-    def finish(self, until: float) -> None:
+    def destroy_node(self) -> None:
+        """Publish pending states and the last diagnostics, and destroy the node."""
+        if self._is_running and self.context.ok():
+            self._finish(time.monotonic() + _SHUTDOWN_TIME)
+        elif self._is_running:
+            self.get_logger().warning('ROS was shut down before this node was destroyed: pending '
+                                      'states are not published')
+        self._is_running = False
+        super().destroy_node()
+
+    def _finish(self, until: float) -> None:
         """Publish pending states and the last diagnostics by `until`, s, monotonic clock."""
         pipeline = self._mode.pipeline
         half_time = 0.5 * (time.monotonic() + until)  # the rest is for the states held back
@@ -233,7 +267,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         while not stop:
             # With a timeout, to notice signals; without one EventsExecutor may hang.
             executor.spin_once(timeout_sec=_SIGNAL_PERIOD)
-        node.finish(time.monotonic() + _SHUTDOWN_TIME)
         node.destroy_node()
     finally:
         rclpy.try_shutdown()
