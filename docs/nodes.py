@@ -82,6 +82,11 @@ PUBLISHED = [
           'The start state of every epoch, then the final state at each stamp of an accepted '
           'torque, once for all topics: when the stamp is older than `history`, or at the end of '
           'the epoch.'),
+    Topic('~/initial_state_result', 'diagnostic_msgs/msg/DiagnosticStatus',
+          'reliable, transient local, keep last 10',
+          'The result of each message on `initial_state`: level OK and when the new epoch begins, '
+          'or level ERROR and why the state is rejected. `values` has the `stamp` of the message, '
+          'ns.'),
     Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', STATE,
           'Once a second: counts of torques received, applied, waiting, lost, and rejected by '
           'cause; which nodes are not connected, and why.'),
@@ -155,10 +160,16 @@ infinity are never published.
 
 {optional}
 
-### Service
+### Services
 
 `~/reset` (std_srvs/srv/Trigger): begins a new epoch with the initial state of the scene, its
 `initial_rotor_momentum` included. In `realtime` the torques that act at that time continue to act.
+
+`~/pause` (std_srvs/srv/SetBool), in `lockstep` only: after `data: true` torques wait, so that the
+loop stands still, and with `publish_clock` everything that follows its clock; after `data: false`
+it continues. The responses have the bits that they would have without the pause. In `realtime` the
+motion is a function of the clock and pauses exactly when the clock does: with `use_sim_time`, pause
+the program that publishes `/clock`.
 
 ### What happens to a torque
 

@@ -122,7 +122,7 @@ def test_nodes_of_one_process_have_their_own_names_and_parameters(context):
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [
-    ({'node_name': 'left body'}, "Invalid node name: node name must not contain characters other "
+    ({'node_name': 'left body'}, 'Invalid node name: node name must not contain characters other '
                                  "than alphanumerics or '_': 'left body'"),
     ({'namespace': '1st'}, 'Invalid namespace: namespace must not'),
     ({}, 'inertia.ixx: expected a number (kg m^2), found none'),

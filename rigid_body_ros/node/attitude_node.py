@@ -213,11 +213,14 @@ class AttitudeNode(Node):
             self._worker.reset()
 
     def _on_state(self, data: bytes) -> None:
+        stamp_ns = None
         try:
-            self._mode.set_state(self._inputs.state(data))
-            self._diagnostics.count_state()
+            odometry = self._inputs.odometry(data)
+            stamp_ns = odometry.stamp_ns
+            result = self._mode.set_state(self._inputs.state(odometry))
+            self._diagnostics.accept_state(result, stamp_ns)
         except RejectedError as rejected:
-            self._diagnostics.reject_state(rejected)
+            self._diagnostics.reject_state(rejected, stamp_ns)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:

@@ -96,6 +96,8 @@ class Pipeline:
         self._is_applied = False
         #: Time, ns, of the state to publish as soon as it is known; 0 if there is none.
         self._deferred_ns = 0
+        #: Whether torques wait in the queue until this is false again.
+        self.is_paused = False
         #: Called if there is work that no message starts.
         self.wake: Callable[[], None] = lambda: None
         #: Final states that are not logged yet.
@@ -208,6 +210,8 @@ class Pipeline:
 
     def process(self) -> bool:
         """Apply waiting torques for one slice of time; return whether no work is left."""
+        if self.is_paused:
+            return True
         until = time.monotonic() + _BUDGET
         self._requeue_early()
         try:

@@ -100,9 +100,11 @@ class Realtime:
         self._valid_now_ns()
         self.pipeline.enqueue(data, sender, self._arrivals.stamp(), source)
 
-    def set_state(self, state: State) -> None:
+    def set_state(self, state: State) -> str:
         """
-        Begin an epoch with an attitude and body rates; the rotors keep their momentum.
+        Begin an epoch with an attitude and body rates, and return a description.
+
+        The rotors keep their momentum.
 
         Raises
         ------
@@ -116,7 +118,7 @@ class Realtime:
         self._check_stamp(start.time_ns, now_ns)
         torques = self.pipeline.torques_since(start.time_ns)
         start = self.pipeline.with_rotor_momentum(start, start.time_ns, self.pipeline.epoch.start)
-        self._begin(start, torques, 'initial_state received')
+        return self._begin(start, torques, 'initial_state received')
 
     def reset(self) -> str:
         """
