@@ -168,8 +168,8 @@ infinity are never published.
 `~/pause` (std_srvs/srv/SetBool), in `lockstep` only: after `data: true` torques wait, so that the
 loop stands still, and with `publish_clock` everything that follows its clock; after `data: false`
 it continues. The responses have the bits that they would have without the pause. In `realtime` the
-motion is a function of the clock and pauses exactly when the clock does: with `use_sim_time`, pause
-the program that publishes `/clock`.
+motion is a function of the clock and pauses exactly when the clock does: with `use_sim_time`,
+pause the program that publishes `/clock`.
 
 ### What happens to a torque
 
@@ -192,8 +192,21 @@ A torque without a stamp, or with `time_source:=arrival`, acts from its arrival 
 torque gets its own stamp. Between two ticks of simulated time these stamps advance at the rate of
 the previous ticks.
 
-With `use_sim_time` the node waits for `/clock`, and `on_time_jump` decides what happens when that
-clock jumps back. For a bag that is played without `--clock`, use `time_source:=arrival`.
+With `use_sim_time` the node waits for `/clock`. For a bag that is played without `--clock`, use
+`time_source:=arrival`.
+
+### When does the clock jump?
+
+`on_time_jump` decides what happens then: `reset` begins an epoch with the initial state, `rebase`
+with the present state, and `ignore` continues, so that after a jump ahead the node first computes
+the motion of all the time between.
+
+- Simulated time jumps if it is set back at all, or if it is ahead by more than `history` and ten
+  times the time since the node last read it. The second condition is for a clock that is fast, and
+  for a node that could not run for a moment.
+- The wall clock jumps if it is set back, or ahead of the steady clock, by more than `history`. A
+  pause of the node is not a jump.
+- In `lockstep` there is none, because the stamps of the torques are the time.
 
 ### Forces and frames
 
