@@ -319,6 +319,30 @@ one torque for each state.
 
 Diagnostics warn if no torques arrive, and if a response takes long to compute.
 
+## attitude_lifecycle_node
+
+```
+ros2 run rigid_body_ros attitude_lifecycle_node --ros-args --params-file SCENE
+```
+
+The same node, with the same name, topics, services and parameters, but managed: a lifecycle
+manager or `ros2 lifecycle set /attitude_node configure` controls it. In a process of your own, use
+`from rigid_body_ros.node.lifecycle import AttitudeLifecycleNode`.
+
+- *configure* reads the scene, compiles, and creates the publishers. If the scene is not valid, the
+  log has the reason, and the node stays unconfigured.
+- *activate* subscribes, publishes and offers the services. The first activation begins the motion.
+- *deactivate* unsubscribes and stops publishing, but keeps the motion: at the next *activate* the
+  body has turned on under the last torques. Torques that are sent in between are not received.
+- *cleanup* publishes the end of the log on `~/committed`, and forgets the motion. Parameters have
+  the values that they had before *configure*, and the given ones can be changed until the next,
+  except `mode`.
+- *shutdown*, and a signal, publish the end of the log, too.
+
+For launch files without a manager, `autostart:=true` configures and activates the node when it
+starts; then a scene that is not valid ends it with exit status 2. An executor of your own must not
+be a `MultiThreadedExecutor`, because that of rclpy fails if a callback destroys a subscription.
+
 ## Parameters
 
 The node, `attitude_replay` and `attitude_tradeoff` (`--scene`) read the same file. Integers are

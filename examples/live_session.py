@@ -170,6 +170,11 @@ class LiveSession:
         values = {pair.key: int(pair.value) for pair in status.values}
         return values, int.from_bytes(status.level, 'little'), status.message
 
+    @property
+    def torque_subscriptions(self):
+        """Return the number of subscriptions to the torques."""
+        return self._torque.get_subscription_count()
+
     def disconnect(self):
         """Destroy the publisher of torques."""
         self.node.destroy_publisher(self._torque)

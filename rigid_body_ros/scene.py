@@ -136,8 +136,8 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('space_frame', 'world', '', 'frame_id of the space axes'),
     Parameter('body_frame', 'base_link', '', 'frame_id of the body axes'),
 )}
-#: Parameters that ROS declares on every node; a parameter dump contains them.
-_ROS, _QOS = ('use_sim_time', 'start_type_description_service'), 'qos_overrides.'
+#: Parameters that ROS declares on every node, and that of a managed node; a dump contains them.
+_ROS, _QOS = ('use_sim_time', 'start_type_description_service', 'autostart'), 'qos_overrides.'
 
 
 @dataclass(frozen=True)

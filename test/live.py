@@ -14,6 +14,7 @@
 
 """Helpers for the tests of the node."""
 
+import time
 from typing import NamedTuple
 
 from conftest import CONFIG, SECOND
@@ -25,6 +26,8 @@ from rigid_body_ros import messages, propagate, recording, scene
 from rigid_body_ros.replay.verify import verify
 
 TUMBLER = CONFIG / 'tumbler.yaml'
+#: s; how long to wait for anything.
+PATIENCE = 300.0
 
 
 def decoded(live, topic, kind):
@@ -99,6 +102,14 @@ def run_clock(live, start_ns, until=lambda: False, seconds=100):
         live.spin(0.002)
         if until():
             return
+
+
+def spin_until(executor, condition):
+    """Execute callbacks of this process until a condition holds."""
+    until = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < until
+        executor.spin_once(timeout_sec=0.1)
 
 
 def get_parameters(live, *names):

@@ -4,10 +4,17 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 from conftest import at_night, ROOT, SECOND
-from live import decoded, late_torques, publish_when_due, replayed, TUMBLER
+from live import (
+    decoded,
+    late_torques,
+    PATIENCE,
+    publish_when_due,
+    replayed,
+    spin_until,
+    TUMBLER,
+)
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 from nav_msgs.msg import Odometry
 import numpy as np
@@ -26,8 +33,6 @@ COMPOSITIONS = ['spin', 'multi', 'single beside', 'events beside',
 #: A stall of the machine shall not make a torque late, nor overflow the queue.
 PATIENT = (*RELIABLE, '-p', 'history:=60.0',
            '-p', 'qos_overrides./torque.subscription.depth:=100000')
-#: s; how long to wait for anything.
-PATIENCE = 300.0
 #: The end of the run took too long.
 MISSING = 'states are missing on ~/committed'
 BODY = [Parameter(f'inertia.{name}', value=value)
@@ -78,22 +83,6 @@ def test_every_torque_gets_its_response_in_every_executor(domain, composition):
                  for message in decoded(live, ATTITUDE, messages.QUATERNION)}
     for stamp_ns, attitude in zip(stamps, motion.attitude):
         assert published[stamp_ns + step_ns] == attitude.tolist()
-
-
-@pytest.fixture
-def context(domain):
-    """Yield an rclpy context of its own."""
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=domain)
-    yield context
-    rclpy.try_shutdown(context=context)
-
-
-def spin_until(executor, condition):
-    until = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < until
-        executor.spin_once(timeout_sec=0.1)
 
 
 def test_nodes_of_one_process_have_their_own_names_and_parameters(context):

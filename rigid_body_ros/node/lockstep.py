@@ -91,10 +91,17 @@ class Lockstep:
         self._since = time.monotonic()
         #: The stamp of the state that waited for a torque when the motion was reset.
         self._stale_ns: int | None = None
-        self._timer = node.create_timer(_CHECK_PERIOD, self._republish,
-                                        clock=RosClock(clock_type=ClockType.STEADY_TIME))
-        node.create_service(SetBool, '~/pause', self._on_pause)
         self._begin_at_given_start()
+
+    def activate(self) -> None:
+        """Begin to publish the state until torques come, and to pause on request."""
+        self._since = time.monotonic()
+        self._node.create_timer(_CHECK_PERIOD, self._republish,
+                                clock=RosClock(clock_type=ClockType.STEADY_TIME))
+        self._node.create_service(SetBool, '~/pause', self._on_pause)
+
+    def deactivate(self) -> None:
+        """Do nothing: the owner of the node destroys timer and service."""
 
     def connect(self, torques: Mapping[int, Subscription]) -> None:
         """Set the subscriptions to torques by source; their publishers are counted."""

@@ -21,10 +21,11 @@ from dataclasses import replace
 import time
 
 from builtin_interfaces.msg import Time
-from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.node.clocks import ArrivalStamps, ClockMonitor, JumpDetector
 from rigid_body_ros.node.diagnostics import Diagnostics, NOT_COMPUTABLE, TIME_JUMP
@@ -72,18 +73,30 @@ class Realtime:
         self._is_simulated = node.get_parameter('use_sim_time').value
         self._clock = JumpDetector(node.get_clock(), self._is_simulated,
                                    duration_ns(self._values['history'], 'history'))
+        self._rate = self._values['publish_rate']
+        self._timer: Timer | None = None
+        self._jumps: JumpHandle | None = None
+
+    def activate(self) -> None:
+        """Begin to publish, with an epoch if there is none."""
+        node_clock = self._node.get_clock()
         if self._is_simulated:  # rclpy does not report jumps of a wall clock
             ahead = Duration(nanoseconds=self._clock.most_ahead_ns)
-            self._jumps = node.get_clock().create_jump_callback(
+            self._jumps = node_clock.create_jump_callback(
                 JumpThreshold(min_forward=ahead, min_backward=Duration(nanoseconds=-1),
                               on_clock_change=False),
                 pre_callback=self.pipeline.hold_early_torques,
                 post_callback=lambda jump: self._update())
         # If a wall clock is set back, a timer that follows it stops; a steady timer does not.
-        clock = node.get_clock() if self._is_simulated else Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(1.0 / self._values['publish_rate'], self._publish,
-                                        clock=clock)
+        clock = node_clock if self._is_simulated else Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self._node.create_timer(1.0 / self._rate, self._publish, clock=clock)
         self._update()
+
+    def deactivate(self) -> None:
+        """Stop publishing; the owner of the node destroys the timer."""
+        self._timer = None
+        if self._jumps:
+            self._jumps.unregister()
 
     def connect(self, torques: Mapping[int, Subscription]) -> None:
         """Set the subscriptions to torques by source; the timer runs without publishers, too."""
@@ -91,8 +104,10 @@ class Realtime:
 
     def set_rate(self, rate: float) -> None:
         """Publish at another rate, Hz."""
-        self._timer.timer_period_ns = duration_ns(1.0 / rate, 'publish_rate')
-        self._timer.reset()  # otherwise the next call is due after the old period
+        self._rate = rate
+        if self._timer:
+            self._timer.timer_period_ns = duration_ns(1.0 / rate, 'publish_rate')
+            self._timer.reset()  # otherwise the next call is due after the old period
 
     def enqueue(self, data: bytes, sender: Sender, source: int) -> None:
         """
