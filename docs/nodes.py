@@ -201,9 +201,9 @@ With `use_sim_time` the node waits for `/clock`. For a bag that is played withou
 with the present state, and `ignore` continues, so that after a jump ahead the node first computes
 the motion of all the time between.
 
-- Simulated time jumps if it is set back at all, or if it is ahead by more than `history` and ten
-  times the time since the node last read it. The second condition is for a clock that is fast, and
-  for a node that could not run for a moment.
+- Simulated time jumps if it is set back at all, or if it is ahead by more than `history`, and by
+  more than ten times the time for which it stood (at most 3 s) or the node could not read it. The
+  second condition is for programs that could not run for a moment.
 - The wall clock jumps if it is set back, or ahead of the steady clock, by more than `history`. A
   pause of the node is not a jump.
 - In `lockstep` there is none, because the stamps of the torques are the time.

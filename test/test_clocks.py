@@ -204,7 +204,7 @@ def test_a_torque_that_timed_out_is_not_revived(tmp_path, domain):
 
 
 def test_a_torque_may_overtake_the_clock_it_is_stamped_by(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore') as live:
         settle(live, 5 * SECOND)
         early = [5 * SECOND + k * TICK_NS for k in range(1, 201)]
         for stamp_ns in early:
@@ -266,7 +266,7 @@ def test_a_torque_that_is_late_is_rejected_where_the_clock_goes_on(domain):
 
 @pytest.mark.nightly
 def test_a_state_that_takes_long_is_published_while_the_clock_stands(domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore') as live:
         settle(live, 5 * SECOND)
         live.set_state(State(5 * SECOND, (0.0, 0.0, 0.0, 1.0), (1e4, 2e4, 3e4)))
         live.publish(5 * SECOND, '', [1e-3, 0.0, 0.0])
@@ -374,7 +374,7 @@ def test_torques_between_two_ticks_of_the_clock_all_have_effect(tmp_path, domain
                 live.spin(0.1 / count)
                 stamp_ns = 5 * SECOND if source == 'arrival' else 0
                 live.publish(stamp_ns, '', [1e-3, 1e-4 * tick, 1e-5 * number])
-        settle(live, 7 * SECOND)
+        settle(live, 6 * SECOND + tick_ns)
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         run = replayed(tmp_path, live)
@@ -427,6 +427,11 @@ class Fake:
     (True, [(100, 1), (100.01, 1.01), (101.2, 1.02), (101.1, 1.03)], [0, 0, 1.19, -0.1]),
     # The clock stood for a minute, and the node read it every second.
     (True, [(100, 1), *((100, k) for k in range(2, 60)), (160, 60)], [0] * 59 + [60]),
+    # After a stall, the messages that have waited arrive at once.
+    (True, [(100, 1), (100.01, 1.01), (100.02, 3), (106, 3.001), (108, 3.1)], [0] * 5),
+    # The publisher stalls, while the node reads the clock.
+    (True, [(100, 1), (100.01, 1.01), *((100.01, 1.01 + k / 10) for k in range(10)), (106, 2)],
+     [0] * 13),
     (False, [(100, 1), (100.01, 1.01), (102, 3), (162, 63)], [0, 0, 0, 0]),
     (False, [(100, 1), (102, 1.5), (101.5, 1.51), (100, 1.52)], [0, 2, 0, -1.5])])
 def test_a_jump_is_more_than_a_pause_of_the_node(monkeypatch, is_simulated, readings, jumps):

@@ -183,12 +183,12 @@ def test_a_pause_delays_the_responses_and_changes_no_bit(tmp_path, domain):
         live.wait_until(lambda: responses(live)[-1][0] == SECOND + 2 * STEP_NS, 'a response')
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.call(SetBool, 'pause', data=True).success
-        live.publish(2 * SECOND, 'base_link', [1.0, 0.0, 0.0])
+        live.publish(2 * SECOND, 'base_link', [1.0, 0.0, 0.0])  # waits for ever
+        live.diagnostics.clear()
         live.wait_until(lambda: live.diagnosis('torques')[0]['waiting'] == 1, 'a torque')
         assert live.stop() == 0
         run = replayed(tmp_path, live)
-        assert live.diagnosis('torques')[0]['rejected: epoch ended'] == 1
-    assert len(run.stamps_ns) == 2
+    assert run.accepted.stamps_ns.tolist() == [SECOND, SECOND + STEP_NS]
     np.testing.assert_array_equal(run.committed, run.replay)
 
 

@@ -150,10 +150,10 @@ class AttitudeComponent:
             self._node.get_logger().warning('ROS was shut down before this node was destroyed: '
                                             'pending states are not published')
             return
-        until = time.monotonic() + _END_TIME
-        half_time = 0.5 * (time.monotonic() + until)  # the rest is for the states held back
+        begin = time.monotonic()
+        until, half_time = begin + _END_TIME, begin + 0.5 * _END_TIME
         while not self._mode.pipeline.process() and time.monotonic() < half_time:
-            pass
+            pass  # the rest of the time is for the states held back
         self._mode.pipeline.end(until)
         self._report([])
         self._outputs.deliver(until)
