@@ -46,6 +46,7 @@ setup(
         (f'lib/{NAME}', [*sorted(glob('scripts/*')), 'examples/attitude_controller.py']),
     ],
     entry_points={'console_scripts': [
+        f'attitude_lifecycle_node = {NAME}.cli:attitude_lifecycle_node',
         f'attitude_node = {NAME}.cli:attitude_node',
         f'attitude_replay = {NAME}.cli:attitude_replay',
         f'attitude_tradeoff = {NAME}.cli:attitude_tradeoff',

@@ -82,6 +82,11 @@ PUBLISHED = [
           'The start state of every epoch, then the final state at each stamp of an accepted '
           'torque, once for all topics: when the stamp is older than `history`, or at the end of '
           'the epoch.'),
+    Topic('~/initial_state_result', 'diagnostic_msgs/msg/DiagnosticStatus',
+          'reliable, transient local, keep last 10',
+          'The result of each message on `initial_state`: level OK and when the new epoch begins, '
+          'or level ERROR and why the state is rejected. `values` has the `stamp` of the message, '
+          'ns.'),
     Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', STATE,
           'Once a second: counts of torques received, applied, waiting, lost, and rejected by '
           'cause; which nodes are not connected, and why.'),
@@ -155,10 +160,16 @@ infinity are never published.
 
 {optional}
 
-### Service
+### Services
 
 `~/reset` (std_srvs/srv/Trigger): begins a new epoch with the initial state of the scene, its
 `initial_rotor_momentum` included. In `realtime` the torques that act at that time continue to act.
+
+`~/pause` (std_srvs/srv/SetBool), in `lockstep` only: after `data: true` torques wait, so that the
+loop stands still, and with `publish_clock` everything that follows its clock; after `data: false`
+it continues. The responses have the bits that they would have without the pause. In `realtime` the
+motion is a function of the clock and pauses exactly when the clock does: with `use_sim_time`,
+pause the program that publishes `/clock`.
 
 ### What happens to a torque
 
@@ -181,8 +192,21 @@ A torque without a stamp, or with `time_source:=arrival`, acts from its arrival 
 torque gets its own stamp. Between two ticks of simulated time these stamps advance at the rate of
 the previous ticks.
 
-With `use_sim_time` the node waits for `/clock`, and `on_time_jump` decides what happens when that
-clock jumps back. For a bag that is played without `--clock`, use `time_source:=arrival`.
+With `use_sim_time` the node waits for `/clock`. For a bag that is played without `--clock`, use
+`time_source:=arrival`.
+
+### When does the clock jump?
+
+`on_time_jump` decides what happens then: `reset` begins an epoch with the initial state, `rebase`
+with the present state, and `ignore` continues, so that after a jump ahead the node first computes
+the motion of all the time between.
+
+- Simulated time jumps if it is set back at all, or if it is ahead by more than `history`, and by
+  more than ten times the time for which it stood (at most 3 s) or the node could not read it. The
+  second condition is for programs that could not run for a moment.
+- The wall clock jumps if it is set back, or ahead of the steady clock, by more than `history`. A
+  pause of the node is not a jump.
+- In `lockstep` there is none, because the stamps of the torques are the time.
 
 ### Forces and frames
 
@@ -252,6 +276,21 @@ under the key `rejected: CAUSE`.
 
 {causes}
 
+### In a process of your own
+
+`from rigid_body_ros.node import AttitudeNode` imports an ordinary node, whose arguments are those
+of `rclpy.node.Node`: `node_name`, `namespace`, `parameter_overrides`, `context` and so on. A name,
+a parameter or a scene that is not valid raises an `InputError` of one line. Any executor may spin
+it, alone or beside other nodes. A callback of another node that blocks delays what is published,
+but changes no bit of it. Before `destroy_node` destroys the node, it publishes the states that are
+pending, for which it takes at most 0.8 s. ROS must not be shut down yet: rclpy's own signal
+handlers do that, so replace them as `examples/two_bodies.py` does.
+
+- `EventsExecutor` is what the command uses, because it takes the least time per torque. In the
+  wheels of PyPI its `spin()` hangs; `spin_once(timeout_sec=0.1)` in a loop works.
+- `SingleThreadedExecutor` and `rclpy.spin` take twice the processor time per torque.
+- `MultiThreadedExecutor` is no faster, because the callbacks of the node exclude each other.
+
 ### Lockstep
 
 In `realtime` a timer publishes the state at `publish_rate`. In `lockstep` the node responds to
@@ -279,6 +318,30 @@ one torque for each state.
   before the reset is rejected (`before the reset`).
 
 Diagnostics warn if no torques arrive, and if a response takes long to compute.
+
+## attitude_lifecycle_node
+
+```
+ros2 run rigid_body_ros attitude_lifecycle_node --ros-args --params-file SCENE
+```
+
+The same node, with the same name, topics, services and parameters, but managed: a lifecycle
+manager or `ros2 lifecycle set /attitude_node configure` controls it. In a process of your own, use
+`from rigid_body_ros.node.lifecycle import AttitudeLifecycleNode`.
+
+- *configure* reads the scene, compiles, and creates the publishers. If the scene is not valid, the
+  log has the reason, and the node stays unconfigured.
+- *activate* subscribes, publishes and offers the services. The first activation begins the motion.
+- *deactivate* unsubscribes and stops publishing, but keeps the motion: at the next *activate* the
+  body has turned on under the last torques. Torques that are sent in between are not received.
+- *cleanup* publishes the end of the log on `~/committed`, and forgets the motion. Parameters have
+  the values that they had before *configure*, and the given ones can be changed until the next,
+  except `mode`.
+- *shutdown*, and a signal, publish the end of the log, too.
+
+For launch files without a manager, `autostart:=true` configures and activates the node when it
+starts; then a scene that is not valid ends it with exit status 2. An executor of your own must not
+be a `MultiThreadedExecutor`, because that of rclpy fails if a callback destroys a subscription.
 
 ## Parameters
 

@@ -17,7 +17,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 import json
 from pathlib import Path
 import sys
@@ -47,14 +48,28 @@ def attitude_tradeoff(arguments: Sequence[str] | None) -> int:
 
 def attitude_node(arguments: Sequence[str] | None) -> int:
     """Run the node until a signal ends it."""
+    with _needs_ros('attitude_node'):
+        from rigid_body_ros.node import main
+    main(arguments)
+    return OK
+
+
+def attitude_lifecycle_node(arguments: Sequence[str] | None) -> int:
+    """Run the managed node until a signal ends it."""
+    with _needs_ros('attitude_lifecycle_node'):
+        from rigid_body_ros.node.lifecycle import main
+    main(arguments)
+    return OK
+
+
+@contextmanager
+def _needs_ros(command: str) -> Iterator[None]:
     try:
-        from rigid_body_ros import node
+        yield
     except ModuleNotFoundError as error:
-        raise InputError(f"attitude_node needs ROS 2, but the module '{error.name}' is not "
+        raise InputError(f"{command} needs ROS 2, but the module '{error.name}' is not "
                          'installed: source a ROS 2 installation, or run '
                          'pip install "rigid_body_ros[ros]"') from error
-    node.main(arguments)
-    return OK
 
 
 def _parsed(parser: argparse.ArgumentParser,

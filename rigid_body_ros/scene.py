@@ -124,8 +124,9 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('max_future', 0.5, 's', 'how far the stamp of a torque may lie ahead of the clock; '
               'torques further ahead are rejected; with simulated time they first wait 0.5 s for '
               'the clock', (0.0, 3600.0)),
-    Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps back: reset (start '
-              'again), rebase (continue from the current state) or ignore', choices=TIME_JUMPS),
+    Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps back, or ahead by more '
+              'than history: reset (start again), rebase (continue from the current state) or '
+              'ignore', choices=TIME_JUMPS),
     Parameter('publish_clock', False, '', 'lockstep: publish the time of each state on /clock'),
     Parameter('publish_tf', False, '', 'publish the attitude on /tf as well (needs tf2_msgs)'),
     Parameter('publish_rate', 100.0, 'Hz', 'rate at which the motion is published; may change '
@@ -135,8 +136,8 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('space_frame', 'world', '', 'frame_id of the space axes'),
     Parameter('body_frame', 'base_link', '', 'frame_id of the body axes'),
 )}
-#: Parameters that ROS declares on every node; a parameter dump contains them.
-_ROS, _QOS = ('use_sim_time', 'start_type_description_service'), 'qos_overrides.'
+#: Parameters that ROS declares on every node, and that of a managed node; a dump contains them.
+_ROS, _QOS = ('use_sim_time', 'start_type_description_service', 'autostart'), 'qos_overrides.'
 
 
 @dataclass(frozen=True)

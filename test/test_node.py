@@ -26,7 +26,9 @@ from live import (
     commit,
     decoded,
     get_parameters,
+    late_torques,
     PATIENT,
+    publish_when_due,
     replayed,
     run_clock,
     set_parameter,
@@ -59,27 +61,18 @@ pytestmark = pytest.mark.ros
 @pytest.mark.parametrize('timeout', [0.0, *at_night(0.02)])
 def test_live_is_replay_bit_for_bit_though_torques_come_late_and_out_of_order(
         tmp_path, domain, timeout):
-    random = np.random.default_rng(17)
     with LiveSession(TUMBLER, domain, *RELIABLE, *PATIENT,
                      '-p', f'torque_timeout:={timeout}') as live:
-        start_ns, torques = live.now_ns(), []
-        for number in range(800):
-            stamp_ns = start_ns + number * SECOND // 200 + int(random.integers(0, SECOND // 500))
-            delay_ns = int(random.integers(0, SECOND // 2)) * int(random.integers(0, 2))
-            torque = random.normal(size=3) * 0.02 * (random.random() > 0.3)
-            frame_id = ('', 'base_link', 'world')[random.integers(3)]
-            torques.append((stamp_ns + delay_ns, stamp_ns, frame_id, torque))
-        for due_ns, stamp_ns, frame_id, torque in sorted(torques, key=lambda row: row[0]):
-            live.spin((due_ns - live.now_ns()) * 1e-9)
-            live.publish(stamp_ns, frame_id, torque)
-        stamps = np.unique([row[1] for row in torques])
+        torques = late_torques(live.now_ns(), 800, rate=200)
+        publish_when_due(live, torques)
         live.wait_until(lambda: len(live.received[ACCEPTED]) == len(torques), 'all torques')
+        stamps = np.unique([torque.stamp_ns for torque in torques])
         commit(live, 1 + len(stamps))
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         run = replayed(tmp_path, live)
     *accepted, _ = run.accepted.stamps_ns
-    assert sorted(accepted) == sorted(row[1] for row in torques)
+    assert sorted(accepted) == sorted(torque.stamp_ns for torque in torques)
     assert np.any(np.diff(accepted) < 0)  # they did come out of order
     np.testing.assert_array_equal(run.stamps_ns[1:1 + len(stamps)], stamps)
     np.testing.assert_array_equal(run.committed, run.replay)

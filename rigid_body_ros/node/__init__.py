@@ -15,13 +15,15 @@
 """
 The ROS node: it receives torques on a topic and publishes the attitude.
 
-`AttitudeNode` connects the modules. Input: `drain` (the queue of the subscription), `inputs`
-(messages to torques), `parameters` (the scene). Processing: `realtime` or `lockstep` (when to
-compute the motion), `closed_loop` (duplicates and republishing in lockstep), `pipeline` (the queue
-of torques, and the final states), `epoch` (one start state and its torques). Output: `outputs`
-(topics), `diagnostics`.
+`attitude_node` has the plain node and `lifecycle` the managed one; `component` is what they share
+and connects the modules; `process` runs a node as a command. Input: `drain` (the queue of the
+subscription), `inputs` (messages to torques), `parameters` (the scene). Processing: `realtime` or
+`lockstep` (when to compute the motion), `closed_loop` (duplicates and republishing in lockstep),
+`pipeline` (the queue of torques, and the final states), `epoch` (one start state and its torques).
+Output: `outputs` (topics), `diagnostics`.
 """
 
-from rigid_body_ros.node.attitude_node import AttitudeNode, main
+from rigid_body_ros.node.attitude_node import AttitudeNode
+from rigid_body_ros.node.process import main
 
 __all__ = ['AttitudeNode', 'main']

@@ -25,7 +25,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import qos_check_compatible, QoSCompatibility
+from rclpy.qos import DurabilityPolicy, qos_check_compatible, QoSCompatibility, QoSProfile
 from rclpy.subscription import Subscription
 from rigid_body_ros.node.inputs import CAUSES, RejectedError
 from rigid_body_ros.node.sources import Source
@@ -82,6 +82,10 @@ class Diagnostics:
     def __init__(self, node: Node, sources: Sequence[Source]) -> None:
         self._node, self._sources = node, {source.number: source for source in sources}
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        # Latched, so that it reaches a subscription that is not connected yet.
+        self._results = node.create_publisher(
+            DiagnosticStatus, '~/initial_state_result',
+            QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
         self._torques = {source: _Counts() for source in self._sources}
         self._motion = _Counts()
         #: Monotonic time, s, of the last log message of each kind.
@@ -91,9 +95,10 @@ class Diagnostics:
         """Count an event of a torque of a source without logging it."""
         self._torques[source][name] += 1
 
-    def count_state(self) -> None:
-        """Count a state that begins an epoch."""
+    def accept_state(self, result: str, stamp_ns: int) -> None:
+        """Count a state that begins an epoch, and publish the result."""
         self._motion[STATES] += 1
+        self._acknowledge(result, stamp_ns, is_error=False)
 
     def reject(self, rejected: RejectedError, source: int) -> None:
         """Count a rejected torque of a source and log the reason."""
@@ -114,9 +119,15 @@ class Diagnostics:
             self._node.get_logger().warning('the force of a WrenchStamped is ignored: its torque '
                                             'is taken about the centre of mass')
 
-    def reject_state(self, rejected: RejectedError) -> None:
-        """Count a rejected initial state and log the reason."""
-        self.event(STATES_REJECTED, f'initial_state rejected: {rejected.cause}: {rejected}')
+    def reject_state(self, rejected: RejectedError, stamp_ns: int | None) -> None:
+        """Count a rejected initial state, log the reason and publish it."""
+        reason = f'{rejected.cause}: {rejected}'
+        self.event(STATES_REJECTED, f'initial_state rejected: {reason}')
+        self._acknowledge(reason, stamp_ns, is_error=True)
+
+    def _acknowledge(self, text: str, stamp_ns: int | None, is_error: bool) -> None:
+        stamp = {} if stamp_ns is None else {'stamp': stamp_ns}
+        self._results.publish(self._status('initial_state', is_error, False, text, stamp))
 
     def count_lost(self, source: int, number: int) -> None:
         """Count torques that the middleware reports as lost in transit."""

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 import difflib
+from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -50,6 +51,14 @@ class Parameters:
     """
     Declare the parameters of a scene, and store the scene.
 
+    Parameters
+    ----------
+    node : Node
+    on_rate : callable
+        Receives a new `publish_rate`.
+    is_managed : bool
+        Whether `release` is called when the scene is not used any more.
+
     Raises
     ------
     InputError
@@ -57,22 +66,34 @@ class Parameters:
 
     """
 
-    def __init__(self, node: Node, on_rate: Callable[[float], None]) -> None:
-        self._node, self._on_rate = node, on_rate
+    def __init__(self, node: Node, on_rate: Callable[[float], None],
+                 is_managed: bool = False) -> None:
+        self._node, self._on_rate, self._is_managed = node, on_rate, is_managed
+        #: Scene parameters that the user has given.
+        self._given: dict[str, Any] = {}
         self.scene = self._declare()
-        self._epoch = {name: self.scene.values[name] for name in _EPOCH}
+        #: Values that cannot be changed from now on, except by `set_start`.
+        self._fixed = {name: value for name, value in self.scene.values.items() if name != _RATE}
+        node.add_on_set_parameters_callback(self._on_set)
 
-    def make_read_only(self) -> None:
-        """Reject changes from now on, except changes of the rate and changes by `set_start`."""
-        self._node.add_on_set_parameters_callback(self._on_set)
+    def release(self) -> None:
+        """If the node is managed, restore the given parameters, which may change again."""
+        if self._is_managed:
+            self._node.remove_on_set_parameters_callback(self._on_set)
+            for name in self.scene.values:
+                self._node.undeclare_parameter(name)
+            for name, value in self._given.items():
+                self._node.declare_parameter(name, value, ParameterDescriptor(
+                    dynamic_typing=True), ignore_override=True)
 
     def set_start(self, start: State) -> None:
         """Set the parameters to the start state of an epoch, or raise RuntimeError."""
         values = [start.time_ns, *start.attitude.tolist(), *start.angular_velocity.tolist(),
                   *start.rotor_momentum.tolist()]
-        self._epoch = dict(zip(_EPOCH, values))
+        epoch = dict(zip(_EPOCH, values))
+        self._fixed |= epoch
         result = self._node.set_parameters_atomically(
-            [Parameter(name, value=value) for name, value in self._epoch.items()])
+            [Parameter(name, value=value) for name, value in epoch.items()])
         if not result.successful:
             raise RuntimeError(f'cannot set the parameters of the start state: {result.reason}')
 
@@ -88,20 +109,23 @@ class Parameters:
         if checked.values['interpolation'] != 'hold':
             raise InputError("interpolation: expected 'hold', because a node does not know the "
                              f'next torque, found {checked.values["interpolation"]!r}')
+        self._given = {name: value for name, value in given.items() if name in checked.values}
         for name, value in checked.values.items():
             if name in given:
                 self._node.undeclare_parameter(name)
-            self._node.declare_parameter(name, value, _descriptor(scene.PARAMETERS[name]),
-                                         ignore_override=True)
+            descriptor = _descriptor(scene.PARAMETERS[name])
+            descriptor.read_only &= not self._is_managed  # which rclpy could not undeclare
+            self._node.declare_parameter(name, value, descriptor, ignore_override=True)
         return checked
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         values = {parameter.name: parameter.value for parameter in parameters}
         for name, value in values.items():
-            if value != self._epoch.get(name, value):
+            if value != self._fixed.get(name, value):
                 return SetParametersResult(successful=False, reason=f'{name}: read-only in a '
                                            'running node: it defines the trajectory')
-            if name == 'use_sim_time' or name.startswith(_QOS):
+            # rclpy declares those of quality of service with each endpoint.
+            if self._node.has_parameter(name) and name.startswith((_QOS, 'use_sim_time')):
                 return SetParametersResult(successful=False, reason=f'{name}: read-only in a '
                                            'running node: it takes effect only at the start')
         if _RATE in values:
