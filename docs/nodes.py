@@ -25,6 +25,7 @@ import argparse
 from typing import NamedTuple
 
 from rigid_body_ros import commands, scene
+from rigid_body_ros.runtime.parameters import limits
 
 WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
 VECTOR3 = 'geometry_msgs/msg/Vector3Stamped'
@@ -283,9 +284,19 @@ Diagnostics warn if no torques arrive, and if a response takes long to compute.
 ## Parameters
 
 The node, `attitude_replay` and `attitude_tradeoff` (`--scene`) read the same file. Integers are
-accepted for floating-point parameters; unknown keys are rejected. In a running node all parameters
-but `publish_rate` are read-only. `ros2 param describe` prints the descriptions of this table, and
-`ros2 param dump` writes a file that is a scene.
+accepted for floating-point parameters. In a running node all parameters but `publish_rate` are
+read-only. `ros2 param describe` prints the descriptions of this table, and `ros2 param dump`
+writes a file that is a scene.
+
+The file may be one that several nodes share. Parameters of other nodes, under `/**:` or under
+`/attitude_node:`, are ignored. The node logs their names once, and a command prints them in a
+line that begins with `note:`. The node does not declare them. A key that resembles one of this
+table is an error that names the key it resembles: it differs in capitals, in one letter, in the
+order of two letters, or in two missing or additional letters (`torque_timout`, `Inertia.ixx`).
+Keys of less than six letters, such as `mode`, resemble another only if they differ in capitals. A
+group of this table has no members but those listed, so `inertia.mass` is an error, too. The same
+holds for `qos_overrides`: those of other topics are logged once and ignored, but
+`qos_overrides./torque.subscription.depht` is an error.
 
 {parameters}
 
@@ -391,7 +402,7 @@ def values(parameter):
         return ', '.join(parameter.choices)
     if not parameter.interval:
         return {bool: 'true, false', str: 'text', list: 'list of text'}[parameter.value_type]
-    return scene.limits(*parameter.interval)
+    return limits(*parameter.interval)
 
 
 def table(head, rows):

@@ -31,6 +31,7 @@ from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
 import rclpy
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -39,7 +40,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 from rigid_body_ros import scene
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.node.diagnostics import Diagnostics, RECEIVED
 from rigid_body_ros.node.drain import DrainCallback, Sender
 from rigid_body_ros.node.epoch import warm_up_for
@@ -83,10 +84,9 @@ class AttitudeNode(Node):
 
     def __init__(self) -> None:
         try:
-            super().__init__(scene.NODE, automatically_declare_parameters_from_overrides=True)
-        except ValueError as error:  # rclpy reads an empty list as no value, and does not name it
-            raise InputError('expected a value for each parameter, found one without a value, '
-                             'such as an empty list') from error
+            super().__init__(scene.NODE)
+        except ParameterException as error:  # use_sim_time has another type
+            raise InputError(str(error)) from error
         parameters = Parameters(self, lambda rate: self._mode.set_rate(rate))
         self._scene = parameters.scene
         self._sources = sources_of(self._scene)
@@ -100,9 +100,12 @@ class AttitudeNode(Node):
             self._mode = mode(self, parameters, self._inputs, self._outputs, self._diagnostics)
             self._subscribe()
             self._mode.connect(self._torques)
-            check_qos_overrides(self, self._listening, self._outputs.publishers)
-        except (RuntimeError, AssertionError) as error:  # such as an invalid QoS override
+            others = check_qos_overrides(self, self._listening, self._outputs.publishers)
+        except (RuntimeError, AssertionError, ParameterException) as error:
+            # such as an invalid QoS override
             raise InputError(' '.join(str(error).split())) from error
+        if others:
+            self.get_logger().info(f'QoS overrides of other nodes are ignored: {listed(others)}')
         self.create_service(Trigger, '~/reset', self._on_reset)
         parameters.make_read_only()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -126,6 +129,8 @@ class AttitudeNode(Node):
         body = self._scene.body
         self.get_logger().info(
             f'{body.symmetry}, principal moments {body.principal_moments.tolist()} kg m^2')
+        for note in self._scene.notes:
+            self.get_logger().info(note)
         for warning in self._scene.warnings:
             self.get_logger().warning(warning)
 
