@@ -85,7 +85,8 @@ PUBLISHED = [
           'the epoch.'),
     Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', STATE,
           'Once a second: counts of torques received, applied, waiting, lost, and rejected by '
-          'cause; which nodes are not connected, and why.'),
+          'cause; which nodes are not connected, and why. Names and hardware_id have the name of '
+          'the node with its namespace.'),
 ]
 OPTIONAL = [
     Topic('rotor_momentum', VECTOR3, STATE,
@@ -104,8 +105,9 @@ OPTIONAL = [
 #: The causes of rejection of a torque, and their meanings.
 CAUSES = {
     'malformed': 'The bytes are not a WrenchStamped, or its stamp is invalid.',
-    'unknown frame': '`header.frame_id` is neither empty nor `body_frame` nor `space_frame`; on '
-                     '`wheel_torque`: neither empty nor `body_frame`.',
+    'unknown frame': '`header.frame_id` is neither empty nor the body frame (`frame_prefix` and '
+                     '`body_frame`) nor `space_frame`, nor a link fixed to the body; on '
+                     '`wheel_torque`: neither empty nor the body frame.',
     'not finite': 'A component of the torque is NaN or infinite.',
     'too large': 'The torque would accelerate this inertia beyond 1e9 rad/s^2.',
     'no clock': 'With `use_sim_time`: no time was received on `/clock` yet.',
@@ -245,6 +247,16 @@ attitude_replay RECORDING --scene DUMP --topic /attitude_node/accepted_torque \\
 
 `/diagnostics` has a status for each source: `torques` for the first topic, `torques_1`,
 `torques_2` and so on for the others, and `wheel torques`.
+
+### Several bodies
+
+Start a node for each body, each in a namespace of its own (`-r __ns:=/one`) and with a
+`frame_prefix` of its own (`-p frame_prefix:=one/`). Their topics, frames and diagnostics then
+differ, and `/tf` contains all of them in one space frame. The names of the statuses on
+`/diagnostics` are `/one/attitude_node: torques` and `/one/attitude_node: motion`, and the
+`hardware_id` is `/one/attitude_node`: the same form as that of diagnostic_updater with
+`diagnostic_updater.use_fqn`. An analyzer of diagnostic_aggregator selects the statuses of a body
+with `startswith: [/one/]`.
 
 ### Why is a torque rejected?
 

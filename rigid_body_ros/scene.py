@@ -115,7 +115,9 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('euler_sequence', 'ZXZ', '', 'axes of the Euler angles; upper case: intrinsic, '
               'lower case: extrinsic'),
     Parameter('space_frame', 'world', '', 'frame_id of the space axes'),
-    Parameter('body_frame', 'base_link', '', 'frame_id of the body axes'),
+    Parameter('body_frame', 'base_link', '', 'frame_id of the body axes, after frame_prefix'),
+    Parameter('frame_prefix', '', '', 'text before the frame_ids of the body and of the links of '
+              'robot_description, as of robot_state_publisher'),
 )}
 #: Parameters that ROS declares on every node, in a parameter dump, too.
 _ROS, QOS = ('use_sim_time', 'start_type_description_service'), 'qos_overrides.'
@@ -136,7 +138,7 @@ class Scene:
     path : Path or None
         Absolute path of the scene file, None if the scene was not read from a file.
     links : Frames
-        The links of robot_description that are fixed to the body.
+        The links of robot_description that are fixed to the body, with frame_prefix.
     ignored : tuple of str
         Names of the given parameters that are those of other nodes.
 
@@ -157,6 +159,16 @@ class Scene:
     def options(self) -> dict[str, Any]:
         """Return the keyword arguments of `propagate`."""
         return _options(self.values)
+
+    @property
+    def body_frame(self) -> str:
+        """Return the frame_id of the body axes."""
+        return _body_frame(self.values)
+
+    @property
+    def space_frame(self) -> str:
+        """Return the frame_id of the space axes, which all bodies share: it has no prefix."""
+        return str(self.values['space_frame'])
 
     @property
     def torque_topics(self) -> tuple[str, ...]:
@@ -225,7 +237,8 @@ class Scene:
             links = urdf.fixed_frames(robot, values['link']) if robot else Frames()
         except ValueError as error:
             raise InputError(str(error)) from error
-        return cls(body, start, values, links=links, ignored=ignored)
+        return cls(body, start, values, links=links.prefixed(values['frame_prefix']),
+                   ignored=ignored)
 
 
 def load(path: str | Path) -> Scene:
@@ -287,14 +300,14 @@ def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
 def _check_together(values: Mapping[str, Any]) -> None:
     _check_topics(values['torque_topics'])
     euler.check_sequence(values['euler_sequence'])
-    for name in ('space_frame', 'body_frame'):
-        if not values[name]:
+    for name in ('space_frame', 'body_frame', 'frame_prefix'):
+        if not values[name] and name != 'frame_prefix':
             raise InputError(f'{name}: expected the name of a frame, found an empty text')
         if '\0' in values[name] or values[name].encode(errors='ignore').decode() != values[name]:
             raise InputError(f'{name}: expected UTF-8 text without NUL, '
                              f'found {quoted(values[name])}')
-    if values['space_frame'] == values['body_frame']:
-        found = quoted(values['body_frame'])
+    if values['space_frame'] == _body_frame(values):
+        found = quoted(values['space_frame'])
         raise InputError(f'space_frame, body_frame: expected different names, found {found} twice')
     if values['mode'] == LOCKSTEP and values['time_source'] == ARRIVAL:
         raise InputError(f'time_source: expected {HEADER!r}, because lockstep replies to stamps, '
@@ -324,11 +337,12 @@ def _warnings(values: Mapping[str, Any], body: RigidBody, links: Frames) -> Iter
         yield ('inertia: the largest principal moment exceeds the sum of the other two by '
                f'{100.0 * body.triangle_excess:.2g} %, which no body can have; are the numbers '
                'rounded?')
-    name = values['body_frame']
+    name = _body_frame(values)
     if name in links.others or (name in links and not links[name].is_aligned):
-        yield (f'body_frame: {quoted(name)} is a link of robot_description, but its axes are not '
-               f'those of link {quoted(links.link)}, whose axes are the body axes; expected '
-               f'{quoted(links.link)}')
+        link = quoted(links.link.removeprefix(values['frame_prefix']))
+        yield (f'body_frame: {quoted(values["body_frame"])} is a link of robot_description, but '
+               f'its axes are not those of link {link}, whose axes are the body axes; expected '
+               f'{link}')
     norm = math.hypot(*_group(values, 'initial_attitude').values())
     if abs(norm - 1.0) > _UNIT:
         yield ('initial_attitude: expected a quaternion x y z w of norm 1, found norm '
@@ -338,6 +352,10 @@ def _warnings(values: Mapping[str, Any], body: RigidBody, links: Frames) -> Iter
         yield (f'initial_angular_velocity: {rate:.4g} rad/s is {rate / (2.0 * math.pi):.3g} '
                'turns per second; if the numbers are degrees per second, multiply them by '
                'pi / 180 = 0.0174533')
+
+
+def _body_frame(values: Mapping[str, Any]) -> str:
+    return str(values['frame_prefix'] + values['body_frame'])
 
 
 def _group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:

@@ -170,6 +170,8 @@ def test_a_scene_is_printed_with_units(tmp_path):
                                          'twice'),
     ({'torque_topics': ['a', 3]}, r'torque_topics: expected names of topics \(.*\), found 3'),
     ({'torque_topics': ['a b']}, r"torque_topics: expected names of topics \(.*\), found 'a b'"),
+    ({'frame_prefix': 'a\0'}, r"frame_prefix: expected UTF-8 text without NUL, found 'a\\x00'"),
+    ({'frame_prefix': 'one/', 'space_frame': 'one/base_link'}, 'expected different names'),
     ({'body_frame': 'world'}, "space_frame, body_frame: expected different names,.*'world' twice"),
     ({'max_future': 2.0}, r'max_future: expected less than history \(1.0 s\), found 2.0 s')])
 def test_invalid_values_are_rejected_with_name_and_value(change, message):
