@@ -248,6 +248,16 @@ attitude_replay RECORDING --scene DUMP --topic /attitude_node/accepted_torque \\
 `/diagnostics` has a status for each source: `torques` for the first topic, `torques_1`,
 `torques_2` and so on for the others, and `wheel torques`.
 
+### Inertia from robot_state_publisher
+
+If the parameters have neither an `inertia` nor a `robot_description`, the node waits for a URDF on
+the topic `robot_description` (std_msgs/String, transient local), which robot_state_publisher
+publishes. The log says so at once, and every 10 s what is missing. The node reports any other
+mistake in the parameters before it waits. The first URDF defines the motion: the node then ends
+the subscription, and reports the text as its parameter `robot_description`, so that a parameter
+dump is a complete scene, for the commands, too. An `inertia` or `robot_description` among the
+parameters comes first, and the node ignores the topic.
+
 ### Several bodies
 
 Start a node for each body, each in a namespace of its own (`-r __ns:=/one`) and with a
@@ -312,7 +322,8 @@ holds for `qos_overrides`: those of other topics are logged once and ignored, bu
 
 {parameters}
 
-Either the three moments or a `robot_description` are required. The inertia is checked as one
+Either the three moments or a `robot_description` are required, but a node can
+[wait for the latter](#inertia-from-robot_state_publisher). The inertia is checked as one
 tensor: positive definite, no principal moment greater than the sum of the other two. The damping
 is checked as one tensor, too: no negative eigenvalue. `torque_topics` names at least one topic,
 each of them once. The solvers `exact` and `strang` take neither rotors nor damping.

@@ -142,6 +142,8 @@ def test_a_node_uses_exactly_what_its_policy_allows(domain):
         for kind, names in found.items():
             assert {*names} <= {*policy[kind]}, arguments
             used[kind] |= {*names}
+    # Only until the URDF arrives; test_robot_description.py has a node that waits.
+    used['subscriber'].add('/robot_description')
     if not find_spec('tf2_msgs'):
         used['publisher'].add('/tf')
     assert used == {kind: {*names} for kind, names in policy.items()}

@@ -32,6 +32,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rigid_body_ros import scene
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.node.robot_description import with_robot_description
 from rigid_body_ros.propagation.solvers import solver_named
 from rigid_body_ros.runtime.parameters import resembled
 from rigid_body_ros.scene import QOS, Scene
@@ -77,7 +78,8 @@ class Parameters:
             raise RuntimeError(f'cannot set the parameters of the start state: {result.reason}')
 
     def _declare(self) -> Scene:
-        checked = Scene.from_values(given_parameters(self._node))
+        checked = Scene.from_values(
+            with_robot_description(self._node, given_parameters(self._node)))
         solver = solver_named(checked.values['solver'])
         if not solver.takes_torque:
             raise InputError(f'solver: {solver.name!r} handles torque-free motion only')
