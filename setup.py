@@ -41,6 +41,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/config', sorted(glob('config/*'))),
+        (f'share/{NAME}/policies', sorted(glob('policies/*.policy.xml'))),
         (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
         # Where `ros2 run` looks; pip puts the entry points below into bin only.
         (f'lib/{NAME}', [*sorted(glob('scripts/*')), 'examples/attitude_controller.py']),

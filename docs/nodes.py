@@ -25,6 +25,7 @@ import argparse
 from typing import NamedTuple
 
 from rigid_body_ros import commands, scene
+from rigid_body_ros.runtime.parameters import limits
 
 WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
 VECTOR3 = 'geometry_msgs/msg/Vector3Stamped'
@@ -89,7 +90,8 @@ PUBLISHED = [
           'ns.'),
     Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', STATE,
           'Once a second: counts of torques received, applied, waiting, lost, and rejected by '
-          'cause; which nodes are not connected, and why.'),
+          'cause; which nodes are not connected, and why. Names and hardware_id have the name of '
+          'the node with its namespace.'),
 ]
 OPTIONAL = [
     Topic('rotor_momentum', VECTOR3, STATE,
@@ -108,8 +110,9 @@ OPTIONAL = [
 #: The causes of rejection of a torque, and their meanings.
 CAUSES = {
     'malformed': 'The bytes are not a WrenchStamped, or its stamp is invalid.',
-    'unknown frame': '`header.frame_id` is neither empty nor `body_frame` nor `space_frame`; on '
-                     '`wheel_torque`: neither empty nor `body_frame`.',
+    'unknown frame': '`header.frame_id` is neither empty nor the body frame (`frame_prefix` and '
+                     '`body_frame`) nor `space_frame`, nor a link fixed to the body; on '
+                     '`wheel_torque`: neither empty nor the body frame.',
     'not finite': 'A component of the torque is NaN or infinite.',
     'too large': 'The torque would accelerate this inertia beyond 1e9 rad/s^2.',
     'no clock': 'With `use_sim_time`: no time was received on `/clock` yet.',
@@ -269,6 +272,26 @@ attitude_replay RECORDING --scene DUMP --topic /attitude_node/accepted_torque \\
 `/diagnostics` has a status for each source: `torques` for the first topic, `torques_1`,
 `torques_2` and so on for the others, and `wheel torques`.
 
+### Inertia from robot_state_publisher
+
+If the parameters have neither an `inertia` nor a `robot_description`, the node waits for a URDF on
+the topic `robot_description` (std_msgs/String, transient local), which robot_state_publisher
+publishes. The log says so at once, and every 10 s what is missing. The node reports any other
+mistake in the parameters before it waits. The first URDF defines the motion: the node then ends
+the subscription, and reports the text as its parameter `robot_description`, so that a parameter
+dump is a complete scene, for the commands, too. An `inertia` or `robot_description` among the
+parameters comes first, and the node ignores the topic.
+
+### Several bodies
+
+Start a node for each body, each in a namespace of its own (`-r __ns:=/one`) and with a
+`frame_prefix` of its own (`-p frame_prefix:=one/`). Their topics, frames and diagnostics then
+differ, and `/tf` contains all of them in one space frame. The names of the statuses on
+`/diagnostics` are `/one/attitude_node: torques` and `/one/attitude_node: motion`, and the
+`hardware_id` is `/one/attitude_node`: the same form as that of diagnostic_updater with
+`diagnostic_updater.use_fqn`. An analyzer of diagnostic_aggregator selects the statuses of a body
+with `startswith: [/one/]`.
+
 ### Why is a torque rejected?
 
 The log names the cause, what was expected and what was found. `/diagnostics` counts each cause
@@ -346,13 +369,24 @@ be a `MultiThreadedExecutor`, because that of rclpy fails if a callback destroys
 ## Parameters
 
 The node, `attitude_replay` and `attitude_tradeoff` (`--scene`) read the same file. Integers are
-accepted for floating-point parameters; unknown keys are rejected. In a running node all parameters
-but `publish_rate` are read-only. `ros2 param describe` prints the descriptions of this table, and
-`ros2 param dump` writes a file that is a scene.
+accepted for floating-point parameters. In a running node all parameters but `publish_rate` are
+read-only. `ros2 param describe` prints the descriptions of this table, and `ros2 param dump`
+writes a file that is a scene.
+
+The file may be one that several nodes share. Parameters of other nodes, under `/**:` or under
+`/attitude_node:`, are ignored. The node logs their names once, and a command prints them in a
+line that begins with `note:`. The node does not declare them. A key that resembles one of this
+table is an error that names the key it resembles: it differs in capitals, in one letter, in the
+order of two letters, or in two missing or additional letters (`torque_timout`, `Inertia.ixx`).
+Keys of less than six letters, such as `mode`, resemble another only if they differ in capitals. A
+group of this table has no members but those listed, so `inertia.mass` is an error, too. The same
+holds for `qos_overrides`: those of other topics are logged once and ignored, but
+`qos_overrides./torque.subscription.depht` is an error.
 
 {parameters}
 
-Either the three moments or a `robot_description` are required. The inertia is checked as one
+Either the three moments or a `robot_description` are required, but a node can
+[wait for the latter](#inertia-from-robot_state_publisher). The inertia is checked as one
 tensor: positive definite, no principal moment greater than the sum of the other two. The damping
 is checked as one tensor, too: no negative eigenvalue. `torque_topics` names at least one topic,
 each of them once. The solvers `exact` and `strang` take neither rotors nor damping.
@@ -454,7 +488,7 @@ def values(parameter):
         return ', '.join(parameter.choices)
     if not parameter.interval:
         return {bool: 'true, false', str: 'text', list: 'list of text'}[parameter.value_type]
-    return scene.limits(*parameter.interval)
+    return limits(*parameter.interval)
 
 
 def table(head, rows):

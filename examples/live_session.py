@@ -166,7 +166,7 @@ class LiveSession:
         """Return the values, level and message of the latest status with a name."""
         self.wait_until(lambda: self.diagnostics, 'diagnostics')
         status = next(status for array in reversed(self.diagnostics) for status in array.status
-                      if status.name == f'{NODE}: {name}')
+                      if status.name == f'/{NODE}: {name}')
         values = {pair.key: int(pair.value) for pair in status.values}
         return values, int.from_bytes(status.level, 'little'), status.message
 

@@ -108,6 +108,8 @@ def _replay_one(options: argparse.Namespace) -> int:
 
 def _scene(options: argparse.Namespace) -> Scene:
     scene = load(options.scene)
+    for note in scene.notes:
+        report(f'{options.command}: note: {options.scene}: {note}')
     for warning in scene.warnings:
         report(f'{options.command}: warning: {options.scene}: {warning}')
     return scene

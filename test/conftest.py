@@ -48,8 +48,8 @@ EPOCH_NS = 1_767_225_600_123_456_789
 SECOND = 10 ** 9
 #: Test files that need an optional module, by that module.
 NEEDS = {
-    'rclpy': ['clocks', 'executors', 'faults', 'launch', 'lifecycle', 'lockstep', 'node', 'soak',
-              'sources', 'topics', 'workspace'],
+    'rclpy': ['clocks', 'executors', 'faults', 'fleet', 'launch', 'lifecycle', 'lockstep', 'node',
+              'robot_description', 'shared_files_live', 'soak', 'sources', 'topics', 'workspace'],
     'launch_ros': ['launch'],  # not on PyPI
     'colcon_ros': ['workspace'],
     'mpmath': ['arm', 'elementary', 'elliptic', 'examples', 'extremes', 'free_motion', 'peers',

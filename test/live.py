@@ -78,8 +78,7 @@ def replayed(tmp_path, live):
     live.write(tmp_path / 'live.mcap')
     run = scene.load(tmp_path / 'live.yaml')
     accepted = recording.read(tmp_path / 'live.mcap', ACCEPTED)
-    log = recording.torque_log('live.mcap', accepted, run.values['body_frame'],
-                               run.values['space_frame'])
+    log = recording.torque_log('live.mcap', accepted, run.body_frame, run.space_frame)
     committed = recording.read(tmp_path / 'live.mcap', COMMITTED, messages.ODOMETRY)
     # --verify accepts it, too: the log has all torques of the states.
     verify(tmp_path / 'live.mcap', run, tmp_path / 'live.mcap', topic=ACCEPTED,

@@ -58,7 +58,7 @@ def test_bad_torques_are_rejected_counted_and_change_nothing(tmp_path, domain):
                  'rejected (1 so far): not finite: expected a finite torque, found [nan, 0.0, 0.0',
                  "found 'map'", 'rejected (1 so far): future: stamped', 's ahead of',
                  'rejected (1 so far): late: ', 's behind the clock',
-                 'the force of a WrenchStamped is ignored'):
+                 'the force of a WrenchStamped is ignored, as it has no lever arm'):
         assert part in words, words
 
 

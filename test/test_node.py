@@ -316,7 +316,7 @@ def run_node(domain, *arguments):
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [
-    ((), 'inertia.ixx: expected a number (kg m^2), found none'),
+    (('-p', 'inertia.ixx:=1'), 'inertia.iyy: expected a number (kg m^2), found none'),
     (('-p', 'inertia.ixx:=1', '-p', 'inertia.iyy:=1', '-p', 'inertia.izz:=5'),
      'not physical, principal moments 1, 1, 5 kg m^2'),
     (('--params-file', str(TUMBLER), '-p', 'intertia.ixx:=1.0'),

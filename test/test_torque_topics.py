@@ -303,7 +303,7 @@ def test_one_topic_of_another_name_is_all_that_changes(tmp_path, domain):
      'torque_topics: expected topics that the node does not use for anything else, found '
      '/attitude_node/accepted_torque twice'),
     (('torque_topics:=[3, 4]',), 'torque_topics: expected names of topics'),
-    (('torque_topics:=[]',), 'expected a value for each parameter, found one without a value'),
+    (('torque_topics:=[]',), 'torque_topics: expected a list of text, found none'),
     (('torque_topics:=torque',), 'torque_topics: expected a list of text'),
     (('wheels:=true', 'solver:=strang', 'max_step:=0.01'), "solver 'strang' handles neither"),
 ])

@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from rclpy.exceptions import NameValidationException
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.node import Node
 from rigid_body_ros import scene
 from rigid_body_ros.common.errors import InputError
@@ -49,8 +49,7 @@ class AttitudeNode(Node):
 
     def __init__(self, node_name: str = scene.NODE, **kwargs: Any) -> None:
         with one_line_errors():
-            super().__init__(node_name, automatically_declare_parameters_from_overrides=True,
-                             **kwargs)
+            super().__init__(node_name, **kwargs)
         #: None if no state may be pending.
         self._component: AttitudeComponent | None = None
         try:
@@ -77,6 +76,5 @@ def one_line_errors() -> Iterator[None]:
     except NameValidationException as error:
         text, name, _ = str(error).splitlines()  # the last line points at a character
         raise InputError(f'{text} {name.strip()}') from error
-    except ValueError as error:  # rclpy reads an empty list as no value, and does not name it
-        raise InputError('expected a value for each parameter, found one without a value, '
-                         'such as an empty list') from error
+    except ParameterException as error:  # use_sim_time has another type
+        raise InputError(str(error)) from error

@@ -26,12 +26,13 @@ from typing import Any
 from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rigid_body_ros import scene
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.node.diagnostics import Diagnostics, RECEIVED
 from rigid_body_ros.node.drain import DrainCallback, Sender
 from rigid_body_ros.node.epoch import warm_up_for
@@ -130,7 +131,10 @@ class AttitudeComponent:
         self._mode.activate()
         self._subscribe()
         self._mode.connect(self._torques)
-        check_qos_overrides(self._node, self._listening, self._outputs.publishers)
+        others = check_qos_overrides(self._node, self._listening, self._outputs.publishers)
+        if others:
+            self._node.get_logger().info(
+                f'QoS overrides of other nodes are ignored: {listed(others)}')
         self._node.create_service(Trigger, '~/reset', self._on_reset)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._node.create_timer(1.0, self._publish_diagnostics, clock=steady)
@@ -177,6 +181,8 @@ class AttitudeComponent:
         body = self._scene.body
         self._node.get_logger().info(
             f'{body.symmetry}, principal moments {body.principal_moments.tolist()} kg m^2')
+        for note in self._scene.notes:
+            self._node.get_logger().info(note)
         for warning in self._scene.warnings:
             self._node.get_logger().warning(warning)
 
@@ -273,5 +279,5 @@ def _one_line_errors() -> Iterator[None]:
     """Raise an InputError in place of an error of rclpy, such as an invalid QoS override."""
     try:
         yield
-    except (RuntimeError, AssertionError) as error:
+    except (RuntimeError, AssertionError, ParameterException) as error:
         raise InputError(' '.join(str(error).split())) from error

@@ -116,8 +116,9 @@ class Diagnostics:
         """Count an ignored force, and log only the first, as it is not a fault."""
         self._torques[source][FORCE] += 1
         if sum(counts[FORCE] for counts in self._torques.values()) == 1:
-            self._node.get_logger().warning('the force of a WrenchStamped is ignored: its torque '
-                                            'is taken about the centre of mass')
+            self._node.get_logger().info('the force of a WrenchStamped is ignored, as it has no '
+                                         'lever arm about the centre of mass; diagnostics count '
+                                         'such forces')
 
     def reject_state(self, rejected: RejectedError, stamp_ns: int | None) -> None:
         """Count a rejected initial state, log the reason and publish it."""
@@ -244,11 +245,13 @@ class Diagnostics:
 
     def _status(self, name: str, is_error: bool, is_warning: bool, message: str,
                 values: Mapping[str, int]) -> DiagnosticStatus:
+        # With the namespace: aggregators know a status by its name, and nodes of a fleet differ
+        # in their namespaces alone. Without the leading slash it would not be the name of a node.
+        node = self._node.get_fully_qualified_name()
         level = DiagnosticStatus.WARN if is_warning else DiagnosticStatus.OK
         return DiagnosticStatus(
             level=DiagnosticStatus.ERROR if is_error else level,
-            name=f'{self._node.get_name()}: {name}', hardware_id=self._node.get_name(),
-            message=message,
+            name=f'{node}: {name}', hardware_id=node, message=message,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
 
     def _log(self, kind: str, text: str) -> None:

@@ -69,7 +69,7 @@ class Inputs:
 
     def __init__(self, scene: Scene, on_force: Callable[[int], None]) -> None:
         self._on_force = on_force
-        self._frames = scene.values['body_frame'], scene.values['space_frame']
+        self._frames = scene.body_frame, scene.space_frame
         self._links = scene.links
         self._largest = _LARGEST_ACCELERATION * scene.body.principal_moments[0]
 

@@ -20,12 +20,14 @@ from collections.abc import Callable, Sequence
 import traceback
 from typing import Any
 
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rigid_body_ros import scene
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.node import process
 from rigid_body_ros.node.attitude_node import one_line_errors
 from rigid_body_ros.node.component import AttitudeComponent
+from rigid_body_ros.node.parameters import declare, given_parameters
 
 _FAILURE = TransitionCallbackReturn.FAILURE
 _AUTOSTART = scene.Parameter('autostart', False, '', 'whether the node configures and activates '
@@ -56,8 +58,7 @@ class AttitudeLifecycleNode(LifecycleNode):
 
     def __init__(self, node_name: str = scene.NODE, **kwargs: Any) -> None:
         with one_line_errors():
-            super().__init__(node_name, automatically_declare_parameters_from_overrides=True,
-                             **kwargs)
+            super().__init__(node_name, **kwargs)
         #: None while the node is not configured.
         self._component: AttitudeComponent | None = None
         #: The mode of the first configuration.
@@ -71,9 +72,10 @@ class AttitudeLifecycleNode(LifecycleNode):
             raise
 
     def _start(self) -> None:
-        if not self.has_parameter(_AUTOSTART.name):
-            self.declare_parameter(_AUTOSTART.name, _AUTOSTART.default)
-        if scene.checked(_AUTOSTART, self.get_parameter(_AUTOSTART.name).value):
+        declare(self, given_parameters(self))
+        autostart = self.declare_parameter(_AUTOSTART.name, _AUTOSTART.default,
+                                           ParameterDescriptor(dynamic_typing=True))
+        if scene.checked(_AUTOSTART, autostart.value):
             self.trigger_configure()
             if self._component:
                 self.trigger_activate()
