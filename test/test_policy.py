@@ -51,6 +51,7 @@ print(json.dumps({{kind: [name for name, _ in getattr(
 rclpy.try_shutdown()
 """
 NODE = 'rigid_body_ros.node.attitude_node', 'AttitudeNode'
+MANAGED = 'rigid_body_ros.node.lifecycle', 'AttitudeLifecycleNode'
 CONTROLLER = 'attitude_controller', 'AttitudeController'
 #: Together these have every topic of the node but those of further torque_topics.
 CONFIGURATIONS = [
@@ -81,9 +82,10 @@ def full_name(profile, name):
     return name if name.startswith('/') else f'{space}/{name}'.replace('/~', f'/{node}')
 
 
-def allowed(node):
-    """Return the names that the policy of a node allows, by kind of endpoint."""
-    profile, = ElementTree.parse(POLICY).iterfind(f'.//profile[@node="{node}"]')
+def allowed(executable):
+    """Return the names that the policy of an executable allows, by kind of endpoint."""
+    profile, = ElementTree.parse(POLICY).iterfind(
+        f'.//enclave[@path="/rigid_body_ros/{executable}"]//profile')
     return {kind: [full_name(profile, entry.text) for group in profile.iterfind(tag)
                    if group.get(right) == 'ALLOW' for entry in group]
             for kind, (tag, right) in KINDS.items()}
@@ -107,9 +109,10 @@ def test_the_rules_find_a_mistake(change, violation):
     assert violations(root) == [violation]
 
 
-@pytest.mark.parametrize('node', ['attitude_node', 'attitude_controller'])
-def test_it_allows_nothing_twice_and_denies_nothing(node):
-    for names in allowed(node).values():
+@pytest.mark.parametrize('executable', [
+    'attitude_node', 'attitude_lifecycle_node', 'attitude_controller'])
+def test_it_allows_nothing_twice_and_denies_nothing(executable):
+    for names in allowed(executable).values():
         assert len(names) == len({*names})
     assert b'DENY' not in POLICY.read_bytes()
 
@@ -134,11 +137,15 @@ def graph(domain, node, *arguments):
 
 
 @pytest.mark.ros
-def test_a_node_uses_exactly_what_its_policy_allows(domain):
+@pytest.mark.parametrize(('executable', 'node', 'started'), [
+    ('attitude_node', NODE, ()),
+    ('attitude_lifecycle_node', MANAGED, ('-p', 'autostart:=true'))])
+def test_a_node_uses_exactly_what_its_policy_allows(domain, executable, node, started):
     pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
-    policy, used = allowed('attitude_node'), {kind: set() for kind in KINDS}
+    policy, used = allowed(executable), {kind: set() for kind in KINDS}
     for arguments in CONFIGURATIONS:
-        found = graph(domain, NODE, '--params-file', str(CONFIG / 'tumbler.yaml'), *arguments)
+        found = graph(domain, node, '--params-file', str(CONFIG / 'tumbler.yaml'), *started,
+                      *arguments)
         for kind, names in found.items():
             assert {*names} <= {*policy[kind]}, arguments
             used[kind] |= {*names}
