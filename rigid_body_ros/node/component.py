@@ -160,7 +160,9 @@ class AttitudeComponent:
             pass  # the rest of the time is for the states held back
         self._mode.pipeline.end(until)
         self._report([])
-        self._outputs.deliver(until)
+        if not self._outputs.deliver(until):
+            self._node.get_logger().warning('the end of the log may be lost: its subscribers have '
+                                            f'not acknowledged it within {_END_TIME:g} s')
 
     def destroy(self) -> None:
         """Destroy what the component has created, and release the parameters."""

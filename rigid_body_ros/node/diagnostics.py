@@ -107,10 +107,10 @@ class Diagnostics:
         self._log(f'{cause} {source}', f'torque{self._place(source)} rejected '
                   f'({counts[cause]} so far): {cause}: {rejected}')
 
-    def event(self, name: str, text: str) -> None:
-        """Count a problem of the motion and log it."""
+    def event(self, name: str, text: str, kind: str = '') -> None:
+        """Count a problem of the motion and log it; each kind is logged at a limited rate."""
         self._motion[name] += 1
-        self._log(name, text)
+        self._log(f'{name} {kind}', text)
 
     def count_force(self, source: int) -> None:
         """Count an ignored force, and log only the first, as it is not a fault."""

@@ -120,12 +120,18 @@ class Outputs:
         self._send(self._committed, messages.odometry(
             state, self._frames['space'], self._frames['body']))
 
-    def deliver(self, until: float) -> None:
-        """Wait until subscribers acknowledge the log, at most to `until`, s, monotonic clock."""
+    def deliver(self, until: float) -> bool:
+        """
+        Wait until subscribers acknowledge the log, at most to `until`, s, monotonic clock.
+
+        Return False if they do not.
+        """
+        is_delivered = True
         for publisher in (self._committed, *self._accepted.values()):
             remaining = max(0.0, until - time.monotonic())
             with suppress(RuntimeError):  # not every middleware supports it
-                publisher.wait_for_all_acked(Duration(seconds=remaining))
+                is_delivered &= publisher.wait_for_all_acked(Duration(seconds=remaining))
+        return is_delivered
 
     def _send(self, publisher: Publisher, data: bytes) -> None:
         try:

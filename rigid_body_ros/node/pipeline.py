@@ -335,7 +335,7 @@ class Pipeline:
             self._log_final()
             self._diagnostics.event(
                 MISSED, f'{len(self.epoch.uncommitted())} states are missing on ~/committed, '
-                f'because computing them at the end of the epoch took too long: {error}')
+                f'because computing them at the end of the epoch took too long: {error}', ENDED)
 
     def check_age(self, stamp_ns: int) -> None:
         """Raise RejectedError if a stamp is too old for the epoch."""
