@@ -62,9 +62,13 @@ class CombinedMotion:
         self._sum = summation.summed(logs, wheels, start.time_ns, start._rotors,
                                      options.timeout_ns)
         self._has_rotors = bool(start._has_rotors or wheels.torques.any())
+        in_two_frames = (any(log.in_space.any() for log in logs)
+                         and not all(log.in_space.all() for log in logs))
+        self._has_terms = self._has_rotors or body.is_damped or in_two_frames
         self._check_solver([*logs, wheels])
         begin_ns, states, progress = self._begin(start, [*logs, wheels])
         self._times_ns = np.append(begin_ns, self._sum.times_ns[1:])
+        self._times_ns.flags.writeable = False  # one type for the kernels
         self._states, self._progress, self._end_ns = states, progress, start.time_ns
 
     def _check_solver(self, sources: Sequence[TorqueLog]) -> None:
@@ -113,7 +117,8 @@ class CombinedMotion:
         while times.size and (result := loop.run(
                 self._states, progress, times, rows, motion, closed, self._times_ns,
                 self._sum.polynomials, self._sum.in_space, 0, end, self._body._constants,
-                self._options.held_settings, loop.BUDGET, self._sum.terms)):
+                self._options.held_settings, loop.BUDGET,
+                self._sum.terms if self._has_terms else None)):
             if result == loop.TOO_FAST:
                 raise self._options.too_fast(int(progress[layout.GRID_NS]))
         return closed

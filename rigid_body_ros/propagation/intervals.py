@@ -26,8 +26,8 @@ from typing import NamedTuple
 
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.kernels import euler_equations, four, linear_terms, vector
-from rigid_body_ros.kernels.jit import inlined, internal, optional
+from rigid_body_ros.kernels import euler_equations, four, linear_terms, short_step, vector
+from rigid_body_ros.kernels.jit import fma, inlined, internal, optional
 from rigid_body_ros.propagation import layout
 from rigid_body_ros.propagation.layout import Body, Log
 
@@ -217,14 +217,6 @@ def rotors_change(extras: Extras | None) -> bool:
 
 
 @inlined
-def has_space_torque(extras: Extras | None) -> bool:
-    """Return whether a torque in space axes acts beside the drive."""
-    if extras is None:
-        return False
-    return extras.space_degree >= 0
-
-
-@inlined
 def coasts(polynomials: Floats, terms: Floats | None, index: int,
            constants: linear_terms.Constants | None) -> bool:
     """Return whether nothing acts from a sample to the next."""
@@ -233,12 +225,20 @@ def coasts(polynomials: Floats, terms: Floats | None, index: int,
 
 
 @optional
-def ramp(extras: Extras, seconds: float) -> linear_terms.Ramp:
-    """Return the linear terms during a step from the beginning of an interval of held torques."""
-    change = linear_terms.rotor_matrix(extras.constants, vector.scale(seconds, extras.momentum[1]))
-    if layout.is_zero_vector(extras.momentum[1]):
-        start = linear_terms.at(extras.constants, extras.momentum[0], extras.low_momentum)
+def during_step(terms: Floats, index: int, seconds: float,
+                constants: linear_terms.Constants) -> short_step.Extras:
+    """Return what acts besides the drive in a step from the beginning of held torques."""
+    index = index if terms_vary(terms) else 0
+    space, on_rotors = coefficient(terms, index, 0), coefficient(terms, index, 1)
+    momentum = coefficient(terms, index, 2)
+    change = linear_terms.rotor_matrix(constants, vector.scale(seconds, on_rotors))
+    if layout.is_zero_vector(on_rotors):
+        linear = linear_terms.at(constants, momentum, coefficient(terms, index, 3))
     else:  # the rounding error of the matrix changes from step to step, so it does not add up
-        start = linear_terms.rounded_at(extras.constants, extras.momentum[0])
-    return linear_terms.Ramp(start, change, linear_terms.square_rate(start.matrix),
-                             linear_terms.square_rate(change))
+        linear = linear_terms.rounded_at(constants, momentum)
+    per_torque = 4.0 * linear_terms.square_rate(constants.inverse.matrix)
+    return short_step.Extras(
+        linear, change, space, not layout.is_zero_vector(space),
+        linear_terms.square_rate(linear.matrix),
+        fma(per_torque, vector.dot(space, space),
+            linear_terms.square_rate(change) / (seconds * seconds)))
