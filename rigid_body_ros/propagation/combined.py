@@ -28,6 +28,7 @@ from rigid_body_ros.propagation.models import CombinedUsage
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import origin_of
 from rigid_body_ros.propagation.requested import checked_times
+from rigid_body_ros.propagation.rotors import Rotors
 from rigid_body_ros.propagation.trajectory import Trajectory
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
@@ -106,7 +107,7 @@ class CombinedMotion:
                               end_ns, closed, self._has_rotors)
         return Trajectory(self._body, times, motion_layout.attitude(motion),
                           motion_layout.angular_velocity(motion), usage,
-                          summation.Rotors(self._times_ns, self._sum.terms))
+                          Rotors(self._times_ns, self._sum.terms))
 
     def _fill(self, times: NDArray[np.int64], rows: NDArray[np.intp],
               motion: Floats) -> NDArray[np.bool_]:

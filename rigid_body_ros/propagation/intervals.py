@@ -121,6 +121,13 @@ def coefficient(polynomials: Floats, index: int, k: int) -> vector.Vector:
 
 
 @inlined
+def store_coefficient(polynomials: Floats, index: int, k: int, value: vector.Vector) -> None:
+    """Store one coefficient of a polynomial."""
+    polynomials[index, k, 0], polynomials[index, k, 1] = value[0], value[1]
+    polynomials[index, k, 2] = value[2]
+
+
+@inlined
 def torque_of(polynomials: Floats, index: int, idle: bool) -> vector.Polynomial:
     """
     Return the torque of a sample, or zeros if it is idle.
