@@ -27,7 +27,7 @@ from typing import NamedTuple
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels import euler_equations, four, linear_terms, short_step, vector
-from rigid_body_ros.kernels.jit import fma, inlined, internal, optional
+from rigid_body_ros.kernels.jit import inlined, internal, optional
 from rigid_body_ros.propagation import layout
 from rigid_body_ros.propagation.layout import Body, Log
 
@@ -166,10 +166,10 @@ def is_zero(torque: vector.Polynomial) -> bool:
 
 
 @optional
-def extras_of(terms: Floats, index: int, degree: int, span: float,
+def extras_of(terms: Floats, index: int, span: float,
               constants: linear_terms.Constants) -> Extras:
     """Return what acts besides the drive, from `terms` of `loop.run`."""
-    index = index if terms_vary(terms) else 0
+    index, degree = index if terms_vary(terms) else 0, terms.shape[1] // 2 - 2
     space = polynomial_of(terms, index, 0, degree)
     a, b, c, d = polynomial_of(terms, index, degree + 1, degree)
     momentum = coefficient(terms, index, 2 * degree + 2)
@@ -181,12 +181,6 @@ def extras_of(terms: Floats, index: int, degree: int, span: float,
                   coefficient(terms, index, 2 * degree + 3), constants,
                   (degree + 1 if varies else 0) if acts else -1,
                   space, -1 if is_zero(space) else degree)
-
-
-@optional
-def degree_of(terms: Floats) -> int:
-    """Return the degree of the polynomials in the terms."""
-    return terms.shape[1] // 2 - 2
 
 
 @inlined
@@ -228,7 +222,7 @@ def coasts(polynomials: Floats, terms: Floats | None, index: int,
            constants: linear_terms.Constants | None) -> bool:
     """Return whether nothing acts from a sample to the next."""
     return (is_zero(torque_of(polynomials, index, False))
-            and not acts(extras_of(terms, index, degree_of(terms), 1.0, constants)))
+            and not acts(extras_of(terms, index, 1.0, constants)))
 
 
 @optional
@@ -243,9 +237,9 @@ def during_step(terms: Floats, index: int, seconds: float,
         linear = linear_terms.at(constants, momentum, coefficient(terms, index, 3))
     else:  # the rounding error of the matrix changes from step to step, so it does not add up
         linear = linear_terms.rounded_at(constants, momentum)
-    per_torque = 4.0 * linear_terms.square_rate(constants.inverse.matrix)
+    # Squares of Frobenius norms: that of a vector product with tau is 2 |tau|^2.
+    square_torque = vector.dot(space, space) + 0.5 * vector.dot(on_rotors, on_rotors)
     return short_step.Extras(
         linear, change, space, not layout.is_zero_vector(space),
         linear_terms.square_rate(linear.matrix),
-        fma(per_torque, vector.dot(space, space),
-            linear_terms.square_rate(change) / (seconds * seconds)))
+        4.0 * linear_terms.square_rate(constants.inverse.matrix) * square_torque)

@@ -129,8 +129,7 @@ def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, bod
             intervals.torque_of(polynomials, index, idle), stamps_ns[sample] if sample >= 0 else 0,
             stamps_ns[sample + 1] if sample + 1 < len(stamps_ns) else NEVER_NS, idle, timeout_ns)
         extras = intervals.extras_of(
-            terms, index, intervals.degree_of(terms),
-            intervals.span(now, polynomials.shape[1] // 2), linear)
+            terms, index, intervals.span(now, polynomials.shape[1] // 2), linear)
         coasts = now.is_zero and not intervals.acts(extras)
         continues = coasts and (now.times_out or (now.next_ns < NEVER_NS and intervals.coasts(
             polynomials, terms, index + 1, linear)))
@@ -142,6 +141,8 @@ def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, bod
             space = not now.is_zero and in_space[sample]
             acceleration = euler_equations.acceleration_from_torque(
                 body.coefficients, body.form, now.torque[0])
+            seconds = (time_ns - grid_ns) / 1e9
+            others = intervals.during_step(terms, index, seconds, linear)
             by_formula = coasts and _is_closed(method, begin, time_ns - begin_ns)
             if by_formula and not prepared:
                 coast, prepared = free_motion.prepare(begin, body.frame), True
@@ -152,8 +153,7 @@ def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, bod
             elif time_ns == grid_ns:
                 latest = grid
             elif (grid_ns == begin_ns and degree == 0 and not space and _is_short(
-                    grid, time_ns - grid_ns, acceleration, intervals.during_step(
-                        terms, index, (time_ns - grid_ns) / 1e9, linear), body, method)):
+                    grid, time_ns - grid_ns, acceleration, others, body, method)):
                 if time_ns == now.end_ns and not (idle or coasts or now.times_out):
                     budget += sample
                     grid, grid_ns, sample, done = _run_short_steps(
@@ -163,10 +163,8 @@ def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, bod
                     begin, latest, begin_ns, prepared = grid, grid, grid_ns, False
                     budget -= sample
                     continue
-                seconds = (time_ns - grid_ns) / 1e9
-                latest = short_step.step(
-                    grid, seconds, body.coefficients, body.form, acceleration, method.tolerance,
-                    intervals.during_step(terms, index, seconds, linear))
+                latest = short_step.step(grid, seconds, body.coefficients, body.form, acceleration,
+                                         method.tolerance, others)
             else:
                 low = intervals.low_order_parts(polynomials, index)
                 grid, grid_ns, latest, arrived, budget = stepping.advance(
