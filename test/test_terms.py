@@ -51,6 +51,23 @@ def test_every_motion_is_the_one_of_fifty_digits(name, fifty_digits):
         assert np.all(relative(truth.exact(found), scene.truth(key)) <= scene.bound)
 
 
+@pytest.mark.parametrize(('step_ms', 'tolerance'), [(1, 1e-15), (10, 1e-12), (30, 1e-9)])
+@pytest.mark.parametrize('tensor', [np.diag([1.0, 2.0, 2.5]), FULL, np.diag([1.0, 1.0, 0.02])])
+def test_torques_that_repeat_give_the_motion_of_held_ones(tensor, step_ms, tolerance):
+    # Short steps from stamp to stamp against long steps of the series.
+    stamps, at = np.arange(0, 3 * SECOND, step_ms * SECOND // 1000), np.arange(1, 4) * SECOND
+    torques = np.array([[0.03, -0.02, 0.004], [-0.02, 0.03, 0.005], [0.01, 0.02, -0.003]])
+    body = RigidBody(tensor, 0.05 * np.diag([0.3, 0.2, 0.1]))
+    start = State(0, (0.1, -0.3, 0.2, 0.9), (0.3, -0.2, 0.4), (0.05, 0.04, -0.03))
+    repeated, held = (propagate(
+        body, start, [TorqueLog(times, np.tile(torque, (len(times), 1)), frame)
+                      for torque, frame in zip(torques, ('body', 'space'))], at=at,
+        wheels=TorqueLog(times, np.tile(torques[2], (len(times), 1))), tolerance=limit)
+        for times, limit in ((stamps, tolerance), (stamps[:1], 1e-15)))
+    assert chord(repeated.attitude, held.attitude).max() < 0.01 * tolerance + 2e-15
+    assert largest(repeated.angular_velocity - held.angular_velocity) < 0.01 * tolerance + 2e-15
+
+
 def test_wheels_alone_keep_the_total_momentum_in_space():
     random = np.random.default_rng(5)
     stamps = np.sort(random.choice(1000 * SECOND, 500, replace=False))

@@ -53,17 +53,6 @@ class Constants(NamedTuple):
     damping: Linear
 
 
-class Ramp(NamedTuple):
-    """The matrix A, 1/s, during a step in which the torque on the rotors is held."""
-
-    start: Linear
-    #: The change during the step, 1/s.
-    change: Matrix
-    #: `square_rate` of both, 1/s^2.
-    square_rate: float
-    square_change: float
-
-
 @inlined
 def from_columns(a: Vector, b: Vector, c: Vector) -> Matrix:
     """Return the matrix with these columns."""

@@ -26,8 +26,11 @@ vector is integrated instead of the quaternion:
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from rigid_body_ros.kernels import four, linear_terms
 from rigid_body_ros.kernels.euler_equations import (
+    acceleration_from_torque,
     add_symmetric_products,
     gyroscopic_acceleration,
     Products,
@@ -46,6 +49,7 @@ from rigid_body_ros.kernels.vector import (
     KernelState,
     Quaternion,
     scale,
+    to_body,
     Vector,
 )
 
@@ -62,9 +66,24 @@ _FOURTH_4 = (_ERROR_4 * _ERROR_4) * (_ERROR_4 * _ERROR_4)
 _LARGEST = 1e-4
 
 
+class Extras(NamedTuple):
+    """What acts during a step besides a torque in body axes; held torques."""
+
+    #: The matrix A of the linear terms, 1/s, and its change during the step.
+    linear: linear_terms.Linear
+    change: linear_terms.Matrix
+    #: N m; whether it is other than zero.
+    space_torque: Vector
+    has_space_torque: bool
+    #: `square_rate` of the matrix, 1/s^2, and the square of a bound on what changes the rates
+    #: besides, rad^2/s^4.
+    square_rate: float
+    square_acceleration: float
+
+
 @inlined
 def is_accurate(state: KernelState, seconds: float, torque_acceleration: Vector,
-                tolerance: float, ramp: linear_terms.Ramp | None) -> bool:
+                tolerance: float, extras: Extras | None) -> bool:
     """
     Return whether one `step` meets the tolerance under a torque held in body axes.
 
@@ -78,37 +97,38 @@ def is_accurate(state: KernelState, seconds: float, torque_acceleration: Vector,
         J^-1 tau, rad/s^2, body axes.
     tolerance : float
         Bound on the truncation error of the attitude per radian turned.
-    ramp : Ramp or None
-        The linear terms, for scenes that have them.
+    extras : Extras or None
+        For scenes that have other terms.
 
     Returns
     -------
     bool
 
     """
-    size, error_bound = _size_and_bound(state, seconds, torque_acceleration, tolerance, ramp)
+    size, error_bound = _size_and_bound(state, seconds, torque_acceleration, tolerance, extras)
     return size < _LARGEST and _SQUARE_5 * (size * (size * size)) <= error_bound
 
 
 @inlined
 def _size_and_bound(state: KernelState, seconds: float, torque_acceleration: Vector,
                     tolerance: float,
-                    ramp: linear_terms.Ramp | None) -> tuple[float, float]:
+                    extras: Extras | None) -> tuple[float, float]:
     # Return the squares of the size of a step, rad^4, and of the error bound, rad^2. Square roots
     # would take a noticeable part of the time of a short step.
     factor = seconds * seconds
     square = dot(state[0], state[0])
     torque_part = factor * dot(torque_acceleration, torque_acceleration)
     error_bound = tolerance * tolerance * factor * fma(0.25, torque_part, square)
-    if ramp is not None:
-        square, torque_part = square + ramp.square_rate, torque_part + ramp.square_change
+    if extras is not None:
+        square += extras.square_rate
+        torque_part = fma(factor, extras.square_acceleration, torque_part)
     return factor * fma(factor, square * square, torque_part), error_bound
 
 
 @inlined
 def step(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
          torque_acceleration: Vector, tolerance: float,
-         ramp: linear_terms.Ramp | None) -> KernelState:
+         extras: Extras | None) -> KernelState:
     """
     Return the state after one step, of order 3, 4 or 5 as the tolerance requires.
 
@@ -126,48 +146,64 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
         J^-1 tau, rad/s^2, body axes.
     tolerance : float
         Bound on the truncation error of the attitude per radian turned.
-    ramp : Ramp or None
-        The linear terms, for scenes that have them.
+    extras : Extras or None
+        For scenes that have other terms.
 
     Returns
     -------
     KernelState
 
     """
-    size, error_bound = _size_and_bound(state, seconds, torque_acceleration, tolerance, ramp)
+    size, error_bound = _size_and_bound(state, seconds, torque_acceleration, tolerance, extras)
     w = state[0]
     # w0 = w, w1, w2 ... are the terms of w, rad/s, and u0, u1, u2 ... the same in radians per
     # step. Factors multiply operands that are known early, so that no later term waits for them.
     u0 = scale(seconds, w)
     w1 = add_scaled(gyroscopic_acceleration(coefficients, form, products(u0, w)), seconds,
                     torque_acceleration)
-    if ramp is not None:
-        w1 = add(w1, _first_linear_term(ramp, u0))
+    t0 = t1 = t2 = four.broadcast(0.0)  # the terms of a space torque in body axes, times the step
+    if extras is not None:
+        w1 = add(w1, _first_linear_term(extras, u0))
+        if extras.has_space_torque:
+            t0 = scale(seconds, to_body(state[1], extras.space_torque))
+            w1 = add(w1, acceleration_from_torque(coefficients, form, t0))
     u1 = scale(seconds, w1)
     w2 = gyroscopic_acceleration(coefficients, form, symmetric_products(scale(1 / 2, u0), w1))
-    if ramp is not None:
-        w2 = _add_linear(w2, 1 / 2, ramp, u1, u0)
+    if extras is not None:
+        w2 = _add_linear(w2, 1 / 2, extras, u1, u0)
+        if extras.has_space_torque:
+            t1 = cross(t0, u0)
+            w2 = add_scaled(w2, 1 / 2, acceleration_from_torque(coefficients, form, t1))
     u2 = scale(seconds, w2)
     w3 = gyroscopic_acceleration(coefficients, form, add_symmetric_products(
         products(scale(1 / 3, u1), w1), scale(1 / 3, u0), w2))
-    if ramp is not None:
-        w3 = _add_linear(w3, 1 / 3, ramp, u2, u1)
+    if extras is not None:
+        w3 = _add_linear(w3, 1 / 3, extras, u2, u1)
+        if extras.has_space_torque:
+            t2 = scale(1 / 2, add(cross(t1, u0), cross(t0, u1)))
+            w3 = add_scaled(w3, 1 / 3, acceleration_from_torque(coefficients, form, t2))
     a = cross(u0, u1)
     delta_omega = add(add(w1, w2), w3)
     rotation = add_scaled(add_scaled(scale(1 / 2, u1), 1 / 3, u2), 1 / 12, a)
     if _SQUARE_3 * (size * size) > error_bound:
         w4 = gyroscopic_acceleration(coefficients, form, add_symmetric_products(
             symmetric_products(scale(1 / 4, u1), w2), scale(1 / 4, u0), w3))
-        if ramp is not None:
-            w4 = _add_linear(w4, 1 / 4, ramp, scale(seconds, w3), u2)
-        u3, b = scale(seconds, w3), cross(u0, u2)
+        u3, b, t3 = scale(seconds, w3), cross(u0, u2), four.broadcast(0.0)
+        if extras is not None:
+            w4 = _add_linear(w4, 1 / 4, extras, u3, u2)
+            if extras.has_space_torque:
+                t3 = scale(1 / 3, add(cross(t2, u0), add(cross(t1, u1), cross(t0, u2))))
+                w4 = add_scaled(w4, 1 / 4, acceleration_from_torque(coefficients, form, t3))
         delta_omega = add(delta_omega, w4)
         rotation = add(rotation, add_scaled(scale(1 / 4, u3), 1 / 12, b))
         if _FOURTH_4 * (size * ((size * size) * (size * size))) > error_bound * error_bound:
             w5 = gyroscopic_acceleration(coefficients, form,
                                          _order_4_products(u0, u1, u2, w2, w3, w4))
-            if ramp is not None:
-                w5 = _add_linear(w5, 1 / 5, ramp, scale(seconds, w4), u3)
+            if extras is not None:
+                w5 = _add_linear(w5, 1 / 5, extras, scale(seconds, w4), u3)
+                if extras.has_space_torque:
+                    t4 = add(add(cross(t3, u0), cross(t2, u1)), add(cross(t1, u2), cross(t0, u3)))
+                    w5 = add_scaled(w5, 1 / 20, acceleration_from_torque(coefficients, form, t4))
             delta_omega = add(delta_omega, w5)
             rotation = add(rotation, add_scaled(_order_5_rotation(u0, u1, u2, u3, a, b),
                                                 1 / 5 * seconds, w4))
@@ -175,20 +211,20 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
 
 
 @inlined
-def _first_linear_term(ramp: linear_terms.Ramp, u0: Vector) -> Vector:
+def _first_linear_term(extras: Extras, u0: Vector) -> Vector:
     yzx, zxy = four.yzx(u0), four.zxy(u0)
-    low = add_product(four.broadcast(0.0), ramp.start.low, u0, yzx, zxy)
-    return add_product(low, ramp.start.matrix, u0, yzx, zxy)
+    low = add_product(four.broadcast(0.0), extras.linear.low, u0, yzx, zxy)
+    return add_product(low, extras.linear.matrix, u0, yzx, zxy)
 
 
 @inlined
-def _add_linear(rest: Vector, factor: float, ramp: linear_terms.Ramp, latest: Vector,
+def _add_linear(rest: Vector, factor: float, extras: Extras, latest: Vector,
                 previous: Vector) -> Vector:
     # Add the linear terms of one order, from the two orders before it. The terms of higher order
     # are too small for the low-order part.
-    change = product(ramp.change, previous)
+    change = product(extras.change, previous)
     return add_scaled(rest, factor, add_product(
-        change, ramp.start.matrix, latest, four.yzx(latest), four.zxy(latest)))
+        change, extras.linear.matrix, latest, four.yzx(latest), four.zxy(latest)))
 
 
 @inlined

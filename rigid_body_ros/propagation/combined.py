@@ -28,6 +28,7 @@ from rigid_body_ros.propagation.models import CombinedUsage
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import origin_of
 from rigid_body_ros.propagation.requested import checked_times
+from rigid_body_ros.propagation.rotors import Rotors
 from rigid_body_ros.propagation.trajectory import Trajectory
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
@@ -62,9 +63,13 @@ class CombinedMotion:
         self._sum = summation.summed(logs, wheels, start.time_ns, start._rotors,
                                      options.timeout_ns)
         self._has_rotors = bool(start._has_rotors or wheels.torques.any())
+        in_two_frames = (any(log.in_space.any() for log in logs)
+                         and not all(log.in_space.all() for log in logs))
+        self._has_terms = self._has_rotors or body.is_damped or in_two_frames
         self._check_solver([*logs, wheels])
         begin_ns, states, progress = self._begin(start, [*logs, wheels])
         self._times_ns = np.append(begin_ns, self._sum.times_ns[1:])
+        self._times_ns.flags.writeable = False  # one type for the kernels
         self._states, self._progress, self._end_ns = states, progress, start.time_ns
 
     def _check_solver(self, sources: Sequence[TorqueLog]) -> None:
@@ -102,7 +107,7 @@ class CombinedMotion:
                               end_ns, closed, self._has_rotors)
         return Trajectory(self._body, times, motion_layout.attitude(motion),
                           motion_layout.angular_velocity(motion), usage,
-                          summation.Rotors(self._times_ns, self._sum.terms))
+                          Rotors(self._times_ns, self._sum.terms))
 
     def _fill(self, times: NDArray[np.int64], rows: NDArray[np.intp],
               motion: Floats) -> NDArray[np.bool_]:
@@ -113,7 +118,8 @@ class CombinedMotion:
         while times.size and (result := loop.run(
                 self._states, progress, times, rows, motion, closed, self._times_ns,
                 self._sum.polynomials, self._sum.in_space, 0, end, self._body._constants,
-                self._options.held_settings, loop.BUDGET, self._sum.terms)):
+                self._options.held_settings, loop.BUDGET,
+                self._sum.terms if self._has_terms else None)):
             if result == loop.TOO_FAST:
                 raise self._options.too_fast(int(progress[layout.GRID_NS]))
         return closed

@@ -30,7 +30,7 @@ from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.origin import origin_of
 from rigid_body_ros.propagation.propagator import Propagator
 from rigid_body_ros.propagation.requested import checked_times
-from rigid_body_ros.propagation.summation import Rotors
+from rigid_body_ros.propagation.rotors import Rotors
 from rigid_body_ros.propagation.trajectory import Trajectory
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.kernels import euler_equations, four, linear_terms, vector
+from rigid_body_ros.kernels import euler_equations, four, linear_terms, short_step, vector
 from rigid_body_ros.kernels.jit import inlined, internal, optional
 from rigid_body_ros.propagation import layout
 from rigid_body_ros.propagation.layout import Body, Log
@@ -121,6 +121,13 @@ def coefficient(polynomials: Floats, index: int, k: int) -> vector.Vector:
 
 
 @inlined
+def store_coefficient(polynomials: Floats, index: int, k: int, value: vector.Vector) -> None:
+    """Store one coefficient of a polynomial."""
+    polynomials[index, k, 0], polynomials[index, k, 1] = value[0], value[1]
+    polynomials[index, k, 2] = value[2]
+
+
+@inlined
 def torque_of(polynomials: Floats, index: int, idle: bool) -> vector.Polynomial:
     """
     Return the torque of a sample, or zeros if it is idle.
@@ -159,10 +166,10 @@ def is_zero(torque: vector.Polynomial) -> bool:
 
 
 @optional
-def extras_of(terms: Floats, index: int, degree: int, span: float,
+def extras_of(terms: Floats, index: int, span: float,
               constants: linear_terms.Constants) -> Extras:
     """Return what acts besides the drive, from `terms` of `loop.run`."""
-    index = index if terms_vary(terms) else 0
+    index, degree = index if terms_vary(terms) else 0, terms.shape[1] // 2 - 2
     space = polynomial_of(terms, index, 0, degree)
     a, b, c, d = polynomial_of(terms, index, degree + 1, degree)
     momentum = coefficient(terms, index, 2 * degree + 2)
@@ -174,12 +181,6 @@ def extras_of(terms: Floats, index: int, degree: int, span: float,
                   coefficient(terms, index, 2 * degree + 3), constants,
                   (degree + 1 if varies else 0) if acts else -1,
                   space, -1 if is_zero(space) else degree)
-
-
-@optional
-def degree_of(terms: Floats) -> int:
-    """Return the degree of the polynomials in the terms."""
-    return terms.shape[1] // 2 - 2
 
 
 @inlined
@@ -217,28 +218,28 @@ def rotors_change(extras: Extras | None) -> bool:
 
 
 @inlined
-def has_space_torque(extras: Extras | None) -> bool:
-    """Return whether a torque in space axes acts beside the drive."""
-    if extras is None:
-        return False
-    return extras.space_degree >= 0
-
-
-@inlined
 def coasts(polynomials: Floats, terms: Floats | None, index: int,
            constants: linear_terms.Constants | None) -> bool:
     """Return whether nothing acts from a sample to the next."""
     return (is_zero(torque_of(polynomials, index, False))
-            and not acts(extras_of(terms, index, degree_of(terms), 1.0, constants)))
+            and not acts(extras_of(terms, index, 1.0, constants)))
 
 
 @optional
-def ramp(extras: Extras, seconds: float) -> linear_terms.Ramp:
-    """Return the linear terms during a step from the beginning of an interval of held torques."""
-    change = linear_terms.rotor_matrix(extras.constants, vector.scale(seconds, extras.momentum[1]))
-    if layout.is_zero_vector(extras.momentum[1]):
-        start = linear_terms.at(extras.constants, extras.momentum[0], extras.low_momentum)
+def during_step(terms: Floats, index: int, seconds: float,
+                constants: linear_terms.Constants) -> short_step.Extras:
+    """Return what acts besides the drive in a step from the beginning of held torques."""
+    index = index if terms_vary(terms) else 0
+    space, on_rotors = coefficient(terms, index, 0), coefficient(terms, index, 1)
+    momentum = coefficient(terms, index, 2)
+    change = linear_terms.rotor_matrix(constants, vector.scale(seconds, on_rotors))
+    if layout.is_zero_vector(on_rotors):
+        linear = linear_terms.at(constants, momentum, coefficient(terms, index, 3))
     else:  # the rounding error of the matrix changes from step to step, so it does not add up
-        start = linear_terms.rounded_at(extras.constants, extras.momentum[0])
-    return linear_terms.Ramp(start, change, linear_terms.square_rate(start.matrix),
-                             linear_terms.square_rate(change))
+        linear = linear_terms.rounded_at(constants, momentum)
+    # Squares of Frobenius norms: that of a vector product with tau is 2 |tau|^2.
+    square_torque = vector.dot(space, space) + 0.5 * vector.dot(on_rotors, on_rotors)
+    return short_step.Extras(
+        linear, change, space, not layout.is_zero_vector(space),
+        linear_terms.square_rate(linear.matrix),
+        4.0 * linear_terms.square_rate(constants.inverse.matrix) * square_torque)

@@ -47,7 +47,6 @@ from rigid_body_ros.kernels import (
 from rigid_body_ros.kernels.jit import inlined, internal, njit
 from rigid_body_ros.kernels.linear_terms import Constants
 from rigid_body_ros.propagation import intervals, layout, stepping
-from rigid_body_ros.propagation.intervals import Extras
 from rigid_body_ros.propagation.layout import Body, Log, Method, Outputs, Place, States
 
 #: Results of `run`. FINISHED: all outputs are filled, or the sample to stop at is reached.
@@ -130,8 +129,7 @@ def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, bod
             intervals.torque_of(polynomials, index, idle), stamps_ns[sample] if sample >= 0 else 0,
             stamps_ns[sample + 1] if sample + 1 < len(stamps_ns) else NEVER_NS, idle, timeout_ns)
         extras = intervals.extras_of(
-            terms, index, intervals.degree_of(terms),
-            intervals.span(now, polynomials.shape[1] // 2), linear)
+            terms, index, intervals.span(now, polynomials.shape[1] // 2), linear)
         coasts = now.is_zero and not intervals.acts(extras)
         continues = coasts and (now.times_out or (now.next_ns < NEVER_NS and intervals.coasts(
             polynomials, terms, index + 1, linear)))
@@ -143,6 +141,8 @@ def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, bod
             space = not now.is_zero and in_space[sample]
             acceleration = euler_equations.acceleration_from_torque(
                 body.coefficients, body.form, now.torque[0])
+            seconds = (time_ns - grid_ns) / 1e9
+            others = intervals.during_step(terms, index, seconds, linear)
             by_formula = coasts and _is_closed(method, begin, time_ns - begin_ns)
             if by_formula and not prepared:
                 coast, prepared = free_motion.prepare(begin, body.frame), True
@@ -153,7 +153,7 @@ def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, bod
             elif time_ns == grid_ns:
                 latest = grid
             elif (grid_ns == begin_ns and degree == 0 and not space and _is_short(
-                    grid, time_ns - grid_ns, acceleration, extras, body, method)):
+                    grid, time_ns - grid_ns, acceleration, others, body, method)):
                 if time_ns == now.end_ns and not (idle or coasts or now.times_out):
                     budget += sample
                     grid, grid_ns, sample, done = _run_short_steps(
@@ -163,9 +163,8 @@ def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, bod
                     begin, latest, begin_ns, prepared = grid, grid, grid_ns, False
                     budget -= sample
                     continue
-                seconds = (time_ns - grid_ns) / 1e9
                 latest = short_step.step(grid, seconds, body.coefficients, body.form, acceleration,
-                                         method.tolerance, intervals.ramp(extras, seconds))
+                                         method.tolerance, others)
             else:
                 low = intervals.low_order_parts(polynomials, index)
                 grid, grid_ns, latest, arrived, budget = stepping.advance(
@@ -195,13 +194,11 @@ def _is_closed(method: Method, begin: vector.KernelState, span_ns: int) -> bool:
 
 @inlined
 def _is_short(grid: vector.KernelState, rest_ns: int, acceleration: vector.Vector,
-              extras: Extras | None, body: Body, method: Method) -> bool:
+              extras: short_step.Extras | None, body: Body, method: Method) -> bool:
     # Return whether one short step is enough, if the torque is held in body axes.
     seconds = rest_ns / 1e9
     return (rest_ns < method.max_step_ns and not method.fixed_step
-            and not intervals.has_space_torque(extras)
-            and short_step.is_accurate(grid, seconds, acceleration, method.tolerance,
-                                       intervals.ramp(extras, seconds)))
+            and short_step.is_accurate(grid, seconds, acceleration, method.tolerance, extras))
 
 
 @internal
@@ -216,8 +213,7 @@ def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs:
     grid_ns, sample, done = place.grid_ns, place.sample, place.done
     times_ns, rows, motion, _ = outputs
     stamps_ns, polynomials, in_space, _, _, timeout_ns = log
-    extras = intervals.extras_of(terms, sample, 0, 1.0, linear)
-    ramp = intervals.ramp(extras, 1.0)
+    extras = intervals.during_step(terms, sample, 1.0, linear)
     while sample < last and done < len(times_ns):
         row = done if len(rows) == 0 else rows[done]
         if times_ns[row] == grid_ns:
@@ -230,18 +226,17 @@ def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs:
         span_ns = next_ns - grid_ns
         seconds = span_ns / 1e9
         if intervals.terms_vary(terms):
-            extras = intervals.extras_of(terms, sample, 0, 1.0, linear)
-            ramp = intervals.ramp(extras, seconds)
+            extras = intervals.during_step(terms, sample, seconds, linear)
         if (times_ns[row] < next_ns or span_ns >= method.max_step_ns
                 or (in_space[sample] and not layout.is_zero_vector(torque))
-                or (layout.is_zero_vector(torque) and not intervals.acts(extras))
-                or intervals.has_space_torque(extras)
+                or (layout.is_zero_vector(torque)
+                    and intervals.coasts(polynomials, terms, sample, linear))
                 or 0 < timeout_ns < next_ns - stamps_ns[sample]
                 or not short_step.is_accurate(grid, seconds, acceleration, method.tolerance,
-                                              ramp)):
+                                              extras)):
             break
         grid = short_step.step(grid, seconds, body.coefficients, body.form, acceleration,
-                               method.tolerance, ramp)
+                               method.tolerance, extras)
         grid_ns = next_ns
         sample += 1
     return grid, grid_ns, sample, done

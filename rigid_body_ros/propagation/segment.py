@@ -27,9 +27,10 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import motion_layout
-from rigid_body_ros.propagation import layout, loop, summation
+from rigid_body_ros.propagation import layout, loop
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
+from rigid_body_ros.propagation.rotors import momentum_at
 from rigid_body_ros.state import State
 
 #: The key of the torque on the rotors among the sources: the last one.
@@ -139,8 +140,7 @@ class Segment:
     def _state(self, time_ns: int, packed: Floats, grid_ns: int, grid: Floats) -> State:
         begin_ns, rotors = self._grid_ns[0], self._rotors
         if self._terms is not None:
-            rotors = summation.momentum_at(np.array([begin_ns]), self._terms,
-                                           np.array([time_ns]))[0]
+            rotors = momentum_at(np.array([begin_ns]), self._terms, np.array([time_ns]))[0]
             rotors.flags.writeable = False
         return State._as_computed(time_ns, packed, Origin(
             self._rule, begin_ns, self._states[0], grid_ns, grid, self._rotors), rotors)

@@ -26,7 +26,7 @@ from rigid_body_ros import euler, so3
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.propagation.models import CombinedUsage, Model, SolverUsage
-from rigid_body_ros.propagation.summation import Rotors
+from rigid_body_ros.propagation.rotors import Rotors
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation

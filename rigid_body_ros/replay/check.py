@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.propagation import propagate, summation, Trajectory
+from rigid_body_ros.propagation.rotors import Rotors
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
@@ -146,7 +147,7 @@ def _momentum_balance(scene: Scene, logs: Sequence[TorqueLog], start: State,
     for log in logs:  # the momentum of a rotor is the integral of a torque, too
         driven = TorqueLog(log.times_ns, log.torques, interpolation=log.interpolation)
         total = summation.summed([], driven, start.time_ns, np.zeros((2, 3)), scene.timeout_ns)
-        momentum = momentum + summation.Rotors(total.times_ns, total.terms).momentum(times)
+        momentum = momentum + Rotors(total.times_ns, total.terms).momentum(times)
     scale = max(_norm(momentum), _norm(start_momentum[None]), _norm(trajectory.rotor_momentum))
     lost = _norm(trajectory.angular_momentum_space - momentum)
     return lost / scale if scale else lost
