@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from importlib import import_module
 import json
 from pathlib import Path
 import sys
@@ -26,9 +27,9 @@ from typing import Any, TYPE_CHECKING
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import report, show
-from rigid_body_ros.scene import load, Scene
 
 if TYPE_CHECKING:
+    from rigid_body_ros.scene import Scene
     from rigid_body_ros.tradeoff import Tradeoff
 
 #: Exit statuses; docs/nodes.md has their meaning.
@@ -47,13 +48,22 @@ def attitude_tradeoff(arguments: Sequence[str] | None) -> int:
 
 def attitude_node(arguments: Sequence[str] | None) -> int:
     """Run the node until a signal ends it."""
+    return _run('attitude_node', arguments)
+
+
+def attitude_controller(arguments: Sequence[str] | None) -> int:
+    """Run the controller until the end of the maneuver, or until a signal ends it."""
+    return _run('attitude_controller', arguments)
+
+
+def _run(command: str, arguments: Sequence[str] | None) -> int:
     try:
-        from rigid_body_ros import node
+        module = import_module(f'rigid_body_ros.node.{command}')
     except ModuleNotFoundError as error:
-        raise InputError(f"attitude_node needs ROS 2, but the module '{error.name}' is not "
+        raise InputError(f"{command} needs ROS 2, but the module '{error.name}' is not "
                          'installed: source a ROS 2 installation, or run '
                          'pip install "rigid_body_ros[ros]"') from error
-    node.main(arguments)
+    module.main(arguments)
     return OK
 
 
@@ -92,6 +102,7 @@ def _replay_one(options: argparse.Namespace) -> int:
 
 
 def _scene(options: argparse.Namespace) -> Scene:
+    from rigid_body_ros.scene import load
     scene = load(options.scene)
     for warning in scene.warnings:
         report(f'{options.command}: warning: {options.scene}: {warning}')

@@ -19,9 +19,19 @@ The ROS node: it receives torques on a topic and publishes the attitude.
 (messages to torques), `parameters` (the scene). Processing: `realtime` or `lockstep` (when to
 compute the motion), `closed_loop` (duplicates and republishing in lockstep), `pipeline` (the queue
 of torques, and the final states), `epoch` (one start state and its torques). Output: `outputs`
-(topics), `diagnostics`.
+(topics), `diagnostics`. `attitude_controller` is an example of a controller in lockstep.
 """
 
-from rigid_body_ros.node.attitude_node import AttitudeNode, main
+from importlib import import_module
+from typing import Any, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rigid_body_ros.node.attitude_node import AttitudeNode, main
+else:
+    def __getattr__(name: str) -> Any:
+        """Import the node when it is first used: the controller does not need the engine."""
+        if name not in __all__:
+            raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+        return getattr(import_module(f'{__name__}.attitude_node'), name)
 
 __all__ = ['AttitudeNode', 'main']
