@@ -90,8 +90,8 @@ class AttitudeNode(Node):
         parameters = Parameters(self, lambda rate: self._mode.set_rate(rate))
         self._scene = parameters.scene
         self._sources = sources_of(self._scene)
-        warm_up_for(self._scene)
         self._announce()
+        warm_up_for(self._scene, self.get_logger().info)
         try:
             self._diagnostics = Diagnostics(self, self._sources)
             self._inputs = Inputs(self._scene, self._diagnostics.count_force)
