@@ -50,7 +50,6 @@ SECOND = 10 ** 9
 NEEDS = {
     'rclpy': ['clocks', 'faults', 'launch', 'lockstep', 'node', 'soak', 'sources', 'topics',
               'workspace'],
-    'launch_ros': ['launch'],  # not on PyPI
     'colcon_ros': ['workspace'],
     'mpmath': ['arm', 'elementary', 'elliptic', 'examples', 'extremes', 'free_motion', 'peers',
                'propagate', 'reference', 'rods', 'sources', 'steppers', 'tensor', 'terms',
