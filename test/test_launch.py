@@ -181,7 +181,7 @@ def test_a_forgotten_scene_is_an_error(name):
 def test_a_scene_that_is_neither_a_file_nor_an_example_is_an_error():
     words, status = run('attitude_node', 'scene:=tumblr')
     assert status == 1
-    assert ("scene: expected a parameter file or the name of an example (iss, tumbler), found "
+    assert ('scene: expected a parameter file or the name of an example (iss, tumbler), found '
             "'tumblr'") in words
     assert 'process started' not in words
 
@@ -233,7 +233,7 @@ def test_launch_files_included_twice_leave_nothing_to_the_file_that_includes_the
     assert words.count('settled within 0.001 rad') == 2
     printed = [line.partition('parameters: ')[2] for line in words.splitlines()
                if 'parameters: ' in line]
-    assert printed == ["start_type_description_service=True, use_sim_time=False"] * 2
+    assert printed == ['start_type_description_service=True, use_sim_time=False'] * 2
     configurations, = (line.partition('configurations: ')[2] for line in words.splitlines()
                        if 'configurations: ' in line)
     # What the including file passes is its own.
