@@ -41,12 +41,14 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/config', sorted(glob('config/*'))),
+        (f'share/{NAME}/policies', sorted(glob('policies/*.policy.xml'))),
         (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
         # Where `ros2 run` looks; pip puts the entry points below into bin only.
         (f'lib/{NAME}', sorted(glob('scripts/*'))),
     ],
     entry_points={'console_scripts': [
         f'attitude_controller = {NAME}.cli:attitude_controller',
+        f'attitude_lifecycle_node = {NAME}.cli:attitude_lifecycle_node',
         f'attitude_node = {NAME}.cli:attitude_node',
         f'attitude_replay = {NAME}.cli:attitude_replay',
         f'attitude_tradeoff = {NAME}.cli:attitude_tradeoff',

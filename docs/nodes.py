@@ -25,6 +25,7 @@ import argparse
 from typing import NamedTuple
 
 from rigid_body_ros import commands, scene
+from rigid_body_ros.runtime.parameters import limits
 
 WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
 VECTOR3 = 'geometry_msgs/msg/Vector3Stamped'
@@ -82,9 +83,15 @@ PUBLISHED = [
           'The start state of every epoch, then the final state at each stamp of an accepted '
           'torque, once for all topics: when the stamp is older than `history`, or at the end of '
           'the epoch.'),
+    Topic('~/initial_state_result', 'diagnostic_msgs/msg/DiagnosticStatus',
+          'reliable, transient local, keep last 10',
+          'The result of each message on `initial_state`: level OK and when the new epoch begins, '
+          'or level ERROR and why the state is rejected. `values` has the `stamp` of the message, '
+          'ns.'),
     Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', STATE,
           'Once a second: counts of torques received, applied, waiting, lost, and rejected by '
-          'cause; which nodes are not connected, and why.'),
+          'cause; which nodes are not connected, and why. Names and hardware_id have the name of '
+          'the node with its namespace.'),
 ]
 OPTIONAL = [
     Topic('rotor_momentum', VECTOR3, STATE,
@@ -103,8 +110,9 @@ OPTIONAL = [
 #: The causes of rejection of a torque, and their meanings.
 CAUSES = {
     'malformed': 'The bytes are not a WrenchStamped, or its stamp is invalid.',
-    'unknown frame': '`header.frame_id` is neither empty nor `body_frame` nor `space_frame`; on '
-                     '`wheel_torque`: neither empty nor `body_frame`.',
+    'unknown frame': '`header.frame_id` is neither empty nor the body frame (`frame_prefix` and '
+                     '`body_frame`) nor `space_frame`, nor a link fixed to the body; on '
+                     '`wheel_torque`: neither empty nor the body frame.',
     'not finite': 'A component of the torque is NaN or infinite.',
     'too large': 'The torque would accelerate this inertia beyond 1e9 rad/s^2.',
     'no clock': 'With `use_sim_time`: no time was received on `/clock` yet.',
@@ -155,10 +163,16 @@ infinity are never published.
 
 {optional}
 
-### Service
+### Services
 
 `~/reset` (std_srvs/srv/Trigger): begins a new epoch with the initial state of the scene, its
 `initial_rotor_momentum` included. In `realtime` the torques that act at that time continue to act.
+
+`~/pause` (std_srvs/srv/SetBool), in `lockstep` only: after `data: true` torques wait, so that the
+loop stands still, and with `publish_clock` everything that follows its clock; after `data: false`
+it continues. The responses have the bits that they would have without the pause. In `realtime` the
+motion is a function of the clock and pauses exactly when the clock does: with `use_sim_time`,
+pause the program that publishes `/clock`.
 
 ### What happens to a torque
 
@@ -181,8 +195,21 @@ A torque without a stamp, or with `time_source:=arrival`, acts from its arrival 
 torque gets its own stamp. Between two ticks of simulated time these stamps advance at the rate of
 the previous ticks.
 
-With `use_sim_time` the node waits for `/clock`, and `on_time_jump` decides what happens when that
-clock jumps back. For a bag that is played without `--clock`, use `time_source:=arrival`.
+With `use_sim_time` the node waits for `/clock`. For a bag that is played without `--clock`, use
+`time_source:=arrival`.
+
+### When does the clock jump?
+
+`on_time_jump` decides what happens then: `reset` begins an epoch with the initial state, `rebase`
+with the present state, and `ignore` continues, so that after a jump ahead the node first computes
+the motion of all the time between.
+
+- Simulated time jumps if it is set back at all, or if it is ahead by more than `history`, and by
+  more than ten times the time for which it stood (at most 3 s) or the node could not read it. The
+  second condition is for programs that could not run for a moment.
+- The wall clock jumps if it is set back, or ahead of the steady clock, by more than `history`. A
+  pause of the node is not a jump.
+- In `lockstep` there is none, because the stamps of the torques are the time.
 
 ### Forces and frames
 
@@ -245,12 +272,47 @@ attitude_replay RECORDING --scene DUMP --topic /attitude_node/accepted_torque \\
 `/diagnostics` has a status for each source: `torques` for the first topic, `torques_1`,
 `torques_2` and so on for the others, and `wheel torques`.
 
+### Inertia from robot_state_publisher
+
+If the parameters have neither an `inertia` nor a `robot_description`, the node waits for a URDF on
+the topic `robot_description` (std_msgs/String, transient local), which robot_state_publisher
+publishes. The log says so at once, and every 10 s what is missing. The node reports any other
+mistake in the parameters before it waits. The first URDF defines the motion: the node then ends
+the subscription, and reports the text as its parameter `robot_description`, so that a parameter
+dump is a complete scene, for the commands, too. An `inertia` or `robot_description` among the
+parameters comes first, and the node ignores the topic.
+
+### Several bodies
+
+Start a node for each body, each in a namespace of its own (`-r __ns:=/one`) and with a
+`frame_prefix` of its own (`-p frame_prefix:=one/`). Their topics, frames and diagnostics then
+differ, and `/tf` contains all of them in one space frame. The names of the statuses on
+`/diagnostics` are `/one/attitude_node: torques` and `/one/attitude_node: motion`, and the
+`hardware_id` is `/one/attitude_node`: the same form as that of diagnostic_updater with
+`diagnostic_updater.use_fqn`. An analyzer of diagnostic_aggregator selects the statuses of a body
+with `startswith: [/one/]`.
+
 ### Why is a torque rejected?
 
 The log names the cause, what was expected and what was found. `/diagnostics` counts each cause
 under the key `rejected: CAUSE`.
 
 {causes}
+
+### In a process of your own
+
+`from rigid_body_ros.node import AttitudeNode` imports an ordinary node, whose arguments are those
+of `rclpy.node.Node`: `node_name`, `namespace`, `parameter_overrides`, `context` and so on. A name,
+a parameter or a scene that is not valid raises an `InputError` of one line. Any executor may spin
+it, alone or beside other nodes. A callback of another node that blocks delays what is published,
+but changes no bit of it. Before `destroy_node` destroys the node, it publishes the states that are
+pending, for which it takes at most 0.8 s. ROS must not be shut down yet: rclpy's own signal
+handlers do that, so replace them as `examples/two_bodies.py` does.
+
+- `EventsExecutor` is what the command uses, because it takes the least time per torque. In the
+  wheels of PyPI its `spin()` hangs; `spin_once(timeout_sec=0.1)` in a loop works.
+- `SingleThreadedExecutor` and `rclpy.spin` take twice the processor time per torque.
+- `MultiThreadedExecutor` is no faster, because the callbacks of the node exclude each other.
 
 ### Lockstep
 
@@ -280,16 +342,51 @@ one torque for each state.
 
 Diagnostics warn if no torques arrive, and if a response takes long to compute.
 
+## attitude_lifecycle_node
+
+```
+ros2 run rigid_body_ros attitude_lifecycle_node --ros-args --params-file SCENE
+```
+
+The same node, with the same name, topics, services and parameters, but managed: a lifecycle
+manager or `ros2 lifecycle set /attitude_node configure` controls it. In a process of your own, use
+`from rigid_body_ros.node.lifecycle import AttitudeLifecycleNode`.
+
+- *configure* reads the scene, compiles, and creates the publishers. If the scene is not valid, the
+  log has the reason, and the node stays unconfigured.
+- *activate* subscribes, publishes and offers the services. The first activation begins the motion.
+- *deactivate* unsubscribes and stops publishing, but keeps the motion: at the next *activate* the
+  body has turned on under the last torques. Torques that are sent in between are not received.
+- *cleanup* publishes the end of the log on `~/committed`, and forgets the motion. Parameters have
+  the values that they had before *configure*, and the given ones can be changed until the next,
+  except `mode`.
+- *shutdown*, and a signal, publish the end of the log, too.
+
+For launch files without a manager, `autostart:=true` configures and activates the node when it
+starts; then a scene that is not valid ends it with exit status 2. An executor of your own must not
+be a `MultiThreadedExecutor`, because that of rclpy fails if a callback destroys a subscription.
+
 ## Parameters
 
 The node, `attitude_replay` and `attitude_tradeoff` (`--scene`) read the same file. Integers are
-accepted for floating-point parameters; unknown keys are rejected. In a running node all parameters
-but `publish_rate` are read-only. `ros2 param describe` prints the descriptions of this table, and
-`ros2 param dump` writes a file that is a scene.
+accepted for floating-point parameters. In a running node all parameters but `publish_rate` are
+read-only. `ros2 param describe` prints the descriptions of this table, and `ros2 param dump`
+writes a file that is a scene.
+
+The file may be one that several nodes share. Parameters of other nodes, under `/**:` or under
+`/attitude_node:`, are ignored. The node logs their names once, and a command prints them in a
+line that begins with `note:`. The node does not declare them. A key that resembles one of this
+table is an error that names the key it resembles: it differs in capitals, in one letter, in the
+order of two letters, or in two missing or additional letters (`torque_timout`, `Inertia.ixx`).
+Keys of less than six letters, such as `mode`, resemble another only if they differ in capitals. A
+group of this table has no members but those listed, so `inertia.mass` is an error, too. The same
+holds for `qos_overrides`: those of other topics are logged once and ignored, but
+`qos_overrides./torque.subscription.depht` is an error.
 
 {parameters}
 
-Either the three moments or a `robot_description` are required. The inertia is checked as one
+Either the three moments or a `robot_description` are required, but a node can
+[wait for the latter](#inertia-from-robot_state_publisher). The inertia is checked as one
 tensor: positive definite, no principal moment greater than the sum of the other two. The damping
 is checked as one tensor, too: no negative eigenvalue. `torque_topics` names at least one topic,
 each of them once. The solvers `exact` and `strang` take neither rotors nor damping.
@@ -391,7 +488,7 @@ def values(parameter):
         return ', '.join(parameter.choices)
     if not parameter.interval:
         return {bool: 'true, false', str: 'text', list: 'list of text'}[parameter.value_type]
-    return scene.limits(*parameter.interval)
+    return limits(*parameter.interval)
 
 
 def table(head, rows):

@@ -89,7 +89,7 @@ def run_live():
                     row += 1
                     bar.update()
                 live.spin(0.01)
-        live.spin(0.5)
+        live.wait_for_torques(row)
         live.dump_parameters(OUTPUT / 'live.yaml')
         status = live.stop()
         live.write(OUTPUT / 'live.mcap')

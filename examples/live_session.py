@@ -50,6 +50,8 @@ RELIABLE = ('-p', 'qos_overrides./torque.subscription.reliability:=reliable')
 #: Keeps packets on the machine, for Humble and for later releases.
 _LOCAL = {'ROS_LOCALHOST_ONLY': '1'} if os.environ.get('ROS_DISTRO') == 'humble' else \
     {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+_PROGRAM = (sys.executable, '-c',
+            'import sys; from rigid_body_ros.cli import attitude_node; sys.exit(attitude_node())')
 #: The first start on a machine compiles the kernels.
 _PATIENCE_S = 300.0
 
@@ -66,6 +68,8 @@ class LiveSession:
         ROS_DOMAIN_ID.
     arguments : str
         Further arguments of the node, such as '-p', 'use_sim_time:=true'.
+    program : list of str
+        Command that runs the node; the arguments follow it.
 
     Attributes
     ----------
@@ -85,13 +89,10 @@ class LiveSession:
     #: The topic on which `publish` publishes.
     topic = 'torque'
 
-    def __init__(self, scene, domain, *arguments):
+    def __init__(self, scene, domain, *arguments, program=_PROGRAM):
         self._domain = domain
         self.environment = os.environ | _LOCAL | {'ROS_DOMAIN_ID': str(domain)}
-        self.command = [sys.executable, '-c',
-                        'import sys; from rigid_body_ros.cli import attitude_node; '
-                        'sys.exit(attitude_node())',
-                        '--ros-args', '--params-file', str(scene), *arguments]
+        self.command = [*program, '--ros-args', '--params-file', str(scene), *arguments]
         # With these, the node publishes nothing before the first /clock message or torque.
         self._waits = {'use_sim_time:=true', 'mode:=lockstep'} & {*arguments}
         self.received = {topic: [] for topic in _KINDS}
@@ -165,9 +166,14 @@ class LiveSession:
         """Return the values, level and message of the latest status with a name."""
         self.wait_until(lambda: self.diagnostics, 'diagnostics')
         status = next(status for array in reversed(self.diagnostics) for status in array.status
-                      if status.name == f'{NODE}: {name}')
+                      if status.name == f'/{NODE}: {name}')
         values = {pair.key: int(pair.value) for pair in status.values}
         return values, int.from_bytes(status.level, 'little'), status.message
+
+    @property
+    def torque_subscriptions(self):
+        """Return the number of subscriptions to the torques."""
+        return self._torque.get_subscription_count()
 
     def disconnect(self):
         """Destroy the publisher of torques."""
@@ -197,6 +203,14 @@ class LiveSession:
                 raise RuntimeError(f'expected {what}, which did not happen; log of the node:\n'
                                    f'{self.words()}')
             self.spin(0.05)
+
+    def wait_for_torques(self, count):
+        """Receive messages until the node has applied or rejected this many torques."""
+        def are_done():
+            values, *_ = self.diagnosis('torques')
+            return count == values['applied'] + sum(
+                number for name, number in values.items() if name.startswith('rejected'))
+        self.wait_until(are_done, f'{count} torques')
 
     def call(self, kind, name, **fields):
         """Call a private service of the node and return its response."""
@@ -231,9 +245,7 @@ class LiveSession:
 
     def end(self):
         """Stop the node with SIGINT, receive its last messages, return its log."""
-        self.process.send_signal(signal.SIGINT)
-        self.process.wait(timeout=_PATIENCE_S)
-        self.spin(0.5)
+        self.stop()
         return self.words()
 
     def words(self):

@@ -42,4 +42,5 @@ def _body(namespace):
     return GroupAction([IncludeLaunchDescription(
         PythonLaunchDescriptionSource(ATTITUDE_NODE),
         launch_arguments={'scene': LaunchConfiguration('scene'),
-                          'namespace': namespace}.items())])
+                          'namespace': namespace,
+                          'frame_prefix': f'{namespace}/'}.items())])

@@ -53,6 +53,11 @@ def attitude_node(arguments: Sequence[str] | None = None) -> int:
     return _run('attitude_node', arguments)
 
 
+def attitude_lifecycle_node(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_lifecycle_node` and return its exit status."""
+    return _run('attitude_lifecycle_node', arguments)
+
+
 def attitude_controller(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_controller` and return its exit status."""
     return _run('attitude_controller', arguments)

@@ -17,8 +17,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from importlib import import_module
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 import json
 from pathlib import Path
 import sys
@@ -48,23 +48,36 @@ def attitude_tradeoff(arguments: Sequence[str] | None) -> int:
 
 def attitude_node(arguments: Sequence[str] | None) -> int:
     """Run the node until a signal ends it."""
-    return _run('attitude_node', arguments)
+    with _needs_ros('attitude_node'):
+        from rigid_body_ros.node import main
+    main(arguments)
+    return OK
+
+
+def attitude_lifecycle_node(arguments: Sequence[str] | None) -> int:
+    """Run the managed node until a signal ends it."""
+    with _needs_ros('attitude_lifecycle_node'):
+        from rigid_body_ros.node.lifecycle import main
+    main(arguments)
+    return OK
 
 
 def attitude_controller(arguments: Sequence[str] | None) -> int:
     """Run the controller until the end of the maneuver, or until a signal ends it."""
-    return _run('attitude_controller', arguments)
+    with _needs_ros('attitude_controller'):
+        from rigid_body_ros.node.attitude_controller import main
+    main(arguments)
+    return OK
 
 
-def _run(command: str, arguments: Sequence[str] | None) -> int:
+@contextmanager
+def _needs_ros(command: str) -> Iterator[None]:
     try:
-        module = import_module(f'rigid_body_ros.node.{command}')
+        yield
     except ModuleNotFoundError as error:
         raise InputError(f"{command} needs ROS 2, but the module '{error.name}' is not "
                          'installed: source a ROS 2 installation, or run '
                          'pip install "rigid_body_ros[ros]"') from error
-    module.main(arguments)
-    return OK
 
 
 def _parsed(parser: argparse.ArgumentParser,
@@ -104,6 +117,8 @@ def _replay_one(options: argparse.Namespace) -> int:
 def _scene(options: argparse.Namespace) -> Scene:
     from rigid_body_ros.scene import load
     scene = load(options.scene)
+    for note in scene.notes:
+        report(f'{options.command}: note: {options.scene}: {note}')
     for warning in scene.warnings:
         report(f'{options.command}: warning: {options.scene}: {warning}')
     return scene

@@ -126,6 +126,13 @@ class Frames(dict[str, Frame]):
                                        f'{quoted(self.link)}: {listed([*map(repr, self)])}')
         raise UnknownFrameError(f'frame {quoted(name)}: {reason}')
 
+    def prefixed(self, prefix: str) -> Frames:
+        """Return these frames with a prefix before each name, as robot_state_publisher has it."""
+        if not prefix:
+            return self
+        return Frames(prefix + self.link, {prefix + name: self[name] for name in self},
+                      {prefix + name: why for name, why in self.others.items()})
+
     def of_body(self, body_frame: str) -> Frame | None:
         """
         Return the frame that the name of the body axes refers to; None if there are no frames.

@@ -82,6 +82,8 @@ def attitude_node(context: LaunchContext, more: Mapping[str, Any] | None = None)
 
     """
     given, parameters = context.launch_configurations, dict(more or {})
+    if given['frame_prefix']:
+        parameters['frame_prefix'] = given['frame_prefix']
     if given['use_sim_time']:
         parameters['use_sim_time'] = given['use_sim_time'] == 'true'
     return Node(
@@ -138,6 +140,8 @@ def _arguments(defaults: Mapping[str, str]) -> list[DeclareLaunchArgument]:
         argument('name', 'attitude_node', 'name of the node'),
         argument('torque', 'torque', 'topic of the torques (geometry_msgs/WrenchStamped)'),
         argument('remappings', '', 'further remappings, such as "odometry:=odom imu/data:=imu"'),
+        argument('frame_prefix', _AS_IN_SCENE, 'text before the frame_ids of the body and of the '
+                 'links of robot_description (default: as in the scene)'),
         argument('use_sim_time', _AS_IN_SCENE, 'whether to follow /clock (default: as the scene '
                  'or the including launch file says)', (_AS_IN_SCENE, *_FLAG)),
         argument('log_level', 'info', 'the least severe messages to log',

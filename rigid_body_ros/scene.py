@@ -26,16 +26,17 @@ from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
 import re
-from typing import Any, NamedTuple
+from typing import Any
 
 from rigid_body_ros import euler, urdf
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.errors import InputError as InputError  # part of the interface
-from rigid_body_ros.common.errors import quoted
+from rigid_body_ros.common.errors import listed, quoted
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.frames import Frames
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
-from rigid_body_ros.runtime.parameter_file import is_number, node_parameters, unknown_parameter
+from rigid_body_ros.runtime.parameter_file import node_parameters
+from rigid_body_ros.runtime.parameters import BIG, checked, is_foreign, Parameter, TINY
 from rigid_body_ros.runtime.reading import read_yaml
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import INTERPOLATIONS
@@ -44,25 +45,6 @@ from rigid_body_ros.torque import INTERPOLATIONS
 NODE = 'attitude_node'
 
 
-class Parameter(NamedTuple):
-    """A parameter of a scene. If it has no default, it is a required float."""
-
-    name: str
-    default: bool | int | float | str | list[str] | None
-    unit: str
-    description: str
-    #: Lowest and highest value of a number, both allowed.
-    interval: tuple[float, float] | None = None
-    choices: tuple[str, ...] = ()
-
-    @property
-    def value_type(self) -> type:
-        """Return the Python type of the value."""
-        return float if self.default is None else type(self.default)
-
-
-_BIG = 1e300
-_TINY = 1e-300
 _MOMENT = 'moment of inertia about the centre of mass, body axes'
 _PRODUCT = 'off-diagonal entry of the inertia tensor, with the sign of the matrix as in URDF'
 _QUATERNION = 'initial attitude quaternion, body to space'
@@ -80,23 +62,23 @@ _TOPIC = re.compile(r'(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*')
 TIME_JUMPS = RESET, REBASE, IGNORE = 'reset', 'rebase', 'ignore'
 
 PARAMETERS = {parameter.name: parameter for parameter in (
-    *(Parameter(f'inertia.{name}', None, 'kg m^2', _MOMENT, (_TINY, _BIG))
+    *(Parameter(f'inertia.{name}', None, 'kg m^2', _MOMENT, (TINY, BIG))
       for name in ('ixx', 'iyy', 'izz')),
-    *(Parameter(f'inertia.{name}', 0.0, 'kg m^2', _PRODUCT, (-_BIG, _BIG))
+    *(Parameter(f'inertia.{name}', 0.0, 'kg m^2', _PRODUCT, (-BIG, BIG))
       for name in ('ixy', 'ixz', 'iyz')),
     Parameter('robot_description', '', '', 'URDF text to read the inertia from, instead of '
               'inertia.*, and the frames of forces'),
     Parameter('link', '', '', 'link of robot_description whose inertia is used; empty: the only '
               'link with an inertia'),
-    *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (0.0, _BIG))
+    *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (0.0, BIG))
       for name in ('dxx', 'dyy', 'dzz')),
-    *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (-_BIG, _BIG))
+    *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (-BIG, BIG))
       for name in ('dxy', 'dxz', 'dyz')),
-    *(Parameter(f'initial_attitude.{name}', default, '', _QUATERNION, (-_BIG, _BIG))
+    *(Parameter(f'initial_attitude.{name}', default, '', _QUATERNION, (-BIG, BIG))
       for name, default in zip('xyzw', (0.0, 0.0, 0.0, 1.0))),
     *(Parameter(f'initial_angular_velocity.{name}', 0.0, 'rad/s', _VELOCITY, (-1e9, 1e9))
       for name in 'xyz'),
-    *(Parameter(f'initial_rotor_momentum.{name}', 0.0, 'N m s', _ROTORS, (-_BIG, _BIG))
+    *(Parameter(f'initial_rotor_momentum.{name}', 0.0, 'N m s', _ROTORS, (-BIG, BIG))
       for name in 'xyz'),
     Parameter('start_time', 0, 'ns', 'time of the initial state; 0: the stamp of the first torque '
               '(replay, lockstep) or the first valid clock reading (realtime); a running node '
@@ -114,7 +96,7 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('tolerance', Options.tolerance, '', 'bound on the truncation error of the attitude '
               'per radian turned; rounding adds to it', TOLERANCES),
     Parameter('max_step', 0.0, 's', 'longest step; required by the fixed-step solvers; 0: no '
-              'limit', (0.0, _BIG)),
+              'limit', (0.0, BIG)),
     Parameter('interpolation', 'hold', '', 'torque between two samples; the node accepts only '
               'hold, because it does not know the next sample', choices=INTERPOLATIONS),
     Parameter('torque_timeout', Options.torque_timeout, 's', 'how long a sample is held; then the '
@@ -124,8 +106,9 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('max_future', 0.5, 's', 'how far the stamp of a torque may lie ahead of the clock; '
               'torques further ahead are rejected; with simulated time they first wait 0.5 s for '
               'the clock', (0.0, 3600.0)),
-    Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps back: reset (start '
-              'again), rebase (continue from the current state) or ignore', choices=TIME_JUMPS),
+    Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps back, or ahead by more '
+              'than history: reset (start again), rebase (continue from the current state) or '
+              'ignore', choices=TIME_JUMPS),
     Parameter('publish_clock', False, '', 'lockstep: publish the time of each state on /clock'),
     Parameter('publish_tf', False, '', 'publish the attitude on /tf as well (needs tf2_msgs)'),
     Parameter('publish_rate', 100.0, 'Hz', 'rate at which the motion is published; may change '
@@ -133,10 +116,12 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('euler_sequence', 'ZXZ', '', 'axes of the Euler angles; upper case: intrinsic, '
               'lower case: extrinsic'),
     Parameter('space_frame', 'world', '', 'frame_id of the space axes'),
-    Parameter('body_frame', 'base_link', '', 'frame_id of the body axes'),
+    Parameter('body_frame', 'base_link', '', 'frame_id of the body axes, after frame_prefix'),
+    Parameter('frame_prefix', '', '', 'text before the frame_ids of the body and of the links of '
+              'robot_description, as of robot_state_publisher'),
 )}
-#: Parameters that ROS declares on every node; a parameter dump contains them.
-_ROS, _QOS = ('use_sim_time', 'start_type_description_service'), 'qos_overrides.'
+#: Parameters that ROS declares on every node, and that of a managed node; a dump contains them.
+_ROS, QOS = ('use_sim_time', 'start_type_description_service', 'autostart'), 'qos_overrides.'
 
 
 @dataclass(frozen=True)
@@ -154,7 +139,9 @@ class Scene:
     path : Path or None
         Absolute path of the scene file, None if the scene was not read from a file.
     links : Frames
-        The links of robot_description that are fixed to the body.
+        The links of robot_description that are fixed to the body, with frame_prefix.
+    ignored : tuple of str
+        Names of the given parameters that are those of other nodes.
 
     """
 
@@ -163,6 +150,7 @@ class Scene:
     values: Mapping[str, Any]
     path: Path | None = None
     links: Frames = field(default_factory=Frames)
+    ignored: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         source = self.path.name if self.path else 'no file'
@@ -172,6 +160,16 @@ class Scene:
     def options(self) -> dict[str, Any]:
         """Return the keyword arguments of `propagate`."""
         return _options(self.values)
+
+    @property
+    def body_frame(self) -> str:
+        """Return the frame_id of the body axes."""
+        return _body_frame(self.values)
+
+    @property
+    def space_frame(self) -> str:
+        """Return the frame_id of the space axes, which all bodies share: it has no prefix."""
+        return str(self.values['space_frame'])
 
     @property
     def torque_topics(self) -> tuple[str, ...]:
@@ -198,6 +196,12 @@ class Scene:
         """Return one line for each value that is allowed but probably a mistake."""
         return [*_warnings(self.values, self.body, self.links)]
 
+    @property
+    def notes(self) -> list[str]:
+        """Return lines for the log about values that are no mistake, but have no effect."""
+        return [f'parameters that are not those of a scene are ignored: {listed(self.ignored)}'] \
+            if self.ignored else []
+
     @classmethod
     def from_values(cls, given: Mapping[str, Any]) -> Scene:
         """
@@ -207,17 +211,18 @@ class Scene:
         ----------
         given : mapping
             Values by full name, such as 'inertia.ixx'; the others take their defaults.
+            Parameters of other nodes are ignored, because nodes share parameter files.
 
         Raises
         ------
         InputError
-            A key is unknown or missing, a value has the wrong type or is out of range, or two
-            values contradict each other.
+            A key is missing, or unknown and similar to a known one, a value has the wrong type or
+            is out of range, or two values contradict each other.
 
         """
-        for name, value in given.items():
-            if name not in PARAMETERS and name not in _ROS and not name.startswith(_QOS):
-                raise unknown_parameter(name, value, PARAMETERS)
+        known = (*PARAMETERS, *_ROS)
+        ignored = tuple(name for name, value in given.items()
+                        if not name.startswith(QOS) and is_foreign(name, value, known))
         given = {**given, **_inertia_of_robot(given)}
         values = {name: checked(parameter, given.get(name, parameter.default))
                   for name, parameter in PARAMETERS.items()}
@@ -233,7 +238,8 @@ class Scene:
             links = urdf.fixed_frames(robot, values['link']) if robot else Frames()
         except ValueError as error:
             raise InputError(str(error)) from error
-        return cls(body, start, values, links=links)
+        return cls(body, start, values, links=links.prefixed(values['frame_prefix']),
+                   ignored=ignored)
 
 
 def load(path: str | Path) -> Scene:
@@ -259,29 +265,6 @@ def load(path: str | Path) -> Scene:
 def _options(values: Mapping[str, Any]) -> dict[str, Any]:
     return {'solver': values['solver'], 'tolerance': values['tolerance'],
             'max_step': values['max_step'] or None, 'torque_timeout': values['torque_timeout']}
-
-
-def checked(parameter: Parameter, given: Any) -> Any:
-    """Return a value converted to the type of its parameter; raise InputError if it is invalid."""
-    name, unit = parameter.name, f' ({parameter.unit})' if parameter.unit else ''
-    if given is None:
-        raise InputError(f'{name}: expected a number{unit}, found none: {parameter.description}')
-    value = float(given) if parameter.value_type is float and type(given) is int else given
-    # A bool is an int to Python.
-    wrong = (isinstance(value, bool) is not (parameter.value_type is bool)
-             or not isinstance(value, parameter.value_type))
-    if wrong:
-        kind = {float: 'a number', int: 'an integer', str: 'text',
-                bool: 'true or false', list: 'a list of text'}[parameter.value_type]
-        in_quotes = isinstance(value, str) and is_number(value)
-        hint = '; remove the quotes' if in_quotes else f': {parameter.description}'
-        raise InputError(f'{name}: expected {kind}{unit}, found {quoted(value)}{hint}')
-    if parameter.choices and value not in parameter.choices:
-        choices = ', '.join(parameter.choices)
-        raise InputError(f'{name}: expected one of {choices}, found {quoted(value)}')
-    if parameter.interval and not parameter.interval[0] <= value <= parameter.interval[1]:
-        raise InputError(f'{name}: expected {limits(*parameter.interval)}{unit}, found {value}')
-    return value
 
 
 def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
@@ -315,24 +298,17 @@ def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
     return entries
 
 
-def limits(low: float, high: float) -> str:
-    """Return the range of a parameter as text."""
-    if high < _BIG:
-        return f'{low:g} to {high:g}'
-    return 'a finite number' + {-_BIG: '', 0.0: ' not less than 0', _TINY: ' greater than 0'}[low]
-
-
 def _check_together(values: Mapping[str, Any]) -> None:
     _check_topics(values['torque_topics'])
     euler.check_sequence(values['euler_sequence'])
-    for name in ('space_frame', 'body_frame'):
-        if not values[name]:
+    for name in ('space_frame', 'body_frame', 'frame_prefix'):
+        if not values[name] and name != 'frame_prefix':
             raise InputError(f'{name}: expected the name of a frame, found an empty text')
         if '\0' in values[name] or values[name].encode(errors='ignore').decode() != values[name]:
             raise InputError(f'{name}: expected UTF-8 text without NUL, '
                              f'found {quoted(values[name])}')
-    if values['space_frame'] == values['body_frame']:
-        found = quoted(values['body_frame'])
+    if values['space_frame'] == _body_frame(values):
+        found = quoted(values['space_frame'])
         raise InputError(f'space_frame, body_frame: expected different names, found {found} twice')
     if values['mode'] == LOCKSTEP and values['time_source'] == ARRIVAL:
         raise InputError(f'time_source: expected {HEADER!r}, because lockstep replies to stamps, '
@@ -362,11 +338,12 @@ def _warnings(values: Mapping[str, Any], body: RigidBody, links: Frames) -> Iter
         yield ('inertia: the largest principal moment exceeds the sum of the other two by '
                f'{100.0 * body.triangle_excess:.2g} %, which no body can have; are the numbers '
                'rounded?')
-    name = values['body_frame']
+    name = _body_frame(values)
     if name in links.others or (name in links and not links[name].is_aligned):
-        yield (f'body_frame: {quoted(name)} is a link of robot_description, but its axes are not '
-               f'those of link {quoted(links.link)}, whose axes are the body axes; expected '
-               f'{quoted(links.link)}')
+        link = quoted(links.link.removeprefix(values['frame_prefix']))
+        yield (f'body_frame: {quoted(values["body_frame"])} is a link of robot_description, but '
+               f'its axes are not those of link {link}, whose axes are the body axes; expected '
+               f'{link}')
     norm = math.hypot(*_group(values, 'initial_attitude').values())
     if abs(norm - 1.0) > _UNIT:
         yield ('initial_attitude: expected a quaternion x y z w of norm 1, found norm '
@@ -376,6 +353,10 @@ def _warnings(values: Mapping[str, Any], body: RigidBody, links: Frames) -> Iter
         yield (f'initial_angular_velocity: {rate:.4g} rad/s is {rate / (2.0 * math.pi):.3g} '
                'turns per second; if the numbers are degrees per second, multiply them by '
                'pi / 180 = 0.0174533')
+
+
+def _body_frame(values: Mapping[str, Any]) -> str:
+    return str(values['frame_prefix'] + values['body_frame'])
 
 
 def _group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:

@@ -48,8 +48,8 @@ EPOCH_NS = 1_767_225_600_123_456_789
 SECOND = 10 ** 9
 #: Test files that need an optional module, by that module.
 NEEDS = {
-    'rclpy': ['clocks', 'faults', 'launch', 'lockstep', 'node', 'soak', 'sources', 'topics',
-              'workspace'],
+    'rclpy': ['clocks', 'executors', 'faults', 'fleet', 'launch', 'lifecycle', 'lockstep', 'node',
+              'robot_description', 'shared_files_live', 'soak', 'sources', 'topics', 'workspace'],
     'colcon_ros': ['workspace'],
     'mpmath': ['arm', 'elementary', 'elliptic', 'examples', 'extremes', 'free_motion', 'peers',
                'propagate', 'reference', 'rods', 'sources', 'steppers', 'tensor', 'terms',
@@ -108,6 +108,16 @@ def domain():
         else:
             raise RuntimeError('expected a free ROS domain, found none from 1 to 100')
         yield number
+
+
+@pytest.fixture
+def context(domain):
+    """Yield an rclpy context in a domain of its own."""
+    import rclpy
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    yield context
+    rclpy.try_shutdown(context=context)
 
 
 @pytest.fixture

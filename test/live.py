@@ -14,6 +14,7 @@
 
 """Helpers for the tests of the node."""
 
+import time
 from typing import NamedTuple
 
 from conftest import CONFIG, SECOND
@@ -25,10 +26,41 @@ from rigid_body_ros import messages, propagate, recording, scene
 from rigid_body_ros.replay.verify import verify
 
 TUMBLER = CONFIG / 'tumbler.yaml'
+#: Accept every torque, however long the machine keeps a process waiting.
+PATIENT = ('-p', 'history:=60.0', '-p', 'max_future:=59.5')
+#: s; how long to wait for anything.
+PATIENCE = 300.0
 
 
 def decoded(live, topic, kind):
     return [kind.decode(data) for data in live.received[topic]]
+
+
+class LateTorque(NamedTuple):
+    """A torque, and when to publish it, ns."""
+
+    due_ns: int
+    stamp_ns: int
+    frame_id: str
+    torque: np.ndarray
+
+
+def late_torques(start_ns, count, rate):
+    """Return torques in the order of publication: half are delayed by up to half a second."""
+    random, torques = np.random.default_rng(17), []
+    for number in range(count):
+        stamp_ns = start_ns + number * SECOND // rate + int(random.integers(0, SECOND // 500))
+        delay_ns = int(random.integers(0, SECOND // 2)) * int(random.integers(0, 2))
+        torque = random.normal(size=3) * 0.02 * (random.random() > 0.3)
+        frame_id = ('', 'base_link', 'world')[random.integers(3)]
+        torques.append(LateTorque(stamp_ns + delay_ns, stamp_ns, frame_id, torque))
+    return sorted(torques)
+
+
+def publish_when_due(live, torques):
+    for due_ns, *torque in torques:
+        live.spin((due_ns - live.now_ns()) * 1e-9)
+        live.publish(*torque)
 
 
 class Run(NamedTuple):
@@ -46,8 +78,7 @@ def replayed(tmp_path, live):
     live.write(tmp_path / 'live.mcap')
     run = scene.load(tmp_path / 'live.yaml')
     accepted = recording.read(tmp_path / 'live.mcap', ACCEPTED)
-    log = recording.torque_log('live.mcap', accepted, run.values['body_frame'],
-                               run.values['space_frame'])
+    log = recording.torque_log('live.mcap', accepted, run.body_frame, run.space_frame)
     committed = recording.read(tmp_path / 'live.mcap', COMMITTED, messages.ODOMETRY)
     # --verify accepts it, too: the log has all torques of the states.
     verify(tmp_path / 'live.mcap', run, tmp_path / 'live.mcap', topic=ACCEPTED,
@@ -65,6 +96,13 @@ def live_values(committed):
                       committed.values[:, messages.ANGULAR_VELOCITY]])
 
 
+def commit(live, count):
+    """Make `count` states of a PATIENT node final: publish a torque that is far ahead."""
+    live.spin(1.0)  # longer than the `history` that a torque ahead by `max_future` leaves
+    live.publish(live.now_ns() + 59 * SECOND, '', [0.0, 0.0, 0.0])
+    live.wait_until(lambda: len(live.received[COMMITTED]) == count, 'all states')
+
+
 def run_clock(live, start_ns, until=lambda: False, seconds=100):
     """Advance simulated time, or keep it at the start until a condition holds."""
     for tick in range(seconds * 100 + 1):
@@ -72,6 +110,14 @@ def run_clock(live, start_ns, until=lambda: False, seconds=100):
         live.spin(0.002)
         if until():
             return
+
+
+def spin_until(executor, condition):
+    """Execute callbacks of this process until a condition holds."""
+    until = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < until
+        executor.spin_once(timeout_sec=0.1)
 
 
 def get_parameters(live, *names):

@@ -19,9 +19,10 @@ from live import decoded, replayed, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
+from rclpy.time import Time
 from rigid_body_ros import messages, propagate, scene, State
 from rigid_body_ros.node import clocks
-from rigid_body_ros.node.clocks import ArrivalStamps
+from rigid_body_ros.node.clocks import ArrivalStamps, JumpDetector
 
 pytestmark = pytest.mark.ros
 # A rate so high that the timer fires at every tick of the clock.
@@ -73,9 +74,7 @@ def test_nothing_is_published_before_the_clock_is_valid(domain):
         live.publish(5 * SECOND, '', [1.0, 0.0, 0.0])
         live.spin(0.5)
         assert not any(live.received.values())
-        for _ in range(20):
-            live.set_clock(7 * SECOND)
-            live.spin(0.02)
+        start_clock(live, 7 * SECOND)
         assert live.stop() == 0
         first = decoded(live, COMMITTED, messages.ODOMETRY)[0]
         assert first.stamp_ns == 7 * SECOND
@@ -111,19 +110,33 @@ def test_while_the_clock_stands_nothing_is_published_and_nothing_lost(tmp_path, 
     np.testing.assert_array_equal(run.committed, run.replay)
 
 
-def test_when_the_clock_jumps_ahead_the_motion_continues_under_the_last_torque(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
-        run_clock(live, 5 * SECOND, 6 * SECOND, wobble)
-        settle(live, 106 * SECOND)
-        run_clock(live, 106 * SECOND, 107 * SECOND, wobble)
-        settle(live, 107 * SECOND)
-        live.wait_until(lambda: any(status.message == 'clock jumps: 1' for array in
-                                    live.diagnostics for status in array.status), 'a diagnosis')
+@pytest.mark.parametrize('action', ['reset', 'rebase', *at_night('ignore')])
+def test_a_clock_that_jumps_ahead(tmp_path, domain, action):
+    end_ns, again_ns = 6 * SECOND, 3600 * SECOND
+    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'torque_timeout:=0.5',
+                     '-p', f'on_time_jump:={action}') as live:
+        run_clock(live, 5 * SECOND, end_ns, wobble)
+        settle(live, end_ns)
+        before = decoded(live, ATTITUDE, messages.QUATERNION)[-1].values.tolist()
+        live.publish(again_ns, 'base_link', wobble(again_ns))  # overtakes the clock
+        live.wait_until(lambda: accepted(live).count(end_ns), 'the last torque before the jump')
+        settle(live, again_ns)
+        run_clock(live, again_ns, again_ns + SECOND, wobble)
+        settle(live, again_ns + SECOND)
+        live.wait_until(lambda: live.diagnosis('motion')[0]['clock jumps'], 'a diagnosis')
+        assert not live.diagnosis('torques')[0]['rejected: epoch ended']
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         run = replayed(tmp_path, live)
     np.testing.assert_array_equal(run.committed, run.replay)
-    assert (run.stamps_ns > 106 * SECOND).any()
+    assert (run.stamps_ns > again_ns).any()
+    if action == 'ignore':
+        assert run.stamps_ns[0] < end_ns
+        return
+    # A new epoch, and a new log.
+    assert run.stamps_ns[0] == again_ns
+    assert run.committed[0, :4].tolist() == (
+        before if action == 'rebase' else scene.load(TUMBLER).start.attitude.tolist())
 
 
 @pytest.mark.parametrize('back_ns', [50 * SECOND, *at_night(SECOND // 2)])
@@ -139,9 +152,10 @@ def test_a_clock_that_jumps_back(tmp_path, domain, action, back_ns):
         first = len(decoded(live, ACCEPTED, messages.WRENCH))
         run_clock(live, again_ns, again_ns + 3 * SECOND // 2, wobble)
         live.dump_parameters(tmp_path / 'live.yaml')
-        live.spin(1.5)
         # Simulated time is faster than real time, so a pause of the node may be a jump ahead, too.
-        assert live.diagnosis('motion')[0]['clock jumps']
+        live.wait_until(lambda: live.diagnosis('motion')[0]['clock jumps'], 'a diagnosis')
+        live.wait_for_torques(len(range(begin_ns, end_ns + 1, SECOND // 10))
+                              + len(range(again_ns, again_ns + 3 * SECOND // 2 + 1, SECOND // 10)))
         torques, _, _ = live.diagnosis('torques')
         assert live.stop() == 0
         accepted_stamps = accepted(live)
@@ -173,7 +187,7 @@ def test_a_torque_that_timed_out_is_not_revived(tmp_path, domain):
                      '-p', 'torque_timeout:=0.2') as live:
         settle(live, 5 * SECOND)
         live.publish(5 * SECOND, '', [0.05, 0.0, 0.0])
-        live.spin(0.3)
+        live.wait_until(lambda: accepted(live), 'the torque')
         run_clock(live, 5 * SECOND, 7 * SECOND)
         settle(live, 7 * SECOND)
         run_clock(live, 4 * SECOND, 5 * SECOND)
@@ -189,7 +203,7 @@ def test_a_torque_that_timed_out_is_not_revived(tmp_path, domain):
 
 
 def test_a_torque_may_overtake_the_clock_it_is_stamped_by(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore') as live:
         settle(live, 5 * SECOND)
         early = [5 * SECOND + k * TICK_NS for k in range(1, 201)]
         for stamp_ns in early:
@@ -211,7 +225,7 @@ def test_a_torque_that_the_clock_does_not_reach_is_rejected(domain):
             live.publish(7 * SECOND, '', [1.0, 0.0, 0.0])
         live.publish(5 * SECOND, '', [0.0, 0.0, 0.01])  # passes them
         live.wait_until(lambda: live.received[ACCEPTED], 'the torque of now')
-        live.spin(2.0)
+        live.wait_for_torques(4)
         values, *_ = live.diagnosis('torques')
         assert live.stop() == 0
     assert (values['received'], values['rejected: future'], values['waiting']) == (4, 3, 0)
@@ -251,7 +265,7 @@ def test_a_torque_that_is_late_is_rejected_where_the_clock_goes_on(domain):
 
 @pytest.mark.nightly
 def test_a_state_that_takes_long_is_published_while_the_clock_stands(domain):
-    with LiveSession(TUMBLER, domain, *SIMULATED) as live:
+    with LiveSession(TUMBLER, domain, *SIMULATED, '-p', 'on_time_jump:=ignore') as live:
         settle(live, 5 * SECOND)
         live.set_state(State(5 * SECOND, (0.0, 0.0, 0.0, 1.0), (1e4, 2e4, 3e4)))
         live.publish(5 * SECOND, '', [1e-3, 0.0, 0.0])
@@ -267,7 +281,7 @@ def test_a_torque_ahead_of_a_clock_that_jumps_back(domain):
                      '-p', 'max_future:=0.999') as live:
         settle(live, 5 * SECOND)
         live.publish(5 * SECOND + 999 * 10 ** 6, '', [0.05, 0.0, 0.0])
-        live.spin(0.3)
+        live.wait_until(lambda: accepted(live), 'the torque')
         run_clock(live, 3 * SECOND, 4 * SECOND, wobble)
         settle(live, 4 * SECOND)
         assert live.stop() == 0
@@ -298,6 +312,7 @@ def test_an_epoch_may_begin_before_the_first_torque(tmp_path, domain):
         for _ in range(5):
             live.publish(live.now_ns(), '', [0.01, 0.0, 0.0])
             live.spin(0.05)
+        live.wait_for_torques(5)
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         run = replayed(tmp_path, live)
@@ -326,7 +341,7 @@ def test_torques_of_another_clock_are_rejected_with_advice(domain):
     with LiveSession(TUMBLER, domain, *RELIABLE) as live:
         live.publish(live.now_ns() - 86400 * SECOND, 'base_link', [0.01, 0.0, 0.0])
         live.publish(12 * SECOND, 'base_link', [0.01, 0.0, 0.0])
-        live.spin(0.5)
+        live.wait_for_torques(2)
         words = live.end()
     assert not live.received[ACCEPTED]
     assert 'torque rejected (1 so far): late: stamped 86400' in words
@@ -339,6 +354,7 @@ def test_torques_may_be_timed_by_their_arrival(tmp_path, domain):
         for number in range(20):
             live.publish(number * SECOND, 'base_link', [0.01, 0.0, 1e-3 * number])
             live.spin(0.02)
+        live.wait_for_torques(20)
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         run = replayed(tmp_path, live)
@@ -359,7 +375,8 @@ def test_torques_between_two_ticks_of_the_clock_all_have_effect(tmp_path, domain
                 live.spin(0.1 / count)
                 stamp_ns = 5 * SECOND if source == 'arrival' else 0
                 live.publish(stamp_ns, '', [1e-3, 1e-4 * tick, 1e-5 * number])
-        settle(live, 7 * SECOND)
+        live.wait_for_torques(10 * count)
+        settle(live, 6 * SECOND + tick_ns)
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         run = replayed(tmp_path, live)
@@ -386,6 +403,42 @@ def test_time_goes_on_between_two_ticks_as_fast_as_before(monkeypatch):
     assert stamps.stamp() - now_ns - 100 * SECOND <= tick_ns
     stamps.tick(SECOND)  # set back
     assert stamps.stamp() == SECOND
+
+
+class Fake:
+    """A clock, and a steady clock, that are set by hand, s."""
+
+    def __init__(self, monkeypatch):
+        self.time = self.steady = 0.0
+        monkeypatch.setattr(clocks.time, 'monotonic_ns', lambda: round(self.steady * SECOND))
+
+    def now(self):
+        return Time(nanoseconds=round(self.time * SECOND))
+
+    def jumps(self, readings, is_simulated, limit):
+        """Return by how much the clock jumps at each reading (clock, steady clock)."""
+        detector, found = JumpDetector(self, is_simulated, round(limit * SECOND)), []
+        for self.time, self.steady in readings:
+            found.append(detector.read().jump_ns / SECOND)
+        return found
+
+
+@pytest.mark.parametrize(('is_simulated', 'readings', 'jumps'), [
+    # Before the first message, then a steady run, then a stall of two seconds.
+    (True, [(0, 0), (100, 1), (100.01, 1.01), (102, 3), (107, 4)], [0, 0, 0, 0, 0]),
+    (True, [(100, 1), (100.01, 1.01), (101.2, 1.02), (101.1, 1.03)], [0, 0, 1.19, -0.1]),
+    # The clock stood for a minute, and the node read it every second.
+    (True, [(100, 1), *((100, k) for k in range(2, 60)), (160, 60)], [0] * 59 + [60]),
+    # After a stall, the messages that have waited arrive at once.
+    (True, [(100, 1), (100.01, 1.01), (100.02, 3), (106, 3.001), (108, 3.1)], [0] * 5),
+    # The publisher stalls, while the node reads the clock.
+    (True, [(100, 1), (100.01, 1.01), *((100.01, 1.01 + k / 10) for k in range(10)), (106, 2)],
+     [0] * 13),
+    (False, [(100, 1), (100.01, 1.01), (102, 3), (162, 63)], [0, 0, 0, 0]),
+    (False, [(100, 1), (102, 1.5), (101.5, 1.51), (100, 1.52)], [0, 2, 0, -1.5])])
+def test_a_jump_is_more_than_a_pause_of_the_node(monkeypatch, is_simulated, readings, jumps):
+    found = Fake(monkeypatch).jumps(readings, is_simulated, limit=1.0)
+    np.testing.assert_allclose(found, jumps, atol=1e-6)
 
 
 def test_a_clock_that_stops_is_a_warning(domain):
@@ -415,10 +468,10 @@ def test_a_state_is_set_and_reset_while_time_goes_on(tmp_path, domain):
         run_clock(live, 6 * SECOND, 7 * SECOND, wobble)
         live.dump_parameters(tmp_path / 'live.yaml')
         live.set_state(State(SECOND, (0, 0, 0, 1), (0, 0, 0)))  # far too old
-        live.spin(0.3)
+        live.wait_until(lambda: 'initial_state rejected: late' in live.words(), 'its rejection')
         count = len(live.received[ACCEPTED])
         assert live.reset().success
-        live.spin(0.3)
+        live.wait_until(lambda: len(live.received[ACCEPTED]) == count + 2, 'the new epoch')
         torques = live.received[ACCEPTED][count:]
         words = live.end()
         live.received[ACCEPTED] = live.received[ACCEPTED][:count]

@@ -271,15 +271,20 @@ def test_an_observer_causes_no_repetition_of_a_state(monkeypatch):
 def test_a_repeated_torque_gets_the_lost_response_again(domain):
     with session(domain) as live:
         live.wait_until(lambda: answers(live), 'the start state')
-        live.publish(SECOND, '', [1e-3, 0.0, 0.0])
-        live.publish(SECOND, '', [1e-3, 0.0, 0.0])  # at once: the chain of a second state
-        live.wait_until(lambda: answers(live)[-1] == SECOND + STEP_NS, 'an answer')
-        live.spin(0.5)
-        assert answers(live).count(SECOND + STEP_NS) == 1
-        live.publish(SECOND, '', [1e-3, 0.0, 0.0])  # later: the answer was lost
-        live.wait_until(lambda: answers(live).count(SECOND + STEP_NS) == 2, 'the answer again')
+        for number in range(1, 11):  # a busy machine may separate the two by more than 0.1 s
+            stamp_ns = number * SECOND
+            live.publish(stamp_ns, '', [1e-3, 0.0, 0.0])
+            live.publish(stamp_ns, '', [1e-3, 0.0, 0.0])  # at once: the chain of a second state
+            live.wait_until(lambda due=stamp_ns + STEP_NS: answers(live)[-1] == due, 'an answer')
+            live.spin(0.5)
+            if answers(live).count(stamp_ns + STEP_NS) == 1:
+                break
+        assert answers(live).count(stamp_ns + STEP_NS) == 1
+        live.publish(stamp_ns, '', [1e-3, 0.0, 0.0])  # later: the answer was lost
+        live.wait_until(lambda: answers(live).count(stamp_ns + STEP_NS) == 2, 'the answer again')
         assert live.stop() == 0
-    assert len(live.received[ACCEPTED]) == 2
+    accepted = [message.stamp_ns for message in decoded(live, ACCEPTED, messages.WRENCH)]
+    assert accepted.count(stamp_ns) == 2
 
 
 def answers(live):

@@ -58,7 +58,7 @@ def test_bad_torques_are_rejected_counted_and_change_nothing(tmp_path, domain):
                  'rejected (1 so far): not finite: expected a finite torque, found [nan, 0.0, 0.0',
                  "found 'map'", 'rejected (1 so far): future: stamped', 's ahead of',
                  'rejected (1 so far): late: ', 's behind the clock',
-                 'the force of a WrenchStamped is ignored'):
+                 'the force of a WrenchStamped is ignored, as it has no lever arm'):
         assert part in words, words
 
 
@@ -99,14 +99,13 @@ def test_every_rejection_is_counted_under_its_cause(tmp_path, domain):
             'late': [messages.wrench(now_ns - 5 * SECOND, '', [0, 1, 0]),
                      messages.wrench(now_ns - 10 ** 6 * SECOND, '', [0, 1, 0])]}
         live.publish(now_ns, 'base_link', [0.01, 0.0, 0.0])
-        live.spin(0.2)
         for data in (data for group in faults.values() for data in group):
             live.publish_bytes(data)
-        live.spin(0.3)
+        live.wait_for_torques(1 + sum(map(len, faults.values())))
         values, _, _ = torques_of(live)
         said = [status for array in live.diagnostics for status in array.status]
         live.publish(live.now_ns(), 'world', [0.0, 0.01, 0.0])
-        live.spin(1.2)
+        live.wait_for_torques(values['received'] + 1)
         _, later, _ = torques_of(live)
         run, words = finished(tmp_path, live)
     counted = {name.removeprefix('rejected: '): count for name, count in values.items()
@@ -146,19 +145,18 @@ def test_duplicates_and_bursts_are_taken(tmp_path, domain):
 def test_silence_ends_the_torque_and_is_reported(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'torque_timeout:=0.3') as live:
         live.publish(live.now_ns(), '', [0.0, 0.05, 0.0])
-        live.spin(2.0)
-        _, level, text = torques_of(live)
+        live.wait_until(lambda: 'the torque is zero, because torque_timeout (' in torques_of(
+            live)[2], 'a warning')
+        assert torques_of(live)[1] == WARN
         live.publish(live.now_ns(), '', [0.0, 0.0, 0.05])
-        live.spin(0.2)
+        live.wait_for_torques(2)
         finished(tmp_path, live)
-    assert level == WARN
-    assert 'the torque is zero, because torque_timeout (' in text
 
 
 def test_a_publisher_dies_and_returns_and_two_are_named(tmp_path, domain):
     with LiveSession(TUMBLER, domain, *RELIABLE) as live:
         live.publish(live.now_ns(), '', [0.01, 0.0, 0.0])
-        live.spin(0.3)
+        live.wait_for_torques(1)
         live.disconnect()
         live.wait_until(lambda: '/torque: no publisher' in torques_of(live)[2], 'its absence')
         first = live.node.create_publisher(WrenchStamped, 'torque', 10)
@@ -169,6 +167,7 @@ def test_a_publisher_dies_and_returns_and_two_are_named(tmp_path, domain):
         for number, publisher in enumerate((first, second, first, second)):
             publisher.publish(messages.wrench(live.now_ns(), '', [0.0, 0.01 * number, 0.0]))
             live.spin(0.05)
+        live.wait_for_torques(5)
         run, words = finished(tmp_path, live)
     assert '/torque: 2 publishers: /live_session, /live_session' in text
     assert text in words
@@ -298,8 +297,8 @@ def test_a_body_beyond_all_bounds_does_not_end_the_node(domain):
 def test_a_motion_that_is_too_fast_does_not_block_services(domain):
     with LiveSession(TUMBLER, domain, *RELIABLE) as live:
         live.publish(live.now_ns(), '', [1e6, 0.0, 0.0])
-        live.spin(3.0)
-        values, level, text = live.diagnosis('motion')
+        live.wait_until(lambda: live.diagnosis('motion')[0]['deadlines missed'], 'a diagnosis')
+        _, level, text = live.diagnosis('motion')
         # Parameters and services respond, and torques are accepted.
         assert get_parameters(live, 'solver')
         assert live.reset().success
@@ -307,8 +306,7 @@ def test_a_motion_that_is_too_fast_does_not_block_services(domain):
         count = len(live.received[ATTITUDE])
         live.wait_until(lambda: len(live.received[ATTITUDE]) > count + 10, 'the motion again')
         words = live.end()
-    assert values['deadlines missed'] > 0
     assert level == ERROR
-    assert re.fullmatch(r'deadlines missed: [1-9]\d*', text)
+    assert re.match(r'deadlines missed: [1-9]', text)
     assert 'cannot keep up: the body spins too fast' in words
     assert live.process.returncode == 0

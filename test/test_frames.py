@@ -176,6 +176,45 @@ def test_the_body_frame_is_the_link_or_one_with_the_same_axes(scene_file, body_f
         assert (axes, frame.position.tolist()) == ('body', position)
 
 
+def test_a_frame_prefix_names_the_body_and_its_links_but_not_space(scene_file):
+    plain, loaded = scene.load(scene_file()), scene.load(scene_file(frame_prefix='one/'))
+    assert (loaded.body_frame, loaded.space_frame) == ('one/base_link', 'world')
+    assert not loaded.warnings
+    assert {*loaded.links} == {f'one/{name}' for name in plain.links}
+    for name, frame in plain.links.items():
+        assert loaded.links[f'one/{name}'] is not frame
+        np.testing.assert_array_equal(loaded.links[f'one/{name}'].position, frame.position)
+    for frame_id, axes in (('', 'body'), ('one/base_link', 'body'), ('one/mast', 'body'),
+                           ('world', 'space')):
+        assert messages.wrench_frame(frame_id, loaded.body_frame, 'world', loaded.links)[0] == axes
+    for frame_id in ('base_link', 'mast', 'two/base_link', 'one/world'):
+        with pytest.raises(ValueError, match="expected 'one/base_link' or '' .body axes."):
+            messages.wrench_frame(frame_id, loaded.body_frame, 'world', loaded.links)
+    with pytest.raises(ValueError, match="'one/hand': joint 'to_arm' .revolute. moves it"):
+        messages.wrench_frame('one/hand', loaded.body_frame, 'world', loaded.links)
+
+
+def test_a_replay_reads_and_writes_frames_with_the_prefix(tmp_path, scene_file):
+    outputs = {}
+    for prefix in ('', 'one/'):
+        path, output = tmp_path / 'log.mcap', tmp_path / 'motion.mcap'
+        with recording.Writer(path) as writer:
+            writer.add_topic('/torque', messages.WRENCH)
+            for number, name in enumerate((f'{prefix}base_link', f'{prefix}thruster', 'world')):
+                stamp = EPOCH_NS + number * SECOND
+                writer.write('/torque', stamp, messages.WRENCH.encode(
+                    stamp, name, [0.1, 0.2, 0.3, 0.01, 0.02, 0.03]))
+        given = scene_file(frame_prefix=prefix)
+        assert cli.attitude_replay([str(path), '--scene', str(given), '-o', str(output)]) == 0
+        attitude, rates = (recording.read(output, topic, kind) for topic, kind in (
+            ('/attitude', messages.QUATERNION), ('/angular_velocity', messages.VECTOR3)))
+        assert {*attitude.frame_ids} == {'world'}
+        assert {*rates.frame_ids} == {f'{prefix}base_link'}
+        outputs[prefix] = attitude.values.tobytes() + rates.values.tobytes()
+        output.unlink()
+    assert outputs[''] == outputs['one/']
+
+
 @pytest.mark.parametrize('body_frame', ['thruster', 'hand', 'label'])
 def test_a_body_frame_with_other_axes_is_warned_of_and_means_the_link(scene_file, body_frame):
     loaded = scene.load(scene_file(body_frame=body_frame))

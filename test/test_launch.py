@@ -25,7 +25,7 @@ import time
 
 from ament_index_python.packages import get_packages_with_prefixes
 from conftest import CONFIG, NAME, RECORDINGS
-from geometry_msgs.msg import QuaternionStamped
+from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
 import psutil
 import pytest
 import rclpy
@@ -36,8 +36,8 @@ pytestmark = [pytest.mark.ros, pytest.mark.skipif(
     'it; CONTRIBUTING.md lists what to install from source')]
 #: s; the first start on a machine compiles the kernels.
 PATIENCE = 300
-ARGUMENTS = ('scene', 'namespace', 'name', 'torque', 'remappings', 'use_sim_time', 'log_level',
-             'respawn')
+ARGUMENTS = ('scene', 'namespace', 'name', 'torque', 'remappings', 'frame_prefix',
+             'use_sim_time', 'log_level', 'respawn')
 INDEX = 'share/ament_index/resource_index/packages'
 #: Logs its arguments. `ros2 bag play` ends once it is resumed, which is all that matters to the
 #: launch file.
@@ -154,10 +154,14 @@ def wait_for(condition):
         time.sleep(0.05)
 
 
-def first_attitude(listener, topic):
-    found, attitude = wait_for_message(QuaternionStamped, listener, topic, time_to_wait=PATIENCE)
+def first(kind, listener, topic):
+    found, message = wait_for_message(kind, listener, topic, time_to_wait=PATIENCE)
     assert found
-    return attitude
+    return message
+
+
+def first_attitude(listener, topic):
+    return first(QuaternionStamped, listener, topic)
 
 
 @pytest.mark.parametrize(('name', 'arguments'), [
@@ -243,7 +247,8 @@ def test_launch_files_included_twice_leave_nothing_to_the_file_that_includes_the
 def test_each_body_of_a_fleet_has_its_own_topics(listener):
     with launched('fleet', 'scene:=tumbler') as process:
         for number in range(1, 9):
-            first_attitude(listener, f'/body_{number}/attitude')
+            frame = first(Vector3Stamped, listener, f'/body_{number}/angular_velocity')
+            assert frame.header.frame_id == f'body_{number}/base_link'
             assert listener.count_publishers(f'/body_{number}/attitude') == 1
         assert listener.count_publishers('/tf') == 0
         words, status = interrupt(process)

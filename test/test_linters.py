@@ -29,7 +29,7 @@ PYTHON = ['benchmarks', 'docs', 'examples', 'launch', 'rigid_body_ros', 'setup.p
     ('ament_flake8', ['launch', 'rigid_body_ros', 'setup.py']),
     *at_night(('ament_flake8', PYTHON)),  # half a minute
     ('ament_pep257', PYTHON),
-    ('ament_xmllint', ['package.xml'])])
+    ('ament_xmllint', ['package.xml', 'policies'])])
 def test_the_linters_of_ros_find_no_problem(linter, paths, monkeypatch):
     module = pytest.importorskip(f'{linter}.main', reason=f'{linter} is not installed as a whole')
     if linter == 'ament_xmllint' and not shutil.which('xmllint'):

@@ -22,7 +22,18 @@ import time
 
 from conftest import at_night, RECORDINGS, ROOT, SECOND
 from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
-from live import decoded, get_parameters, replayed, run_clock, set_parameter, TUMBLER
+from live import (
+    commit,
+    decoded,
+    get_parameters,
+    late_torques,
+    PATIENT,
+    publish_when_due,
+    replayed,
+    run_clock,
+    set_parameter,
+    TUMBLER,
+)
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 from nav_msgs.msg import Odometry
 import numpy as np
@@ -50,27 +61,20 @@ pytestmark = pytest.mark.ros
 @pytest.mark.parametrize('timeout', [0.0, *at_night(0.02)])
 def test_live_is_replay_bit_for_bit_though_torques_come_late_and_out_of_order(
         tmp_path, domain, timeout):
-    random = np.random.default_rng(17)
-    with LiveSession(TUMBLER, domain, *RELIABLE,
+    with LiveSession(TUMBLER, domain, *RELIABLE, *PATIENT,
                      '-p', f'torque_timeout:={timeout}') as live:
-        start_ns, torques = live.now_ns(), []
-        for number in range(800):
-            stamp_ns = start_ns + number * SECOND // 200 + int(random.integers(0, SECOND // 500))
-            delay_ns = int(random.integers(0, SECOND // 2)) * int(random.integers(0, 2))
-            torque = random.normal(size=3) * 0.02 * (random.random() > 0.3)
-            frame_id = ('', 'base_link', 'world')[random.integers(3)]
-            torques.append((stamp_ns + delay_ns, stamp_ns, frame_id, torque))
-        for due_ns, stamp_ns, frame_id, torque in sorted(torques, key=lambda row: row[0]):
-            live.spin((due_ns - live.now_ns()) * 1e-9)
-            live.publish(stamp_ns, frame_id, torque)
-        live.spin(0.3)
+        torques = late_torques(live.now_ns(), 800, rate=200)
+        publish_when_due(live, torques)
+        live.wait_until(lambda: len(live.received[ACCEPTED]) == len(torques), 'all torques')
+        stamps = np.unique([torque.stamp_ns for torque in torques])
+        commit(live, 1 + len(stamps))
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         run = replayed(tmp_path, live)
-    stamps = np.unique([row[1] for row in torques])
-    assert sorted(run.accepted.stamps_ns) == sorted(row[1] for row in torques)
-    assert np.any(np.diff(run.accepted.stamps_ns) < 0)  # they did come out of order
-    np.testing.assert_array_equal(run.stamps_ns[1:], stamps)
+    *accepted, _ = run.accepted.stamps_ns
+    assert sorted(accepted) == sorted(torque.stamp_ns for torque in torques)
+    assert np.any(np.diff(accepted) < 0)  # they did come out of order
+    np.testing.assert_array_equal(run.stamps_ns[1:1 + len(stamps)], stamps)
     np.testing.assert_array_equal(run.committed, run.replay)
     # The start state comes first, at the time that the dumped parameters name.
     assert run.stamps_ns[0] == scene.load(tmp_path / 'live.yaml').start.time_ns
@@ -164,7 +168,7 @@ def test_equal_stamps_and_torques_from_before_the_start(tmp_path, domain):
         for stamp_ns, torque in ((start_ns - SECOND, 0.03), (start_ns - 2 * SECOND, 0.09),
                                  (start_ns, 0.01), (later_ns, 0.05), (later_ns, 0.02)):
             live.publish(stamp_ns, 'base_link', [torque, 0.0, 0.0])
-        live.spin(0.5)
+        live.wait_for_torques(5)
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         run = replayed(tmp_path, live)
@@ -248,7 +252,7 @@ def test_wrenches_of_links_act_live_as_in_a_replay(tmp_path, domain):
         for frame_id, force in (('arm', 0.0), ('hand', 0.0), ('map', 0.0), ('mast', np.nan)):
             live.publish_bytes(messages.WRENCH.encode(
                 int(stamps[-1]), frame_id, [force, 0.0, 0.0, 0.0, 0.0, 1.0]))
-        live.wait_until(lambda: live.diagnosis('torques')[0]['received'] == 304, 'all torques')
+        live.wait_for_torques(304)
         counts, _, _ = live.diagnosis('torques')
         live.dump_parameters(tmp_path / 'live.yaml')
         words = live.end()
@@ -312,7 +316,7 @@ def run_node(domain, *arguments):
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [
-    ((), 'inertia.ixx: expected a number (kg m^2), found none'),
+    (('-p', 'inertia.ixx:=1'), 'inertia.iyy: expected a number (kg m^2), found none'),
     (('-p', 'inertia.ixx:=1', '-p', 'inertia.iyy:=1', '-p', 'inertia.izz:=5'),
      'not physical, principal moments 1, 1, 5 kg m^2'),
     (('--params-file', str(TUMBLER), '-p', 'intertia.ixx:=1.0'),

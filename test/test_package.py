@@ -29,7 +29,8 @@ import xml.etree.ElementTree as ElementTree
 from conftest import at_night, CONFIG, locked, NAME, RECORDINGS, ROOT
 import pytest
 
-COMMANDS = ('attitude_controller', 'attitude_node', 'attitude_replay', 'attitude_tradeoff')
+NODES = ('attitude_controller', 'attitude_lifecycle_node', 'attitude_node')
+COMMANDS = (*NODES, 'attitude_replay', 'attitude_tradeoff')
 
 
 @pytest.mark.slow
@@ -44,7 +45,7 @@ def test_ros2_run_finds_the_commands_of_a_pip_install(installed, command):
     packages, = installed.glob('lib/python*/site-packages')
     environment = {**os.environ, 'PYTHONPATH': str(packages),
                    'PATH': os.path.dirname(sys.executable) + os.pathsep + os.environ['PATH']}
-    if command in ('attitude_controller', 'attitude_node'):
+    if command in NODES:
         pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
     result = subprocess.run([executable, '--help'], env=environment, cwd='/', check=True,
                             capture_output=True, text=True)

@@ -135,7 +135,7 @@ def test_a_scene_is_printed_with_units(tmp_path):
     ({'inertia.izz': 4.0}, 'moments 1, 2, 4 kg m.*sum of the other two'),
     ({'inertia.ixy': 3.0}, 'positive definite'),
     ({'inertia.ixz_': 3.0}, 'inertia.ixz_: unknown key; did you mean inertia.ixz?'),
-    ({'gravity': 3.0}, 'gravity: unknown key; expected one of inertia.ixx, '),
+    ({'inertia.mass': 3.0}, 'inertia.mass: unknown key; expected a member of inertia: ixx, iyy, '),
     ({'initial_attitude.w': 0.0}, 'attitude quaternion .*expected a non-zero'),
     ({'initial_angular_velocity.x': float('inf')}, 'initial_angular_velocity.x: .*rad/s.*inf'),
     ({'start_time': 0.5}, r'start_time: expected an integer \(ns\), found 0.5'),
@@ -163,12 +163,15 @@ def test_a_scene_is_printed_with_units(tmp_path):
     ({'solver': 'strang', 'max_step': 0.1, 'initial_rotor_momentum.x': 1.0},
      "solver 'strang' .* rotors"),
     ({'wheels': 1}, 'wheels: expected true or false, found 1'),
+    ({'torque_topics': None}, 'torque_topics: expected a list of text, found none'),
     ({'torque_topics': 'torque'}, "torque_topics: expected a list of text, found 'torque'"),
     ({'torque_topics': []}, 'torque_topics: expected at least one topic, found an empty list'),
     ({'torque_topics': ['a', 'b', 'a']}, "torque_topics: expected each topic once, found 'a' "
                                          'twice'),
     ({'torque_topics': ['a', 3]}, r'torque_topics: expected names of topics \(.*\), found 3'),
     ({'torque_topics': ['a b']}, r"torque_topics: expected names of topics \(.*\), found 'a b'"),
+    ({'frame_prefix': 'a\0'}, r"frame_prefix: expected UTF-8 text without NUL, found 'a\\x00'"),
+    ({'frame_prefix': 'one/', 'space_frame': 'one/base_link'}, 'expected different names'),
     ({'body_frame': 'world'}, "space_frame, body_frame: expected different names,.*'world' twice"),
     ({'max_future': 2.0}, r'max_future: expected less than history \(1.0 s\), found 2.0 s')])
 def test_invalid_values_are_rejected_with_name_and_value(change, message):

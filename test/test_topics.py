@@ -90,3 +90,5 @@ def test_every_topic_of_the_page_is_there_and_no_other(domain, mode, arguments):
         assert [name for name, (_, profile) in topics.items()
                 if not agrees(page[name], profile)] == []
     assert services[f'/{NODE}/reset'] == ['std_srvs/srv/Trigger']
+    assert services.get(f'/{NODE}/pause') == (
+        ['std_srvs/srv/SetBool'] if mode == 'lockstep' else None)

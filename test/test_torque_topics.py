@@ -18,7 +18,7 @@ import subprocess
 
 from conftest import SECOND
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
-from live import live_values, replayed, run_clock, TUMBLER
+from live import commit, live_values, PATIENT, replayed, run_clock, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
@@ -114,21 +114,26 @@ def plan(live, random, topics):
     (), ('-p', 'torque_timeout:=0.02', '-p', 'damping.dxx:=0.01', '-p', 'damping.dyy:=0.02')])
 def test_live_is_replay_bit_for_bit_with_several_sources(tmp_path, domain, arguments):
     random = np.random.default_rng(29)
-    with Sources(TUMBLER, domain, *SOURCES, *arguments) as live:
+    with Sources(TUMBLER, domain, *SOURCES, *PATIENT, *arguments) as live:
         rows = plan(live, random, LOGS)
         for due_ns, topic, stamp_ns, torque, frame_id in rows:
             live.spin((due_ns - live.now_ns()) * 1e-9)
             live.publish_on(topic, stamp_ns, torque, frame_id)
-        live.spin(0.3)
+        stamps = np.unique([row[2] for row in rows])
+        live.wait_until(lambda: sum(len(live.accepted(topic)) for topic in LOGS) == len(rows),
+                        'all torques')
+        commit(live, 1 + len(stamps))
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         stamps_ns, committed, expected, _, run = replayed_sources(tmp_path, live)
     for topic in LOGS:
         accepted = [message.stamp_ns for message in live.accepted(topic)]
+        if topic == 'torque':
+            accepted.pop()  # the one that is far ahead
         assert sorted(accepted) == sorted(row[2] for row in rows if row[1] == topic)
         assert np.any(np.diff(accepted) < 0)  # they did come out of order
     # One state for each change, whatever the number of sources.
-    np.testing.assert_array_equal(stamps_ns[1:], np.unique([row[2] for row in rows]))
+    np.testing.assert_array_equal(stamps_ns[1:1 + len(stamps)], stamps)
     np.testing.assert_array_equal(committed, expected)
     assert run.start.rotor_momentum.tolist() == [0.01, 0.0, -0.02]
 
@@ -159,7 +164,9 @@ def test_equal_stamps_replace_each_other_within_one_source_only(tmp_path, domain
                               (WHEELS, 0.04)):
             live.publish_on(topic, stamp_ns, [torque, 0.0, 0.0])
             live.spin(0.1)
-        live.wait_until(lambda: live.accepted(WHEELS), 'the torque on the rotors')
+        live.wait_until(lambda: [len(live.accepted(topic)) for topic in LOGS] == [2, 1, 1],
+                        'the torques')
+        live.wait_for_torques(2)
         values, _, _ = torques_of(live)
         others, _, _ = live.diagnosis('torques_1')
         wheels, _, _ = live.diagnosis('wheel torques')
@@ -179,7 +186,6 @@ def test_faults_are_counted_by_cause_and_publishers_named_by_topic(domain):
         live.publish_on('disturbance', live.now_ns(), [np.nan, 0.0, 0.0])
         live.publish_on('disturbance', live.now_ns(), [0.1, 0.0, 0.0], 'map')
         live.publish_on(WHEELS, live.now_ns(), [0.1, 0.0, 0.0], 'world')
-        live.spin(0.3)
         second = live.node.create_publisher(WrenchStamped, 'disturbance', 10)
         live.wait_until(lambda: '/disturbance: 2 publishers: /live_session, /live_session; '
                         'torques of several publishers' in torques_of(live)[2], 'a warning')
@@ -201,6 +207,7 @@ def test_a_reset_keeps_the_torques_and_a_new_state_the_rotor_momentum(tmp_path, 
     with Sources(TUMBLER, domain, *SOURCES) as live:
         begin_ns = live.now_ns()
         live.publish_on(WHEELS, begin_ns, [0.0, 0.1, 0.0])
+        live.wait_until(lambda: live.accepted(WHEELS), 'the torque on the rotors')
         live.spin(1.2)  # longer than `history`: a slow source keeps its torque, too
         live.publish_on('disturbance', live.now_ns(), [0.0, 0.0, 0.01])
         live.wait_until(lambda: live.accepted('disturbance'), 'the torque')
@@ -212,9 +219,9 @@ def test_a_reset_keeps_the_torques_and_a_new_state_the_rotor_momentum(tmp_path, 
         expected = 0.1 * (start.time_ns - begin_ns) * 1e-9
         np.testing.assert_allclose(start.rotor_momentum, [0.01, expected, -0.02], rtol=1e-14)
         assert live.reset().success
-        live.spin(0.3)
+        live.wait_until(lambda: len(live.accepted(WHEELS)) == 5, 'the torques of the new epoch')
         live.publish_on('torque', live.now_ns(), [0.01, 0.0, 0.0])
-        live.spin(0.3)
+        live.wait_until(lambda: len(live.accepted('torque')) == 3, 'the torque')
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         _, committed, expected, logs, run = replayed_sources(tmp_path, live)
@@ -236,9 +243,9 @@ def test_lockstep_waits_for_every_topic_that_has_a_publisher(tmp_path, domain):
             topics = list(LOGS)[number % 3:] + list(LOGS)[:number % 3]
             for place, topic in enumerate(topics):
                 live.publish_on(topic, stamp_ns, [1e-3 * number, 2e-3 * place, 0.0])
-                if number == 5:
+                if number == 5 and place < 2:
                     live.spin(0.2)
-                    assert (answers(live)[-1] == stamp_ns + STEP_NS) == (place == 2)
+                    assert answers(live)[-1] == stamp_ns
             live.wait_until(lambda due=stamp_ns + STEP_NS: answers(live)[-1] == due, 'a response')
         live.publish_on(WHEELS, 21 * STEP_NS, [0.0, 0.0, 1e-3])
         live.publish_on('torque', 21 * STEP_NS, [0.0, 0.0, 1e-3])
@@ -246,10 +253,12 @@ def test_lockstep_waits_for_every_topic_that_has_a_publisher(tmp_path, domain):
                         and 'has not responded to the state at 420000000' in torques_of(live)[2],
                         'a warning')
         live.node.destroy_publisher(live.publishers['disturbance'])
-        live.spin(0.5)
-        # The response no longer waits for that topic; a controller repeats its torque.
-        live.publish_on('torque', 21 * STEP_NS, [0.0, 0.0, 1e-3])
-        live.wait_until(lambda: answers(live)[-1] == 22 * STEP_NS, 'a response')
+
+        def has_responded():  # no longer waits for that topic; a controller repeats its torque
+            live.publish_on('torque', 21 * STEP_NS, [0.0, 0.0, 1e-3])
+            live.spin(0.5)
+            return answers(live)[-1] == 22 * STEP_NS
+        live.wait_until(has_responded, 'a response')
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         stamps_ns, committed, expected, _, _ = replayed_sources(tmp_path, live)
@@ -269,6 +278,7 @@ def test_one_topic_of_another_name_is_all_that_changes(tmp_path, domain):
         for number in range(5):
             live.publish(live.now_ns(), '', [0.01, 0.0, 1e-3 * number])
             live.spin(0.05)
+        live.wait_for_torques(5)
         names = {name for name, _ in live.node.get_subscriber_names_and_types_by_node(
             'attitude_node', '/')}
         live.dump_parameters(tmp_path / 'live.yaml')
@@ -293,7 +303,7 @@ def test_one_topic_of_another_name_is_all_that_changes(tmp_path, domain):
      'torque_topics: expected topics that the node does not use for anything else, found '
      '/attitude_node/accepted_torque twice'),
     (('torque_topics:=[3, 4]',), 'torque_topics: expected names of topics'),
-    (('torque_topics:=[]',), 'expected a value for each parameter, found one without a value'),
+    (('torque_topics:=[]',), 'torque_topics: expected a list of text, found none'),
     (('torque_topics:=torque',), 'torque_topics: expected a list of text'),
     (('wheels:=true', 'solver:=strang', 'max_step:=0.01'), "solver 'strang' handles neither"),
 ])

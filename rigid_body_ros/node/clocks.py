@@ -12,16 +12,25 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The clock of a node: stamps for messages without one, and whether the clock advances."""
+"""The clock of a node: stamps for messages without one, jumps, and whether the clock advances."""
 
 from __future__ import annotations
 
 import time
+from typing import NamedTuple
 
+from rclpy.clock import Clock
 from rclpy.node import Node
 
 #: s; if the clock does not advance for longer, that is reported as a warning.
 _MAX_PAUSE = 1.0
+#: Simulated time may be this many times as fast as real time. After a pause of the node, or of the
+#: publisher, it is ahead by as much without a jump.
+_FASTEST = 10
+#: ns; a publisher that is silent for longer has stopped.
+_LONGEST_PAUSE_NS = 3 * 10 ** 9
+#: A wall clock that is adjusted does not jump, even if no torque may be late.
+_SMALLEST_JUMP_NS = 10 ** 8
 
 
 class ArrivalStamps:
@@ -56,6 +65,64 @@ class ArrivalStamps:
         stamp_ns = self._now_ns + round(min(passed, 1.0) * self._tick_ns)
         self._last_ns = max(self._last_ns + 1, stamp_ns)
         return self._last_ns
+
+
+class Reading(NamedTuple):
+    """The time of a clock, ns, and by how much it has jumped since the last reading, ns."""
+
+    now_ns: int
+    jump_ns: int
+
+
+class JumpDetector:
+    """
+    Detect jumps of a clock from one reading to the next.
+
+    Simulated time jumps if it is set back at all, or ahead by more than a limit. After a pause of
+    the node or of the publisher it may be ahead by more, also in several steps, because messages
+    on /clock have waited. A wall clock may be set back up to the limit, and its jumps ahead are
+    relative to the steady clock.
+
+    Parameters
+    ----------
+    clock : Clock
+    is_simulated : bool
+    limit_ns : int
+        The limit, ns; at least 0.1 s ahead.
+
+    """
+
+    def __init__(self, clock: Clock, is_simulated: bool, limit_ns: int) -> None:
+        self._clock = clock
+        self._is_simulated = is_simulated
+        self._most_back_ns = 0 if is_simulated else limit_ns
+        self.most_ahead_ns = max(limit_ns, _SMALLEST_JUMP_NS)
+        #: The last reading, and when it was taken and when the clock advanced, steady clock.
+        self._now_ns = self._read_at_ns = self._advanced_at_ns = 0
+        #: The longest recent pause; it is forgotten in as much time.
+        self._pause_ns = 0
+
+    def read(self) -> Reading:
+        """Return the time, 0 before simulated time begins, and the jump, 0 if there is none."""
+        before_ns = time.monotonic_ns()
+        now_ns = self._clock.now().nanoseconds
+        if not now_ns:
+            return Reading(0, 0)
+        if not self._now_ns:
+            self._now_ns, self._read_at_ns, self._advanced_at_ns = now_ns, before_ns, before_ns
+        # At most: the process may be interrupted while it reads the clocks.
+        after_ns = time.monotonic_ns()
+        elapsed_ns = after_ns - self._read_at_ns
+        silence_ns = min(after_ns - self._advanced_at_ns, _LONGEST_PAUSE_NS)
+        self._pause_ns = max(elapsed_ns, silence_ns, self._pause_ns - elapsed_ns)
+        expected_ns = _FASTEST * self._pause_ns if self._is_simulated else elapsed_ns
+        ahead_ns = now_ns - self._now_ns
+        self._now_ns, self._read_at_ns = now_ns, before_ns
+        if ahead_ns:
+            self._advanced_at_ns = before_ns
+        has_jumped = (-ahead_ns > self._most_back_ns
+                      or ahead_ns > self.most_ahead_ns + expected_ns)
+        return Reading(now_ns, ahead_ns if has_jumped else 0)
 
 
 class ClockMonitor:

@@ -25,7 +25,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import qos_check_compatible, QoSCompatibility
+from rclpy.qos import DurabilityPolicy, qos_check_compatible, QoSCompatibility, QoSProfile
 from rclpy.subscription import Subscription
 from rigid_body_ros.node.inputs import CAUSES, RejectedError
 from rigid_body_ros.node.sources import Source
@@ -82,6 +82,10 @@ class Diagnostics:
     def __init__(self, node: Node, sources: Sequence[Source]) -> None:
         self._node, self._sources = node, {source.number: source for source in sources}
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        # Latched, so that it reaches a subscription that is not connected yet.
+        self._results = node.create_publisher(
+            DiagnosticStatus, '~/initial_state_result',
+            QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL))
         self._torques = {source: _Counts() for source in self._sources}
         self._motion = _Counts()
         #: Monotonic time, s, of the last log message of each kind.
@@ -91,9 +95,10 @@ class Diagnostics:
         """Count an event of a torque of a source without logging it."""
         self._torques[source][name] += 1
 
-    def count_state(self) -> None:
-        """Count a state that begins an epoch."""
+    def accept_state(self, result: str, stamp_ns: int) -> None:
+        """Count a state that begins an epoch, and publish the result."""
         self._motion[STATES] += 1
+        self._acknowledge(result, stamp_ns, is_error=False)
 
     def reject(self, rejected: RejectedError, source: int) -> None:
         """Count a rejected torque of a source and log the reason."""
@@ -111,12 +116,19 @@ class Diagnostics:
         """Count an ignored force, and log only the first, as it is not a fault."""
         self._torques[source][FORCE] += 1
         if sum(counts[FORCE] for counts in self._torques.values()) == 1:
-            self._node.get_logger().warning('the force of a WrenchStamped is ignored: its torque '
-                                            'is taken about the centre of mass')
+            self._node.get_logger().info('the force of a WrenchStamped is ignored, as it has no '
+                                         'lever arm about the centre of mass; diagnostics count '
+                                         'such forces')
 
-    def reject_state(self, rejected: RejectedError) -> None:
-        """Count a rejected initial state and log the reason."""
-        self.event(STATES_REJECTED, f'initial_state rejected: {rejected.cause}: {rejected}')
+    def reject_state(self, rejected: RejectedError, stamp_ns: int | None) -> None:
+        """Count a rejected initial state, log the reason and publish it."""
+        reason = f'{rejected.cause}: {rejected}'
+        self.event(STATES_REJECTED, f'initial_state rejected: {reason}')
+        self._acknowledge(reason, stamp_ns, is_error=True)
+
+    def _acknowledge(self, text: str, stamp_ns: int | None, is_error: bool) -> None:
+        stamp = {} if stamp_ns is None else {'stamp': stamp_ns}
+        self._results.publish(self._status('initial_state', is_error, False, text, stamp))
 
     def count_lost(self, source: int, number: int) -> None:
         """Count torques that the middleware reports as lost in transit."""
@@ -233,11 +245,13 @@ class Diagnostics:
 
     def _status(self, name: str, is_error: bool, is_warning: bool, message: str,
                 values: Mapping[str, int]) -> DiagnosticStatus:
+        # With the namespace: aggregators know a status by its name, and nodes of a fleet differ
+        # in their namespaces alone. Without the leading slash it would not be the name of a node.
+        node = self._node.get_fully_qualified_name()
         level = DiagnosticStatus.WARN if is_warning else DiagnosticStatus.OK
         return DiagnosticStatus(
             level=DiagnosticStatus.ERROR if is_error else level,
-            name=f'{self._node.get_name()}: {name}', hardware_id=self._node.get_name(),
-            message=message,
+            name=f'{node}: {name}', hardware_id=node, message=message,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
 
     def _log(self, kind: str, text: str) -> None:

@@ -69,7 +69,7 @@ class Inputs:
 
     def __init__(self, scene: Scene, on_force: Callable[[int], None]) -> None:
         self._on_force = on_force
-        self._frames = scene.values['body_frame'], scene.values['space_frame']
+        self._frames = scene.body_frame, scene.space_frame
         self._links = scene.links
         self._largest = _LARGEST_ACCELERATION * scene.body.principal_moments[0]
 
@@ -111,18 +111,21 @@ class Inputs:
             self._on_force(source)
         return Torque(wrench.stamp_ns, torque, axes, source)
 
-    def state(self, data: bytes) -> State:
+    def odometry(self, data: bytes) -> messages.Stamped:
+        """Decode an Odometry in CDR; raise RejectedError if it is malformed."""
+        return _decoded(messages.ODOMETRY, data)
+
+    def state(self, odometry: messages.Stamped) -> State:
         """
-        Return the state of an Odometry in CDR.
+        Return the state of an Odometry.
 
         Raises
         ------
         RejectedError
-            The message is malformed, in frames other than the scene's, not finite, or too fast; or
-            its quaternion is zero.
+            The message is in frames other than the scene's, not finite, or too fast; or its
+            quaternion is zero.
 
         """
-        odometry = _decoded(messages.ODOMETRY, data)
         body, space = self._frames
         found = odometry.frame_id, odometry.child_frame_id
         if found[0] not in ('', space) or found[1] not in ('', body):

@@ -53,6 +53,7 @@ from rigid_body_ros.node.pipeline import Pipeline
 from rigid_body_ros.node.sources import sources_of
 from rigid_body_ros.state import State
 from rosgraph_msgs.msg import Clock
+from std_srvs.srv import SetBool
 
 #: s; period of the check whether to publish the state again.
 _CHECK_PERIOD = 0.1
@@ -90,9 +91,17 @@ class Lockstep:
         self._since = time.monotonic()
         #: The stamp of the state that waited for a torque when the motion was reset.
         self._stale_ns: int | None = None
-        self._timer = node.create_timer(_CHECK_PERIOD, self._republish,
-                                        clock=RosClock(clock_type=ClockType.STEADY_TIME))
         self._begin_at_given_start()
+
+    def activate(self) -> None:
+        """Begin to publish the state until torques come, and to pause on request."""
+        self._since = time.monotonic()
+        self._node.create_timer(_CHECK_PERIOD, self._republish,
+                                clock=RosClock(clock_type=ClockType.STEADY_TIME))
+        self._node.create_service(SetBool, '~/pause', self._on_pause)
+
+    def deactivate(self) -> None:
+        """Do nothing: the owner of the node destroys timer and service."""
 
     def connect(self, torques: Mapping[int, Subscription]) -> None:
         """Set the subscriptions to torques by source; their publishers are counted."""
@@ -113,11 +122,12 @@ class Lockstep:
         """
         self.pipeline.enqueue(data, sender, 0, source)
 
-    def set_state(self, state: State) -> None:
+    def set_state(self, state: State) -> str:
         """
-        Begin an epoch with a state; if its stamp is zero, at the stamp of the next torque.
+        Begin an epoch with a state, and return a description.
 
-        The rotors keep their momentum.
+        If the stamp of the state is zero, the epoch begins at that of the next torque. The rotors
+        keep their momentum.
 
         Raises
         ------
@@ -135,6 +145,8 @@ class Lockstep:
             self._start = state
         self._clear_duplicates()
         self._publish(self._start, self._start)
+        begin = f'{state.time_ns} ns' if state.time_ns else 'the stamp of the next torque'
+        return f'initial_state received: a new epoch begins at {begin}'
 
     def reset(self) -> str:
         """Return to the state before the first torque, and return a description."""
@@ -156,7 +168,9 @@ class Lockstep:
                                           'stops publishing it')
         problems = self._monitor.problems()
         silence = time.monotonic() - self._since
-        if self.pipeline.waiting_time > _WARN_AFTER:
+        if self.pipeline.is_paused:
+            problems.append('paused: torques wait')
+        elif self.pipeline.waiting_time > _WARN_AFTER:
             problems.append('computing the response to a torque has taken '
                             f'{self.pipeline.waiting_time:.0f} s so far')
         elif not self.pipeline.waiting and silence > _WARN_AFTER:
@@ -171,6 +185,13 @@ class Lockstep:
         if self._clock is None:
             return self._node.get_clock().now().to_msg()
         return _time(self._latest.time_ns)
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self.pipeline.is_paused = request.data
+        self.pipeline.wake()
+        response.success = True
+        response.message = 'paused: torques wait' if request.data else 'resumed'
+        return response
 
     def _begin_at_given_start(self) -> None:
         if self._given_start_ns:

@@ -63,8 +63,7 @@ class Outputs:
                  diagnostics: Diagnostics) -> None:
         self._node, self._diagnostics = node, diagnostics
         values = scene.values
-        space, body, sequence = (values[name] for name in (
-            'space_frame', 'body_frame', 'euler_sequence'))
+        space, body, sequence = scene.space_frame, scene.body_frame, values['euler_sequence']
         self._frames = {'body': body, 'space': space}
         #: The publisher of each topic, and how it encodes a state.
         self._states: list[tuple[Publisher, Callable[[State], bytes]]] = [

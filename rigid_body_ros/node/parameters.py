@@ -16,8 +16,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-import difflib
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -32,12 +32,13 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rigid_body_ros import scene
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.node.robot_description import with_robot_description
 from rigid_body_ros.propagation.solvers import solver_named
-from rigid_body_ros.scene import Scene
+from rigid_body_ros.runtime.parameters import resembled
+from rigid_body_ros.scene import QOS, Scene
 from rigid_body_ros.state import State
 
 _RATE = 'publish_rate'
-_QOS = 'qos_overrides.'
 #: Topics of rclpy itself.
 _OF_RCLPY = ('/clock.', '/parameter_events.', '/rosout.')
 #: Parameters that the node sets when an epoch begins, so that a dump is the scene of the epoch.
@@ -50,6 +51,14 @@ class Parameters:
     """
     Declare the parameters of a scene, and store the scene.
 
+    Parameters
+    ----------
+    node : Node
+    on_rate : callable
+        Receives a new `publish_rate`.
+    is_managed : bool
+        Whether `release` is called when the scene is not used any more.
+
     Raises
     ------
     InputError
@@ -57,51 +66,64 @@ class Parameters:
 
     """
 
-    def __init__(self, node: Node, on_rate: Callable[[float], None]) -> None:
-        self._node, self._on_rate = node, on_rate
+    def __init__(self, node: Node, on_rate: Callable[[float], None],
+                 is_managed: bool = False) -> None:
+        self._node, self._on_rate, self._is_managed = node, on_rate, is_managed
+        #: Scene parameters that the user has given.
+        self._given: dict[str, Any] = {}
         self.scene = self._declare()
-        self._epoch = {name: self.scene.values[name] for name in _EPOCH}
+        #: Values that cannot be changed from now on, except by `set_start`.
+        self._fixed = {name: value for name, value in self.scene.values.items() if name != _RATE}
+        node.add_on_set_parameters_callback(self._on_set)
 
-    def make_read_only(self) -> None:
-        """Reject changes from now on, except changes of the rate and changes by `set_start`."""
-        self._node.add_on_set_parameters_callback(self._on_set)
+    def release(self) -> None:
+        """If the node is managed, restore the given parameters, which may change again."""
+        if self._is_managed:
+            self._node.remove_on_set_parameters_callback(self._on_set)
+            for name in self.scene.values:
+                self._node.undeclare_parameter(name)
+            declare(self._node, self._given)
 
     def set_start(self, start: State) -> None:
         """Set the parameters to the start state of an epoch, or raise RuntimeError."""
         values = [start.time_ns, *start.attitude.tolist(), *start.angular_velocity.tolist(),
                   *start.rotor_momentum.tolist()]
-        self._epoch = dict(zip(_EPOCH, values))
+        epoch = dict(zip(_EPOCH, values))
+        self._fixed |= epoch
         result = self._node.set_parameters_atomically(
-            [Parameter(name, value=value) for name, value in self._epoch.items()])
+            [Parameter(name, value=value) for name, value in epoch.items()])
         if not result.successful:
             raise RuntimeError(f'cannot set the parameters of the start state: {result.reason}')
 
     def _declare(self) -> Scene:
-        # rclpy has declared the given parameters, with the types of their values. Check all of
-        # them as one scene, then declare each again with the type and description of the scene.
-        given = {name: parameter.value
-                 for name, parameter in self._node.get_parameters_by_prefix('').items()}
-        checked = Scene.from_values(given)
+        # Those of a managed node are declared, and may have changed since the start.
+        declared = {name: self._node.get_parameter(name).value for name in scene.PARAMETERS
+                    if self._node.has_parameter(name)}
+        given = given_parameters(self._node) | declared
+        checked = Scene.from_values(with_robot_description(self._node, given))
         solver = solver_named(checked.values['solver'])
         if not solver.takes_torque:
             raise InputError(f'solver: {solver.name!r} handles torque-free motion only')
         if checked.values['interpolation'] != 'hold':
             raise InputError("interpolation: expected 'hold', because a node does not know the "
                              f'next torque, found {checked.values["interpolation"]!r}')
+        self._given = {name: value for name, value in given.items() if name in checked.values}
         for name, value in checked.values.items():
-            if name in given:
+            if name in declared:
                 self._node.undeclare_parameter(name)
-            self._node.declare_parameter(name, value, _descriptor(scene.PARAMETERS[name]),
-                                         ignore_override=True)
+            descriptor = _descriptor(scene.PARAMETERS[name])
+            descriptor.read_only &= not self._is_managed  # which rclpy could not undeclare
+            self._node.declare_parameter(name, value, descriptor, ignore_override=True)
         return checked
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         values = {parameter.name: parameter.value for parameter in parameters}
         for name, value in values.items():
-            if value != self._epoch.get(name, value):
+            if value != self._fixed.get(name, value):
                 return SetParametersResult(successful=False, reason=f'{name}: read-only in a '
                                            'running node: it defines the trajectory')
-            if name == 'use_sim_time' or name.startswith(_QOS):
+            # rclpy declares those of quality of service with each endpoint.
+            if self._node.has_parameter(name) and name.startswith((QOS, 'use_sim_time')):
                 return SetParametersResult(successful=False, reason=f'{name}: read-only in a '
                                            'running node: it takes effect only at the start')
         if _RATE in values:
@@ -112,26 +134,45 @@ class Parameters:
         return SetParametersResult(successful=True)
 
 
+def declare(node: Node, given: Mapping[str, Any]) -> None:
+    """Declare those of the given parameters that are of a scene, so that they can be set."""
+    for name in scene.PARAMETERS.keys() & given.keys():
+        node.declare_parameter(name, given[name], ParameterDescriptor(dynamic_typing=True),
+                               ignore_override=True)
+
+
+def given_parameters(node: Node) -> dict[str, Any]:
+    """Return the values of all parameters given to a node, those of other nodes included."""
+    # rclpy can only declare them all, and fails if one of another node is an empty list.
+    return {name: parameter.value for name, parameter in node._parameter_overrides.items()}
+
+
 def check_qos_overrides(node: Node, subscriptions: Iterable[Subscription],
-                        publishers: Iterable[Publisher]) -> None:
+                        publishers: Iterable[Publisher]) -> list[str]:
     """
-    Check that every given QoS override applies to an endpoint of the node.
+    Return the given QoS overrides that are for endpoints of other nodes.
 
     Raises
     ------
     InputError
-        An override would have no effect: its topic, endpoint or policy is misspelt.
+        An override has no effect because its topic, endpoint or policy is misspelt.
 
     """
-    known = [f'{_QOS}{endpoint.topic_name}.{kind}.{policy.name.lower()}'
+    known = [f'{QOS}{endpoint.topic_name}.{kind}.{policy.name.lower()}'
              for kind, endpoints in (('subscription', subscriptions), ('publisher', publishers))
              for endpoint in endpoints
              for policy in QoSOverridingOptions.with_default_policies().policy_kinds]
-    for name in node.get_parameters_by_prefix(_QOS.rstrip('.')):
-        if _QOS + name not in known and not name.startswith(_OF_RCLPY):
-            close = difflib.get_close_matches(_QOS + name, known, 1)
-            raise InputError(f'{_QOS}{name}: not a topic, endpoint or policy of this node'
-                             + (f'; did you mean {close[0]}?' if close else ''))
+    others = [name for name in given_parameters(node)
+              if name.startswith(QOS) and name not in known
+              and not name.removeprefix(QOS).startswith(_OF_RCLPY)]
+    for name in others:
+        # The namespace of another body may differ in one letter.
+        space = name.rpartition('/')[0]
+        close = resembled(name, [own for own in known if own.rpartition('/')[0] == space])
+        if close:
+            raise InputError(f'{name}: not a topic, endpoint or policy of this node; '
+                             f'did you mean {close}?')
+    return others
 
 
 def _descriptor(parameter: scene.Parameter) -> ParameterDescriptor:

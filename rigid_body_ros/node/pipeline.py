@@ -96,6 +96,8 @@ class Pipeline:
         self._is_applied = False
         #: Time, ns, of the state to publish as soon as it is known; 0 if there is none.
         self._deferred_ns = 0
+        #: Whether torques wait in the queue until this is false again.
+        self.is_paused = False
         #: Called if there is work that no message starts.
         self.wake: Callable[[], None] = lambda: None
         #: Final states that are not logged yet.
@@ -145,10 +147,15 @@ class Pipeline:
             default = self.last_state(time_ns) or default
         return replace(start, rotor_momentum=default.rotor_momentum)
 
-    def begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
-        """Begin an epoch and its log; `torques` are earlier ones that still act."""
+    def begin(self, start: State, torques: Sequence[Torque] = (), is_ahead: bool = False) -> None:
+        """
+        Begin an epoch and its log; `torques` are earlier ones that still act.
+
+        Torques that wait for the clock, and come from after it jumped, are kept: those ahead of
+        the clock if it jumped ahead, otherwise those that are too old for the present epoch.
+        """
         if self.epoch is not None:  # otherwise the queued torques belong to the new one
-            self.end()
+            self.end(kept=FUTURE if is_ahead else LATE)
         if self._is_logged:
             self._outputs.begin_log()
         self._is_logged = bool(torques)
@@ -157,19 +164,20 @@ class Pipeline:
             self._outputs.log_torque(torque)
         self._outputs.log_state(start)
 
-    def end(self, until: float | None = None) -> None:
+    def end(self, until: float | None = None, kept: str = LATE) -> None:
         """
         End the epoch, if there is one, and reject all torques that still wait.
 
-        Torques that are too old for the epoch are kept, because the next epoch may begin earlier.
-        The states of the epoch are committed by `until`, s, monotonic clock, or within 0.2 s.
+        Those that wait for the clock are kept for the next epoch if their cause is `kept`. The
+        states of the epoch are committed by `until`, s, monotonic clock, or within 0.2 s.
         """
         if self._is_applied:  # the first torque is applied, but its response takes too long
             self._log(self._torque)
             self._queue.popleft()
-        for queue, event in (
-                (self._queue, 'this torque was applied'),
-                (self._early[FUTURE], 'the clock reached the stamp of this torque')):
+        unmet = {FUTURE: 'the clock reached the stamp of this torque',
+                 LATE: 'the clock was set back to the stamp of this torque'}
+        for queue, event in ((self._queue, 'this torque was applied'), *(
+                (self._early[cause], unmet[cause]) for cause in unmet if cause != kept)):
             for message in queue:
                 self._diagnostics.reject(
                     RejectedError(ENDED, f'the epoch ended before {event}'), message.source)
@@ -208,6 +216,8 @@ class Pipeline:
 
     def process(self) -> bool:
         """Apply waiting torques for one slice of time; return whether no work is left."""
+        if self.is_paused:
+            return True
         until = time.monotonic() + _BUDGET
         self._requeue_early()
         try:

@@ -21,11 +21,13 @@ from dataclasses import replace
 import time
 
 from builtin_interfaces.msg import Time
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from rigid_body_ros.common.times import duration_ns
-from rigid_body_ros.node.clocks import ArrivalStamps, ClockMonitor
+from rigid_body_ros.node.clocks import ArrivalStamps, ClockMonitor, JumpDetector
 from rigid_body_ros.node.diagnostics import Diagnostics, NOT_COMPUTABLE, TIME_JUMP
 from rigid_body_ros.node.drain import Sender
 from rigid_body_ros.node.epoch import Torque
@@ -50,8 +52,6 @@ _ADVICE = ('; if the torques come from a bag, play it with --clock and set use_s
            'time_source:=arrival')
 #: s; how long a torque waits for a /clock message that was sent before it.
 _CLOCK_DELAY = 0.5
-#: A larger jump of the clock ahead is reported.
-_FORWARD_JUMP_NS = 10 ** 9
 
 
 class Realtime:
@@ -68,15 +68,35 @@ class Realtime:
         self._given_start_ns = parameters.scene.start.time_ns
         self._max_future_ns = duration_ns(self._values['max_future'], 'max_future')
         self.pipeline = Pipeline(parameters.scene, outputs, diagnostics, self._read)
-        self._latest_ns = 0
         self._arrivals, self._monitor = ArrivalStamps(), ClockMonitor(node)
         self._torques: Mapping[int, Subscription] = {}
         self._is_simulated = node.get_parameter('use_sim_time').value
+        self._clock = JumpDetector(node.get_clock(), self._is_simulated,
+                                   duration_ns(self._values['history'], 'history'))
+        self._rate = self._values['publish_rate']
+        self._timer: Timer | None = None
+        self._jumps: JumpHandle | None = None
+
+    def activate(self) -> None:
+        """Begin to publish, with an epoch if there is none."""
+        node_clock = self._node.get_clock()
+        if self._is_simulated:  # rclpy does not report jumps of a wall clock
+            ahead = Duration(nanoseconds=self._clock.most_ahead_ns)
+            self._jumps = node_clock.create_jump_callback(
+                JumpThreshold(min_forward=ahead, min_backward=Duration(nanoseconds=-1),
+                              on_clock_change=False),
+                pre_callback=self.pipeline.hold_early_torques,
+                post_callback=lambda jump: self._update())
         # If a wall clock is set back, a timer that follows it stops; a steady timer does not.
-        clock = node.get_clock() if self._is_simulated else Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(1.0 / self._values['publish_rate'], self._publish,
-                                        clock=clock)
-        self._now_ns()
+        clock = node_clock if self._is_simulated else Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self._node.create_timer(1.0 / self._rate, self._publish, clock=clock)
+        self._update()
+
+    def deactivate(self) -> None:
+        """Stop publishing; the owner of the node destroys the timer."""
+        self._timer = None
+        if self._jumps:
+            self._jumps.unregister()
 
     def connect(self, torques: Mapping[int, Subscription]) -> None:
         """Set the subscriptions to torques by source; the timer runs without publishers, too."""
@@ -84,8 +104,10 @@ class Realtime:
 
     def set_rate(self, rate: float) -> None:
         """Publish at another rate, Hz."""
-        self._timer.timer_period_ns = duration_ns(1.0 / rate, 'publish_rate')
-        self._timer.reset()  # otherwise the next call is due after the old period
+        self._rate = rate
+        if self._timer:
+            self._timer.timer_period_ns = duration_ns(1.0 / rate, 'publish_rate')
+            self._timer.reset()  # otherwise the next call is due after the old period
 
     def enqueue(self, data: bytes, sender: Sender, source: int) -> None:
         """
@@ -100,9 +122,11 @@ class Realtime:
         self._valid_now_ns()
         self.pipeline.enqueue(data, sender, self._arrivals.stamp(), source)
 
-    def set_state(self, state: State) -> None:
+    def set_state(self, state: State) -> str:
         """
-        Begin an epoch with an attitude and body rates; the rotors keep their momentum.
+        Begin an epoch with an attitude and body rates, and return a description.
+
+        The rotors keep their momentum.
 
         Raises
         ------
@@ -116,7 +140,7 @@ class Realtime:
         self._check_stamp(start.time_ns, now_ns)
         torques = self.pipeline.torques_since(start.time_ns)
         start = self.pipeline.with_rotor_momentum(start, start.time_ns, self.pipeline.epoch.start)
-        self._begin(start, torques, 'initial_state received')
+        return self._begin(start, torques, 'initial_state received')
 
     def reset(self) -> str:
         """
@@ -138,12 +162,13 @@ class Realtime:
     def problems(self) -> list[str]:
         """Return the present problems."""
         problems = self._monitor.problems()
-        if not self._now_ns():
+        now_ns = self._update()
+        if not now_ns:
             return problems
         timeout = self._values['torque_timeout']
         for source, subscription in self._torques.items():
             newest_ns = self.pipeline.epoch.newest_of(source)
-            silence = 0.0 if newest_ns is None else (self._latest_ns - newest_ns) * 1e-9
+            silence = 0.0 if newest_ns is None else (now_ns - newest_ns) * 1e-9
             if silence > timeout > 0.0:
                 problems.append(f'{subscription.topic_name}: no torque for {silence:.3g} s: the '
                                 f'torque is zero, because torque_timeout ({timeout:g} s) has '
@@ -178,50 +203,42 @@ class Realtime:
             raise EarlyError(rejected.cause, str(rejected)) from rejected
 
     def _publish(self) -> None:
-        now_ns = self._now_ns()
+        now_ns = self._update()
         if now_ns and now_ns >= self.pipeline.epoch.start.time_ns:
             self.pipeline.publish(now_ns)
 
     def _valid_now_ns(self) -> int:
-        now_ns = self._now_ns()
+        now_ns = self._update()
         if not now_ns:
             raise RejectedError(NO_CLOCK, 'no time was received on /clock yet')
         return now_ns
 
-    def _now_ns(self) -> int:
-        """Return the time, ns, and begin an epoch if necessary; return 0 if there is no time."""
-        now_ns = self._node.get_clock().now().nanoseconds
+    def _update(self) -> int:
+        """Read the clock, and begin an epoch if necessary; return the time, ns, or 0 if none."""
+        now_ns, jump_ns = self._clock.read()
         if not now_ns:  # simulated time before the first message on /clock
             return 0
-        latest_ns, self._latest_ns = self._latest_ns, now_ns
         self._arrivals.tick(now_ns)
-        # A wall clock is sometimes set back slightly. Up to `history` that is not a jump, because
-        # torques may be late by as much.
-        tolerance_ns = 0 if self._is_simulated or not self.pipeline.epoch else \
-            self.pipeline.epoch.history_ns
         if self.pipeline.epoch is None:
             self._begin(self.pipeline.initial(self._given_start_ns or now_ns), (), 'start')
-        elif latest_ns - now_ns > tolerance_ns:
-            self._jump_back(latest_ns, now_ns)
-        elif now_ns - latest_ns > _FORWARD_JUMP_NS + 2 * self._timer.timer_period_ns:
-            self._diagnostics.event(TIME_JUMP, 'the clock jumped ahead by '
-                                    f'{(now_ns - latest_ns) * 1e-9:.9g} s; the motion continues '
-                                    'with the last torque')
+        elif jump_ns:
+            self._jump(now_ns - jump_ns, now_ns)
         return now_ns
 
-    def _jump_back(self, latest_ns: int, now_ns: int) -> None:
-        action = self._values['on_time_jump']
-        self.pipeline.hold_early_torques()
-        self._diagnostics.event(TIME_JUMP, 'the clock jumped back by '
-                                f'{(latest_ns - now_ns) * 1e-9:.9g} s to {now_ns} ns; '
-                                f'on_time_jump: {action}')
-        if action == REBASE and self._rebase(latest_ns, now_ns):
+    def _jump(self, latest_ns: int, now_ns: int) -> None:
+        action, is_ahead = self._values['on_time_jump'], now_ns > latest_ns
+        text = f'clock jumped {"ahead" if is_ahead else "back"}'
+        self._diagnostics.event(TIME_JUMP, f'the {text} by {abs(now_ns - latest_ns) * 1e-9:.9g} s '
+                                f'to {now_ns} ns; on_time_jump: {action}')
+        if action == REBASE and self._rebase(latest_ns, now_ns, text):
             return
         if action in (REBASE, RESET):
             start_ns = self._given_start_ns if self._is_simulated else 0
-            self._begin(self.pipeline.initial(start_ns or now_ns), (), 'clock jumped back')
+            # A start before a jump ahead would integrate all the time between them.
+            start_ns = max(start_ns, now_ns) if is_ahead else start_ns or now_ns
+            self._begin(self.pipeline.initial(start_ns), (), text, is_ahead)
 
-    def _rebase(self, latest_ns: int, now_ns: int) -> bool:
+    def _rebase(self, latest_ns: int, now_ns: int, text: str) -> bool:
         state = self.pipeline.last_state(latest_ns)
         if state is None:
             self._diagnostics.event(NOT_COMPUTABLE, 'on_time_jump: the current state cannot be '
@@ -232,11 +249,12 @@ class Realtime:
                    for torque in self.pipeline.epoch.torques_since(latest_ns)
                    if torque.stamp_ns <= latest_ns]
         start = State(now_ns, state.attitude, state.angular_velocity, state.rotor_momentum)
-        self._begin(start, torques, 'clock jumped back, state kept')
+        self._begin(start, torques, f'{text}, state kept', now_ns > latest_ns)
         return True
 
-    def _begin(self, start: State, torques: Sequence[Torque], reason: str) -> str:
-        self.pipeline.begin(start, torques)
+    def _begin(self, start: State, torques: Sequence[Torque], reason: str,
+               is_ahead: bool = False) -> str:
+        self.pipeline.begin(start, torques, is_ahead)
         self._parameters.set_start(start)
         text = f'{reason}: a new epoch begins at {start.time_ns} ns'
         self._node.get_logger().info(text)

@@ -83,13 +83,13 @@ def add_topics(writer: recording.Writer, request: Request) -> None:
 
 def write(writer: recording.Writer, request: Request, trajectory: Trajectory) -> None:
     """Write a part of a motion."""
-    values = request.scene.values
-    space, body = values['space_frame'], values['body_frame']
+    scene = request.scene
+    space, body, sequence = scene.space_frame, scene.body_frame, scene.values['euler_sequence']
     attitude, rates = trajectory.attitude, trajectory.angular_velocity
     columns = [Column(ATTITUDE, space, attitude),
-               Column(EULER_ANGLES, space, trajectory.euler_angles(values['euler_sequence'])),
+               Column(EULER_ANGLES, space, trajectory.euler_angles(sequence)),
                Column(ANGULAR_VELOCITY, body, rates)]
-    if request.scene.has_rotors:
+    if scene.has_rotors:
         columns.append(Column(_ROTOR_MOMENTUM, body, trajectory.rotor_momentum))
     if IMU in request.also:
         columns.append(Column(_IMU_DATA, body, messages.imu_values(attitude, rates)))

@@ -215,8 +215,7 @@ def read(path: str | Path, scene: Scene, topic: str | None = None,
     """
     recorded = recording.read(path, topic, track=progress('reading', size=len),
                               preferred=absolute(scene.torque_topics[0]))
-    log = recording.torque_log(path, recorded, scene.values['body_frame'],
-                               scene.values['space_frame'],
+    log = recording.torque_log(path, recorded, scene.body_frame, scene.space_frame,
                                interpolation or scene.values['interpolation'], scene.links)
     start = replace(scene.start, time_ns=scene.start.time_ns or int(log.times_ns[0]))
     return recorded, log, start
@@ -273,19 +272,18 @@ def _pieces(request: Request, source: Source, result: Replay) -> Iterator[Piece]
             result.unordered += int(np.sum(np.diff(block.stamps_ns, prepend=last) <= 0))
             last = [int(block.stamps_ns[-1])]
             yield block
-    values = request.scene.values
+    scene = request.scene
     return recording.torque_pieces(f'{request.path}: {source.topic}', counted(),
-                                   values['body_frame'], values['space_frame'],
-                                   request.scene.links)
+                                   scene.body_frame, scene.space_frame, scene.links)
 
 
 def _whole(request: Request, source: Source, result: Replay) -> Iterator[Piece]:
     """Return the log as one piece."""
     blocks = [*progress('reading', size=len)(source, source.count)]
     recorded = recording.joined(source.topic, source.kind, blocks, source.damage)
-    values = request.scene.values
-    log = recording.torque_log(request.path, recorded, values['body_frame'],
-                               values['space_frame'], links=request.scene.links)
+    scene = request.scene
+    log = recording.torque_log(request.path, recorded, scene.body_frame, scene.space_frame,
+                               links=scene.links)
     result.messages, result.logs = len(recorded), len(recording.new_logs(recorded)) + 1
     if result.logs == 1:
         result.unordered = int(np.sum(np.diff(recorded.stamps_ns) <= 0))

@@ -253,8 +253,8 @@ def _log(path: str | Path, recorded: Messages, scene: Scene, interpolation: str)
     """Return the log of a topic; a source without messages has no torque."""
     if not len(recorded) or _ends_with_marker(recorded):
         return TorqueLog([], [])
-    return recording.torque_log(path, recorded, scene.values['body_frame'],
-                                scene.values['space_frame'], interpolation, scene.links)
+    return recording.torque_log(path, recorded, scene.body_frame, scene.space_frame,
+                                interpolation, scene.links)
 
 
 def _ends_with_marker(recorded: Messages) -> bool:
@@ -277,7 +277,7 @@ def _wheel_log(path: str | Path, recorded: Messages, scene: Scene,
 
 def _check_axes(path: str | Path, recorded: Messages, scene: Scene) -> None:
     """Raise InputError if a vector of the rotors is not in body axes."""
-    body = scene.values['body_frame']
+    body = scene.body_frame
     for code, name in enumerate(recorded.names):
         if name not in ('', body):
             number = int(np.argmax(recorded.frames == code)) + 1

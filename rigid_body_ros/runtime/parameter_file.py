@@ -22,8 +22,6 @@ may have wildcards and namespaces.
 
 from __future__ import annotations
 
-from collections.abc import Collection
-import difflib
 import re
 from typing import Any
 
@@ -76,17 +74,6 @@ def node_parameters(root: yaml.Node | None, node: str) -> dict[str, Any]:
         if name == _ANY_NODE or name in ours:
             values.update(_flattened(section, ''))
     return values
-
-
-def unknown_parameter(name: str, value: Any, known: Collection[str]) -> InputError:
-    """Return the error for an unknown parameter, with the known one that it resembles."""
-    members = [key.removeprefix(f'{name}.') for key in known if key.startswith(f'{name}.')]
-    if members:
-        return InputError(f'{name}: expected a group of {", ".join(members)}, '
-                          f'found {quoted(value)}')
-    for close in difflib.get_close_matches(name, known, 1):
-        return InputError(f'{name}: unknown key; did you mean {close}?')
-    return InputError(f'{name}: unknown key; expected one of {listed(known)}')
 
 
 def is_number(text: str) -> bool:

@@ -1,0 +1,283 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What plain and managed nodes share: everything but the life of the node."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from copy import copy
+from functools import partial
+import time
+from typing import Any
+
+from geometry_msgs.msg import WrenchStamped
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+from rigid_body_ros import scene
+from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.node.diagnostics import Diagnostics, RECEIVED
+from rigid_body_ros.node.drain import DrainCallback, Sender
+from rigid_body_ros.node.epoch import warm_up_for
+from rigid_body_ros.node.inputs import Inputs, RejectedError
+from rigid_body_ros.node.lockstep import Lockstep
+from rigid_body_ros.node.outputs import Outputs
+from rigid_body_ros.node.parameters import check_qos_overrides, Parameters
+from rigid_body_ros.node.realtime import Realtime
+from rigid_body_ros.node.sources import check_topics, Source, sources_of
+from rigid_body_ros.scene import LOCKSTEP
+from std_srvs.srv import Trigger
+
+try:
+    from rclpy.event_handler import SubscriptionEventCallbacks
+except ModuleNotFoundError:  # Humble
+    from rclpy.qos_event import SubscriptionEventCallbacks
+
+#: Best effort matches any publisher; in lockstep a lost torque stops the loop.
+_TORQUE_QOS = {scene.REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),
+               LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
+#: s; how long publishing the pending states may take.
+_END_TIME = 0.8
+#: s; period of the worker. A slice of work takes longer, so slices follow each other immediately.
+#: The worker is idle between slices only while all torques wait for the clock.
+_WORK_PERIOD = 0.001
+
+
+class AttitudeComponent:
+    """
+    Compute the attitude of a rigid body from torques on a topic, and publish it.
+
+    Parameters
+    ----------
+    node : Node
+        Its parameters are the scene. All callbacks are in its default callback group.
+    is_managed : bool
+        Whether the parameters of the scene may change when the component is destroyed.
+
+    Raises
+    ------
+    InputError
+        The parameters are not a valid scene.
+
+    """
+
+    def __init__(self, node: Node, is_managed: bool = False) -> None:
+        self._node, others = node, _entities(node)
+        #: What is created in `activate`, and before it.
+        self._active: set[Any] = set()
+        self._own: set[Any] = set()
+        self._parameters = Parameters(node, lambda rate: self._mode.set_rate(rate), is_managed)
+        try:
+            self._configure()
+        except BaseException:
+            self._own = _entities(node) - others
+            self.destroy()
+            raise
+        self._own = _entities(node) - others
+
+    def _configure(self) -> None:
+        self._scene = self._parameters.scene
+        self._sources = sources_of(self._scene)
+        self._announce()
+        warm_up_for(self._scene, self._node.get_logger().info)
+        with _one_line_errors():
+            self._diagnostics = Diagnostics(self._node, self._sources)
+            self._inputs = Inputs(self._scene, self._diagnostics.count_force)
+            self._outputs = Outputs(self._node, self._scene, self._sources, self._diagnostics)
+            mode = Lockstep if self._scene.values['mode'] == LOCKSTEP else Realtime
+            self._mode = mode(self._node, self._parameters, self._inputs, self._outputs,
+                              self._diagnostics)
+
+    @property
+    def mode(self) -> str:
+        """Return the mode of the scene."""
+        return str(self._scene.values['mode'])
+
+    def activate(self) -> None:
+        """
+        Subscribe, and publish the motion.
+
+        Raises
+        ------
+        InputError
+            The name of a topic or its quality of service is not valid.
+
+        """
+        others = _entities(self._node)
+        try:
+            with _one_line_errors():
+                self._connect()
+        finally:
+            self._active = _entities(self._node) - others
+
+    def _connect(self) -> None:
+        self._mode.activate()
+        self._subscribe()
+        self._mode.connect(self._torques)
+        others = check_qos_overrides(self._node, self._listening, self._outputs.publishers)
+        if others:
+            self._node.get_logger().info(
+                f'QoS overrides of other nodes are ignored: {listed(others)}')
+        self._node.create_service(Trigger, '~/reset', self._on_reset)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._node.create_timer(1.0, self._publish_diagnostics, clock=steady)
+        #: Active while torques or a state wait: one slice of work in each cycle of the executor.
+        self._worker = self._node.create_timer(_WORK_PERIOD, self._work, clock=steady)
+        self._mode.pipeline.wake = self._start_worker
+
+    def deactivate(self) -> None:
+        """Unsubscribe and stop publishing, but keep the motion."""
+        self._mode.pipeline.wake = lambda: None
+        self._mode.deactivate()
+        self._destroy(self._active)
+
+    def finish(self) -> None:
+        """Publish pending states and the last diagnostics, as long as ROS is not shut down."""
+        if not self._node.context.ok():
+            self._node.get_logger().warning('ROS was shut down before this node was destroyed: '
+                                            'pending states are not published')
+            return
+        begin = time.monotonic()
+        until, half_time = begin + _END_TIME, begin + 0.5 * _END_TIME
+        while not self._mode.pipeline.process() and time.monotonic() < half_time:
+            pass  # the rest of the time is for the states held back
+        self._mode.pipeline.end(until)
+        self._report([])
+        self._outputs.deliver(until)
+
+    def destroy(self) -> None:
+        """Destroy what the component has created, and release the parameters."""
+        if self._active:
+            self.deactivate()
+        self._destroy(self._own)
+        self._parameters.release()
+
+    def _destroy(self, entities: set[Any]) -> None:
+        node = self._node
+        while entities:
+            entity = entities.pop()
+            any(destroy(entity) for destroy in (
+                node.destroy_subscription, node.destroy_timer, node.destroy_service,
+                node.destroy_publisher))
+
+    def _announce(self) -> None:
+        body = self._scene.body
+        self._node.get_logger().info(
+            f'{body.symmetry}, principal moments {body.principal_moments.tolist()} kg m^2')
+        for note in self._scene.notes:
+            self._node.get_logger().info(note)
+        for warning in self._scene.warnings:
+            self._node.get_logger().warning(warning)
+
+    def _subscribe(self) -> None:
+        def subscription(kind: type, topic: str, callback: Callable[..., None],
+                         qos: QoSProfile, events: SubscriptionEventCallbacks) -> Subscription:
+            return self._node.create_subscription(
+                kind, topic, callback, copy(qos), raw=True, event_callbacks=events,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+        def torques(source: Source) -> Subscription:
+            callback = DrainCallback(partial(self._on_torque, source.number), self._start_work,
+                                     partial(self._diagnostics.count_missing, source.number))
+            callback.subscription = subscription(
+                WrenchStamped, source.topic, callback, _TORQUE_QOS[self._scene.values['mode']],
+                SubscriptionEventCallbacks(message_lost=partial(self._on_lost, source.number),
+                                           use_default_callbacks=False))
+            return callback.subscription
+        self._states = subscription(
+            Odometry, 'initial_state', self._on_state,
+            QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE),
+            SubscriptionEventCallbacks(use_default_callbacks=False))
+        check_topics(self._node, self._sources, [self._states.topic_name, *(
+            publisher.topic_name for publisher in self._outputs.publishers)])
+        #: By number of the source.
+        self._torques = {source.number: torques(source) for source in self._sources}
+
+    @property
+    def _listening(self) -> list[Subscription]:
+        return [*self._torques.values(), self._states]
+
+    def _on_torque(self, source: int, data: bytes, sender: Sender) -> None:
+        self._diagnostics.count(RECEIVED, source)
+        try:
+            self._mode.enqueue(data, sender, source)
+        except RejectedError as rejected:
+            self._diagnostics.reject(rejected, source)
+
+    def _start_work(self) -> None:
+        if self._worker.is_canceled():  # otherwise the timer continues the work
+            self._work()
+
+    def _work(self) -> None:
+        if self._mode.pipeline.process():
+            self._worker.cancel()
+        else:
+            self._start_worker()
+
+    def _start_worker(self) -> None:
+        if self._worker.is_canceled():  # a reset would postpone a running one
+            self._worker.reset()
+
+    def _on_state(self, data: bytes) -> None:
+        stamp_ns = None
+        try:
+            odometry = self._inputs.odometry(data)
+            stamp_ns = odometry.stamp_ns
+            result = self._mode.set_state(self._inputs.state(odometry))
+            self._diagnostics.accept_state(result, stamp_ns)
+        except RejectedError as rejected:
+            self._diagnostics.reject_state(rejected, stamp_ns)
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            response.message = self._mode.reset()
+            response.success = True
+        except RejectedError as rejected:
+            response.message = str(rejected)
+        return response
+
+    def _on_lost(self, source: int, event: Any) -> None:
+        self._diagnostics.count_lost(source, event.total_count_change)
+
+    def _publish_diagnostics(self) -> None:
+        problems = self._mode.problems() + self._diagnostics.connection_problems(
+            self._torques.values(), self._listening, self._outputs.publishers,
+            self._mode.several_publishers)
+        self._report(problems)
+
+    def _report(self, problems: list[str]) -> None:
+        pipeline = self._mode.pipeline
+        epoch = 'waiting for the first torque or clock reading' if pipeline.epoch is None else \
+            f'epoch from {pipeline.epoch.start.time_ns} ns'
+        self._diagnostics.publish(problems, pipeline.waiting_by_source(), epoch,
+                                  self._mode.stamp())
+
+
+def _entities(node: Node) -> set[Any]:
+    return {*node.publishers, *node.subscriptions, *node.services, *node.timers}
+
+
+@contextmanager
+def _one_line_errors() -> Iterator[None]:
+    """Raise an InputError in place of an error of rclpy, such as an invalid QoS override."""
+    try:
+        yield
+    except (RuntimeError, AssertionError, ParameterException) as error:
+        raise InputError(' '.join(str(error).split())) from error

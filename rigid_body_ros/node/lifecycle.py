@@ -1,0 +1,163 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""`AttitudeLifecycleNode`, a managed node, and `main`, which runs it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import traceback
+from typing import Any
+
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rigid_body_ros import scene
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.node import process
+from rigid_body_ros.node.attitude_node import one_line_errors
+from rigid_body_ros.node.component import AttitudeComponent
+from rigid_body_ros.node.parameters import declare, given_parameters
+
+_FAILURE = TransitionCallbackReturn.FAILURE
+_AUTOSTART = scene.Parameter('autostart', False, '', 'whether the node configures and activates '
+                             'itself when it starts')
+
+
+class AttitudeLifecycleNode(LifecycleNode):
+    """
+    An `AttitudeNode` whose life a manager controls.
+
+    *configure* reads the scene and compiles; *activate* subscribes and publishes; *deactivate*
+    unsubscribes and keeps the motion, which continues under the last torques; *cleanup* publishes
+    the end of the log and forgets the motion. If the parameter `autostart` is true, the node
+    configures and activates itself.
+
+    Parameters
+    ----------
+    node_name : str
+    **kwargs
+        Arguments of `rclpy.lifecycle.LifecycleNode`.
+
+    Raises
+    ------
+    InputError
+        The name is not valid; or `autostart` is true, and the parameters are not a valid scene.
+
+    """
+
+    def __init__(self, node_name: str = scene.NODE, **kwargs: Any) -> None:
+        with one_line_errors():
+            super().__init__(node_name, **kwargs)
+        #: None while the node is not configured.
+        self._component: AttitudeComponent | None = None
+        #: The mode of the first configuration.
+        self._mode: str | None = None
+        #: Why the last transition failed.
+        self._error: InputError | None = None
+        try:
+            self._start()
+        except BaseException:  # otherwise the node would stay in the graph
+            self.destroy_node()
+            raise
+
+    def _start(self) -> None:
+        declare(self, given_parameters(self))
+        autostart = self.declare_parameter(_AUTOSTART.name, _AUTOSTART.default,
+                                           ParameterDescriptor(dynamic_typing=True))
+        if scene.checked(_AUTOSTART, autostart.value):
+            self.trigger_configure()
+            if self._component:
+                self.trigger_activate()
+            if self._error:
+                raise self._error
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Read the scene, compile, and create the publishers."""
+        return super().on_configure(state) if self._attempt(self._configure) else _FAILURE
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Subscribe, and publish the motion."""
+        return super().on_activate(state) if self._attempt(self._activate) else _FAILURE
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Unsubscribe and stop publishing, but keep the motion."""
+        return super().on_deactivate(state) if self._attempt(self._deactivate) else _FAILURE
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Publish the end of the log, and forget the motion."""
+        return super().on_cleanup(state) if self._attempt(self._clean_up) else _FAILURE
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Publish the end of the log, and forget the motion."""
+        return super().on_shutdown(state) if self._attempt(self._clean_up) else _FAILURE
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget the motion, so that the node can be configured again."""
+        return super().on_error(state) if self._attempt(self._forget) else _FAILURE
+
+    def destroy_node(self) -> None:
+        """Publish pending states and the last diagnostics, and destroy the node."""
+        if self._component:
+            self._component.finish()
+        self._component = None
+        super().destroy_node()
+
+    def _attempt(self, work: Callable[[], None]) -> bool:
+        """Do the work of a transition; if the user made a mistake, log it and return False."""
+        try:
+            work()
+        except InputError as error:
+            self._error = error
+            self.get_logger().error(str(error))
+            return False
+        except Exception:  # rclpy does not log it
+            self.get_logger().error(traceback.format_exc())
+            raise
+        return True
+
+    def _configure(self) -> None:
+        component = AttitudeComponent(self, is_managed=True)
+        if self._mode not in (None, component.mode):
+            component.destroy()
+            raise InputError(f'mode: expected {self._mode!r} as in the first configuration, '
+                             'because rclpy keeps the quality of service of the torques, found '
+                             f'{component.mode!r}; start the node again')
+        self._component, self._mode = component, component.mode
+
+    def _activate(self) -> None:
+        assert self._component
+        try:
+            self._component.activate()
+        except BaseException:
+            self._component.deactivate()
+            raise
+
+    def _deactivate(self) -> None:
+        assert self._component
+        self._component.deactivate()
+
+    def _clean_up(self) -> None:
+        if self._component:
+            self._component.finish()
+        self._forget()
+
+    def _forget(self) -> None:
+        if self._component:
+            self._component.destroy()
+        self._component = None
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the managed node until SIGINT or SIGTERM; errors are those of `process.main`."""
+    process.main(arguments, AttitudeLifecycleNode, 'attitude_lifecycle_node')

@@ -1,0 +1,101 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""`main`, which runs a node in a process of its own."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import os
+from pathlib import Path
+import signal
+import sys
+
+import rclpy
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.node.attitude_node import AttitudeNode
+from rigid_body_ros.runtime import interrupts
+
+#: s; period of the check for signals.
+_SIGNAL_PERIOD = 0.1
+
+
+def main(arguments: Sequence[str] | None = None, kind: type[Node] = AttitudeNode,
+         command: str = 'attitude_node') -> None:
+    """
+    Run a node until SIGINT or SIGTERM.
+
+    Raises
+    ------
+    InputError
+        The arguments or parameters are not valid.
+
+    """
+    stop: list[int] = []
+    try:
+        _initialize(sys.argv if arguments is None else [command, *arguments], command)
+        node = kind()
+        executor = _executor()
+        executor.add_node(node)
+        # From here on a signal does not interrupt a callback.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda number, frame: stop.append(number))
+        interrupts.check()
+        while not stop:
+            # With a timeout, to notice signals; without one EventsExecutor may hang.
+            executor.spin_once(timeout_sec=_SIGNAL_PERIOD)
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+
+
+def _executor() -> Executor:
+    try:  # takes half the processor time per message
+        from rclpy.experimental import EventsExecutor
+    except ImportError:  # before Jazzy
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def _initialize(command_line: Sequence[str], command: str) -> None:
+    try:
+        others = remove_ros_args(command_line)[1:]
+        argparse.ArgumentParser(
+            command,
+            description='Compute the attitude of a rigid body from torques on a topic.',
+            epilog='Pass the scene as ROS parameters: --ros-args --params-file FILE',
+        ).parse_args(others)
+        # rclpy's own handlers would shut ROS down before the last states are published.
+        rclpy.init(args=[*command_line, *_without_log_file()],
+                   signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        raise InputError(' '.join(str(error).split())) from error
+
+
+def _without_log_file() -> list[str]:
+    """Return the arguments that disable the log file of rcl if its folder is not writable."""
+    home = Path(os.environ.get('ROS_HOME') or '~/.ros')
+    folder = Path(os.environ.get('ROS_LOG_DIR') or home / 'log').expanduser()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        writable = False
+    else:
+        writable = os.access(folder, os.W_OK)
+    return [] if writable else ['--ros-args', '--disable-external-lib-logs', '--']

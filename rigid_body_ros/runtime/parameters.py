@@ -1,0 +1,137 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Parameters: how they are declared, and the checks of their names and values.
+
+Stacks share parameter files, so a file may have parameters of other nodes, which are ignored. A
+name that resembles a known one is a mistake.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from difflib import SequenceMatcher
+import re
+from typing import Any, NamedTuple
+
+from rigid_body_ros.common.errors import InputError, quoted
+from rigid_body_ros.runtime.parameter_file import is_number
+
+#: Limits of parameters without narrower ones.
+BIG, TINY = 1e300, 1e-300
+#: Shorter names resemble other words, as mode resembles model and node.
+_SHORT = 6
+#: Letters to insert or delete in a misspelt name; to replace one counts as both.
+_EDITS = 2
+
+
+class Parameter(NamedTuple):
+    """A parameter. If it has no default, it is a required float."""
+
+    name: str
+    default: bool | int | float | str | list[str] | None
+    unit: str
+    description: str
+    #: Lowest and highest value of a number, both allowed.
+    interval: tuple[float, float] | None = None
+    choices: tuple[str, ...] = ()
+
+    @property
+    def value_type(self) -> type:
+        """Return the Python type of the value."""
+        return float if self.default is None else type(self.default)
+
+
+def is_foreign(name: str, value: Any, known: Collection[str]) -> bool:
+    """
+    Return whether a parameter is not one of the known ones, but one of another node.
+
+    Raises
+    ------
+    InputError
+        The name resembles a known one, or is a group of known ones or a member of such a group.
+
+    """
+    if name in known:
+        return False
+    if members := _members(name, known):
+        raise InputError(f'{name}: expected a group of {", ".join(members)}, '
+                         f'found {quoted(value)}')
+    if close := resembled(name, known):
+        raise InputError(f'{name}: unknown key; did you mean {close}?')
+    group = name.rpartition('.')[0]
+    if members := _members(group, known):
+        raise InputError(f'{name}: unknown key; expected a member of {group}: '
+                         f'{", ".join(members)}')
+    return True
+
+
+def resembled(name: str, known: Collection[str]) -> str | None:
+    """
+    Return the known name that another name, probably misspelt, resembles most, or None.
+
+    They differ in capitals, in one letter, in the order of two letters, or in two missing or
+    additional letters; short ones in capitals alone. Names with different digits, such as those of
+    two topics, never resemble each other.
+    """
+    one, edits = name.lower(), {}
+    for candidate in known:
+        other, allowed = candidate.lower(), 0 if len(candidate) < _SHORT else _EDITS
+        # Each edit changes the length by one, and the set of letters by at most one.
+        if (abs(len(one) - len(other)) <= allowed and len({*one} ^ {*other}) <= allowed
+                and _digits(one) == _digits(other)):
+            ratio = SequenceMatcher(None, one, other, autojunk=False).ratio()
+            count = round((1.0 - ratio) * (len(one) + len(other)))
+            if count <= allowed:
+                edits[candidate] = count
+    return min(edits, key=edits.__getitem__, default=None)
+
+
+def _digits(name: str) -> list[str]:
+    return re.findall('[0-9]', name)
+
+
+def _members(group: str, known: Collection[str]) -> list[str]:
+    return [name.removeprefix(f'{group}.') for name in known if name.startswith(f'{group}.')]
+
+
+def checked(parameter: Parameter, given: Any) -> Any:
+    """Return a value converted to the type of its parameter; raise InputError if it is invalid."""
+    name, unit = parameter.name, f' ({parameter.unit})' if parameter.unit else ''
+    kind = {float: 'a number', int: 'an integer', str: 'text',
+            bool: 'true or false', list: 'a list of text'}[parameter.value_type]
+    if given is None:  # also what rclpy makes of an empty list
+        raise InputError(f'{name}: expected {kind}{unit}, found none: {parameter.description}')
+    value = float(given) if parameter.value_type is float and type(given) is int else given
+    # A bool is an int to Python.
+    wrong = (isinstance(value, bool) is not (parameter.value_type is bool)
+             or not isinstance(value, parameter.value_type))
+    if wrong:
+        in_quotes = isinstance(value, str) and is_number(value)
+        hint = '; remove the quotes' if in_quotes else f': {parameter.description}'
+        raise InputError(f'{name}: expected {kind}{unit}, found {quoted(value)}{hint}')
+    if parameter.choices and value not in parameter.choices:
+        choices = ', '.join(parameter.choices)
+        raise InputError(f'{name}: expected one of {choices}, found {quoted(value)}')
+    if parameter.interval and not parameter.interval[0] <= value <= parameter.interval[1]:
+        raise InputError(f'{name}: expected {limits(*parameter.interval)}{unit}, found {value}')
+    return value
+
+
+def limits(low: float, high: float) -> str:
+    """Return the range of a parameter as text."""
+    if high < BIG:
+        return f'{low:g} to {high:g}'
+    return 'a finite number' + {-BIG: '', 0.0: ' not less than 0', TINY: ' greater than 0'}[low]

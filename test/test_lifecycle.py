@@ -1,0 +1,213 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The managed node: every transition, and what it leaves."""
+
+import subprocess
+import sys
+
+from conftest import at_night, SECOND
+from geometry_msgs.msg import QuaternionStamped
+from lifecycle_msgs.msg import State as LifeState
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from live import late_torques, publish_when_due, replayed, spin_until, TUMBLER
+from live_session import ACCEPTED, COMMITTED, LiveSession, RELIABLE
+import numpy as np
+import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from rigid_body_ros import messages, propagate, scene, State
+from rigid_body_ros.node.lifecycle import AttitudeLifecycleNode
+
+pytestmark = pytest.mark.ros
+PROGRAM = (sys.executable, '-c', 'import sys; from rigid_body_ros.cli import '
+           'attitude_lifecycle_node; sys.exit(attitude_lifecycle_node())')
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+SPINNING = {'inertia.ixx': 0.02, 'inertia.iyy': 0.03, 'inertia.izz': 0.04,
+            'initial_angular_velocity.y': 2.0}
+
+
+class Managed:
+    """A managed node, a client that listens to it, and their executor."""
+
+    def __init__(self, context, **parameters):
+        self.node = AttitudeLifecycleNode(context=context, parameter_overrides=[
+            Parameter(name.replace('__', '.'), value=value)
+            for name, value in {**SPINNING, **parameters}.items()])
+        self.client = rclpy.create_node('client', context=context)
+        self.attitudes = []
+        self.client.create_subscription(QuaternionStamped, 'attitude', self.attitudes.append, 100,
+                                        raw=True)
+        self.executor = SingleThreadedExecutor(context=context)
+        self.executor.add_node(self.node)
+        self.executor.add_node(self.client)
+
+    def listen(self):
+        """Return the next attitude."""
+        count = len(self.attitudes)
+        spin_until(self.executor, lambda: len(self.attitudes) > count)
+        return messages.QUATERNION.decode(self.attitudes[-1])
+
+    def topics(self):
+        """Return the topics that the node publishes, and to which it subscribes."""
+        own = '/parameter_events', '/rosout', '/attitude_node/transition_event'
+        return ({publisher.topic_name for publisher in self.node.publishers}.difference(own),
+                {subscription.topic_name for subscription in self.node.subscriptions})
+
+    def end(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.client.destroy_node()
+
+
+@pytest.fixture
+def managed(context):
+    """Yield a managed node that is not configured."""
+    managed = Managed(context)
+    yield managed
+    managed.end()
+
+
+def test_each_transition_creates_and_destroys_what_it_needs(managed):
+    node = managed.node
+    assert managed.topics() == (set(), set())
+    assert node.trigger_configure() == SUCCESS
+    published, subscribed = managed.topics()
+    assert {'/attitude', '/attitude_node/committed', '/diagnostics'} < published
+    assert subscribed == set()
+    for _ in range(3):
+        timers, services = len([*node.timers]), len([*node.services])
+        assert node.trigger_activate() == SUCCESS
+        assert managed.topics() == (published, {'/torque', '/initial_state'})
+        assert node.trigger_deactivate() == SUCCESS
+        assert managed.topics() == (published, set())
+        assert (len([*node.timers]), len([*node.services])) == (timers, services)
+    assert node.trigger_cleanup() == SUCCESS
+    assert managed.topics() == (set(), set())
+    assert node.trigger_shutdown() == SUCCESS
+
+
+def test_the_motion_continues_after_a_pause_and_begins_again_after_a_cleanup(managed):
+    node, loaded = managed.node, scene.Scene.from_values(SPINNING)
+    node.trigger_configure()
+    node.trigger_activate()
+    managed.listen()
+    start_ns = node.get_parameter('start_time').value
+    node.trigger_deactivate()
+    node.trigger_activate()
+    managed.attitudes.clear()
+    found = managed.listen()
+    start = State(start_ns, loaded.start.attitude, loaded.start.angular_velocity)
+    expected = propagate(loaded.body, start, at=[found.stamp_ns])
+    assert found.values.tolist() == expected.attitude[0].tolist()
+    node.trigger_deactivate()
+    node.trigger_cleanup()
+    assert not node.has_parameter('start_time')  # was not given
+    assert node.get_parameter('inertia.ixx').value == 0.02
+    node.trigger_configure()
+    node.trigger_activate()
+    assert node.get_parameter('start_time').value > start_ns
+    node.trigger_shutdown()
+
+
+def test_parameters_may_change_until_they_are_configured(managed):
+    node = managed.node
+    for value, outcome in ((-1.0, FAILURE), (0.03, SUCCESS)):
+        assert node.set_parameters([Parameter('inertia.ixx', value=value)])[0].successful
+        assert node.trigger_configure() == outcome
+    assert not node.set_parameters([Parameter('inertia.ixx', value=0.04)])[0].successful
+    assert node.get_parameter('inertia.ixx').value == 0.03
+    node.trigger_cleanup()
+    assert node.set_parameters([Parameter('inertia.ixx', value=0.04)])[0].successful
+    node.trigger_configure()
+    assert node.get_parameter('inertia.ixx').value == 0.04
+    node.trigger_shutdown()
+
+
+def test_the_mode_stays_that_of_the_first_configuration(context):
+    managed = Managed(context, mode='lockstep')
+    node = managed.node
+    node.trigger_configure()
+    node.trigger_cleanup()
+    assert node.set_parameters([Parameter('mode', value='realtime')])[0].successful
+    assert node.trigger_configure() == FAILURE
+    assert managed.topics() == (set(), set())
+    managed.end()
+
+
+def test_a_failed_transition_leaves_the_state_before_it(context):
+    managed = Managed(context, torque_topics=['initial_state'])
+    node = managed.node
+    assert node.trigger_configure() == SUCCESS
+    before = managed.topics()
+    assert node.trigger_activate() == FAILURE
+    assert managed.topics() == before
+    assert node.trigger_cleanup() == SUCCESS
+    assert node.set_parameters([Parameter('torque_topics', value=['torque'])])[0].successful
+    assert node.trigger_configure() == SUCCESS
+    assert node.trigger_activate() == SUCCESS
+    managed.listen()
+    managed.end()
+
+
+def test_a_managed_node_that_starts_itself_replays_bit_for_bit(tmp_path, domain):
+    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'history:=60.0', '-p', 'autostart:=true',
+                     program=PROGRAM) as live:
+        def change(transition):
+            return live.call(ChangeState, 'change_state',
+                             transition=Transition(id=transition)).success
+        for _ in range(2):
+            count = len(live.received[ACCEPTED])
+            publish_when_due(live, late_torques(live.now_ns() - SECOND // 2, 300, rate=1000))
+            live.wait_until(lambda count=count: len(live.received[ACCEPTED]) == count + 300,
+                            'every torque')
+            assert change(Transition.TRANSITION_DEACTIVATE)
+            live.wait_until(lambda: not live.torque_subscriptions, 'the end of a subscription')
+            assert change(Transition.TRANSITION_ACTIVATE)
+            live.wait_until(lambda: live.torque_subscriptions, 'a subscription')
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert change(Transition.TRANSITION_DEACTIVATE)
+        assert change(Transition.TRANSITION_CLEANUP)
+        live.wait_until(lambda: len(live.received[COMMITTED]) > 1, 'the end of the log')
+        run = replayed(tmp_path, live)
+        assert live.stop() == 0
+    np.testing.assert_array_equal(run.committed, run.replay)
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    (('-p', 'autostart:=true'), 'inertia.ixx: expected a number (kg m^2), found none'),
+    *at_night((('-p', 'autostart:=1'), 'autostart: expected true or false, found 1'))])
+def test_a_mistake_of_a_node_that_starts_itself_ends_it(domain, arguments, message):
+    live = LiveSession('', domain, program=PROGRAM)
+    result = subprocess.run([*PROGRAM, '--ros-args', *arguments], env=live.environment,
+                            capture_output=True, text=True, timeout=300, check=False)
+    assert result.returncode == 2
+    assert result.stderr.splitlines()[-1].startswith(f'attitude_lifecycle_node: error: {message}')
+
+
+def test_the_states_are_those_of_the_standard(managed):
+    node, client = managed.node, managed.client
+    service = client.create_client(ChangeState, '/attitude_node/change_state')
+    for transition, state in ((Transition.TRANSITION_CONFIGURE, LifeState.PRIMARY_STATE_INACTIVE),
+                              (Transition.TRANSITION_ACTIVATE, LifeState.PRIMARY_STATE_ACTIVE)):
+        request = ChangeState.Request(transition=Transition(id=transition))
+        spin_until(managed.executor, service.service_is_ready)
+        future = service.call_async(request)
+        spin_until(managed.executor, future.done)
+        assert future.result().success
+        assert node._state_machine.current_state[0] == state
+    managed.listen()

@@ -1,0 +1,150 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The inertia from the topic of robot_state_publisher."""
+
+import os
+import signal
+import subprocess
+import tempfile
+import time
+
+from live import get_parameters, replayed, TUMBLER
+from live_session import LiveSession, RELIABLE
+import numpy as np
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rigid_body_ros import messages, scene, urdf
+from robots import ROBOT
+from std_msgs.msg import String
+from test_node import run_node
+
+pytestmark = pytest.mark.ros
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+WAITS = 'waiting for a URDF on /robot_description'
+PATIENCE = 300
+
+
+@pytest.fixture
+def parameters(tmp_path):
+    """Return a parameter file without an inertia."""
+    path = tmp_path / 'robot.yaml'
+    path.write_text('/**:\n  ros__parameters:\n    initial_angular_velocity: {y: 0.6}\n')
+    return path
+
+
+class DescribedSession(LiveSession):
+    """A session with a robot_state_publisher that starts when the node waits for it."""
+
+    def _connect(self):
+        self.wait_until(lambda: WAITS in self.words(), 'the node to wait')
+        self.wait_until(lambda: ('/robot_description', ['std_msgs/msg/String']) in (
+            self.node.get_subscriber_names_and_types_by_node('attitude_node', '/')
+            if ('attitude_node', '/') in self.node.get_node_names_and_namespaces() else ()),
+            'the subscription')
+        self.description = self.node.create_publisher(String, 'robot_description', LATCHED)
+        self.description.publish(String(data=ROBOT))
+        super()._connect()
+
+
+def test_a_node_without_an_inertia_takes_that_of_the_topic(tmp_path, domain, parameters):
+    with DescribedSession(parameters, domain, *RELIABLE, '-p', 'history:=60.0') as live:
+        value, = get_parameters(live, 'robot_description')
+        assert value.string_value == ROBOT
+        live.description.publish(String(data='<robot/>'))  # too late: the motion has begun
+        start_ns = live.now_ns()
+        for number, frame_id in enumerate(('', 'thruster', 'lamp', 'world')):
+            live.publish_bytes(messages.WRENCH.encode(
+                start_ns + number * 1000, frame_id, [0.1, 0.2, 0.3, 0.01, 0.02, 0.03]))
+        live.wait_until(lambda: live.diagnosis('torques')[0]['applied'] == 4, 'all torques')
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        run = replayed(tmp_path, live)
+    np.testing.assert_array_equal(run.committed, run.replay)
+    assert len(run.stamps_ns) == 5
+    np.testing.assert_array_equal(scene.load(tmp_path / 'live.yaml').body.inertia,
+                                  scene.Scene.from_values({'robot_description': ROBOT})
+                                  .body.inertia)
+    assert {*scene.load(tmp_path / 'live.yaml').links} == {*urdf.fixed_frames(ROBOT)}
+
+
+def test_the_parameters_come_first(domain):
+    with LiveSession(TUMBLER, domain) as live:
+        live.node.create_publisher(String, 'robot_description', LATCHED).publish(
+            String(data=ROBOT))
+        description, ixx = get_parameters(live, 'robot_description', 'inertia.ixx')
+        assert (description.string_value, ixx.double_value) == ('', 0.045)
+        assert WAITS not in live.end()
+
+
+class WrongSession(DescribedSession):
+    """A session with a robot without an inertia."""
+
+    def _connect(self):
+        self.wait_until(lambda: WAITS in self.words(), 'the node to wait')
+        self.node.create_publisher(String, 'robot_description', LATCHED).publish(
+            String(data='<robot name="r"><link name="a"/></robot>'))
+        until = time.monotonic() + PATIENCE
+        while self.process.poll() is None and time.monotonic() < until:
+            self.spin(0.05)
+
+
+def test_a_robot_without_an_inertia_ends_the_node_with_one_line(domain, parameters):
+    with WrongSession(parameters, domain) as live:
+        assert live.process.returncode == 2
+        line, = [line for line in live.words().splitlines() if not line.startswith('[')]
+    assert line.startswith('attitude_node: error: robot_description: URDF')
+
+
+@pytest.mark.parametrize('argument', ['Inertia.ixx:=1.0', 'solver:=rk5', 'max_step:=-1.0'])
+def test_a_mistake_is_reported_before_the_node_waits(domain, argument):
+    result = run_node(domain, '--ros-args', '-p', argument)
+    assert result.returncode == 2
+    assert WAITS not in result.stderr
+    assert result.stderr.splitlines()[-1].startswith(
+        f'attitude_node: error: {argument.partition(":=")[0]}: ')
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_node_that_waits(domain, parameters, number):
+    session = LiveSession(parameters, domain)
+    with tempfile.TemporaryFile() as log, subprocess.Popen(
+            session.command, env=session.environment, stderr=log) as process:
+        def words():
+            return os.pread(log.fileno(), 2 ** 16, 0).decode()
+        try:
+            until = time.monotonic() + PATIENCE
+            while WAITS not in words() and time.monotonic() < until:
+                time.sleep(0.05)
+            process.send_signal(number)
+            assert process.wait(timeout=PATIENCE) == 128 + number
+        finally:
+            process.kill()
+        assert words().splitlines()[-1].startswith('attitude_node: interrupted')
+        assert 'Traceback' not in words()
+
+
+class LonelySession(DescribedSession):
+    """A session that waits until the node has reported that nobody publishes."""
+
+    def _connect(self):
+        self.wait_until(lambda: 'still waiting for a URDF on /robot_description: no node '
+                        'publishes it' in self.words(), 'the node to report')
+        super()._connect()
+
+
+@pytest.mark.nightly
+def test_a_node_that_waits_says_what_is_missing(domain, parameters):
+    with LonelySession(parameters, domain) as live:
+        assert live.stop() == 0
