@@ -33,7 +33,7 @@ nightly: $(VENV)/done $(JAZZY)/done compile ## before a release: every test, on 
 
 .PHONY: lint compile
 compile: lint # once, not in every test
-	$(BIN)/python -c 'import rigid_body_ros; rigid_body_ros.warm_up()'
+	$(BIN)/python -m rigid_body_ros.warm_up
 
 lint: $(VENV)/done
 	$(BIN)/ruff check

@@ -44,9 +44,10 @@ setup(
         (f'share/{NAME}/policies', sorted(glob('policies/*.policy.xml'))),
         (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
         # Where `ros2 run` looks; pip puts the entry points below into bin only.
-        (f'lib/{NAME}', [*sorted(glob('scripts/*')), 'examples/attitude_controller.py']),
+        (f'lib/{NAME}', sorted(glob('scripts/*'))),
     ],
     entry_points={'console_scripts': [
+        f'attitude_controller = {NAME}.cli:attitude_controller',
         f'attitude_lifecycle_node = {NAME}.cli:attitude_lifecycle_node',
         f'attitude_node = {NAME}.cli:attitude_node',
         f'attitude_replay = {NAME}.cli:attitude_replay',

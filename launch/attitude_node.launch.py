@@ -12,31 +12,17 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The node alone: torques from a topic in, attitude out."""
+"""
+The node alone: torques from a topic in, attitude out.
+
+The first start after an installation compiles the kernels, which takes up to a minute, unless
+`python3 -m rigid_body_ros.warm_up` has done so.
+"""
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import Node
-from launch_ros.substitutions import FindPackageShare
-
-TUMBLER = PathJoinSubstitution([FindPackageShare('rigid_body_ros'), 'config', 'tumbler.yaml'])
+from rigid_body_ros import launching
 
 
 def generate_launch_description():
     return LaunchDescription([
-        DeclareLaunchArgument('scene', default_value=TUMBLER,
-                              description='parameter file with inertia, initial state and frames'),
-        DeclareLaunchArgument('namespace', default_value='',
-                              description='namespace of the node and its topics'),
-        DeclareLaunchArgument('use_sim_time', default_value='false', choices=['false', 'true'],
-                              description='whether to follow /clock'),
-        DeclareLaunchArgument('torque', default_value='torque',
-                              description='topic of the torques (geometry_msgs/WrenchStamped)'),
-        Node(package='rigid_body_ros', executable='attitude_node',
-             namespace=LaunchConfiguration('namespace'),
-             parameters=[LaunchConfiguration('scene'),
-                         {'use_sim_time': LaunchConfiguration('use_sim_time')}],
-             remappings=[('torque', LaunchConfiguration('torque'))],
-             output='screen'),
-    ])
+        launching.scoped(lambda context: [launching.attitude_node(context)])])

@@ -15,39 +15,30 @@
 """
 The node in lockstep with a controller: a maneuver as fast as both can run, with equal results.
 
-Everything ends with the controller. `mode` and `step` of the scene take precedence.
+The node ends with the controller. `mode` and `step` of the scene are ignored.
 """
 
 from launch import LaunchDescription
-from launch.actions import (
-    DeclareLaunchArgument,
-    IncludeLaunchDescription,
-    RegisterEventHandler,
-    Shutdown,
-)
-from launch.event_handlers import OnProcessExit
-from launch.launch_description_sources import PythonLaunchDescriptionSource
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import Node, SetParameter
-from launch_ros.parameter_descriptions import ParameterValue
-from launch_ros.substitutions import FindPackageShare
-
-ATTITUDE_NODE = PathJoinSubstitution(
-    [FindPackageShare('rigid_body_ros'), 'launch', 'attitude_node.launch.py'])
+from launch.actions import DeclareLaunchArgument
+from launch_ros.actions import Node
+from rigid_body_ros import launching
 
 
 def generate_launch_description():
-    return LaunchDescription([
+    return LaunchDescription([launching.scoped(
         DeclareLaunchArgument('stop_after', default_value='60.0',
                               description='duration of the maneuver in its own time, s'),
-        RegisterEventHandler(OnProcessExit(on_exit=[Shutdown()], handle_once=True)),
-        SetParameter('mode', 'lockstep'),
-        SetParameter('step', 0.01),
-        IncludeLaunchDescription(PythonLaunchDescriptionSource(ATTITUDE_NODE)),
-        Node(package='rigid_body_ros', executable='attitude_controller.py',
-             namespace=LaunchConfiguration('namespace'),
-             parameters=[{'stop_after': ParameterValue(LaunchConfiguration('stop_after'),
-                                                       value_type=float)}],
-             remappings=[('torque', LaunchConfiguration('torque'))],
-             output='screen'),
-    ])
+        _closed_loop)])
+
+
+def _closed_loop(context):
+    given = context.launch_configurations
+    node = launching.attitude_node(context, {'mode': 'lockstep', 'step': 0.01})
+    controller = Node(
+        package=launching.NAME, executable='attitude_controller', namespace=given['namespace'],
+        parameters=[{'stop_after': float(given['stop_after'])}],
+        remappings=launching.remappings(given), output='screen')
+    ends = [launching.ending(controller, node)]
+    if given['respawn'] == 'false':
+        ends.append(launching.ending(node, controller))
+    return [*ends, node, controller]

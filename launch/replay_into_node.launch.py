@@ -15,58 +15,52 @@
 """
 The torques of a bag into the node, with the clock of the bag.
 
-The bag starts when the node responds, so that no torque is lost. Everything ends with the bag.
+The bag starts when the node responds, so that no torque is lost. The node ends with the bag.
 """
 
 from launch import LaunchDescription
-from launch.actions import (
-    DeclareLaunchArgument,
-    ExecuteProcess,
-    IncludeLaunchDescription,
-    LogInfo,
-    RegisterEventHandler,
-    Shutdown,
-)
-from launch.event_handlers import OnProcessExit
-from launch.launch_description_sources import PythonLaunchDescriptionSource
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.substitutions import FindPackagePrefix, FindPackageShare
-
-ATTITUDE_NODE = PathJoinSubstitution(
-    [FindPackageShare('rigid_body_ros'), 'launch', 'attitude_node.launch.py'])
-ANY_SERVICE = PathJoinSubstitution(
-    ['/', LaunchConfiguration('namespace'), 'attitude_node', 'get_parameters'])
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, RegisterEventHandler
+from launch.event_handlers import OnProcessExit, OnProcessStart
+from launch_ros.substitutions import FindPackagePrefix
+from rigid_body_ros import launching
 
 
 def generate_launch_description():
-    bag = ExecuteProcess(
-        cmd=['ros2', 'bag', 'play', LaunchConfiguration('bag'),
-             '--topics', LaunchConfiguration('torque'), '--rate', LaunchConfiguration('rate'),
-             '--clock', '100', '--start-paused', '--disable-keyboard-controls'],
-        output='screen')
-    ready = ExecuteProcess(
-        cmd=['ros2', 'service', 'call', ANY_SERVICE, 'rcl_interfaces/srv/GetParameters'],
-        name='ready')
-    resume = ExecuteProcess(
-        cmd=['ros2', 'service', 'call', '/rosbag2_player/resume', 'rosbag2_interfaces/srv/Resume'],
-        name='resume')
-
-    def resume_once_ready(event, context):
-        if event.action is ready and event.returncode == 0:
-            return resume
-        return None if event.action is resume and event.returncode == 0 else Shutdown()
-
-    return LaunchDescription([
+    return LaunchDescription([launching.scoped(
         DeclareLaunchArgument('bag', description='folder or file for `ros2 bag play`'),
-        DeclareLaunchArgument('torque', default_value='/torque',
-                              description='topic of the torques in the bag'),
         DeclareLaunchArgument('rate', default_value='1.0',
                               description='speed relative to real time'),
-        DeclareLaunchArgument('use_sim_time', default_value='true',
-                              description='true, because the bag publishes /clock'),
         LogInfo(msg=['ros2 bag is in ', FindPackagePrefix('ros2bag')]),  # fails without it
-        RegisterEventHandler(OnProcessExit(on_exit=resume_once_ready)),
-        IncludeLaunchDescription(PythonLaunchDescriptionSource(ATTITUDE_NODE)),
-        bag,
-        ready,
-    ])
+        _replay,
+        torque='/torque', use_sim_time='true')])
+
+
+def _replay(context):
+    given = context.launch_configurations
+    node = launching.attitude_node(context)
+    bag = ExecuteProcess(
+        cmd=['ros2', 'bag', 'play', given['bag'], '--topics', given['torque'],
+             '--rate', given['rate'], '--clock', '100', '--start-paused',
+             '--disable-keyboard-controls'],
+        output='screen')
+    resume = _call('resume', '/rosbag2_player/resume', 'rosbag2_interfaces/srv/Resume')
+
+    def wait(event, context):
+        # With the name that the node has in the namespaces of the launch files around this one.
+        ready = _call('ready', f'{node.node_name}/get_parameters',
+                      'rcl_interfaces/srv/GetParameters')
+        return [_then(ready, resume, bag, node), launching.ending(node, bag, ready), ready]
+    return [
+        RegisterEventHandler(OnProcessStart(target_action=node, on_start=wait, handle_once=True)),
+        _then(resume, None, bag, node), launching.ending(bag, node), node, bag]
+
+
+def _call(name, service, kind):
+    return ExecuteProcess(cmd=['ros2', 'service', 'call', service, kind], name=name)
+
+
+def _then(process, following, *others):
+    """Return a handler that starts an action when a process succeeded, or ends the others."""
+    def start(event, context):
+        return following if event.returncode == 0 else launching.end(*others)
+    return RegisterEventHandler(OnProcessExit(target_action=process, on_exit=start))

@@ -16,34 +16,33 @@
 
 from ament_index_python.packages import get_packages_with_prefixes
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, LogInfo
-from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.actions import DeclareLaunchArgument, LogInfo
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import Node, SetParameter
+from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
+from rigid_body_ros import launching
 
-SHARE = FindPackageShare('rigid_body_ros')
-ATTITUDE_NODE = PathJoinSubstitution([SHARE, 'launch', 'attitude_node.launch.py'])
-VIEW = PathJoinSubstitution([SHARE, 'config', 'rviz.rviz'])
+VIEW = PathJoinSubstitution([FindPackageShare(launching.NAME), 'config', 'rviz.rviz'])
 
 
 def generate_launch_description():
-    return LaunchDescription([
+    installed = get_packages_with_prefixes()
+    publishes_tf = {'publish_tf': True} if 'tf2_msgs' in installed else {}
+    return LaunchDescription([launching.scoped(
         DeclareLaunchArgument('space_frame', default_value='world',
                               description='fixed frame of rviz; use the space_frame of the scene'),
-        _if_installed('tf2_msgs', SetParameter('publish_tf', True), 'no /tf'),
-        IncludeLaunchDescription(PythonLaunchDescriptionSource(ATTITUDE_NODE)),
-        _if_installed('rviz2', Node(
-            package='rviz2', executable='rviz2', namespace=LaunchConfiguration('namespace'),
-            arguments=['-d', VIEW, '-f', LaunchConfiguration('space_frame')]), 'no window'),
-        _if_installed('foxglove_bridge', Node(
-            package='foxglove_bridge', executable='foxglove_bridge', output='screen'),
-            'nothing for Foxglove to connect to'),
-    ])
+        lambda context: [launching.attitude_node(context, publishes_tf)],
+        *(LogInfo(msg=f'{package} is not installed: {without}')
+          for package, without in (('tf2_msgs', 'no /tf'), ('rviz2', 'no window'),
+                                   ('foxglove_bridge', 'nothing for Foxglove to connect to'))
+          if package not in installed),
+        *(action for package, action in _viewers() if package in installed))])
 
 
-def _if_installed(package, action, otherwise):
-    """Return an action, or one that logs what its missing package would provide."""
-    if package in get_packages_with_prefixes():
-        return action
-    return LogInfo(msg=f'{package} is not installed: {otherwise}')
+def _viewers():
+    yield 'rviz2', Node(
+        package='rviz2', executable='rviz2', namespace=LaunchConfiguration('namespace'),
+        arguments=['-d', VIEW, '-f', LaunchConfiguration('space_frame')],
+        remappings=launching.RELATIVE_TF)
+    yield 'foxglove_bridge', Node(
+        package='foxglove_bridge', executable='foxglove_bridge', output='screen')

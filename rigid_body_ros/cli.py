@@ -58,6 +58,11 @@ def attitude_lifecycle_node(arguments: Sequence[str] | None = None) -> int:
     return _run('attitude_lifecycle_node', arguments)
 
 
+def attitude_controller(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_controller` and return its exit status."""
+    return _run('attitude_controller', arguments)
+
+
 def _run(name: str, arguments: Sequence[str] | None) -> int:
     def command() -> int:
         from rigid_body_ros import commands

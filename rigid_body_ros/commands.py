@@ -27,9 +27,9 @@ from typing import Any, TYPE_CHECKING
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import report, show
-from rigid_body_ros.scene import load, Scene
 
 if TYPE_CHECKING:
+    from rigid_body_ros.scene import Scene
     from rigid_body_ros.tradeoff import Tradeoff
 
 #: Exit statuses; docs/nodes.md has their meaning.
@@ -58,6 +58,14 @@ def attitude_lifecycle_node(arguments: Sequence[str] | None) -> int:
     """Run the managed node until a signal ends it."""
     with _needs_ros('attitude_lifecycle_node'):
         from rigid_body_ros.node.lifecycle import main
+    main(arguments)
+    return OK
+
+
+def attitude_controller(arguments: Sequence[str] | None) -> int:
+    """Run the controller until the end of the maneuver, or until a signal ends it."""
+    with _needs_ros('attitude_controller'):
+        from rigid_body_ros.node.attitude_controller import main
     main(arguments)
     return OK
 
@@ -107,6 +115,7 @@ def _replay_one(options: argparse.Namespace) -> int:
 
 
 def _scene(options: argparse.Namespace) -> Scene:
+    from rigid_body_ros.scene import load
     scene = load(options.scene)
     for note in scene.notes:
         report(f'{options.command}: note: {options.scene}: {note}')

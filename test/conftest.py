@@ -50,7 +50,6 @@ SECOND = 10 ** 9
 NEEDS = {
     'rclpy': ['clocks', 'executors', 'faults', 'fleet', 'launch', 'lifecycle', 'lockstep', 'node',
               'robot_description', 'shared_files_live', 'soak', 'sources', 'topics', 'workspace'],
-    'launch_ros': ['launch'],  # not on PyPI
     'colcon_ros': ['workspace'],
     'mpmath': ['arm', 'elementary', 'elliptic', 'examples', 'extremes', 'free_motion', 'peers',
                'propagate', 'reference', 'rods', 'sources', 'steppers', 'tensor', 'terms',

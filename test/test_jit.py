@@ -154,6 +154,69 @@ def test_processes_that_start_at_once_after_a_change_all_run_the_new_code(few_ke
     assert results == 4 * [(81.0, '')]
 
 
+#: Print the result, how often the kernel was compiled, and what was announced.
+ANNOUNCED = """
+import sys
+from few import jit, outer
+with jit.announced(lambda: print('announced', flush=True)):
+    value = outer.eight_times(3.0)
+print(value, sum(outer.eight_times.stats.cache_misses.values()), 'scipy.linalg' in sys.modules)
+"""
+
+
+def start(package):
+    return subprocess.Popen([sys.executable, '-c', ANNOUNCED], stdout=subprocess.PIPE, text=True,
+                            env={**os.environ, 'PYTHONPATH': str(package.parent),
+                                 'NUMBA_CACHE_DIR': ''})
+
+
+@pytest.mark.slow
+def test_of_processes_that_start_at_once_one_compiles(few_kernels):
+    processes = [start(few_kernels) for _ in range(4)]
+    results = [process.communicate()[0].splitlines()[-1].split() for process in processes]
+    assert [value for value, _, _ in results] == 4 * ['24.0']
+    assert sum(int(misses) for _, misses, _ in results) == 1
+
+
+@pytest.mark.slow
+def test_a_process_waits_for_one_that_compiles_and_compiles_itself_if_that_dies(few_kernels):
+    cache = few_kernels / '__pycache__'
+    cache.mkdir()
+    assert start(few_kernels).communicate()[0] == 'announced\n24.0 1 True\n'
+    lock, = cache.glob('outer.eight_times*.lock')
+    for code in cache.glob('*.nb?'):
+        code.unlink()
+    holder = subprocess.Popen(
+        [sys.executable, '-c', 'import fcntl, sys, time; lock = open(sys.argv[1]); '
+         'fcntl.flock(lock, fcntl.LOCK_EX); print(flush=True); time.sleep(600)', lock],
+        stdout=subprocess.PIPE, text=True)
+    holder.stdout.readline()
+    waiting = start(few_kernels)
+    assert waiting.stdout.readline() == 'announced\n'
+    with pytest.raises(subprocess.TimeoutExpired):
+        waiting.wait(1.0)
+    holder.kill()
+    holder.communicate()
+    assert waiting.communicate()[0] == '24.0 1 True\n'
+
+
+@pytest.mark.slow
+def test_code_from_the_cache_is_not_announced_and_loads_no_compiler(few_kernels):
+    pytest.importorskip('scipy', reason='numba imports SciPy only for the compiler')
+    for expected in ('announced\n24.0 1 True\n', '24.0 0 False\n'):
+        assert start(few_kernels).communicate()[0] == expected
+
+
+@pytest.mark.slow
+def test_a_kernel_compiles_after_another_was_loaded(few_kernels):
+    script = 'from few import outer; print(outer.four_times(3.0), end=" ")'
+    for more in ('', '; print(outer.eight_times(3.0))'):
+        result = subprocess.run([sys.executable, '-c', script + more], capture_output=True,
+                                env={**os.environ, 'PYTHONPATH': str(few_kernels.parent),
+                                     'NUMBA_CACHE_DIR': ''}, text=True, check=True)
+    assert result.stdout.split() == ['12.0', '24.0']
+
+
 @pytest.mark.nightly
 def test_a_change_reaches_the_kernels_of_a_package_in_a_zip_file(few_kernels, tmp_path):
     # Python imports from a .zip; what is compiled goes where NUMBA_CACHE_DIR says.

@@ -15,6 +15,7 @@
 """The launch files, run by `ros2 launch` from an installed package."""
 
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 import os
 import shutil
 import signal
@@ -24,14 +25,19 @@ import time
 
 from ament_index_python.packages import get_packages_with_prefixes
 from conftest import CONFIG, NAME, RECORDINGS
-from geometry_msgs.msg import QuaternionStamped
+from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
+import psutil
 import pytest
 import rclpy
 from rclpy.wait_for_message import wait_for_message
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.skipif(
+    find_spec('launch_ros') is None, reason='launch_ros is not installed, and PyPI does not have '
+    'it; CONTRIBUTING.md lists what to install from source')]
 #: s; the first start on a machine compiles the kernels.
 PATIENCE = 300
+ARGUMENTS = ('scene', 'namespace', 'name', 'torque', 'remappings', 'frame_prefix',
+             'use_sim_time', 'log_level', 'respawn')
 INDEX = 'share/ament_index/resource_index/packages'
 #: Logs its arguments. `ros2 bag play` ends once it is resumed, which is all that matters to the
 #: launch file.
@@ -55,11 +61,61 @@ def _environment(installed, domain, tmp_path, monkeypatch):
         monkeypatch.setenv('AMENT_PREFIX_PATH', str(prefix), os.pathsep)
 
 
+#: Prints its parameters twice: when it starts, and after the others have ended.
+SIBLING = """
+import sys
+import rclpy
+rclpy.init(args=sys.argv)
+node = rclpy.create_node('sibling', automatically_declare_parameters_from_overrides=True)
+print('parameters: ' + ', '.join(
+    f'{name}={node.get_parameter(name).value}' for name in sorted(node._parameters)), flush=True)
+"""
+#: Includes every launch file that a stack would include, twice, between two siblings.
+INCLUDING = """
+from launch import LaunchDescription
+from launch.actions import (
+    ExecuteProcess, IncludeLaunchDescription, LogInfo, OpaqueFunction, RegisterEventHandler)
+from launch.event_handlers import OnProcessExit
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.substitutions import FindPackageShare
+
+
+def include(name, **arguments):
+    source = PathJoinSubstitution(
+        [FindPackageShare('rigid_body_ros'), 'launch', name + '.launch.py'])
+    return IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(source),
+        launch_arguments=dict(arguments, scene='tumbler').items())
+
+
+def sibling():
+    return Node(executable='{python}', arguments=['{sibling}'], output='screen')
+
+
+def configurations(context):
+    return [LogInfo(msg='configurations: ' + ' '.join(context.launch_configurations))]
+
+
+def generate_launch_description():
+    return LaunchDescription([
+        sibling(),
+        include('closed_loop', namespace='one', stop_after='20'),
+        include('closed_loop', namespace='two', stop_after='20'),
+        sibling(),
+        OpaqueFunction(function=configurations),
+    ])
+"""
+
+
 @contextmanager
-def launched(name, *arguments):
+def launched(*arguments):
     """Run a launch file, and end all of its processes."""
+    file = arguments[0] if os.path.isabs(arguments[0]) else f'{arguments[0]}.launch.py'
+    package = [] if os.path.isabs(file) else [NAME]
     process = subprocess.Popen(
-        [shutil.which('ros2'), 'launch', NAME, f'{name}.launch.py', *arguments], text=True,
+        [shutil.which('ros2'), 'launch', *package, file, *arguments[1:]], text=True,
         start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     try:
         yield process
@@ -91,10 +147,21 @@ def listener():
     rclpy.shutdown(context=context)
 
 
-def first_attitude(listener, topic):
-    found, attitude = wait_for_message(QuaternionStamped, listener, topic, time_to_wait=PATIENCE)
+def wait_for(condition):
+    until = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.05)
+
+
+def first(kind, listener, topic):
+    found, message = wait_for_message(kind, listener, topic, time_to_wait=PATIENCE)
     assert found
-    return attitude
+    return message
+
+
+def first_attitude(listener, topic):
+    return first(QuaternionStamped, listener, topic)
 
 
 @pytest.mark.parametrize(('name', 'arguments'), [
@@ -103,27 +170,52 @@ def first_attitude(listener, topic):
 def test_every_launch_file_lists_its_arguments(name, arguments):
     words, status = run(name, '--show-args')
     assert status == 0, words
-    for argument in ('scene', 'namespace', 'use_sim_time', 'torque', *arguments):
+    for argument in (*ARGUMENTS, *arguments):
         assert f"'{argument}':" in words
+
+
+@pytest.mark.parametrize('name', ['attitude_node', 'closed_loop', 'view', 'fleet'])
+def test_a_forgotten_scene_is_an_error(name):
+    words, status = run(name)
+    assert status == 1
+    assert 'scene' in words
+    assert 'process started' not in words
+
+
+def test_a_scene_that_is_neither_a_file_nor_an_example_is_an_error():
+    words, status = run('attitude_node', 'scene:=tumblr')
+    assert status == 1
+    assert ('scene: expected a parameter file or the name of an example (iss, tumbler), found '
+            "'tumblr'") in words
+    assert 'process started' not in words
 
 
 def test_the_node_alone_uses_its_arguments(listener):
     with launched('attitude_node', f'scene:={CONFIG / "iss.yaml"}', 'namespace:=station',
-                  'torque:=/wrench') as process:
-        assert first_attitude(listener, '/station/attitude').header.frame_id == 'eci'
-        until = time.monotonic() + PATIENCE
-        while not listener.count_subscribers('/wrench') and time.monotonic() < until:
-            time.sleep(0.05)
-        assert listener.count_subscribers('/wrench') == 1
+                  'name:=attitude', 'torque:=/wrench', 'remappings:=attitude:=q odometry:=odom',
+                  'log_level:=error') as process:
+        assert first_attitude(listener, '/station/q').header.frame_id == 'eci'
+        wait_for(lambda: listener.count_subscribers('/wrench') == 1)
+        wait_for(lambda: ('attitude', '/station') in listener.get_node_names_and_namespaces())
+        assert listener.count_publishers('/station/odom') == 1
         words, status = interrupt(process)
     assert status == 0, words
     assert 'attitude_node-1]: process has finished cleanly' in words
+    assert '[INFO] [1' not in words.replace('[INFO] [launch', '')  # of the node: its log level
+
+
+def test_a_node_that_ends_starts_again_if_it_shall(listener):
+    with launched('attitude_node', 'scene:=tumbler', 'respawn:=true') as process:
+        first_attitude(listener, '/attitude')
+        first, = psutil.Process(process.pid).children()
+        first.kill()
+        wait_for(lambda: {*psutil.Process(process.pid).children()} - {first})
 
 
 @pytest.mark.parametrize('arguments', [
     (), pytest.param(('namespace:=sat', 'torque:=/wrench'), marks=pytest.mark.nightly)])
 def test_a_closed_loop_settles_and_ends(arguments):
-    words, status = run('closed_loop', 'stop_after:=20', *arguments)
+    words, status = run('closed_loop', 'scene:=tumbler', 'stop_after:=20', *arguments)
     assert status == 0, words
     assert 'settled within 0.001 rad' in words
     assert words.count('process has finished cleanly') == 2
@@ -135,7 +227,35 @@ def test_a_closed_loop_ends_if_the_node_cannot_start(tmp_path):
     assert 'attitude_node: error: inertia.ixx: expected a finite number greater than 0' in words
 
 
-def test_a_bag_plays_once_the_node_is_ready_and_ends_everything(tmp_path, monkeypatch):
+def test_launch_files_included_twice_leave_nothing_to_the_file_that_includes_them(tmp_path):
+    # The sibling prints its parameters, and ends the launch by its own exit only.
+    (tmp_path / 'sibling.py').write_text(SIBLING)
+    including = tmp_path / 'including.launch.py'
+    including.write_text(INCLUDING.format(python=sys.executable, sibling=tmp_path / 'sibling.py'))
+    words, status = run(str(including))
+    assert status == 0, words
+    assert words.count('settled within 0.001 rad') == 2
+    printed = [line.partition('parameters: ')[2] for line in words.splitlines()
+               if 'parameters: ' in line]
+    assert printed == ['start_type_description_service=True, use_sim_time=False'] * 2
+    configurations, = (line.partition('configurations: ')[2] for line in words.splitlines()
+                       if 'configurations: ' in line)
+    # What the including file passes is its own.
+    assert set(configurations.split()) <= {'scene', 'namespace', 'stop_after'}
+
+
+def test_each_body_of_a_fleet_has_its_own_topics(listener):
+    with launched('fleet', 'scene:=tumbler') as process:
+        for number in range(1, 9):
+            frame = first(Vector3Stamped, listener, f'/body_{number}/angular_velocity')
+            assert frame.header.frame_id == f'body_{number}/base_link'
+            assert listener.count_publishers(f'/body_{number}/attitude') == 1
+        assert listener.count_publishers('/tf') == 0
+        words, status = interrupt(process)
+    assert status == 0, words
+
+
+def test_a_bag_plays_once_the_node_is_ready_and_ends_the_node(tmp_path, monkeypatch):
     index, calls = tmp_path / INDEX, tmp_path / 'calls'
     index.mkdir(parents=True)
     (index / 'ros2bag').touch()
@@ -145,9 +265,10 @@ def test_a_bag_plays_once_the_node_is_ready_and_ends_everything(tmp_path, monkey
     monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path), os.pathsep)
     bag = RECORDINGS / 'tumbler.mcap'
     monkeypatch.setenv('PATH', str(tmp_path), os.pathsep)
-    words, status = run('replay_into_node', f'bag:={bag}', 'namespace:=sat', 'torque:=/wrench')
+    words, status = run('replay_into_node', f'bag:={bag}', 'scene:=tumbler', 'namespace:=sat',
+                        'torque:=/wrench')
     assert status == 0, words
-    assert words.count('process has finished cleanly') == 4
+    assert words.count('process has finished cleanly') == 4, words
     assert 'epoch' not in words  # it waits for /clock
     commands = calls.read_text()
     assert (f'bag play {bag} --topics /wrench --rate 1.0 --clock 100 --start-paused '
@@ -159,7 +280,7 @@ def test_a_bag_plays_once_the_node_is_ready_and_ends_everything(tmp_path, monkey
 def test_a_bag_needs_rosbag2():
     if 'ros2bag' in get_packages_with_prefixes():
         pytest.skip('ros2bag is installed')
-    words, status = run('replay_into_node', 'bag:=some.mcap')
+    words, status = run('replay_into_node', 'bag:=some.mcap', 'scene:=tumbler')
     assert status == 1
     assert "package 'ros2bag' not found" in words
     assert 'process started' not in words
@@ -169,7 +290,7 @@ def test_a_view_logs_what_is_not_installed(listener):
     installed = get_packages_with_prefixes()
     if 'rviz2' in installed:
         pytest.skip('rviz2 is installed, and would open a window')
-    with launched('view') as process:
+    with launched('view', 'scene:=tumbler') as process:
         first_attitude(listener, '/attitude')
         words, status = interrupt(process)
     assert status == 0, words

@@ -47,7 +47,7 @@ def start_at(attitude):
 
 def controller(live, *arguments):
     """Start the example controller as a process of its own."""
-    return subprocess.Popen([sys.executable, ROOT / 'examples' / 'attitude_controller.py',
+    return subprocess.Popen([sys.executable, ROOT / 'scripts' / 'attitude_controller',
                              '--ros-args', '-p', f'stop_after:={SLEW_SECONDS}', *arguments],
                             env=live.environment)
 

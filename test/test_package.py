@@ -29,7 +29,8 @@ import xml.etree.ElementTree as ElementTree
 from conftest import at_night, CONFIG, locked, NAME, RECORDINGS, ROOT
 import pytest
 
-COMMANDS = ('attitude_node', 'attitude_replay', 'attitude_tradeoff')
+NODES = ('attitude_controller', 'attitude_lifecycle_node', 'attitude_node')
+COMMANDS = (*NODES, 'attitude_replay', 'attitude_tradeoff')
 
 
 @pytest.mark.slow
@@ -44,7 +45,7 @@ def test_ros2_run_finds_the_commands_of_a_pip_install(installed, command):
     packages, = installed.glob('lib/python*/site-packages')
     environment = {**os.environ, 'PYTHONPATH': str(packages),
                    'PATH': os.path.dirname(sys.executable) + os.pathsep + os.environ['PATH']}
-    if command == 'attitude_node':
+    if command in NODES:
         pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
     result = subprocess.run([executable, '--help'], env=environment, cwd='/', check=True,
                             capture_output=True, text=True)
@@ -59,10 +60,10 @@ def test_what_else_is_installed(installed):
     assert (share / 'config' / 'iss.yaml').exists()
     assert {path.name for path in (share / 'launch').glob('*.py')} \
         == {path.name for path in (ROOT / 'launch').glob('*.py')}
-    assert os.access(installed / 'lib' / NAME / 'attitude_controller.py', os.X_OK)
 
 
-@pytest.mark.parametrize('path', sorted((ROOT / 'launch').glob('*.py')), ids=lambda p: p.name)
+@pytest.mark.parametrize('path', [*sorted((ROOT / 'launch').glob('*.py')),
+                                  ROOT / NAME / 'launching.py'], ids=lambda p: p.name)
 def test_no_launch_file_hands_its_arguments_to_a_shell(path):
     # In a shell a namespace such as "a; rm -r b" is a command.
     tree = ast.parse(path.read_text())

@@ -52,7 +52,7 @@ rclpy.try_shutdown()
 """
 NODE = 'rigid_body_ros.node.attitude_node', 'AttitudeNode'
 MANAGED = 'rigid_body_ros.node.lifecycle', 'AttitudeLifecycleNode'
-CONTROLLER = 'attitude_controller', 'AttitudeController'
+CONTROLLER = 'rigid_body_ros.node.attitude_controller', 'AttitudeController'
 #: Together these have every topic of the node but those of further torque_topics.
 CONFIGURATIONS = [
     (), ('-p', 'use_sim_time:=true'), ('-p', 'wheels:=true'),
@@ -128,7 +128,7 @@ def graph(domain, node, *arguments):
     module, name = node
     environment = os.environ | {
         'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        'PYTHONPATH': os.pathsep.join([str(ROOT / 'examples'), *sys.path])}
+        'PYTHONPATH': os.pathsep.join(sys.path)}
     program = GRAPH.format(module=module, name=name, kinds=[*KINDS])
     result = subprocess.run([sys.executable, '-c', program, *arguments], env=environment,
                             capture_output=True, text=True, timeout=300, check=False)

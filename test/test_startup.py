@@ -77,6 +77,47 @@ assert RigidBody is rigid_body_ros.RigidBody is vars(rigid_body_ros)['RigidBody'
     assert result.stderr == ''
 
 
+@pytest.mark.slow
+def test_the_warm_up_leaves_nothing_to_compile_for_any_scene():
+    words = subprocess.run([sys.executable, '-m', 'rigid_body_ros.warm_up'], text=True,
+                           capture_output=True, check=True)
+    assert words.stdout.endswith('all kernels are compiled\n')
+    script = """
+from rigid_body_ros.node.epoch import warm_up_for
+from rigid_body_ros.scene import Scene
+moments = {'inertia.ixx': 1.0, 'inertia.iyy': 2.0, 'inertia.izz': 2.5}
+for more in ({}, {'wheels': True}, {'torque_topics': ['a', 'b']}, {'damping.dxx': 0.1},
+             {'initial_rotor_momentum.x': 1.0}, {'euler_sequence': 'xyz', 'solver': 'rk4',
+                                                 'max_step': 0.1}):
+    warm_up_for(Scene.from_values(moments | more), print)
+"""
+    result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                            check=False)
+    assert result.stderr == result.stdout == ''
+
+
+def test_the_warm_up_module_does_not_hide_the_function():
+    script = 'import rigid_body_ros as r, rigid_body_ros.warm_up; assert callable(r.warm_up)'
+    subprocess.run([sys.executable, '-c', script], check=True)
+
+
+@pytest.mark.skipif(find_spec('rclpy') is None, reason='rclpy is not installed')
+@pytest.mark.parametrize(('module', 'unused'), [
+    ('attitude_node', ['matplotlib', 'tqdm', 'mcap', 'zstandard', 'scipy.spatial', 'scipy.linalg',
+                       'rigid_body_ros.recording', 'rigid_body_ros.replay']),
+    ('attitude_controller', ['numba', 'rigid_body_ros.propagation'])])
+def test_a_node_does_not_import_what_it_does_not_use(module, unused):
+    script = f"""
+import sys
+import rigid_body_ros.cli, rigid_body_ros.commands
+from rigid_body_ros.node.{module} import main
+print([name for name in {unused} if name in sys.modules])
+"""
+    result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                            check=True)
+    assert result.stdout == '[]\n'
+
+
 def test_a_name_that_the_package_does_not_have_is_reported_as_for_any_module():
     with pytest.raises(AttributeError, match="^module 'rigid_body_ros' has no attribute 'spin'$"):
         _ = rigid_body_ros.spin

@@ -21,16 +21,21 @@ Without numba the kernels run as plain Python: the same bits, hundreds of times 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, ExitStack, suppress
+import fcntl
 from fractions import Fraction
-from functools import cache
+from functools import cache, cached_property
 import hashlib
 from importlib import resources
 import math
+import os
+from pathlib import Path
 from typing import Any, TypeVar
 import warnings
 
 try:
     import numba
+    from numba.core.runtime import rtsys
     from numba.extending import intrinsic, overload
 except ImportError:
     numba = None
@@ -50,7 +55,8 @@ def njit(kernel: Kernel) -> Kernel:
 
     The kernel releases the GIL. Arithmetic follows IEEE 754 (no fast-math), so a kernel returns
     the same bits wherever it is inlined. The cached code is valid as long as the hash of the
-    package's sources stays the same. If no cache folder is writable, as in a read-only install
+    package's sources stays the same. Of several processes that need a kernel, one compiles it and
+    the others wait for its code. If no cache folder is writable, as in a read-only install
     without a home folder, every process compiles the kernels again and issues one warning.
     Without numba the plain function is returned.
     """
@@ -61,11 +67,93 @@ def njit(kernel: Kernel) -> Kernel:
         compiled = numba.njit(cache=True, **options)(kernel)
     except RuntimeError:
         _warn_uncached()
-        return numba.njit(**options)(kernel)
+        compiled = numba.njit(**options)(kernel)
+        compiled._cache = _AnnouncedCache(compiled._cache)
+        return compiled
     # numba compares only time and size of the kernel's own file, not of the files whose functions
     # it inlines. Also, a copied file may have the time of the file that it replaces.
     compiled._cache._cache_file._source_stamp = _sources_hash()
+    compiled._cache = _SharedCache(compiled._cache)
     return compiled
+
+
+@contextmanager
+def announced(announce: Callable[[], None]) -> Iterator[None]:
+    """Call a function once before this context waits for a kernel to be compiled."""
+    _announcements.append(announce)
+    try:
+        yield
+    finally:
+        if announce in _announcements:
+            _announcements.remove(announce)
+
+
+_announcements: list[Callable[[], None]] = []
+
+
+def _announce() -> None:
+    while _announcements:
+        _announcements.pop()()
+
+
+class _AnnouncedCache:
+    """The cache of a kernel, which announces the compilation."""
+
+    def __init__(self, cache: Any) -> None:
+        self._cache = cache
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._cache, name)
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """Return the cached code; None if there is none, and then this process compiles it."""
+        _announce()
+        return self._cache.load_overload(signature, context)
+
+
+class _SharedCache(_AnnouncedCache):
+    """The cache of a kernel, shared by processes: one compiles while the others wait."""
+
+    def __init__(self, cache: Any) -> None:
+        super().__init__(cache)
+        #: Held while this process compiles.
+        self._lock = ExitStack()
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """Return the cached code; None if there is none, and then this process compiles it."""
+        self._lock.close()  # of a compilation that failed
+        found = self._load(signature, context)
+        if found is None:
+            _announce()
+            self._lock.enter_context(
+                _locked(Path(self.cache_path), self._impl.filename_base + '.lock'))
+            found = self._load(signature, context)
+            if found is not None:
+                self._lock.close()
+        return found
+
+    def save_overload(self, signature: Any, code: Any) -> None:
+        """Save compiled code."""
+        with self._lock:
+            self._cache.save_overload(signature, code)
+
+    def _load(self, signature: Any, context: Any) -> Any:
+        # As numba does, but without what only the compiler needs: all functions of numpy that
+        # numba can compile, which takes half a second and imports scipy.linalg.
+        rtsys.initialize(context)
+        return self._cache._load_overload(signature, context)
+
+
+@contextmanager
+def _locked(folder: Path, name: str) -> Iterator[None]:
+    """Hold a lock, which ends with its process; where the folder has no locks, hold none."""
+    with ExitStack() as stack:
+        with suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            lock = os.open(folder / name, os.O_CREAT, 0o666)
+            stack.callback(os.close, lock)
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def internal(kernel: Kernel) -> Kernel:
@@ -110,17 +198,28 @@ def _internal(kernel: Kernel, **options: bool) -> Kernel:
     # Without wrappers for calls from Python and C, which take as long to compile as the function.
     if not COMPILES:
         return kernel
-    compiled = numba.njit(**_INTERNAL, **options)(kernel)
-    compiled.__class__ = _internal_type()
-    return compiled
+    found: Any = _Internal(kernel, **options)
+    return found
 
 
-@cache
-def _internal_type() -> Any:
-    def reject(self: Any, *_: Any) -> None:  # a call without a wrapper crashes the interpreter
+class _Internal:
+    """A function without wrappers: to numba a compiled function, but Python cannot call it."""
+
+    def __init__(self, kernel: Callable[..., Any], **options: bool) -> None:
+        self.py_func, self._options = kernel, options
+
+    @property
+    def _numba_type_(self) -> Any:
+        return self._compiled._numba_type_
+
+    @cached_property
+    def _compiled(self) -> Any:
+        # Two hundred of these take a tenth of a second, and only the compiler needs them.
+        return numba.njit(**_INTERNAL, **self._options)(self.py_func)
+
+    def __call__(self, *_: Any) -> None:
         raise TypeError(f'{self.py_func.__name__} is internal to the kernels: '
                         'it cannot be called from Python')
-    return type('Internal', (type(numba.njit(reject)),), {'__call__': reject})
 
 
 def _warn_uncached() -> None:

@@ -20,10 +20,24 @@ and connects the modules; `process` runs a node as a command. Input: `drain` (th
 subscription), `inputs` (messages to torques), `parameters` (the scene). Processing: `realtime` or
 `lockstep` (when to compute the motion), `closed_loop` (duplicates and republishing in lockstep),
 `pipeline` (the queue of torques, and the final states), `epoch` (one start state and its torques).
-Output: `outputs` (topics), `diagnostics`.
+Output: `outputs` (topics), `diagnostics`. `attitude_controller` is an example of a controller in
+lockstep.
 """
 
-from rigid_body_ros.node.attitude_node import AttitudeNode
-from rigid_body_ros.node.process import main
+from importlib import import_module
+from typing import Any, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rigid_body_ros.node.attitude_node import AttitudeNode
+    from rigid_body_ros.node.process import main
+else:
+    #: The module of each public name.
+    _HOMES = {'AttitudeNode': 'attitude_node', 'main': 'process'}
+
+    def __getattr__(name: str) -> Any:
+        """Import a name when it is first used: `attitude_controller` does not need the engine."""
+        if name not in _HOMES:
+            raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+        return getattr(import_module(f'{__name__}.{_HOMES[name]}'), name)
 
 __all__ = ['AttitudeNode', 'main']

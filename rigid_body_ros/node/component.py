@@ -95,8 +95,8 @@ class AttitudeComponent:
     def _configure(self) -> None:
         self._scene = self._parameters.scene
         self._sources = sources_of(self._scene)
-        warm_up_for(self._scene)
         self._announce()
+        warm_up_for(self._scene, self._node.get_logger().info)
         with _one_line_errors():
             self._diagnostics = Diagnostics(self._node, self._sources)
             self._inputs = Inputs(self._scene, self._diagnostics.count_force)

@@ -17,14 +17,22 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 from typing import NamedTuple
 
+from rigid_body_ros import euler
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.propagation import Propagator, warm_up
+from rigid_body_ros.kernels.jit import announced
+from rigid_body_ros.propagation import Propagator
 from rigid_body_ros.propagation.segment import WHEELS
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
+
+#: Logged before the compilation.
+_COMPILING = ('compiling the kernels, or waiting for a process that does: usually 10 to 30 s, '
+              'once after each installation; python3 -m rigid_body_ros.warm_up does it in '
+              'advance')
 
 
 class Torque(NamedTuple):
@@ -41,12 +49,25 @@ def _stamp_ns(torque: Torque) -> int:
     return torque.stamp_ns
 
 
-def warm_up_for(scene: Scene) -> None:
-    """Compile the kernels that a scene needs, or load the code of an earlier process."""
-    warm_up()
-    if (len(scene.torque_topics) > 1 or scene.wheels or scene.body.is_damped
-            or scene.start.rotor_momentum.any()):
-        Propagator(scene.body, State(rotor_momentum=(1.0, 0.0, 0.0))).at(1)
+def warm_up_for(scene: Scene, log: Callable[[str], object]) -> None:
+    """
+    Compile the kernels that a scene needs, or load the code of an earlier process.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    log : callable
+        Receives a message before a kernel is compiled.
+
+    """
+    always_has_terms = scene.body.is_damped or scene.start.rotor_momentum.any()
+    with announced(partial(log, _COMPILING)):
+        if not always_has_terms:
+            start = Propagator(scene.body, State()).at(1)
+        if always_has_terms or scene.wheels or len(scene.torque_topics) > 1:
+            start = Propagator(scene.body, State(rotor_momentum=(1.0, 0.0, 0.0))).at(1)
+        euler.from_quaternion(start.attitude, scene.values['euler_sequence'])
 
 
 class Epoch:

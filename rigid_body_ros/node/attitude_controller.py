@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 # Copyright 2026 The rigid_body_ros developers
 #
 # Licensed under the Apache License, Version 2.0 (the "License");
@@ -21,7 +20,7 @@ repeats the torque if no new state arrives. The loop runs as fast as both nodes 
 and gives the same numbers every time.
 
     attitude_node --ros-args --params-file config/tumbler.yaml -p mode:=lockstep -p step:=0.01
-    python attitude_controller.py --ros-args -p stop_after:=60.0
+    attitude_controller --ros-args -p stop_after:=60.0
 
 or start both with `ros2 launch rigid_body_ros closed_loop.launch.py`.
 
@@ -32,16 +31,25 @@ the sign from the scalar part.
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Sequence
 import math
+import signal
+import sys
 import time
 
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import Quaternion, Vector3, WrenchStamped
 from nav_msgs.msg import Odometry
 import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.exceptions import InvalidParameterTypeException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
+from rclpy.utilities import remove_ros_args
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.runtime import interrupts
 
 #: s; how long to wait for a state before the torque is sent again.
 _PATIENCE = 0.2
@@ -50,9 +58,9 @@ _SETTLED = 1e-3
 
 
 class AttitudeController(Node):
-    """Turns the body to a target attitude."""
+    """Turn the body to a target attitude."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__('attitude_controller')
         self._gains = [self.declare_parameter(name, default).value for name, default in (
             ('proportional_gain', 0.05), ('derivative_gain', 0.12))]
@@ -67,12 +75,12 @@ class AttitudeController(Node):
         self.create_subscription(Odometry, 'odometry', self._on_state, 10)
         self.create_timer(_PATIENCE, self._resend, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _on_state(self, state):
+    def _on_state(self, state: Odometry) -> None:
         stamp_ns = Time.from_msg(state.header.stamp).nanoseconds
         if self._start_ns is None:
             self._start_ns, self._began = stamp_ns, time.monotonic()
         elapsed = (stamp_ns - self._start_ns) * 1e-9
-        error = relative(self._target, state.pose.pose.orientation)
+        error = _relative(self._target, state.pose.pose.orientation)
         rates = state.twist.twist.angular
         if elapsed >= self._stop_after:
             self.done = True
@@ -88,15 +96,15 @@ class AttitudeController(Node):
         torque.z = towards * error[2] - derivative * rates.z
         self._send()
 
-    def _send(self):
+    def _send(self) -> None:
         self._torque.publish(self._command)
         self._sent_at = time.monotonic()
 
-    def _resend(self):
+    def _resend(self) -> None:
         if self._sent_at is not None and time.monotonic() - self._sent_at > _PATIENCE:
             self._send()
 
-    def _report(self, elapsed, error, rates):
+    def _report(self, elapsed: float, error: Sequence[float], rates: Vector3) -> None:
         angle = 2.0 * math.asin(min(1.0, math.hypot(*error[:3])))
         if not self._settled and max(angle, math.hypot(rates.x, rates.y, rates.z)) < _SETTLED:
             self._settled = True
@@ -105,7 +113,7 @@ class AttitudeController(Node):
                                    f'at {speed:.3g} times real time')
 
 
-def relative(target, attitude):
+def _relative(target: Sequence[float], attitude: Quaternion) -> tuple[float, ...]:
     """Return the quaternion x y z w from the target to an attitude, in body axes."""
     a, b, c, d = target
     x, y, z, w = attitude.x, attitude.y, attitude.z, attitude.w
@@ -113,18 +121,38 @@ def relative(target, attitude):
             d * z - c * w - a * y + b * x, d * w + a * x + b * y + c * z)
 
 
-def main():
-    rclpy.init()
-    controller, executor = AttitudeController(), SingleThreadedExecutor()
-    executor.add_node(controller)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """
+    Run the controller until the end of the maneuver, SIGINT or SIGTERM.
+
+    Raises
+    ------
+    InputError
+        The arguments or parameters are not valid.
+
+    """
+    stop: list[int] = []
     try:
-        while not controller.done:
+        _initialize(sys.argv if arguments is None else ['attitude_controller', *arguments])
+        controller, executor = AttitudeController(), SingleThreadedExecutor()
+        executor.add_node(controller)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda number, frame: stop.append(number))
+        interrupts.check()
+        while not (stop or controller.done):
             executor.spin_once(timeout_sec=0.1)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        controller.destroy_node()
+    except (InvalidParameterTypeException, RuntimeError) as error:
+        raise InputError(' '.join(str(error).split())) from error
     finally:
         rclpy.try_shutdown()
 
 
-if __name__ == '__main__':
-    main()
+def _initialize(command_line: Sequence[str]) -> None:
+    argparse.ArgumentParser(
+        'attitude_controller',
+        description='Turn the body of a node in lockstep to a target attitude.',
+        epilog='Parameters (--ros-args -p NAME:=VALUE): target.x to target.w, proportional_gain '
+               '(N m/rad), derivative_gain (N m s/rad), stop_after (s)',
+    ).parse_args(remove_ros_args(command_line)[1:])
+    rclpy.init(args=list(command_line), signal_handler_options=SignalHandlerOptions.NO)

@@ -1,0 +1,101 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Measure the start of the node, from its command to its first state, and its memory.
+
+    python benchmarks/node_start.py [--before FOLDER] [--count 10] [--first 10]
+
+Each start is a process of its own. A first start has an empty cache of kernels; later ones find
+them compiled. On a busy machine, compare the processor time. Memory is that of the process when
+its first state arrives: resident (VmRSS), and without what it shares with other processes (USS).
+`--before` alternates with another checkout.
+"""
+
+import argparse
+import os
+from pathlib import Path
+import statistics
+import subprocess
+import sys
+from tempfile import TemporaryDirectory
+import time
+
+from geometry_msgs.msg import QuaternionStamped
+import psutil
+import rclpy
+
+HERE = Path(__file__).resolve().parent.parent
+COMMAND = [sys.executable, '-c', 'from rigid_body_ros.cli import attitude_node; attitude_node()',
+           '--ros-args', '--params-file', str(HERE / 'config' / 'tumbler.yaml')]
+
+
+def start(node, checkout, cache, code):
+    """Return time and processor time, s, and memory, MB, at the first state."""
+    environment = {**os.environ, 'PYTHONPATH': str(checkout), 'NUMBA_CACHE_DIR': str(cache),
+                   'PYTHONPYCACHEPREFIX': str(code)}
+    environment.pop('PYTHONDONTWRITEBYTECODE', None)
+    namespace, received = f'/start_{time.monotonic_ns()}', []
+    subscription = node.create_subscription(QuaternionStamped, f'{namespace}/attitude',
+                                            received.append, 10)
+    began = time.perf_counter()
+    process = subprocess.Popen([*COMMAND, '-r', f'__ns:={namespace}'], env=environment, cwd='/',
+                               stderr=subprocess.DEVNULL)
+    try:
+        while not received:
+            rclpy.spin_once(node, timeout_sec=1.0)
+            if process.poll() is not None:
+                raise RuntimeError(f'the node ended with status {process.returncode}')
+        seconds = time.perf_counter() - began
+        usage = psutil.Process(process.pid)
+        memory, used = usage.memory_full_info(), usage.cpu_times()
+    finally:
+        process.kill()
+        process.wait()
+        node.destroy_subscription(subscription)
+    return seconds, used.user + used.system, memory.rss / 1e6, memory.uss / 1e6
+
+
+def main():
+    """Print the medians."""
+    parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
+    parser.add_argument('--before', type=Path, help='another checkout to compare with')
+    parser.add_argument('--count', type=int, default=10, help='number of later starts')
+    parser.add_argument('--first', type=int, default=10, help='number of first starts')
+    arguments = parser.parse_args()
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+    checkouts = {'this': HERE} | ({'before': arguments.before.resolve()} if arguments.before
+                                  else {})
+    rclpy.init()
+    node = rclpy.create_node('observer')
+    firsts, laters = ({name: [] for name in checkouts} for _ in range(2))
+    with TemporaryDirectory() as folder:
+        for number in range(max(arguments.first, 1)):
+            for name, checkout in checkouts.items():
+                firsts[name].append(start(node, checkout, f'{folder}/{name}{number}',
+                                          f'{folder}/code'))
+        for _ in range(arguments.count):
+            for name, checkout in checkouts.items():
+                laters[name].append(start(node, checkout, f'{folder}/{name}0', f'{folder}/code'))
+    rclpy.try_shutdown()
+    print(f'{"median":16}{"s":>8}{"CPU s":>8}{"RSS MB":>8}{"USS MB":>8}{"of":>5}')
+    for label, runs in (('first', firsts), ('later', laters)):
+        for name, rows in runs.items():
+            print(f'{label + ", " + name:16}' + '{:8.2f}{:8.2f}{:8.0f}{:8.0f}{:5d}'.format(
+                *(statistics.median(column) for column in zip(*rows)), len(rows)))
+
+
+if __name__ == '__main__':
+    main()

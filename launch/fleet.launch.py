@@ -1,0 +1,46 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Eight bodies, each with a node in a namespace of its own: body_1 to body_8.
+
+An example of a launch file that includes another one several times. Every body here is the same;
+for different ones give each its own scene.
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.substitutions import FindPackageShare
+
+ATTITUDE_NODE = PathJoinSubstitution(
+    [FindPackageShare('rigid_body_ros'), 'launch', 'attitude_node.launch.py'])
+BODIES = 8
+
+
+def generate_launch_description():
+    return LaunchDescription([
+        DeclareLaunchArgument('scene', description='parameter file, or the name of an example: '
+                              'tumbler or iss'),
+        *(_body(f'body_{number}') for number in range(1, BODIES + 1))])
+
+
+def _body(namespace):
+    # In a group, because the arguments of an included file otherwise remain set.
+    return GroupAction([IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(ATTITUDE_NODE),
+        launch_arguments={'scene': LaunchConfiguration('scene'),
+                          'namespace': namespace,
+                          'frame_prefix': f'{namespace}/'}.items())])

@@ -1,0 +1,77 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Compile all kernels in advance: `python3 -m rigid_body_ros.warm_up`.
+
+After an installation, the first start of a node or a command compiles the kernels that it needs
+and stores them in the cache of numba. Run this once, as the user who runs the nodes, to do so in
+advance: after `colcon build`, or while a container image is built.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+import sys
+from tempfile import TemporaryDirectory
+
+from rigid_body_ros.body import RigidBody
+from rigid_body_ros.messages import QUATERNION
+from rigid_body_ros.propagation import propagate, Propagator, warm_up
+from rigid_body_ros.recording import read
+from rigid_body_ros.replay import replay
+from rigid_body_ros.runtime.terminal import show
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.state import State
+from rigid_body_ros.torque import TorqueLog
+from rigid_body_ros.tradeoff import measure
+
+_SCENE = {'inertia.ixx': 1.0, 'inertia.iyy': 2.0, 'inertia.izz': 2.5}
+_TORQUES = 'time,tx,ty,tz\n' + ''.join(f'{0.1 * row},1e-3,0,0\n' for row in range(5))
+
+
+def main() -> None:
+    """Use every kernel once."""
+    show('compiling the kernels: usually 30 to 60 s, once after each installation')
+    warm_up()
+    _sum_torques()
+    _replay()
+    show('all kernels are compiled')
+
+
+def _sum_torques() -> None:
+    body, start = RigidBody.from_moments(1.0, 2.0, 2.5), State(rotor_momentum=(1.0, 0.0, 0.0))
+    Propagator(body, start).at(1)
+    stamps, torques = range(5), [[1.0, 0.0, 0.0]] * 5
+    for interpolation in ('hold', 'cubic'):
+        logs = [TorqueLog(stamps, torques, frame, interpolation) for frame in ('body', 'space')]
+        motion = propagate(body, start, logs, at=[0, 5], wheels=TorqueLog(stamps, torques))
+    motion.euler_angles(continuous=True)
+    motion.rotor_momentum  # noqa: B018
+
+
+def _replay() -> None:
+    scene = Scene.from_values(_SCENE)
+    with TemporaryDirectory() as folder:
+        torques, recording = Path(folder, 'torques.csv'), Path(folder, 'motion.mcap')
+        torques.write_text(_TORQUES)
+        replay(torques, scene, recording)
+        read(recording, '/attitude', QUATERNION)
+    measure(scene.body, State(angular_velocity=(0.1, 0.2, 0.3)), seconds=0.0)
+
+
+if __name__ == '__main__':
+    main()
+else:  # `rigid_body_ros.warm_up` is a function
+    sys.modules[__name__] = warm_up  # type: ignore[assignment]
