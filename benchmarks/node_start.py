@@ -41,11 +41,16 @@ COMMAND = [sys.executable, '-c', 'from rigid_body_ros.cli import attitude_node; 
            '--ros-args', '--params-file', str(HERE / 'config' / 'tumbler.yaml')]
 
 
-def start(node, checkout, cache, code):
-    """Return time and processor time, s, and memory, MB, at the first state."""
+def environment_of(checkout, cache, code):
+    """Return an environment with caches for the code of numba and of Python."""
     environment = {**os.environ, 'PYTHONPATH': str(checkout), 'NUMBA_CACHE_DIR': str(cache),
                    'PYTHONPYCACHEPREFIX': str(code)}
     environment.pop('PYTHONDONTWRITEBYTECODE', None)
+    return environment
+
+
+def start(node, environment):
+    """Return time and processor time, s, and memory, MB, at the first state."""
     namespace, received = f'/start_{time.monotonic_ns()}', []
     subscription = node.create_subscription(QuaternionStamped, f'{namespace}/attitude',
                                             received.append, 10)
@@ -82,17 +87,20 @@ def main():
     node = rclpy.create_node('observer')
     firsts, laters = ({name: [] for name in checkouts} for _ in range(2))
     with TemporaryDirectory() as folder:
-        for number in range(max(arguments.first, 1)):
+        for name, checkout in checkouts.items():  # an installation has the code of Python
+            start(node, environment_of(checkout, f'{folder}/{name}', f'{folder}/code'))
+        for number in range(arguments.first):
             for name, checkout in checkouts.items():
-                firsts[name].append(start(node, checkout, f'{folder}/{name}{number}',
-                                          f'{folder}/code'))
+                firsts[name].append(start(node, environment_of(
+                    checkout, f'{folder}/{name}{number}', f'{folder}/code')))
         for _ in range(arguments.count):
             for name, checkout in checkouts.items():
-                laters[name].append(start(node, checkout, f'{folder}/{name}0', f'{folder}/code'))
+                laters[name].append(start(node, environment_of(
+                    checkout, f'{folder}/{name}', f'{folder}/code')))
     rclpy.try_shutdown()
     print(f'{"median":16}{"s":>8}{"CPU s":>8}{"RSS MB":>8}{"USS MB":>8}{"of":>5}')
     for label, runs in (('first', firsts), ('later', laters)):
-        for name, rows in runs.items():
+        for name, rows in runs.items() if runs['this'] else ():
             print(f'{label + ", " + name:16}' + '{:8.2f}{:8.2f}{:8.0f}{:8.0f}{:5d}'.format(
                 *(statistics.median(column) for column in zip(*rows)), len(rows)))
 
