@@ -138,10 +138,10 @@ def test_nodes_of_one_process_have_their_own_names_and_parameters(context):
     ({'node_name': 'left body'}, 'Invalid node name: node name must not contain characters other '
                                  "than alphanumerics or '_': 'left body'"),
     ({'namespace': '1st'}, 'Invalid namespace: namespace must not'),
-    ({}, 'inertia.ixx: expected a number (kg m^2), found none'),
+    ({'parameter_overrides': BODY[:1]}, 'inertia.iyy: expected a number (kg m^2), found none'),
     ({'parameter_overrides': [*BODY, Parameter('mode', value='fast')]},
      "mode: expected one of realtime, lockstep, found 'fast'"),
-    ({'parameter_overrides': [*BODY, Parameter('mode')]}, 'expected a value for each parameter'),
+    ({'parameter_overrides': [*BODY, Parameter('mode')]}, 'mode: expected text, found none'),
     ({'parameter_overrides': [*BODY, Parameter('torque_topics', value=['a/', 'b'])]},
      "torque_topics: expected names of topics (letters, digits, _ and /), found 'a/'"),
     ({'parameter_overrides': [*BODY, Parameter('torque_topics', value=['initial_state'])]},
@@ -156,7 +156,7 @@ def test_mistakes_in_python_raise_one_line(context, arguments, message):
 def test_a_mistake_leaves_no_node(context):
     observer = rclpy.create_node('observer', context=context)
     with pytest.raises(scene.InputError) as raised:  # which refers to the node
-        AttitudeNode(namespace='mistaken', context=context)
+        AttitudeNode(namespace='mistaken', context=context, parameter_overrides=BODY[:1])
     spin_until(SingleThreadedExecutor(context=context), lambda: '/mistaken' not in [
         namespace for _, namespace in observer.get_node_names_and_namespaces()])
     assert raised

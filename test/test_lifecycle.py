@@ -189,7 +189,8 @@ def test_a_managed_node_that_starts_itself_replays_bit_for_bit(tmp_path, domain)
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [
-    (('-p', 'autostart:=true'), 'inertia.ixx: expected a number (kg m^2), found none'),
+    (('-p', 'autostart:=true', '-p', 'inertia.ixx:=0.02'),
+     'inertia.iyy: expected a number (kg m^2), found none'),
     *at_night((('-p', 'autostart:=1'), 'autostart: expected true or false, found 1'))])
 def test_a_mistake_of_a_node_that_starts_itself_ends_it(domain, arguments, message):
     live = LiveSession('', domain, program=PROGRAM)

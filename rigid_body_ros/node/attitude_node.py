@@ -34,6 +34,9 @@ class AttitudeNode(Node):
     Any executor may spin it, alone or beside other nodes. All its callbacks are in one mutually
     exclusive group, so that a MultiThreadedExecutor runs one of them at a time.
 
+    Without an inertia or a URDF among the parameters, the constructor waits for a URDF on the
+    topic `robot_description`.
+
     Parameters
     ----------
     node_name : str
