@@ -21,9 +21,10 @@ from live import decoded, replayed, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from rclpy.time import Time
 from rigid_body_ros import messages, propagate, scene, State
-from rigid_body_ros.node import clocks
+from rigid_body_ros.node import AttitudeNode, clocks
 from rigid_body_ros.node.clocks import ArrivalStamps, JumpDetector
 
 pytestmark = pytest.mark.ros
@@ -504,3 +505,19 @@ def test_between_stamps_of_a_new_epoch_the_motion_is_that_of_its_log(domain):
     motion = propagate(scene.load(TUMBLER).body, start,
                        at=[message.stamp_ns for message in published])
     np.testing.assert_array_equal([message.values for message in published], motion.attitude)
+
+
+def test_torques_that_wait_for_the_clock_keep_their_order(context):
+    node = AttitudeNode(context=context, parameter_overrides=[
+        Parameter('use_sim_time', value=True), Parameter('on_time_jump', value='ignore'),
+        *(Parameter(f'inertia.{name}', value=1.0) for name in ('ixx', 'iyy', 'izz'))])
+    clock, mode = node.get_clock(), node._component._mode
+    clock.set_ros_time_override(Time(seconds=5))
+    for seconds in (5.0, 5.2, 5.9, 6.1):  # the last two are ahead by more than max_future
+        mode.enqueue(messages.WRENCH.encode(round(seconds * SECOND), '', [0.0] * 6), None, 0)
+    clock.set_ros_time_override(Time(seconds=7))
+    mode.pipeline.process()
+    # In another order, the first one would be older than the last by more than `history`.
+    assert [torque.stamp_ns / SECOND for torque in mode.pipeline.epoch.torques_since(0)] \
+        == [5.0, 5.2, 5.9, 6.1]
+    node.destroy_node()

@@ -289,11 +289,14 @@ class Pipeline:
         return None
 
     def _requeue_early(self) -> None:
-        """Queue torques that no longer wait for the clock, before those that came later."""
-        place = int(self._torque is not None)
+        """Queue torques that no longer wait for the clock, in the order of arrival."""
         for early in self._early.values():
+            place = int(self._torque is not None)
             while early and self._early_cause(early[0]) is None:
-                self._queue.insert(place, early.popleft())
+                message = early.popleft()
+                while place < len(self._queue) and self._queue[place].since < message.since:
+                    place += 1
+                self._queue.insert(place, message)
                 place += 1
 
     def _early_cause(self, message: QueuedMessage) -> str | None:
