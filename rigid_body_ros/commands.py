@@ -25,7 +25,7 @@ import sys
 from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.runtime.terminal import report, show
 
 if TYPE_CHECKING:
@@ -78,6 +78,7 @@ def _needs_ros(command: str) -> Iterator[None]:
         raise InputError(f"{command} needs ROS 2, but the module '{error.name}' is not "
                          'installed: source a ROS 2 installation, or run '
                          'pip install "rigid_body_ros[ros]"') from error
+    interrupts.check()  # the import takes long
 
 
 def _parsed(parser: argparse.ArgumentParser,
@@ -116,6 +117,7 @@ def _replay_one(options: argparse.Namespace) -> int:
 
 def _scene(options: argparse.Namespace) -> Scene:
     from rigid_body_ros.scene import load
+    interrupts.check()  # the import takes long
     scene = load(options.scene)
     for note in scene.notes:
         report(f'{options.command}: note: {options.scene}: {note}')
