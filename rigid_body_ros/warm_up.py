@@ -43,7 +43,7 @@ _TORQUES = 'time,tx,ty,tz\n' + ''.join(f'{0.1 * row},1e-3,0,0\n' for row in rang
 
 def main() -> None:
     """Use every kernel once."""
-    show('compiling the kernels: usually 30 to 60 s, once after each installation')
+    show('compiling the kernels: usually up to a minute, once after each installation')
     warm_up()
     _sum_torques()
     _replay()

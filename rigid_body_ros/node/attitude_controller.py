@@ -34,7 +34,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 import math
-import signal
 import sys
 import time
 
@@ -49,7 +48,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 from rclpy.utilities import remove_ros_args
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.runtime import interrupts
+from rigid_body_ros.node.spinning import spin
 
 #: s; how long to wait for a state before the torque is sent again.
 _PATIENCE = 0.2
@@ -131,17 +130,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         The arguments or parameters are not valid.
 
     """
-    stop: list[int] = []
     try:
         _initialize(sys.argv if arguments is None else ['attitude_controller', *arguments])
-        controller, executor = AttitudeController(), SingleThreadedExecutor()
-        executor.add_node(controller)
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda number, frame: stop.append(number))
-        interrupts.check()
-        while not (stop or controller.done):
-            executor.spin_once(timeout_sec=0.1)
-        controller.destroy_node()
+        controller = AttitudeController()
+        spin(SingleThreadedExecutor(), controller, lambda: controller.done)
     except (InvalidParameterTypeException, RuntimeError) as error:
         raise InputError(' '.join(str(error).split())) from error
     finally:

@@ -30,7 +30,7 @@ from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
 
 #: Logged before the compilation.
-_COMPILING = ('compiling the kernels, or waiting for a process that does: usually 10 to 30 s, '
+_COMPILING = ('compiling the kernels, or waiting for a process that does: usually up to a minute, '
               'once after each installation; python3 -m rigid_body_ros.warm_up does it in '
               'advance')
 

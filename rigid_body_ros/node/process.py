@@ -20,7 +20,6 @@ import argparse
 from collections.abc import Sequence
 import os
 from pathlib import Path
-import signal
 import sys
 
 import rclpy
@@ -30,10 +29,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.node.attitude_node import AttitudeNode
-from rigid_body_ros.runtime import interrupts
-
-#: s; period of the check for signals.
-_SIGNAL_PERIOD = 0.1
+from rigid_body_ros.node.spinning import spin
 
 
 def main(arguments: Sequence[str] | None = None, kind: type[Node] = AttitudeNode,
@@ -47,20 +43,9 @@ def main(arguments: Sequence[str] | None = None, kind: type[Node] = AttitudeNode
         The arguments or parameters are not valid.
 
     """
-    stop: list[int] = []
     try:
         _initialize(sys.argv if arguments is None else [command, *arguments], command)
-        node = kind()
-        executor = _executor()
-        executor.add_node(node)
-        # From here on a signal does not interrupt a callback.
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda number, frame: stop.append(number))
-        interrupts.check()
-        while not stop:
-            # With a timeout, to notice signals; without one EventsExecutor may hang.
-            executor.spin_once(timeout_sec=_SIGNAL_PERIOD)
-        node.destroy_node()
+        spin(_executor(), kind())
     finally:
         rclpy.try_shutdown()
 

@@ -1,0 +1,41 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The loop of a process that runs one node."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import signal
+
+from rclpy.executors import Executor
+from rclpy.node import Node
+from rigid_body_ros.runtime import interrupts
+
+#: s; period of the check for signals.
+_SIGNAL_PERIOD = 0.1
+
+
+def spin(executor: Executor, node: Node, is_done: Callable[[], bool] = lambda: False) -> None:
+    """Spin a node until it is done, or until SIGINT or SIGTERM, and destroy it."""
+    stop: list[int] = []
+    executor.add_node(node)
+    # From here on a signal does not interrupt a callback.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, frame: stop.append(number))
+    interrupts.check()
+    while not (stop or is_done()):
+        # With a timeout, to notice signals; without one EventsExecutor may hang.
+        executor.spin_once(timeout_sec=_SIGNAL_PERIOD)
+    node.destroy_node()
