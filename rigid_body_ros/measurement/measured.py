@@ -1,0 +1,52 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a sensor measured, as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+
+
+@dataclass(frozen=True)
+class Measured:
+    """
+    What a sensor measured: one topic.
+
+    Attributes
+    ----------
+    topic : str
+    stamps : array of int64, shape (n,)
+        Time of each sample, ns, increasing.
+    attitude : array, shape (n, 4), optional
+        Unit quaternions x y z w, from body to space axes; None if the topic has none.
+    angular_velocity : array, shape (n, 3), optional
+        rad/s, body axes; None if the topic has none.
+    attitude_covariance : array, shape (n, 3, 3), optional
+        Of the attitude error as a rotation vector in body axes, rad^2; None where unknown.
+    rate_covariance : array, shape (n, 3, 3), optional
+        Of the angular velocity in body axes, rad^2/s^2; None where unknown.
+
+    """
+
+    topic: str
+    stamps: NDArray[np.int64]
+    attitude: Floats | None
+    angular_velocity: Floats | None
+    attitude_covariance: Floats | None = None
+    rate_covariance: Floats | None = None
