@@ -248,6 +248,10 @@ IMU = MessageType('sensor_msgs/msg/Imu', 37)
 ODOMETRY = MessageType('nav_msgs/msg/Odometry', 85, has_child_frame=True)
 #: tf2_msgs/msg/TFMessage with one transform; doubles: translation x y z, rotation x y z w.
 TRANSFORM = MessageType('tf2_msgs/msg/TFMessage', 7, has_child_frame=True, is_list=True)
+#: Types that are only read; doubles: position, orientation x y z w, 36 covariances (second type).
+POSE = MessageType('geometry_msgs/msg/PoseStamped', 7)
+POSE_WITH_COVARIANCE = MessageType('geometry_msgs/msg/PoseWithCovarianceStamped', 43)
+TRANSFORM_STAMPED = MessageType('geometry_msgs/msg/TransformStamped', 7, has_child_frame=True)
 #: The arrows also differ in lightness, for colour-blind readers.
 BOX = _marker(1, 0.70, 0.75, 0.80, 0.8)
 ORANGE_ARROW, BLUE_ARROW = _marker(0, 0.90, 0.62, 0.0, 1.0), _marker(0, 0.0, 0.27, 0.70, 1.0)

@@ -12,4 +12,23 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Measured motions: read them, and compare them with the propagated one."""
+"""
+Measured motions: read them, and compare them with the propagated one.
+
+`measured` is what a sensor measured, and `reading` reads it from a recording. `motion` is what it
+is compared with. `align`, from the guess of `coarse` on, brings both into one time and one pair of
+frames. `comparison` returns the errors, `horizons` those after restarts, `residual_torque` what
+the torque log lacks, and `causes` what explains the errors. The command reads with `recorded`,
+writes with `outputs` and prints with `summary`.
+"""
+
+from rigid_body_ros.measurement.align import Alignment, ALIGNMENTS
+from rigid_body_ros.measurement.causes import Cause
+from rigid_body_ros.measurement.comparison import compare, Comparison, Errors
+from rigid_body_ros.measurement.horizons import Horizon
+from rigid_body_ros.measurement.measured import Measured
+from rigid_body_ros.measurement.reading import KINDS, read_all, read_measured
+from rigid_body_ros.measurement.residual_torque import ResidualTorque
+
+__all__ = ['ALIGNMENTS', 'KINDS', 'Alignment', 'Cause', 'Comparison', 'Errors', 'Horizon',
+           'Measured', 'ResidualTorque', 'compare', 'read_all', 'read_measured']

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,10 @@ class Measured:
         Of the attitude error as a rotation vector in body axes, rad^2; None where unknown.
     rate_covariance : array, shape (n, 3, 3), optional
         Of the angular velocity in body axes, rad^2/s^2; None where unknown.
+    rejected : int
+        Number of messages without a finite value.
+    damage : str
+        Which part of the recording was lost; '' if none.
 
     """
 
@@ -50,3 +54,17 @@ class Measured:
     angular_velocity: Floats | None
     attitude_covariance: Floats | None = None
     rate_covariance: Floats | None = None
+    rejected: int = 0
+    damage: str = ''
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Measured:
+        """Return a selection of the samples."""
+        def of(values: Floats | None) -> Floats | None:
+            return None if values is None else values[chosen]
+        return replace(self, stamps=self.stamps[chosen], attitude=of(self.attitude),
+                       angular_velocity=of(self.angular_velocity),
+                       attitude_covariance=of(self.attitude_covariance),
+                       rate_covariance=of(self.rate_covariance))

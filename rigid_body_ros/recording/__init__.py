@@ -17,8 +17,8 @@ Recordings: read torques and other messages, write motion.
 
 Reading: `source` finds a topic in a recording of any format. `mcap_file`, `sqlite_file` and
 `csv_file` read the files of a recording through the interface in `file`; `csv_columns` interprets
-the first line of a CSV file, `unpack` decompresses, and `bulk` decodes messages. `torques` turns
-messages into a torque log.
+the first line of a CSV file, `unpack` decompresses, `bulk` decodes messages, and `transforms`
+those of one pair of frames. `torques` turns messages into a torque log.
 
 Writing: `writer` writes MCAP files, with the records of the format in `container`; `folder` adds
 the metadata.yaml of a rosbag2 bag.

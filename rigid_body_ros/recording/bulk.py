@@ -136,20 +136,20 @@ def _decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: b
         little, body = data[start + 1] == 1, start + 4
         offset = body
         if is_list:
-            if offset + 4 > end or _int(data, offset, 4, little) != 1:
+            if offset + 4 > end or integer(data, offset, 4, little) != 1:
                 return row
             offset += 4
         if has_header:
             if offset + 8 > end:
                 return row
-            seconds, rest = _int(data, offset, 4, little), _int(data, offset + 4, 4, little)
+            seconds, rest = integer(data, offset, 4, little), integer(data, offset + 4, 4, little)
             if seconds >= 2 ** 31 or rest >= 10 ** 9:
                 return row
             stamps[row] = seconds * 10 ** 9 + rest
             offset += 8
             for text in range(2 if has_child_frame else 1):
                 offset += (body - offset) % 4
-                size = _int(data, offset, 4, little) if offset + 4 <= end else 0
+                size = integer(data, offset, 4, little) if offset + 4 <= end else 0
                 if size < 1 or size > end - offset - 4:
                     return row
                 if text == 0:
@@ -163,13 +163,13 @@ def _decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: b
         if offset + 8 * bits.shape[1] > end:
             return row
         for k in range(bits.shape[1]):
-            bits[row, k] = _int(data, offset + 8 * k, 8, little)
+            bits[row, k] = integer(data, offset + 8 * k, 8, little)
     return len(starts)
 
 
 @inlined
-def _int(data: Bytes, start: int, size: int, little: bool) -> Any:
-    # Return an integer, little or big endian; eight bytes are signed, fewer are unsigned.
+def integer(data: Bytes, start: int, size: int, little: bool) -> Any:
+    """Return an integer, little or big endian; eight bytes are signed, fewer are unsigned."""
     value = np.int64(0)
     for k in range(size):
         place = size - 1 - k if little else k
@@ -211,12 +211,12 @@ def scan(data: Bytes, position: int, count: int, channels: Ints, log_ns: Ints, p
     """
     end = len(data)
     while position + 31 <= end and data[position] == 5:  # a message with all its fields
-        length = _int(data, position + 1, 8, True)
+        length = integer(data, position + 1, 8, True)
         if length < 22 or length > end - position - 9:
             break
-        channels[count] = _int(data, position + 9, 2, True)
-        log_ns[count] = _int(data, position + 15, 8, True)
-        publish_ns[count] = _int(data, position + 23, 8, True)
+        channels[count] = integer(data, position + 9, 2, True)
+        log_ns[count] = integer(data, position + 15, 8, True)
+        publish_ns[count] = integer(data, position + 23, 8, True)
         starts[count], sizes[count] = position + 31, length - 22
         position += 9 + length
         count += 1

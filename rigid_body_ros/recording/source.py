@@ -30,7 +30,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted, reason, shortened
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.messages import MessageType
-from rigid_body_ros.recording import bulk
+from rigid_body_ros.recording import bulk, transforms
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.csv_file import CsvFile
 from rigid_body_ros.recording.file import File
@@ -113,6 +113,8 @@ class Source:
         Skip the messages of the first `skip` seconds of the topic.
     preferred : str
         The topic to take if it is omitted and several topics have one of the types.
+    frames : tuple of str, optional
+        Frame and child frame of the transforms to read, if the type is one of transforms.
 
     Attributes
     ----------
@@ -137,8 +139,9 @@ class Source:
     """
 
     def __init__(self, path: str | Path, topic: str | None, kinds: Sequence[MessageType],
-                 time_source: str = 'header', skip: float = 0.0, preferred: str = '') -> None:
-        self._path = path
+                 time_source: str = 'header', skip: float = 0.0, preferred: str = '',
+                 frames: tuple[str, str] | None = None) -> None:
+        self._path, self._frames = path, frames
         self._skip_ns = duration_ns(skip, 'skip')
         self._time_source = time_source
         self._stack = ExitStack()
@@ -194,6 +197,8 @@ class Source:
             for raw in file.read(self.topic):
                 block = self._messages(raw, number)
                 number += len(raw.starts)
+                if not len(block):  # no transform between the frames
+                    continue
                 first_ns = int(block.stamps_ns.min()) if first_ns is None else first_ns
                 rows = block.stamps_ns >= first_ns + self._skip_ns
                 if not self._skip_ns or rows.all():
@@ -206,7 +211,10 @@ class Source:
     def _messages(self, raw: Raw, number: int) -> Messages:
         plain = self._decompressed(raw, self.topic, number)
         try:
-            decoded = bulk.decode(self.kind, plain)
+            if self._frames and self.kind.has_child_frame:
+                raw, decoded = transforms.decode(self.kind, plain, self._frames)
+            else:
+                decoded = bulk.decode(self.kind, plain)
         except bulk.BadMessageError as error:
             raise self._error(error, self.topic, number) from error
         stamps = decoded.stamps_ns

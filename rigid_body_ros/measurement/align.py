@@ -1,0 +1,367 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Bring a measurement and a motion into the same time, frames and start."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros import so3
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.measurement import coarse
+from rigid_body_ros.measurement.measured import Measured
+from rigid_body_ros.measurement.motion import measured_rates, Model, Recorded, States
+from rigid_body_ros.state import State
+
+START, CLOCK, MOUNT = 'start', 'clock', 'mount'
+#: What can be fitted.
+ALIGNMENTS = (START, CLOCK, MOUNT)
+#: Half steps of the differences for the Jacobian: rad and rad/s, and s of the clock.
+_STEP, _CLOCK_STEP = 1e-6, 1e-5
+#: Largest number of samples in the first stages of a fit of the start.
+_STAGE = 2000
+#: Residuals, in standard deviations, from which on the loss grows linearly, or a sample is left
+#: out of the last stage.
+_HUBER, _OUTLIER = 2.0, 5.0
+#: Singular value, relative to the largest, below which the data does not determine a direction.
+_SINGULAR = 1e-7
+
+
+def _identity() -> Floats:
+    return np.array([0.0, 0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """
+    What brings a measurement into the time and the frames of a motion.
+
+    Measured attitude = `space` * attitude of the motion * `mount`.
+
+    Attributes
+    ----------
+    clock_offset_s : float, s
+        Added to the measured stamps.
+    mount, space : array, shape (4,)
+        x y z w; `mount` maps vectors from the axes of the sensor to the body axes.
+    start : State, optional
+        The fitted start; None for that of the scene.
+    sigma : dict
+        Standard deviations of what was fitted: 'clock_offset_s' in s, and arrays of shape (3,):
+        'mount_rad', 'space_rad' and 'initial_attitude_rad' about the axes of sensor, space and
+        body, 'initial_angular_velocity_rad_s'. Infinite if the measurement does not determine a
+        value.
+
+    """
+
+    clock_offset_s: float = 0.0
+    mount: Floats = field(default_factory=_identity)
+    space: Floats = field(default_factory=_identity)
+    start: State | None = None
+    sigma: dict[str, Any] | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the alignment as JSON types; an infinite standard deviation is None."""
+        found: dict[str, Any] = {
+            'clock_offset_s': self.clock_offset_s, 'mount_xyzw': _upper(self.mount).tolist(),
+            'space_xyzw': _upper(self.space).tolist(),
+            'start': 'fitted' if self.start else 'scene'}
+        if self.start:
+            found['initial_attitude_xyzw'] = self.start.attitude.tolist()
+            found['initial_angular_velocity_rad_s'] = self.start.angular_velocity.tolist()
+        if self.sigma:
+            found['sigma'] = {name: _finite(value) for name, value in self.sigma.items()}
+        return found
+
+    def applied(self, sensor: Measured) -> Measured:
+        """Return what a sensor measured, in the time and the frames of the motion."""
+        attitude, rate = sensor.attitude, sensor.angular_velocity
+        if attitude is not None:
+            attitude = so3.multiply(so3.multiply(so3.conjugate(self.space), attitude),
+                                    so3.conjugate(self.mount))
+        if rate is not None:
+            rate = so3.rotate(self.mount, rate)
+        turn = so3.matrix(self.mount)
+
+        def turned(covariance: Floats | None) -> Floats | None:
+            return None if covariance is None else turn @ covariance @ turn.T
+        return replace(sensor, stamps=sensor.stamps + round(1e9 * self.clock_offset_s),
+                       attitude=attitude, angular_velocity=rate,
+                       attitude_covariance=turned(sensor.attitude_covariance),
+                       rate_covariance=turned(sensor.rate_covariance))
+
+
+def align(motion: Model | Recorded, sensors: Sequence[Measured],
+          names: Collection[str]) -> Alignment:
+    """
+    Fit what is asked for by robust least squares.
+
+    Parameters
+    ----------
+    motion : Model or Recorded
+        What they are aligned with.
+    sensors : sequence of Measured
+        All share one clock and one mounting.
+    names : collection of str
+        Some of `ALIGNMENTS`.
+
+    Returns
+    -------
+    Alignment
+
+    Raises
+    ------
+    InputError
+        A name is unknown, or too few samples lie within the motion.
+
+    """
+    for name in names:
+        if name not in ALIGNMENTS:
+            raise InputError(f'align: expected some of {", ".join(ALIGNMENTS)}, found {name!r}')
+    if START in names and isinstance(motion, Recorded):
+        raise InputError('align: expected no start, because a recorded motion has its own, '
+                         'found start')
+    if not names:
+        return Alignment()
+    guess = coarse.guess(motion, sensors, CLOCK in names, MOUNT in names)
+    problem = _Problem(motion, sensors, names, Alignment(*guess))
+    if START in names:
+        problem.grow()
+    return problem.solved()
+
+
+class _Problem:
+    """The least squares problem of an alignment."""
+
+    def __init__(self, motion: Model | Recorded, sensors: Sequence[Measured],
+                 names: Collection[str], first: Alignment) -> None:
+        self._motion, self._sensors = motion, sensors
+        self._value = replace(first, start=motion.start) \
+            if isinstance(motion, Model) and START in names else first
+        has_attitude = any(sensor.attitude is not None for sensor in sensors)
+        #: The fitted values, three columns each but the clock.
+        self._names = [
+            *(['initial_angular_velocity_rad_s'] if START in names else []),
+            # With a mounting, the rotation of the space axes takes the place of the attitude.
+            *(['initial_attitude_rad'] if START in names and has_attitude and MOUNT not in names
+              else []),
+            *(['clock_offset_s'] if CLOCK in names else []),
+            *(['mount_rad'] if MOUNT in names else []),
+            *(['space_rad'] if MOUNT in names and has_attitude else [])]
+        self._sizes = [1 if name == 'clock_offset_s' else 3 for name in self._names]
+        self._rows = [self._inside(sensor) for sensor in sensors]
+        if not any(len(rows) for rows in self._rows):
+            raise _apart(motion, sensors)
+        #: Standard deviations of attitude and rate of each sensor.
+        self._scales = [(1.0, 1.0)] * len(sensors)
+
+    def _inside(self, sensor: Measured) -> NDArray[np.intp]:
+        margin = 10_000_000 if 'clock_offset_s' in self._names else 0
+        stamps = sensor.stamps + round(1e9 * self._value.clock_offset_s)
+        return np.flatnonzero((stamps >= self._motion.first_ns + margin)
+                              & (stamps <= self._motion.last_ns - margin))
+
+    def grow(self) -> None:
+        """Fit the start to longer and longer beginnings of the measurement."""
+        assert isinstance(self._motion, Model)
+        every, first_ns = self._rows, self._motion.first_ns
+        stamps = np.concatenate([sensor.stamps[rows] for sensor, rows
+                                 in zip(self._sensors, every)]) - first_ns
+        stamps += round(1e9 * self._value.clock_offset_s)
+        last = int(stamps.max())
+        horizon = int(np.partition(stamps, min(15, len(stamps) - 1))[:16].max())
+        self._from_first_samples()
+        while horizon < last:
+            self._rows = [_thinned(rows[sensor.stamps[rows] - first_ns <= horizon])
+                          for sensor, rows in zip(self._sensors, every)]
+            self._fit(most=8)
+            horizon = max(2 * horizon, 1)
+        self._rows = every
+
+    def _from_first_samples(self) -> None:
+        # Start as measured, unless the start of the scene is closer to the first samples.
+        start = self._value.start
+        assert start is not None
+        for sensor, rows in zip(self._sensors, self._rows):
+            aligned = self._value.applied(sensor.rows(rows[:16]))
+            if len(rows) < 4 or aligned.stamps[0] - start.time_ns > 10 ** 9:
+                continue
+            attitude, rate = start.attitude, start.angular_velocity
+            if aligned.angular_velocity is not None:
+                rate = np.median(aligned.angular_velocity[:5], axis=0)
+            elif aligned.attitude is not None:
+                rate = measured_rates(aligned)[1][:5].mean(axis=0)
+            if aligned.attitude is not None and 'initial_attitude_rad' in self._names:
+                late = 1e-9 * (aligned.stamps[0] - start.time_ns)
+                attitude = so3.multiply(aligned.attitude[0], so3.exp(-late * rate))
+            other = replace(self._value, start=State(
+                start.time_ns, so3.normalize(attitude), rate, start.rotor_momentum))
+            every, self._rows = self._rows, [part[:16] for part in self._rows]
+            if self._median(other) < self._median(self._value):
+                self._value = other
+            self._rows = every
+
+    def _median(self, value: Alignment) -> float:
+        return float(np.median(np.abs(self._residuals(value))))
+
+    def solved(self) -> Alignment:
+        """Return the fit, with its standard deviations."""
+        self._fit(most=20)
+        for _ in range(2):
+            self._estimate_scales()
+            self._fit(most=20)
+        self._estimate_scales()
+        kept = np.abs(self._residuals(self._value)) < _OUTLIER
+        jacobian = self._fit(most=20, kept=kept)
+        sigma, column = {}, 0
+        deviations = _deviations(jacobian)
+        for name, size in zip(self._names, self._sizes):
+            part = deviations[column:column + size]
+            sigma[name] = float(part[0]) if size == 1 else part
+            column += size
+        return replace(self._value, sigma=sigma)
+
+    def _estimate_scales(self) -> None:
+        residuals, first, scales = self._residuals(self._value), 0, []
+        for sensor, rows, old in zip(self._sensors, self._rows, self._scales):
+            found = []
+            for values, scale in zip((sensor.attitude, sensor.angular_velocity), old):
+                count = 0 if values is None else 3 * len(rows)
+                part = np.abs(residuals[first:first + count])
+                found.append(max(1.4826 * scale * float(np.median(part)), 1e-13)
+                             if count else scale)
+                first += count
+            scales.append((found[0], found[1]))
+        self._scales = scales
+
+    def _fit(self, most: int, kept: NDArray[np.bool_] | None = None) -> Floats:
+        """Improve the value, with the robust loss unless rows are chosen; return the Jacobian."""
+        from scipy.optimize import least_squares  # takes as long to import as the engine
+        base, count = self._value, sum(self._sizes)
+        rows = slice(None) if kept is None else kept
+
+        def residuals(step: Floats) -> Floats:
+            return np.asarray(self._residuals(self._moved(base, step))[rows])
+
+        def jacobian(step: Floats) -> Floats:
+            columns = np.empty((len(residuals(step)), count))
+            for number, half in enumerate(self._half_steps()):
+                change = np.zeros(count)
+                change[number] = half
+                columns[:, number] = (residuals(step + change) - residuals(step - change)) \
+                    / (2.0 * half)
+            return columns
+        options = {'loss': 'linear'} if kept is not None else {'loss': 'huber', 'f_scale': _HUBER}
+        result = least_squares(residuals, np.zeros(count), jacobian, max_nfev=most, xtol=1e-14,
+                               ftol=1e-14, gtol=1e-14, x_scale='jac', **options)
+        self._value = self._moved(base, result.x)
+        return jacobian(result.x) if kept is not None else np.empty((0, count))
+
+    def _half_steps(self) -> list[float]:
+        return [_CLOCK_STEP if name == 'clock_offset_s' else _STEP
+                for name, size in zip(self._names, self._sizes) for _ in range(size)]
+
+    def _moved(self, base: Alignment, step: Floats) -> Alignment:
+        """Return an alignment with small changes."""
+        column, changes = 0, {}
+        for name, size in zip(self._names, self._sizes):
+            changes[name] = step[column:column + size]
+            column += size
+        start = base.start
+        rate = changes.get('initial_angular_velocity_rad_s')
+        if start is not None and rate is not None:
+            turn = so3.exp(changes.get('initial_attitude_rad', np.zeros(3)))
+            start = State(start.time_ns, so3.normalize(so3.multiply(start.attitude, turn)),
+                          start.angular_velocity + rate, start.rotor_momentum)
+        mount, space = base.mount, base.space
+        if 'mount_rad' in changes:
+            mount = so3.normalize(so3.multiply(mount, so3.exp(changes['mount_rad'])))
+        if 'space_rad' in changes:
+            space = so3.normalize(so3.multiply(so3.exp(changes['space_rad']), space))
+        offset = base.clock_offset_s + float(changes.get('clock_offset_s', np.zeros(1))[0])
+        return Alignment(offset, mount, space, start)
+
+    def _residuals(self, value: Alignment) -> Floats:
+        """Return the errors in standard deviations, of all samples of all sensors."""
+        aligned = [value.applied(sensor.rows(rows))
+                   for sensor, rows in zip(self._sensors, self._rows)]
+        stamps = np.concatenate([sensor.stamps for sensor in aligned])
+        moved = replace(self._motion, start=value.start) \
+            if isinstance(self._motion, Model) and value.start else self._motion
+        # A step of the clock may lead out of the motion, unless the offset is nearly right.
+        states, first, parts = moved.at(np.clip(stamps, moved.first_ns, moved.last_ns)), 0, []
+        for sensor, scales in zip(aligned, self._scales):
+            part = slice(first, first + len(sensor))
+            errors = errors_of(sensor, States(states.attitude[part],
+                                              states.angular_velocity[part]))
+            parts += [(error / scale).ravel() for error, scale in zip(errors, scales)
+                      if error is not None]
+            first += len(sensor)
+        return np.concatenate(parts)
+
+
+def errors_of(sensor: Measured, states: States) -> tuple[Floats | None, Floats | None]:
+    """
+    Return what a sensor measured relative to a motion at the same times.
+
+    Returns
+    -------
+    rotation_vectors : array, shape (n, 3), optional
+        From the attitude of the motion to the measured one, rad, body axes.
+    rate_errors : array, shape (n, 3), optional
+        Measured angular velocity minus that of the motion, rad/s, body axes.
+
+    """
+    rotation = rate = None
+    if sensor.attitude is not None:
+        rotation = so3.log(so3.multiply(so3.conjugate(states.attitude), sensor.attitude))
+    if sensor.angular_velocity is not None:
+        rate = sensor.angular_velocity - states.angular_velocity
+    return rotation, rate
+
+
+def _apart(motion: Model | Recorded, sensors: Sequence[Measured]) -> InputError:
+    return InputError(f'{sensors[0].topic}: expected measurements during the motion, which begins '
+                      f'at {motion.first_ns} ns, found them from {sensors[0].stamps[0]} ns to '
+                      f'{sensors[0].stamps[-1]} ns; are the clocks the same (--time-source log)?')
+
+
+def _thinned(rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    return rows[::-(-len(rows) // _STAGE) or 1]
+
+
+def _deviations(jacobian: Floats) -> Floats:
+    """Return standard deviations; infinite for what the rows do not determine."""
+    norms = np.linalg.norm(jacobian, axis=0)
+    scaled = jacobian / np.where(norms > 0.0, norms, 1.0)
+    _, singular, turn = np.linalg.svd(scaled, full_matrices=False)
+    small = singular < _SINGULAR * singular.max(initial=1e-300)
+    variances = np.sum((turn / np.where(small, 1.0, singular)[:, None]) ** 2, axis=0)
+    lost = (np.abs(turn[small]) > 1e-3).any(axis=0) | (norms == 0.0)
+    return np.where(lost, np.inf, np.sqrt(variances) / np.where(norms > 0.0, norms, 1.0))
+
+
+def _upper(quaternion: Floats) -> Floats:
+    return -quaternion if quaternion[3] < 0.0 else quaternion
+
+
+def _finite(value: Any) -> Any:
+    each = [float(one) if np.isfinite(one) else None for one in np.atleast_1d(value)]
+    return each[0] if np.ndim(value) == 0 else each

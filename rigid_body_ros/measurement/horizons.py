@@ -1,0 +1,124 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""How far the motion is off some time after a restart from the measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from rigid_body_ros import so3
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.measurement.align import errors_of
+from rigid_body_ros.measurement.measured import Measured
+from rigid_body_ros.measurement.motion import measured_rates, Model
+from rigid_body_ros.state import State
+
+#: Samples from which a restart is estimated, unless the horizon is too short for them.
+_SAMPLES = 11
+#: Corrections of an estimated restart.
+_CORRECTIONS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Horizon:
+    """
+    Errors after a restart from the measurement.
+
+    Attributes
+    ----------
+    seconds : float, s
+        From a restart to its error, and to the next restart.
+    angles : array, shape (n,), rad
+        Attitude error of each window.
+
+    """
+
+    seconds: float
+    angles: Floats
+
+
+def horizon(model: Model, sensors: Sequence[Measured], seconds: float) -> Horizon:
+    """
+    Return errors after a time, each from a restart from the measurement.
+
+    A restart is estimated from eleven samples, or fewer if a fifth of the horizon has fewer: the
+    model is propagated from the first, and its errors, linear in time, are taken off.
+
+    Parameters
+    ----------
+    model : Model
+        Restarted at every horizon.
+    sensors : sequence of Measured
+        In the time and the axes of the model. The first with an attitude is used, with its own
+        angular velocity if it has one.
+    seconds : float, s
+        The horizon.
+
+    """
+    with_attitude = [sensor for sensor in sensors if sensor.attitude is not None]
+    if not with_attitude:
+        return Horizon(seconds, np.empty(0))
+    sensor = with_attitude[0].rows(with_attitude[0].stamps >= model.first_ns)
+    stamps, step = sensor.stamps, round(1e9 * seconds)
+    if len(stamps) < 2:
+        return Horizon(seconds, np.empty(0))
+    # A sample may be late by up to half an interval.
+    half = int(np.median(np.diff(stamps))) // 2
+    begins = stamps[0] + step * np.arange((stamps[-1] + half - stamps[0]) // max(step, 1) + 1)
+    rows = np.clip(np.searchsorted(stamps, begins - half), 0, len(stamps) - 1)
+    momenta = model.rotor_momentum(stamps[rows])
+    found = [_error(model, sensor, (int(first), int(last)), step, momentum)
+             for first, last, momentum in zip(rows[:-1], rows[1:], momenta)
+             if first < last and abs(stamps[last] - stamps[first] - step) <= 2 * half]
+    return Horizon(seconds, np.array(found, float))
+
+
+def _error(model: Model, sensor: Measured, window: tuple[int, int], step: int,
+           momentum: Floats) -> float:
+    first, last = window
+    count = np.searchsorted(sensor.stamps, sensor.stamps[first] + step // 5, 'right') - first
+    count = min(max(int(count), 2), _SAMPLES, last - first + 1)
+    start = _restarted(model, sensor.rows(np.arange(first, first + count)), momentum)
+    end = sensor.rows(np.array([last]))
+    motion = model.between(start, int(end.stamps[0])).at(end.stamps)
+    assert sensor.attitude is not None
+    return float(so3.angle_between(motion.attitude[0], sensor.attitude[last]))
+
+
+def _restarted(model: Model, samples: Measured, momentum: Floats) -> State:
+    """Return the state at the first of a few samples that fits all of them best."""
+    assert samples.attitude is not None
+    first_ns, (_, rates) = int(samples.stamps[0]), measured_rates(samples)
+    start = State(first_ns, samples.attitude[0], rates[0], momentum)
+    if len(samples) < 3:
+        return start
+    seconds = 1e-9 * (samples.stamps - first_ns)
+    columns = np.stack([np.ones(len(seconds)), seconds], axis=1)
+    for _ in range(_CORRECTIONS):
+        motion = model.between(start, int(samples.stamps[-1])).at(samples.stamps)
+        vectors, rate_errors = errors_of(samples, motion)
+        assert vectors is not None
+        # In space axes: a constant error of the attitude is constant there.
+        vectors = so3.rotate(motion.attitude, vectors)
+        offset, drift = np.linalg.lstsq(columns, vectors, rcond=None)[0]
+        turn = so3.conjugate(start.attitude)
+        change = so3.rotate(turn, drift) if rate_errors is None else rate_errors.mean(axis=0)
+        attitude = so3.multiply(so3.exp(offset), start.attitude)
+        start = State(first_ns, so3.normalize(attitude), start.angular_velocity + change, momentum)
+    return start
+
+

@@ -1,0 +1,105 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Measured motions with a known truth: an integrator and a writer that are not the package's."""
+
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+
+from conftest import EPOCH_NS, SECOND
+from mcap.writer import Writer
+import numpy as np
+from rigid_body_ros import Measured, RigidBody, State, TorqueLog
+from rosbags.typesys import get_typestore, Stores
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+INERTIA = np.array([[0.020, 0.001, -0.0005], [0.001, 0.031, 0.0015], [-0.0005, 0.0015, 0.042]])
+RATES = np.array([0.5, -0.7, 0.9])
+TURN = Rotation.from_rotvec([0.2, -0.4, 0.3])
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """A motion under torques that are held: its log, and its states at the measured stamps."""
+
+    stamps: np.ndarray
+    attitude: Rotation
+    rates: np.ndarray
+    torque_times: np.ndarray
+    torques: np.ndarray
+    inertia: np.ndarray = field(default_factory=INERTIA.copy)
+    rates_at_start: np.ndarray = field(default_factory=RATES.copy)
+
+    @property
+    def body(self):
+        return RigidBody(self.inertia)
+
+    @property
+    def start(self):
+        return State(int(self.torque_times[0]), TURN, self.rates_at_start)
+
+    @property
+    def log(self):
+        return TorqueLog(self.torque_times, self.torques)
+
+    def measured(self, attitude_noise=0.0, rate_noise=0.0, clock=0.0, mount=None, space=None,
+                 outliers=0.0, seed=0):
+        """Return what a sensor measures; its clock is `clock` seconds behind."""
+        random, count = np.random.default_rng(seed), len(self.stamps)
+        mount, space = mount or Rotation.identity(), space or Rotation.identity()
+        noise = Rotation.from_rotvec(attitude_noise * random.normal(size=(count, 3)))
+        attitude = (space * self.attitude * noise * mount).as_quat()
+        rates = mount.inv().apply(self.rates) + rate_noise * random.normal(size=(count, 3))
+        bad = random.random(count) < outliers
+        attitude[bad] = Rotation.random(bad.sum(), rng=random).as_quat()
+        rates[bad] += random.normal(scale=10.0, size=(bad.sum(), 3))
+        return Measured('/imu', self.stamps - round(1e9 * clock), attitude, rates)
+
+
+@lru_cache
+def truth(seconds=20.0, torque_rate=20.0, rate=100.0, size=0.01, seed=1, rates=tuple(RATES)):
+    """Integrate Euler's equations by DOP853, from one torque to the next."""
+    random = np.random.default_rng(seed)
+    count = round(seconds * torque_rate)
+    phases, waves = random.uniform(0.0, 6.0, (3, 4)), random.uniform(0.5, 5.0, (3, 4))
+    times = np.arange(count) / torque_rate
+    torques = size * np.sin(waves * times[:, None, None] + phases).sum(axis=2)
+    at = np.arange(round(seconds * rate)) / rate
+    inverse, state = np.linalg.inv(INERTIA), np.concatenate([TURN.as_quat(), rates])
+    found = np.empty((len(at), 7))
+    ends = np.append(times[1:], seconds)
+    for begin, end, torque in zip(times, ends, torques):
+        def slope(_, y, torque=torque):
+            (x, y_, z, w), rate = y[:4], y[4:]
+            a, b, c = rate
+            turn = 0.5 * np.array([w * a + y_ * c - z * b, w * b + z * a - x * c,
+                                   w * c + x * b - y_ * a, -x * a - y_ * b - z * c])
+            return np.concatenate([turn, inverse @ (np.cross(INERTIA @ rate, rate) + torque)])
+        rows = np.flatnonzero((at >= begin - 1e-12) & (at < end - 1e-12))
+        solved = solve_ivp(slope, (begin, end), state, 'DOP853',
+                           np.clip(np.append(at[rows], end), begin, end), rtol=1e-12, atol=1e-14)
+        found[rows], state = solved.y.T[:-1], solved.y.T[-1]
+    def stamps(seconds):
+        return EPOCH_NS + np.round(SECOND * seconds).astype(np.int64)
+    return Truth(stamps(at), Rotation.from_quat(found[:, :4]), found[:, 4:], stamps(times),
+                 torques, rates_at_start=np.array(rates))
+
+
+def free(**options):
+    """Return a motion without torque."""
+    return truth(size=0.0, **options)
+
+
