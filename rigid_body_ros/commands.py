@@ -21,15 +21,24 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 import json
 from pathlib import Path
-import sys
 from typing import Any, TYPE_CHECKING
 
+from rigid_body_ros.arguments import (
+    add_overwrite,
+    add_scene,
+    add_torques,
+    angle,
+    load_scene,
+    parsed,
+    Parser,
+    positive,
+    torque_options,
+)
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import files, interrupts
-from rigid_body_ros.runtime.terminal import report, show
+from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
-    from rigid_body_ros.scene import Scene
     from rigid_body_ros.tradeoff import Tradeoff
 
 #: Exit statuses; docs/nodes.md has their meaning.
@@ -38,12 +47,12 @@ OK, DIFFERENT = 0, 1
 
 def attitude_replay(arguments: Sequence[str] | None) -> int:
     """Compute the motion under recorded torques, or compare it with a recorded one."""
-    return _replay(_parsed(replay_parser(), arguments))
+    return _replay(parsed(replay_parser(), arguments))
 
 
 def attitude_tradeoff(arguments: Sequence[str] | None) -> int:
     """Measure the cost and the error of every solver."""
-    return _tradeoff(_parsed(tradeoff_parser(), arguments))
+    return _tradeoff(parsed(tradeoff_parser(), arguments))
 
 
 def attitude_node(arguments: Sequence[str] | None) -> int:
@@ -81,13 +90,6 @@ def _needs_ros(command: str) -> Iterator[None]:
     interrupts.check()  # the import takes long
 
 
-def _parsed(parser: argparse.ArgumentParser,
-            arguments: Sequence[str] | None) -> argparse.Namespace:
-    if sys.stdout is None:
-        raise InputError('cannot write to standard output: it is closed')
-    return parser.parse_args(arguments)
-
-
 def _replay(options: argparse.Namespace) -> int:
     with files.reading(*options.input), files.protected('scene', options.scene), \
             files.overwriting(options.overwrite):
@@ -105,7 +107,7 @@ def _replay_one(options: argparse.Namespace) -> int:
     outputs = [(options.output, replay.suffix_of(options.output))] if options.output else []
     outputs += [(options.plot, '.png')] if options.plot else []
     files.check(*outputs)
-    result = replay.replay(path, _scene(options), options.output, keep=bool(options.plot),
+    result = replay.replay(path, load_scene(options), options.output, keep=bool(options.plot),
                            **_replay_options(options))
     if options.plot:
         with files.protected('output', options.output):
@@ -115,25 +117,9 @@ def _replay_one(options: argparse.Namespace) -> int:
     return OK
 
 
-def _scene(options: argparse.Namespace) -> Scene:
-    from rigid_body_ros.scene import load
-    interrupts.check()  # the import takes long
-    scene = load(options.scene)
-    for note in scene.notes:
-        report(f'{options.command}: note: {options.scene}: {note}')
-    for warning in scene.warnings:
-        report(f'{options.command}: warning: {options.scene}: {warning}')
-    return scene
-
-
 def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
-    return {**_torque_options(options), 'rate': options.rate, 'until': options.until,
+    return {**torque_options(options), 'rate': options.rate, 'until': options.until,
             'start': options.start, 'time_source': options.time_source, 'also': options.also}
-
-
-def _torque_options(options: argparse.Namespace) -> dict[str, Any]:
-    return {'topic': options.topic, 'wheel_torque': options.wheel_torque,
-            'wheel_momentum': options.wheel_momentum, 'interpolation': options.interpolation}
 
 
 def _replay_many(options: argparse.Namespace) -> int:
@@ -143,7 +129,7 @@ def _replay_many(options: argparse.Namespace) -> int:
     if not options.output:
         raise InputError('-o: expected a folder for several recordings, found none')
     outputs_in(options.output, options.input)
-    outcomes = replay_many(options.input, _scene(options), options.output,
+    outcomes = replay_many(options.input, load_scene(options), options.output,
                            **_replay_options(options))
     show(table(outcomes))
     failed = [outcome.path for outcome in outcomes if outcome.error]
@@ -161,7 +147,8 @@ def _verify(options: argparse.Namespace) -> int:
               if getattr(options, name)]
     if unused:
         raise InputError(f'--verify: cannot be combined with --{unused[0]}')
-    result = verify(options.input[0], _scene(options), options.verify, **_torque_options(options))
+    result = verify(options.input[0], load_scene(options), options.verify,
+                    **torque_options(options))
     show(summary(result))
     return OK if result.same.all() else DIFFERENT
 
@@ -188,7 +175,7 @@ def _measure(options: argparse.Namespace) -> tuple[Tradeoff, str]:
     """Return the result and a title that names the recording and its topic, or the scene."""
     from rigid_body_ros import replay
     from rigid_body_ros.tradeoff import measure, TARGET
-    loaded = _scene(options)
+    loaded = load_scene(options)
     if not replay.topics_of(options.topic).is_plain(loaded):
         raise InputError(f'{options.scene}: expected one topic of torques, and neither rotors nor '
                          'damping, which attitude_tradeoff does not measure')
@@ -214,44 +201,9 @@ def _plot_tradeoff(path: str, result: Tradeoff, title: str) -> None:
                                report.reference_errors(result))
 
 
-class _Once(argparse.Action):
-    """Store the value of an option, and reject a second value."""
-
-    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
-                 values: Any, option_string: str | None = None) -> None:
-        """
-        Store a value.
-
-        Raises
-        ------
-        InputError
-            The option already has a value.
-
-        """
-        given = vars(namespace).setdefault('given', {})
-        if self.dest in given:
-            raise InputError(f'{option_string}: expected the option at most once, found '
-                             f'{given[self.dest]!r} and {values!r}')
-        given[self.dest] = values
-        setattr(namespace, self.dest, values)
-
-
-class _Parser(argparse.ArgumentParser):
-    """An argument parser that rejects repeated options and reports a failure to print its help."""
-
-    def __init__(self, prog: str, description: str) -> None:
-        super().__init__(prog=prog, description=description)
-        self.register('action', None, _Once)
-        self.set_defaults(command=prog)
-
-    def print_help(self, file: Any = None) -> None:
-        """Print the help; unlike argparse, raise InputError if it cannot be written."""
-        show(self.format_help(), end='')
-
-
 def replay_parser() -> argparse.ArgumentParser:
     """Return the argument parser of `attitude_replay`."""
-    parser = _Parser(
+    parser = Parser(
         prog='attitude_replay',
         description='Compute the motion of a body from recorded torques. Print a summary; write '
         'the motion (-o) or a plot (--plot) if asked to.')
@@ -259,19 +211,11 @@ def replay_parser() -> argparse.ArgumentParser:
                         help='recording of torques: an MCAP file, a rosbag2 bag, or a CSV file '
                         'with the columns time (s), tx, ty, tz (N m), or with column names and '
                         'units in its first line')
-    _add_scene(parser)
-    parser.add_argument('--topic', action='append', help='topic of the torques; repeat it for '
-                        'torques that add up (default: the torque_topics of the scene; if scene '
-                        'and recording have one topic each, the names may differ)')
-    parser.add_argument('--wheel-torque', metavar='TOPIC',
-                        help='topic of the torque of the motors on the rotors (default: '
-                        'wheel_torque, if the recording has it); needs a scene with wheels: true')
-    parser.add_argument('--wheel-momentum', metavar='TOPIC',
-                        help='topic of the measured momentum of the rotors (Vector3Stamped, N m '
-                        's, body axes), linear between samples; needs a scene with wheels: true')
+    add_scene(parser)
+    add_torques(parser)
     target = parser.add_mutually_exclusive_group()
     target.add_argument('-o', '--output', metavar='OUTPUT',
-                        help='write attitude, euler_angles, angular_velocity and, if there '
+                        help='write attitude, eulerangles, angular_velocity and, if there '
                         'are rotors, rotor_momentum to this MCAP file, or, if the name does not '
                         'end in .mcap, to a new rosbag2 folder; for several recordings, a folder '
                         'of MCAP files')
@@ -281,36 +225,36 @@ def replay_parser() -> argparse.ArgumentParser:
                         'differ, the exit status is 1')
     parser.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
                         help="interpolation of the torques between samples (default: the scene's)")
-    parser.add_argument('--rate', type=_positive, metavar='HZ',
+    parser.add_argument('--rate', type=positive, metavar='HZ',
                         help='output rate (default: one output at each torque stamp)')
-    parser.add_argument('--start', type=_positive, default=0.0, metavar='SECONDS',
+    parser.add_argument('--start', type=positive, default=0.0, metavar='SECONDS',
                         help='skip the first SECONDS of the recording')
     parser.add_argument('--also', nargs='+', choices=('imu', 'tf', 'markers', 'input'), default=(),
                         help='with -o, also write /imu/data, /tf or markers for rviz and Foxglove '
                         '(/marker/...), or copy the messages of the input')
-    parser.add_argument('--until', '--duration', type=_positive, metavar='SECONDS',
+    parser.add_argument('--until', '--duration', type=positive, metavar='SECONDS',
                         help='end SECONDS after the start (default: at the last torque stamp)')
     parser.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
                         help='when a torque takes effect: at the stamp in its header, or when '
                         'its message was logged or published (default: header)')
     parser.add_argument('--plot', metavar='PNG', help='plot Euler angles, quaternion, angular '
                         'velocity and torque over time')
-    _add_overwrite(parser)
+    add_overwrite(parser)
     return parser
 
 
 def tradeoff_parser() -> argparse.ArgumentParser:
     """Return the argument parser of `attitude_tradeoff`."""
     from rigid_body_ros.tradeoff import TARGET
-    parser = _Parser(
+    parser = Parser(
         prog='attitude_tradeoff',
         description='Measure the cost and the error of every solver on your own motion, and '
         'recommend a setting.')
-    _add_scene(parser)
+    add_scene(parser)
     parser.add_argument('--topic', help='topic of the torques (default: as for attitude_replay)')
     parser.add_argument('--recording', metavar='IN', help='recording of torques, as for '
                         'attitude_replay (default: 50 turns without torque)')
-    parser.add_argument('--target', type=_angle, action='append', metavar='RAD',
+    parser.add_argument('--target', type=angle, action='append', metavar='RAD',
                         help='largest attitude error of the solver that is allowed anywhere in '
                         'the recording; the error of the interpolation between torque samples is '
                         f'reported separately; may be repeated (default: {TARGET:g})')
@@ -319,35 +263,5 @@ def tradeoff_parser() -> argparse.ArgumentParser:
     parser.add_argument('--json', metavar='OUT',
                         help='write all results, with units, to this file')
     parser.add_argument('--plot', metavar='PNG', help='plot cost over error, one curve per solver')
-    _add_overwrite(parser)
+    add_overwrite(parser)
     return parser
-
-
-def _add_scene(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('--scene', required=True, metavar='FILE',
-                        help='ROS 2 parameter file with the inertia and the initial state, as for '
-                        'attitude_node')
-
-
-def _add_overwrite(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('--overwrite', action='store_true',
-                        help='replace output files that exist; folders are never replaced')
-
-
-def _positive(text: str) -> float:
-    return _number(text, 1e-9, 1e9)
-
-
-def _angle(text: str) -> float:
-    return _number(text, 1e-15, 1.0)
-
-
-def _number(text: str, low: float, high: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f'expected a number from {low:g} to {high:g}, '
-                                         f'found {text!r}')
-    return value

@@ -35,8 +35,8 @@ START, CLOCK, MOUNT = 'start', 'clock', 'mount'
 ALIGNMENTS = (START, CLOCK, MOUNT)
 #: Half steps of the differences for the Jacobian: rad and rad/s, and s of the clock.
 _STEP, _CLOCK_STEP = 1e-6, 1e-5
-#: Largest number of samples in the first stages of a fit of the start.
-_STAGE = 2000
+#: Largest number of samples in the first stages of a fit of the start, and of steps of a fit.
+_STAGE, _MOST = 1000, 20
 #: Residuals, in standard deviations, from which on the loss grows linearly, or a sample is left
 #: out of the last stage.
 _HUBER, _OUTLIER = 2.0, 5.0
@@ -109,7 +109,7 @@ class Alignment:
 
 
 def align(motion: Model | Recorded, sensors: Sequence[Measured],
-          names: Collection[str]) -> Alignment:
+          names: Collection[str], most: int | None = None) -> Alignment:
     """
     Fit what is asked for by robust least squares.
 
@@ -121,6 +121,8 @@ def align(motion: Model | Recorded, sensors: Sequence[Measured],
         All share one clock and one mounting.
     names : collection of str
         Some of `ALIGNMENTS`.
+    most : int, optional
+        Fit only this many samples of each sensor, evenly spread.
 
     Returns
     -------
@@ -141,7 +143,7 @@ def align(motion: Model | Recorded, sensors: Sequence[Measured],
     if not names:
         return Alignment()
     guess = coarse.guess(motion, sensors, CLOCK in names, MOUNT in names)
-    problem = _Problem(motion, sensors, names, Alignment(*guess))
+    problem = _Problem(motion, sensors, names, Alignment(*guess), most)
     if START in names:
         problem.grow()
     return problem.solved()
@@ -151,7 +153,7 @@ class _Problem:
     """The least squares problem of an alignment."""
 
     def __init__(self, motion: Model | Recorded, sensors: Sequence[Measured],
-                 names: Collection[str], first: Alignment) -> None:
+                 names: Collection[str], first: Alignment, most: int | None) -> None:
         self._motion, self._sensors = motion, sensors
         self._value = replace(first, start=motion.start) \
             if isinstance(motion, Model) and START in names else first
@@ -166,7 +168,7 @@ class _Problem:
             *(['mount_rad'] if MOUNT in names else []),
             *(['space_rad'] if MOUNT in names and has_attitude else [])]
         self._sizes = [1 if name == 'clock_offset_s' else 3 for name in self._names]
-        self._rows = [self._inside(sensor) for sensor in sensors]
+        self._rows = [_thinned(self._inside(sensor), most) for sensor in sensors]
         if not any(len(rows) for rows in self._rows):
             raise _apart(motion, sensors)
         #: Standard deviations of attitude and rate of each sensor.
@@ -189,9 +191,9 @@ class _Problem:
         horizon = int(np.partition(stamps, min(15, len(stamps) - 1))[:16].max())
         self._from_first_samples()
         while horizon < last:
-            self._rows = [_thinned(rows[sensor.stamps[rows] - first_ns <= horizon])
+            self._rows = [_thinned(rows[sensor.stamps[rows] - first_ns <= horizon], _STAGE)
                           for sensor, rows in zip(self._sensors, every)]
-            self._fit(most=8)
+            self._fit(1e-5)
             horizon = max(2 * horizon, 1)
         self._rows = every
 
@@ -223,13 +225,12 @@ class _Problem:
 
     def solved(self) -> Alignment:
         """Return the fit, with its standard deviations."""
-        self._fit(most=20)
-        for _ in range(2):
-            self._estimate_scales()
-            self._fit(most=20)
+        self._fit(1e-8)
+        self._estimate_scales()
+        self._fit(1e-12)
         self._estimate_scales()
         kept = np.abs(self._residuals(self._value)) < _OUTLIER
-        jacobian = self._fit(most=20, kept=kept)
+        jacobian = self._fit(1e-12, kept)
         sigma, column = {}, 0
         deviations = _deviations(jacobian)
         for name, size in zip(self._names, self._sizes):
@@ -251,7 +252,7 @@ class _Problem:
             scales.append((found[0], found[1]))
         self._scales = scales
 
-    def _fit(self, most: int, kept: NDArray[np.bool_] | None = None) -> Floats:
+    def _fit(self, tolerance: float, kept: NDArray[np.bool_] | None = None) -> Floats:
         """Improve the value, with the robust loss unless rows are chosen; return the Jacobian."""
         from scipy.optimize import least_squares  # takes as long to import as the engine
         base, count = self._value, sum(self._sizes)
@@ -269,8 +270,9 @@ class _Problem:
                     / (2.0 * half)
             return columns
         options = {'loss': 'linear'} if kept is not None else {'loss': 'huber', 'f_scale': _HUBER}
-        result = least_squares(residuals, np.zeros(count), jacobian, max_nfev=most, xtol=1e-14,
-                               ftol=1e-14, gtol=1e-14, x_scale='jac', **options)
+        result = least_squares(residuals, np.zeros(count), jacobian, max_nfev=_MOST,
+                               xtol=tolerance, ftol=tolerance, gtol=tolerance, x_scale='jac',
+                               **options)
         self._value = self._moved(base, result.x)
         return jacobian(result.x) if kept is not None else np.empty((0, count))
 
@@ -343,8 +345,8 @@ def _apart(motion: Model | Recorded, sensors: Sequence[Measured]) -> InputError:
                       f'{sensors[0].stamps[-1]} ns; are the clocks the same (--time-source log)?')
 
 
-def _thinned(rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    return rows[::-(-len(rows) // _STAGE) or 1]
+def _thinned(rows: NDArray[np.intp], most: int | None) -> NDArray[np.intp]:
+    return rows if most is None else rows[::-(-len(rows) // most) or 1]
 
 
 def _deviations(jacobian: Floats) -> Floats:

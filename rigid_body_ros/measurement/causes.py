@@ -46,6 +46,11 @@ _LEFT = 0.5
 _ABOUT = 1.5
 #: Median errors, rad or rad/s, below which there is nothing to explain.
 _NOTHING = 1e-7
+#: Median errors below this, in rad or as a part of the angular velocity, can be noise.
+_SMALL = 0.1
+#: Number of samples of a sensor that an alignment uses.
+_SAMPLES = 400
+_DEGREES = 'the measured angular velocity is in degrees per second; expected rad/s'
 #: rad; a rotation this close to one that swaps axes is described as that.
 _NEAR = 0.09
 ATTITUDE, RATE = 'rotation_vectors', 'rates'
@@ -94,7 +99,7 @@ class _Trial:
     """A cause, undone: a motion, measurements, and what to align besides what the user asked."""
 
     name: str
-    describe: Callable[[Comparison], str]
+    describe: Callable[[Comparison], str] | str
     motion: Model | Recorded
     measured: Sequence[Measured]
     align: tuple[str, ...] = ()
@@ -119,35 +124,60 @@ def find_causes(motion: Model | Recorded, found: Comparison,
     """
     from rigid_body_ros.measurement.comparison import compared
     kinds = [kind for kind in (ATTITUDE, RATE) if found.pooled(kind) is not None]
-    good: dict[str, list[tuple[float, Cause]]] = {kind: [] for kind in kinds}
+    good: dict[str, list[tuple[Cause, bool]]] = {kind: [] for kind in kinds}
     before = {kind: _median(found, kind) for kind in kinds}
+    hopeless = {kind: before[kind] < _NOTHING or _is_noise(found, kind, before[kind])
+                for kind in kinds}
+    if all(hopeless.values()):
+        return ()
     for trial in _trials(motion, found, align):
         kind = trial.judged or kinds[0]
-        if kind not in kinds or before[kind] < _NOTHING:
+        if hopeless[kind]:
             continue
         try:
-            undone = compared(trial.motion, trial.measured, {*align, *trial.align})
+            undone = compared(trial.motion, trial.measured, {*align, *trial.align}, _SAMPLES)
         except (InputError, ValueError):  # the body spins too fast, or nothing overlaps
             continue
         after = _median(undone, kind)
         if after < _LEFT * before[kind]:
             unit = 'rad' if kind == ATTITUDE else 'rad/s'
-            good[kind].append((after, Cause(trial.name, trial.describe(undone), before[kind],
-                                            after, unit)))
-    named: dict[str, Cause] = {}
+            text = trial.describe if isinstance(trial.describe, str) else trial.describe(undone)
+            cause = Cause(trial.name, text, before[kind], after, unit)
+            helps = RATE in kinds and trial.judged is None \
+                and _median(undone, RATE) < _LEFT * before[RATE]
+            good[kind].append((cause, helps))
+    named: list[Cause] = []
     for each in good.values():
-        least = min((after for after, _ in each), default=0.0)
-        for after, cause in each:  # in the order of their simplicity
-            if after <= _ABOUT * least + _NOTHING:
-                named.setdefault(cause.name, cause)
+        least = min((cause.after for cause, _ in each), default=0.0)
+        for cause, helps in each:  # in the order of their simplicity
+            if cause.after <= _ABOUT * least + _NOTHING:
+                named.append(cause)
                 break
-    return tuple(named.values())
+        if named and helps:  # the same cause explains the angular velocities
+            break
+    return tuple(named)
 
 
 def _median(found: Comparison, kind: str) -> float:
     errors = found.pooled(kind)
     assert errors is not None
     return float(np.median(np.linalg.norm(errors, axis=1)))
+
+
+def _is_noise(found: Comparison, kind: str, median: float) -> bool:
+    """Return whether the errors change so much between samples that no cause explains most."""
+    usual = 1.0
+    if kind == RATE:
+        usual = float(np.median(np.concatenate([np.linalg.norm(sensor.angular_velocity, axis=1)
+                                                for sensor in found.measured
+                                                if sensor.angular_velocity is not None])))
+    if median > _SMALL * usual:  # so large that a change between samples can be motion
+        return False
+    changes = [np.diff(getattr(each, kind), axis=0) for each in found.errors
+               if getattr(each, kind) is not None]
+    # The difference of two samples of white noise is sqrt(2) times as large as the noise.
+    noise = float(np.median(np.linalg.norm(np.concatenate(changes), axis=1))) / math.sqrt(2.0)
+    return _LEFT * median < noise
 
 
 def _trials(motion: Model | Recorded, found: Comparison,
@@ -159,8 +189,12 @@ def _trials(motion: Model | Recorded, found: Comparison,
         yield _Trial('clock_offset', _clock_text, motion, measured, (CLOCK,))
     if MOUNT not in align:
         yield _Trial('constant_rotation', _rotation_text, motion, measured, (MOUNT,))
-        if any(sensor.attitude is not None for sensor in measured):
-            yield _Trial('constant_rotation', _rotation_text, motion, measured, (MOUNT,), RATE)
+        if len({sensor.attitude is not None for sensor in measured}) > 1 or any(
+                sensor.attitude is not None and sensor.angular_velocity is not None
+                for sensor in measured):
+            gyros = [replace(sensor, attitude=None) for sensor in measured
+                     if sensor.angular_velocity is not None]
+            yield _Trial('constant_rotation', _rotation_text, motion, gyros, (MOUNT,), RATE)
     if isinstance(motion, Model) and found.residual_torque is not None:
         yield from _of_model(motion, found.residual_torque, measured)
 
@@ -172,14 +206,17 @@ def _misread(motion: Model | Recorded, measured: Sequence[Measured]) -> Iterator
             sensor, attitude=None if sensor.attitude is None else attitude(sensor.attitude),
             angular_velocity=None if sensor.angular_velocity is None
             else rate * sensor.angular_velocity) for sensor in measured]
-    yield _Trial('quaternion_order', lambda _: 'the measured quaternions are in the order w x y '
+    if not any(sensor.attitude is not None for sensor in measured):
+        yield _Trial('degrees', _DEGREES, motion, changed(rate=math.pi / 180.0))
+        return
+    yield _Trial('quaternion_order', 'the measured quaternions are in the order w x y '
                  'z; expected x y z w', motion, changed(lambda q: np.roll(q, -1, axis=1)),
                  judged=ATTITUDE)
-    yield _Trial('inverse_quaternion', lambda _: 'the measured quaternions are the inverse ones: '
+    yield _Trial('inverse_quaternion', 'the measured quaternions are the inverse ones: '
                  'from space to body axes; expected body to space', motion,
                  changed(so3.conjugate), judged=ATTITUDE)
-    yield _Trial('degrees', lambda _: 'the measured angular velocity is in degrees per second; '
-                 'expected rad/s', motion, changed(rate=math.pi / 180.0), judged=RATE)
+    if any(sensor.angular_velocity is not None for sensor in measured):
+        yield _Trial('degrees', _DEGREES, motion, changed(rate=math.pi / 180.0), judged=RATE)
 
 
 def _of_model(model: Model, found: ResidualTorque, measured: Sequence[Measured]
@@ -190,15 +227,15 @@ def _of_model(model: Model, found: ResidualTorque, measured: Sequence[Measured]
     if logged.any():
         turn = _best_axes(logged, needed)
         if not np.array_equal(turn, np.eye(3)):
-            yield _Trial('torque_axes', lambda _: 'the logged torque has swapped or reversed '
+            yield _Trial('torque_axes', 'the logged torque has swapped or reversed '
                          f'axes: {_axes_text(turn)}', _with_torque(model, turn), measured)
         scale = _slope(logged.ravel(), needed.ravel())
         if scale > 0.0:
-            yield _Trial('torque_scale', lambda _: f'the torque is {scale:.4g} times the logged '
+            yield _Trial('torque_scale', f'the torque is {scale:.4g} times the logged '
                          'one', _with_torque(model, scale * np.eye(3)), measured)
     inertia = _inertia(model, found)
     if inertia is not None:
-        yield _Trial('inertia', lambda _: 'the inertia: ixx iyy izz ixy ixz iyz = '
+        yield _Trial('inertia', 'the inertia: ixx iyy izz ixy ixz iyz = '
                      f'{written(_entries(inertia.inertia))} kg m^2 explains the growth of the '
                      'error; fit it with attitude_identify', replace(model, body=inertia),
                      measured)

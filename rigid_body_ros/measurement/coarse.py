@@ -90,11 +90,13 @@ def _best_lag(measured: Floats, computed: Floats, inside: NDArray[np.bool_],
     With a mounting, the difference is that after the best rotation: the trace of the correlation
     becomes the sum of its singular values (Kabsch, 1976).
     """
-    from scipy.signal import correlate
+    from scipy import fft  # takes as long to import as the engine
     count = measured.shape[1]
+    size = fft.next_fast_len(computed.shape[1], real=True)
 
     def correlated(wide: Floats, narrow: Floats) -> Floats:
-        return np.asarray(correlate(wide, narrow, 'valid', 'fft'))
+        product = fft.rfft(wide, size) * np.conj(fft.rfft(narrow, size))
+        return np.asarray(fft.irfft(product, size)[:len(wide) - count + 1])
     valid = inside.astype(float)
     overlap = correlated(valid, np.ones(count))
     energy = correlated(valid, np.sum(measured ** 2, axis=0)) \

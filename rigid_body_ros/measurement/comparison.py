@@ -210,9 +210,9 @@ def compare_motion(motion: Model | Recorded, measured: Sequence[Measured],
 
 
 def compared(motion: Model | Recorded, measured: Sequence[Measured],
-             align: Collection[str]) -> Comparison:
-    """Return the errors after alignment, without anything else."""
-    alignment = aligned_by(motion, measured, align)
+             align: Collection[str], most: int | None = None) -> Comparison:
+    """Return the errors after alignment with at most so many samples, without anything else."""
+    alignment = aligned_by(motion, measured, align, most)
     if START in align and alignment.start:
         assert isinstance(motion, Model)
         motion = replace(motion, start=alignment.start)
