@@ -47,6 +47,7 @@ setup(
         (f'lib/{NAME}', sorted(glob('scripts/*'))),
     ],
     entry_points={'console_scripts': [
+        f'attitude_compare = {NAME}.cli:attitude_compare',
         f'attitude_controller = {NAME}.cli:attitude_controller',
         f'attitude_lifecycle_node = {NAME}.cli:attitude_lifecycle_node',
         f'attitude_node = {NAME}.cli:attitude_node',

@@ -48,6 +48,11 @@ def attitude_tradeoff(arguments: Sequence[str] | None = None) -> int:
     return _run('attitude_tradeoff', arguments)
 
 
+def attitude_compare(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_compare` and return its exit status."""
+    return _run('attitude_compare', arguments)
+
+
 def attitude_node(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_node` and return its exit status."""
     return _run('attitude_node', arguments)

@@ -55,6 +55,12 @@ def attitude_tradeoff(arguments: Sequence[str] | None) -> int:
     return _tradeoff(parsed(tradeoff_parser(), arguments))
 
 
+def attitude_compare(arguments: Sequence[str] | None) -> int:
+    """Compare measured motion with the motion under recorded torques."""
+    from rigid_body_ros import compare_command
+    return compare_command.attitude_compare(arguments)
+
+
 def attitude_node(arguments: Sequence[str] | None) -> int:
     """Run the node until a signal ends it."""
     with _needs_ros('attitude_node'):

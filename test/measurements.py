@@ -14,7 +14,7 @@
 
 """Measured motions with a known truth: an integrator and a writer that are not the package's."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 from conftest import EPOCH_NS, SECOND
@@ -103,3 +103,98 @@ def free(**options):
     return truth(size=0.0, **options)
 
 
+def _types(*names):
+    return [STORE.types[f'{package}/msg/{name}'] for package, name in
+            (each.split('/') for each in names)]
+
+
+(Time, Header, Quaternion, Vector3, Point, Pose, PoseStamped, PoseWithCovariance,
+ PoseWithCovarianceStamped, Transform, TransformStamped, TFMessage, Twist, TwistWithCovariance,
+ Odometry, Imu, QuaternionStamped, Vector3Stamped, Wrench, WrenchStamped) = _types(
+    'builtin_interfaces/Time', 'std_msgs/Header', *(f'geometry_msgs/{name}' for name in (
+        'Quaternion', 'Vector3', 'Point', 'Pose', 'PoseStamped', 'PoseWithCovariance',
+        'PoseWithCovarianceStamped', 'Transform', 'TransformStamped')), 'tf2_msgs/TFMessage',
+    'geometry_msgs/Twist', 'geometry_msgs/TwistWithCovariance', 'nav_msgs/Odometry',
+    'sensor_msgs/Imu', *(f'geometry_msgs/{name}' for name in (
+        'QuaternionStamped', 'Vector3Stamped', 'Wrench', 'WrenchStamped')))
+ZERO = Vector3(0.0, 0.0, 0.0)
+
+
+def header(stamp_ns, frame_id):
+    return Header(Time(*divmod(int(stamp_ns), SECOND)), frame_id)
+
+
+def transform(stamp_ns, q, parent='world', child='base_link'):
+    return TransformStamped(header(stamp_ns, parent), child,
+                            Transform(Vector3(1.0, 2.0, 3.0), Quaternion(*q)))
+
+
+def messages_of(kind, sensor, attitude_covariance=None, rate_covariance=None):
+    """Generate messages of a type; covariances are 9 numbers, zeros by default."""
+    unknown = np.zeros(9)
+    one = unknown if attitude_covariance is None else np.ravel(attitude_covariance)
+    two = unknown if rate_covariance is None else np.ravel(rate_covariance)
+    wide = [np.zeros((6, 6)), np.zeros((6, 6))]
+    wide[0][3:, 3:], wide[1][3:, 3:] = one.reshape(3, 3), two.reshape(3, 3)
+    count = len(sensor.stamps)
+    attitude = sensor.attitude if sensor.attitude is not None \
+        else np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+    rates = sensor.angular_velocity if sensor.angular_velocity is not None \
+        else np.zeros((count, 3))
+    for stamp, q, w in zip(sensor.stamps.tolist(), attitude.tolist(), rates.tolist()):
+        space, body = header(stamp, 'world'), header(stamp, 'base_link')
+        pose = Pose(Point(1.0, 2.0, 3.0), Quaternion(*q))
+        yield stamp, {
+            'QuaternionStamped': lambda: QuaternionStamped(space, Quaternion(*q)),
+            'PoseStamped': lambda: PoseStamped(space, pose),
+            'PoseWithCovarianceStamped': lambda: PoseWithCovarianceStamped(
+                space, PoseWithCovariance(pose, wide[0].ravel())),
+            'TransformStamped': lambda: transform(stamp, q),
+            'TFMessage': lambda: TFMessage([
+                transform(stamp, [1.0, 0.0, 0.0, 0.0], 'world', 'odometer'), transform(stamp, q),
+                transform(stamp, [0.0, 1.0, 0.0, 0.0], 'base_link', 'camera')]),
+            'Odometry': lambda: Odometry(
+                space, 'base_link', PoseWithCovariance(pose, wide[0].ravel()),
+                TwistWithCovariance(Twist(ZERO, Vector3(*w)), wide[1].ravel())),
+            'Imu': lambda: Imu(body, Quaternion(*q), one, Vector3(*w), two, ZERO, np.zeros(9)),
+            'Vector3Stamped': lambda: Vector3Stamped(body, Vector3(*w)),
+        }[kind]()
+
+
+def torque_messages(truth):
+    for stamp, torque in zip(truth.torque_times.tolist(), truth.torques.tolist()):
+        yield stamp, WrenchStamped(header(stamp, 'base_link'), Wrench(ZERO, Vector3(*torque)))
+
+
+def write(path, **topics):
+    """Write an MCAP file: by topic, pairs of a stamp and a message."""
+    with open(path, 'wb') as stream:
+        writer = Writer(stream)
+        writer.start('ros2', 'test')
+        for topic, pairs in topics.items():
+            channel = None
+            for stamp, message in pairs:
+                kind = message.__msgtype__
+                if channel is None:
+                    definition, _ = STORE.generate_msgdef(kind, ros_version=2)
+                    schema = writer.register_schema(kind, 'ros2msg', definition.encode())
+                    channel = writer.register_channel(f'/{topic}', 'cdr', schema)
+                writer.add_message(channel, stamp, bytes(STORE.serialize_cdr(message, kind)), stamp)
+        writer.finish()
+    return path
+
+
+def write_scene(path, truth, **more):
+    """Write the scene of a motion; further keys as they appear in the file, with _ for a dot."""
+    names = ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz')
+    values = truth.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    start = truth.start
+    lines = ['/**:', '  ros__parameters:',
+             *(f'    inertia.{name}: {value!r}' for name, value in zip(names, values.tolist())),
+             *(f'    initial_attitude.{name}: {value!r}'
+               for name, value in zip('xyzw', start.attitude.tolist())),
+             *(f'    initial_angular_velocity.{name}: {value!r}'
+               for name, value in zip('xyz', start.angular_velocity.tolist())),
+             *(f'    {name}: {value}' for name, value in more.items())]
+    path.write_text('\n'.join([*lines, '']))
+    return path

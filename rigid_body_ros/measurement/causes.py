@@ -22,10 +22,11 @@ well as the best, the simplest is named.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 import math
-from typing import Any, TYPE_CHECKING
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from rigid_body_ros import so3
@@ -54,6 +55,7 @@ _DEGREES = 'the measured angular velocity is in degrees per second; expected rad
 #: rad; a rotation this close to one that swaps axes is described as that.
 _NEAR = 0.09
 ATTITUDE, RATE = 'rotation_vectors', 'rates'
+_UNITS = {ATTITUDE: 'rad', RATE: 'rad/s'}
 
 
 @dataclass(frozen=True)
@@ -124,38 +126,42 @@ def find_causes(motion: Model | Recorded, found: Comparison,
     """
     from rigid_body_ros.measurement.comparison import compared
     kinds = [kind for kind in (ATTITUDE, RATE) if found.pooled(kind) is not None]
-    good: dict[str, list[tuple[Cause, bool]]] = {kind: [] for kind in kinds}
     before = {kind: _median(found, kind) for kind in kinds}
     hopeless = {kind: before[kind] < _NOTHING or _is_noise(found, kind, before[kind])
                 for kind in kinds}
     if all(hopeless.values()):
         return ()
+    tried: list[_Tried] = []
     for trial in _trials(motion, found, align):
         kind = trial.judged or kinds[0]
         if hopeless[kind]:
             continue
-        try:
+        with suppress(InputError, ValueError):  # the body spins too fast, or nothing overlaps
             undone = compared(trial.motion, trial.measured, {*align, *trial.align}, _SAMPLES)
-        except (InputError, ValueError):  # the body spins too fast, or nothing overlaps
-            continue
-        after = _median(undone, kind)
-        if after < _LEFT * before[kind]:
-            unit = 'rad' if kind == ATTITUDE else 'rad/s'
             text = trial.describe if isinstance(trial.describe, str) else trial.describe(undone)
-            cause = Cause(trial.name, text, before[kind], after, unit)
-            helps = RATE in kinds and trial.judged is None \
+            cause = Cause(trial.name, text, before[kind], _median(undone, kind), _UNITS[kind])
+            rates = RATE in kinds and not trial.judged \
                 and _median(undone, RATE) < _LEFT * before[RATE]
-            good[kind].append((cause, helps))
-    named: list[Cause] = []
-    for each in good.values():
-        least = min((cause.after for cause, _ in each), default=0.0)
-        for cause, helps in each:  # in the order of their simplicity
-            if cause.after <= _ABOUT * least + _NOTHING:
-                named.append(cause)
-                break
-        if named and helps:  # the same cause explains the angular velocities
-            break
-    return tuple(named)
+            tried.append(_Tried(kind, cause, rates))
+    best = [_best([each for each in tried if each.kind == kind]) for kind in kinds]
+    if best[0] and best[0].explains_rates:
+        best = best[:1]
+    return tuple(each.cause for each in best if each)
+
+
+class _Tried(NamedTuple):
+    """A cause, what it is judged by, and whether it explains the angular velocities as well."""
+
+    kind: str
+    cause: Cause
+    explains_rates: bool
+
+
+def _best(tried: Sequence[_Tried]) -> _Tried | None:
+    """Return the simplest, which comes first, of the causes that explain an error best."""
+    good = [each for each in tried if each.cause.after < _LEFT * each.cause.before]
+    least = min((each.cause.after for each in good), default=0.0)
+    return next((each for each in good if each.cause.after <= _ABOUT * least + _NOTHING), None)
 
 
 def _median(found: Comparison, kind: str) -> float:

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -142,6 +142,101 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
     panel.grid(alpha=0.25)
     _legend(panel, fontsize=8)
     FigureCanvasAgg(figure).print_figure(path, dpi=200, format='png')
+
+
+class Panel(NamedTuple):
+    """Vectors over time: what they are, their unit, times in ns, shape (n,), values (n, 3)."""
+
+    label: str
+    unit: str
+    times_ns: NDArray[np.int64]
+    values: Floats
+
+
+def errors(path: str | Path, panels: Sequence[Panel], residual: Panel | None,
+           logs: Sequence[TorqueLog], horizons: Mapping[float, Floats], title: str,
+           timeout_ns: int = 0) -> None:
+    """
+    Draw errors over time on logarithmic axes, with the torque below, into a PNG file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The PNG file, with any suffix; an existing file is overwritten.
+    panels : sequence of Panel
+        Errors in body axes, at least one.
+    residual : Panel, optional
+        Residual torque, drawn on a linear axis.
+    logs : sequence of TorqueLog
+        Drawn as by `motion`.
+    horizons : dict
+        By horizon, s, the median and the 95th percentile of the attitude error, rad.
+    title : str
+        Drawn literally: a $ does not start a formula.
+    timeout_ns : int
+        As for `TorqueLog.segments`.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+
+    """
+    start_ns = min(int(panel.times_ns.min()) for panel in panels)
+    end_ns = max(int(panel.times_ns.max()) for panel in panels)
+    logs = [log for log in logs if len(log)]
+    shared = len(panels) + len(logs) + (residual is not None)
+    count = shared + bool(horizons)
+    figure = Figure(figsize=(9.0, 2.5 * count), layout='constrained')
+    figure.suptitle(_literal(title), parse_math=False)
+    rows = figure.subplots(count, 1, squeeze=False)[:, 0]
+    for row, panel in zip(rows, panels):
+        _draw_errors(row, panel, start_ns)
+    for number, log in enumerate(logs):
+        name = f'torque {number + 1}' if len(logs) > 1 else 'torque'
+        _draw_torque(rows[len(panels) + number], log, name, start_ns, end_ns, timeout_ns)
+    if residual is not None:
+        seconds, values = _thinned(residual, start_ns)
+        _draw_curves(rows[shared - 1], seconds, values, ('τ₁', 'τ₂', 'τ₃'))
+        _label(rows[shared - 1].yaxis, f'{residual.label},\nbody axes', residual.unit, values)
+    for row in rows[:shared]:
+        row.set_xlim(0.0, max(1e-9 * (end_ns - start_ns), 1e-9))
+    rows[shared - 1].set_xlabel('time from the first measurement (s)')
+    if horizons:
+        _draw_horizons(rows[-1], horizons)
+    figure.align_ylabels(rows)
+    FigureCanvasAgg(figure).print_figure(path, dpi=120, format='png')
+
+
+def _draw_errors(row: Axes, panel: Panel, start_ns: int) -> None:
+    seconds, values = _thinned(panel, start_ns)
+    least = float(np.finfo(float).tiny)
+    sizes = np.maximum(np.abs(np.column_stack([np.linalg.norm(values, axis=1), values])), least)
+    for column, name, colour, width in zip(sizes.T, ('|e|', '|e₁|', '|e₂|', '|e₃|'),
+                                           ('#000000', *_COLOURS), (1.2, 0.7, 0.7, 0.7)):
+        row.semilogy(seconds, column, color=colour, linewidth=width, label=name,
+                     zorder=3 if name == '|e|' else 2)
+    shown = sizes[:, 0][sizes[:, 0] > 0.0]
+    row.set_ylim(0.03 * float(np.percentile(shown, 5.0)), 3.0 * float(shown.max()))
+    row.set_ylabel(f'{panel.label} ({panel.unit})')
+    row.grid(alpha=0.3)
+    _legend(row, handlelength=2.5)
+
+
+def _draw_horizons(row: Axes, horizons: Mapping[float, Floats]) -> None:
+    seconds = sorted(horizons)
+    for column, name in enumerate(('median', '95 %')):
+        row.loglog(seconds, [max(float(horizons[each][column]), 1e-16) for each in seconds],
+                   _STYLES[column], color=_COLOURS[column], marker=_MARKERS[column], label=name)
+    row.set_xlabel('time since the restart from the measurement (s)')
+    row.set_ylabel('attitude error (rad)')
+    row.grid(alpha=0.3)
+    _legend(row)
+
+
+def _thinned(panel: Panel, start_ns: int) -> tuple[Floats, Floats]:
+    chosen = np.unique(np.linspace(0, len(panel.times_ns) - 1, _POINTS).astype(int))
+    return 1e-9 * (panel.times_ns[chosen] - start_ns), panel.values[chosen]
 
 
 def _literal(title: str) -> str:

@@ -1,0 +1,241 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The comparison of measured motion with the propagated one."""
+
+from dataclasses import replace
+
+from measurements import free, INERTIA, truth
+import numpy as np
+import pytest
+from rigid_body_ros import compare, RigidBody, so3, State, TorqueLog
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.measurement.motion import Recorded
+from scipy.spatial.transform import Rotation
+
+MOUNT, SPACE = Rotation.from_rotvec([0.1, -0.15, 0.08]), Rotation.from_rotvec([0.3, 0.5, -1.0])
+ATTITUDE_NOISE, RATE_NOISE = 1e-3, 2e-3
+
+
+def noisy(**options):
+    return truth().measured(ATTITUDE_NOISE, RATE_NOISE, **options)
+
+
+def compared(measured, motion=None, **options):
+    motion = motion or truth()
+    return compare(motion.body, motion.start, motion.log, measured=measured,
+                   **{'causes': False, **options})
+
+
+def angle(quaternion, rotation):
+    return float(so3.angle_between(quaternion, rotation.as_quat()))
+
+
+def test_the_truth_has_no_error():
+    found = compared(truth().measured(), horizons=[1.0, 4.0]).as_dict()
+    assert found['attitude_error_rad']['max'] < 1e-12
+    assert found['rate_error_rad_s']['max'] < 1e-12
+    assert all(each['attitude_p95_rad'] < 1e-11 for each in found['horizons'])
+    assert [each['windows'] for each in found['horizons']] == [19, 4]
+    assert found['residual_torque_N_m']['max'] < 1e-4 * 0.02  # of the torque
+    assert found['alignment'] == {'clock_offset_s': 0.0, 'mount_xyzw': [0, 0, 0, 1],
+                                  'space_xyzw': [0, 0, 0, 1], 'start': 'scene'}
+
+
+def test_errors_are_the_noise():
+    found = compared(noisy()).as_dict()
+    assert found['samples'] == 2000
+    for name, noise in (('attitude_error_rad', ATTITUDE_NOISE), ('rate_error_rad_s', RATE_NOISE)):
+        assert found[name]['axes_rms'] == pytest.approx([noise] * 3, rel=0.05)
+        assert found[name]['rms'] == pytest.approx(noise * 3 ** 0.5, rel=0.05)
+        assert found[name]['median'] == pytest.approx(1.5382 * noise, rel=0.05)
+
+
+def test_errors_are_measured_minus_computed_in_body_axes():
+    turn = Rotation.from_rotvec([0.01, 0.0, 0.0])
+    sensor = truth().measured()
+    sensor = replace(sensor, attitude=(truth().attitude * turn).as_quat(),
+                     angular_velocity=truth().rates + [0.0, 0.2, 0.0])
+    errors, = compared(sensor).errors
+    np.testing.assert_allclose(errors.rotation_vectors, [[0.01, 0.0, 0.0]] * 2000, atol=1e-12)
+    np.testing.assert_allclose(errors.rates, [[0.0, 0.2, 0.0]] * 2000, atol=1e-12)
+
+
+@pytest.mark.parametrize('offset', [0.035, -0.035, 2.5, -3.0])
+def test_the_clock_offset_is_found(offset):
+    found = compared(noisy(clock=offset), align=['clock'])
+    assert found.alignment.clock_offset_s == pytest.approx(offset, abs=1e-4)
+    assert abs(found.alignment.clock_offset_s - offset) < 5 * found.alignment.sigma[
+        'clock_offset_s']
+    assert found.as_dict()['attitude_error_rad']['axes_rms'] == pytest.approx(
+        [ATTITUDE_NOISE] * 3, rel=0.05)
+
+
+def test_the_mounting_is_found():
+    found = compared(noisy(mount=MOUNT, space=SPACE), align=['mount']).alignment
+    assert angle(found.mount, MOUNT) < 2e-4
+    assert angle(found.space, SPACE) < 2e-4
+    assert angle(found.mount, MOUNT) < 5 * found.sigma['mount_rad'].max()
+
+
+@pytest.mark.parametrize(('kind', 'measures'), [
+    ('both', {}), ('attitude', {'angular_velocity': None}), ('rate', {'attitude': None})])
+def test_clock_and_mounting_are_found_together(kind, measures):
+    sensor = replace(noisy(clock=0.035, mount=MOUNT), **measures)
+    found = compared(sensor, align=['clock', 'mount']).alignment
+    assert found.clock_offset_s == pytest.approx(0.035, abs=1e-3)
+    assert angle(found.mount, MOUNT) < 2e-3
+    assert ('space_rad' in found.sigma) == (kind != 'rate')
+
+
+def test_a_large_mounting_is_found_with_a_large_offset():
+    mount = Rotation.from_rotvec([2.0, -1.0, 1.5])
+    found = compared(noisy(clock=-1.7, mount=mount, space=SPACE, outliers=0.02),
+                     align=['clock', 'mount']).alignment
+    assert found.clock_offset_s == pytest.approx(-1.7, abs=1e-3)
+    assert angle(found.mount, mount) < 2e-3
+
+
+@pytest.mark.parametrize('outliers', [0.0, 0.02])
+def test_the_start_is_found(outliers):
+    motion = truth()
+    found = compare(motion.body, State(motion.start.time_ns), motion.log, align=['start'],
+                    measured=noisy(outliers=outliers), causes=False)
+    start = found.alignment.start
+    assert angle(start.attitude, Rotation.from_quat(motion.start.attitude)) < 5e-4
+    np.testing.assert_allclose(start.angular_velocity, motion.start.angular_velocity, atol=5e-4)
+    assert found.as_dict()['attitude_error_rad']['median'] == pytest.approx(
+        1.5382 * ATTITUDE_NOISE, rel=0.06)
+
+
+def test_what_a_spin_about_one_axis_does_not_determine_has_no_deviation():
+    spinning = free(seconds=5.0, rates=(0.0, 0.0, 1.0))
+    spinning = replace(spinning, inertia=np.diag([1.0, 2.0, 3.0]), rates=np.tile(
+        [0.0, 0.0, 1.0], (500, 1)), attitude=Rotation.from_quat(
+        spinning.start.attitude) * Rotation.from_rotvec(
+        np.arange(500)[:, None] * [0.0, 0.0, 0.01]))
+    found = compared(spinning.measured(1e-3, 1e-3, mount=MOUNT), spinning, align=['mount'])
+    assert None in found.as_dict()['alignment']['sigma']['mount_rad']
+
+
+def test_residual_torque_shows_when_and_where_a_torque_is_missing():
+    motion = truth()
+    times = 1e-9 * (motion.torque_times - motion.torque_times[0])
+    missing = np.where((times >= 5.0) & (times < 8.0), 0.005, 0.0)[:, None] * [0.0, 1.0, 0.0]
+    log = TorqueLog(motion.torque_times, motion.torques - missing)
+    found = compare(motion.body, motion.start, log, measured=noisy(), causes=False)
+    torque = found.residual_torque
+    seconds = 1e-9 * (torque.times_ns - motion.torque_times[0])
+    during = (seconds > 5.2) & (seconds < 7.8)
+    outside = (seconds < 4.8) | (seconds > 8.2)
+    np.testing.assert_allclose(torque.torques[during].mean(axis=0), [0.0, 0.005, 0.0], atol=1e-4)
+    assert np.abs(torque.torques[outside]).max() < 6.0 * torque.noise.max()
+    scatter = torque.torques[outside].std(axis=0)
+    np.testing.assert_allclose(scatter, torque.noise, rtol=0.25)
+
+
+def test_horizons_see_the_model_not_the_distance():
+    # An inertia that is off lets the motion drift away, but little within a second.
+    motion = truth()
+    body = RigidBody(INERTIA + np.diag([0.0, 0.001, 0.0]))
+    found = compare(body, motion.start, motion.log, measured=noisy(), horizons=[0.5, 2.0],
+                    causes=False).as_dict()
+    short, long = (each['attitude_rms_rad'] for each in found['horizons'])
+    assert short < 0.02
+    assert short < 0.3 * long < found['attitude_error_rad']['rms']
+
+
+def test_a_recorded_motion_is_interpolated():
+    motion = truth()
+    states = Recorded(motion.measured().rows(np.arange(0, 2000, 2)))
+    found = states.at(motion.stamps[1:1990:2])
+    assert so3.angle_between(found.attitude, motion.attitude.as_quat()[1:1990:2]).max() < 1e-6
+    np.testing.assert_allclose(found.angular_velocity, motion.rates[1:1990:2], atol=1e-2)
+
+
+def test_several_sensors_share_a_clock_and_a_mounting():
+    both = noisy(clock=0.02, mount=MOUNT)
+    attitude = replace(both.rows(np.arange(0, 2000, 3)), topic='/mocap', angular_velocity=None)
+    gyro = replace(both, topic='/gyro', attitude=None)
+    found = compared([attitude, gyro], align=['clock', 'mount'])
+    assert found.as_dict()['measured'] == ['/mocap', '/gyro']
+    assert found.samples == 2667
+    assert found.alignment.clock_offset_s == pytest.approx(0.02, abs=1e-3)
+    assert angle(found.alignment.mount, MOUNT) < 2e-3
+
+
+def mixed_up(name):
+    """Return measurement, body and log of a mix-up."""
+    motion, sensor, body, log = truth(), noisy(), truth().body, truth().log
+    if name == 'quaternion_order':
+        sensor = replace(sensor, attitude=np.roll(sensor.attitude, 1, axis=1))
+    elif name == 'inverse_quaternion':
+        sensor = replace(sensor, attitude=so3.conjugate(sensor.attitude))
+    elif name == 'degrees':
+        sensor = replace(sensor, angular_velocity=np.degrees(sensor.angular_velocity))
+    elif name == 'constant_rotation':
+        sensor = noisy(space=Rotation.from_euler('x', 180.0, degrees=True))
+    elif name == 'clock_offset':
+        sensor = noisy(clock=0.035)
+    elif name == 'torque_axes':
+        log = TorqueLog(motion.torque_times, motion.torques[:, [1, 0, 2]] * [1.0, -1.0, 1.0])
+    elif name == 'torque_scale':
+        log = TorqueLog(motion.torque_times, motion.torques / 0.8)
+    elif name == 'inertia':
+        body = RigidBody(INERTIA + np.diag([0.002, -0.001, 0.003]))
+    return sensor, body, log
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', [
+    'quaternion_order', 'inverse_quaternion', 'degrees', 'constant_rotation', 'clock_offset',
+    'torque_axes', 'torque_scale', 'inertia'])
+def test_a_mix_up_is_named(name):
+    sensor, body, log = mixed_up(name)
+    cause, = compare(body, truth().start, log, measured=sensor).causes
+    assert cause.name == name
+    assert cause.after < 0.1 * cause.before
+
+
+@pytest.mark.slow
+def test_a_gyro_that_is_mounted_otherwise_is_named():
+    sensor = replace(noisy(), angular_velocity=noisy(mount=MOUNT).angular_velocity)
+    cause, = compare(truth().body, truth().start, truth().log, measured=sensor).causes
+    assert (cause.name, cause.unit) == ('constant_rotation', 'rad/s')
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('seed', range(10))
+def test_nothing_is_named_without_a_mix_up(seed):
+    motion = truth(seconds=10.0, seed=seed, size=[0.01, 0.003][seed % 2])
+    sensor = motion.measured(10.0 ** -(1 + seed % 4), 10.0 ** -(1 + seed % 3), seed=seed,
+                             outliers=0.02 * (seed % 2))
+    if seed % 3 == 0:
+        sensor = replace(sensor, angular_velocity=sensor.angular_velocity + [0.01, -0.005, 0.003])
+    assert not compare(motion.body, motion.start, motion.log, measured=sensor).causes
+
+
+@pytest.mark.parametrize(('change', 'message'), [
+    ({'align': ['colour']}, "align: expected some of start, clock, mount, found 'colour'"),
+    ({'horizons': [0.0]}, 'horizons: expected positive seconds, found 0.0')])
+def test_invalid_arguments_are_rejected(change, message):
+    with pytest.raises(ValueError) as error:
+        compared(noisy(), **change)
+    assert str(error.value) == message
+
+
+def test_measurements_before_the_start_are_rejected():
+    sensor = noisy()
+    with pytest.raises(InputError, match='/imu: expected measurements during the motion'):
+        compared(replace(sensor, stamps=sensor.stamps - 10 ** 12))
