@@ -126,7 +126,7 @@ def header(stamp_ns, frame_id):
 
 def transform(stamp_ns, q, parent='world', child='base_link'):
     return TransformStamped(header(stamp_ns, parent), child,
-                            Transform(Vector3(1.0, 2.0, 3.0), Quaternion(*q)))
+                            Transform(Vector3(1.0, 2.0, 3.0), q))
 
 
 def messages_of(kind, sensor, attitude_covariance=None, rate_covariance=None):
@@ -142,23 +142,30 @@ def messages_of(kind, sensor, attitude_covariance=None, rate_covariance=None):
     rates = sensor.angular_velocity if sensor.angular_velocity is not None \
         else np.zeros((count, 3))
     for stamp, q, w in zip(sensor.stamps.tolist(), attitude.tolist(), rates.tolist()):
-        space, body = header(stamp, 'world'), header(stamp, 'base_link')
-        pose = Pose(Point(1.0, 2.0, 3.0), Quaternion(*q))
-        yield stamp, {
-            'QuaternionStamped': lambda: QuaternionStamped(space, Quaternion(*q)),
-            'PoseStamped': lambda: PoseStamped(space, pose),
-            'PoseWithCovarianceStamped': lambda: PoseWithCovarianceStamped(
-                space, PoseWithCovariance(pose, wide[0].ravel())),
-            'TransformStamped': lambda: transform(stamp, q),
-            'TFMessage': lambda: TFMessage([
-                transform(stamp, [1.0, 0.0, 0.0, 0.0], 'world', 'odometer'), transform(stamp, q),
-                transform(stamp, [0.0, 1.0, 0.0, 0.0], 'base_link', 'camera')]),
-            'Odometry': lambda: Odometry(
-                space, 'base_link', PoseWithCovariance(pose, wide[0].ravel()),
-                TwistWithCovariance(Twist(ZERO, Vector3(*w)), wide[1].ravel())),
-            'Imu': lambda: Imu(body, Quaternion(*q), one, Vector3(*w), two, ZERO, np.zeros(9)),
-            'Vector3Stamped': lambda: Vector3Stamped(body, Vector3(*w)),
-        }[kind]()
+        yield stamp, _message(kind, stamp, Quaternion(*q), Vector3(*w), (one, two), wide)
+
+
+def _message(kind, stamp, q, w, covariances, wide):
+    space, body, point = header(stamp, 'world'), header(stamp, 'base_link'), Point(1.0, 2.0, 3.0)
+    pose = PoseWithCovariance(Pose(point, q), wide[0].ravel())
+    if kind == 'QuaternionStamped':
+        return QuaternionStamped(space, q)
+    if kind == 'PoseStamped':
+        return PoseStamped(space, pose.pose)
+    if kind == 'PoseWithCovarianceStamped':
+        return PoseWithCovarianceStamped(space, pose)
+    if kind == 'TransformStamped':
+        return transform(stamp, q)
+    if kind == 'TFMessage':
+        return TFMessage([transform(stamp, Quaternion(1.0, 0.0, 0.0, 0.0), child='odometer'),
+                          transform(stamp, q),
+                          transform(stamp, Quaternion(0.0, 1.0, 0.0, 0.0), 'base_link', 'camera')])
+    if kind == 'Odometry':
+        return Odometry(space, 'base_link', pose,
+                        TwistWithCovariance(Twist(ZERO, w), wide[1].ravel()))
+    if kind == 'Imu':
+        return Imu(body, q, covariances[0], w, covariances[1], ZERO, np.zeros(9))
+    return Vector3Stamped(body, w)
 
 
 def torque_messages(truth):
@@ -179,7 +186,8 @@ def write(path, **topics):
                     definition, _ = STORE.generate_msgdef(kind, ros_version=2)
                     schema = writer.register_schema(kind, 'ros2msg', definition.encode())
                     channel = writer.register_channel(f'/{topic}', 'cdr', schema)
-                writer.add_message(channel, stamp, bytes(STORE.serialize_cdr(message, kind)), stamp)
+                data = bytes(STORE.serialize_cdr(message, kind))
+                writer.add_message(channel, stamp, data, stamp)
         writer.finish()
     return path
 

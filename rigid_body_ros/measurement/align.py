@@ -305,6 +305,7 @@ class _Problem:
         aligned = [value.applied(sensor.rows(rows))
                    for sensor, rows in zip(self._sensors, self._rows)]
         stamps = np.concatenate([sensor.stamps for sensor in aligned])
+        to_sensor = so3.conjugate(value.mount)
         moved = replace(self._motion, start=value.start) \
             if isinstance(self._motion, Model) and value.start else self._motion
         # A step of the clock may lead out of the motion, unless the offset is nearly right.
@@ -313,8 +314,10 @@ class _Problem:
             part = slice(first, first + len(sensor))
             errors = errors_of(sensor, States(states.attitude[part],
                                               states.angular_velocity[part]))
-            parts += [(error / scale).ravel() for error, scale in zip(errors, scales)
-                      if error is not None]
+            # In the axes of the sensor: there, what a mounting cannot change does not turn the
+            # noise either, and an undetermined direction shows as exactly that.
+            parts += [(so3.rotate(to_sensor, error) / scale).ravel()
+                      for error, scale in zip(errors, scales) if error is not None]
             first += len(sensor)
         return np.concatenate(parts)
 
