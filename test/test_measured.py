@@ -1,0 +1,280 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Measured topics in recordings, and the command that compares them."""
+
+import json
+
+from bags import Sent
+from conftest import EPOCH_NS, SECOND
+from measurements import (
+    messages_of,
+    Quaternion,
+    TFMessage,
+    torque_messages,
+    transform,
+    truth,
+    write,
+    write_scene,
+)
+import numpy as np
+import pytest
+from rigid_body_ros import cli, messages, recording, so3
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.measurement import read_measured
+from scipy.spatial.transform import Rotation
+
+BOTH, ATTITUDES = ('Imu', 'Odometry'), (
+    'QuaternionStamped', 'PoseStamped', 'PoseWithCovarianceStamped', 'TransformStamped',
+    'TFMessage')
+KNOWN = np.diag([1e-6, 4e-6, 9e-6])
+
+
+@pytest.fixture(scope='module')
+def measured():
+    return truth().measured(1e-3, 2e-3)
+
+
+@pytest.fixture(scope='module')
+def scene(tmp_path_factory):
+    return write_scene(tmp_path_factory.mktemp('scene') / 'scene.yaml', truth())
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory, measured):
+    """Return a recording of torques, an Imu and a gyro."""
+    return write(tmp_path_factory.mktemp('bag') / 'flight.mcap', torque=torque_messages(truth()),
+                 imu=messages_of('Imu', measured, KNOWN, KNOWN),
+                 gyro=messages_of('Vector3Stamped', measured))
+
+
+def only(path, kind, sensor, *covariances):
+    return write(path / 'one.mcap', it=messages_of(kind, sensor, *covariances))
+
+
+@pytest.mark.parametrize('kind', [*BOTH, *ATTITUDES, 'Vector3Stamped'])
+def test_every_type_is_read(tmp_path, measured, kind):
+    found = read_measured(only(tmp_path, kind, measured, KNOWN, KNOWN), '/it')
+    np.testing.assert_array_equal(found.stamps, measured.stamps)
+    if kind == 'Vector3Stamped':
+        assert found.attitude is None
+    else:
+        np.testing.assert_allclose(found.attitude, measured.attitude, atol=1e-15)
+    if kind in ATTITUDES:
+        assert found.angular_velocity is None
+    else:
+        np.testing.assert_array_equal(found.angular_velocity, measured.angular_velocity)
+
+
+@pytest.mark.parametrize('kind', BOTH)
+def test_covariances_are_read_in_body_axes(tmp_path, measured, kind):
+    found = read_measured(only(tmp_path, kind, measured, KNOWN, KNOWN), '/it')
+    expected = np.broadcast_to(KNOWN, (2000, 3, 3))
+    if kind == 'Odometry':  # the pose's is in the axes of the space frame
+        turn = so3.matrix(measured.attitude)
+        expected = turn.transpose(0, 2, 1) @ KNOWN @ turn
+    np.testing.assert_allclose(found.attitude_covariance, expected, atol=1e-18)
+    np.testing.assert_array_equal(found.rate_covariance, np.broadcast_to(KNOWN, (2000, 3, 3)))
+
+
+def test_zeros_are_an_unknown_covariance(tmp_path, measured):
+    found = read_measured(only(tmp_path, 'Imu', measured), '/it')
+    assert found.attitude_covariance is None
+    assert found.rate_covariance is None
+    assert found.attitude is not None
+
+
+@pytest.mark.parametrize(('covariance', 'value'), [(0, -1.0), (0, 1e6)])
+def test_what_an_imu_does_not_measure_is_left_out(tmp_path, measured, covariance, value):
+    unknown = np.diag([value, 0.0, 0.0])
+    found = read_measured(only(tmp_path, 'Imu', measured, unknown, KNOWN), '/it')
+    assert found.attitude is None
+    assert found.angular_velocity is not None
+    found = read_measured(only(tmp_path, 'Imu', measured, KNOWN, unknown), '/it')
+    assert found.attitude is not None
+    assert found.angular_velocity is None
+
+
+def test_messages_without_a_finite_value_are_rejected(tmp_path, measured):
+    bad = measured.rows(np.arange(100))
+    bad.attitude[3], bad.attitude[4], bad.angular_velocity[7] = 0.0, np.nan, np.inf
+    found = read_measured(only(tmp_path, 'Imu', bad), '/it')
+    assert (len(found), found.rejected) == (97, 3)
+
+
+def test_messages_out_of_order_are_sorted(tmp_path, measured):
+    order = np.random.default_rng(1).permutation(50)
+    sensor = measured.rows(np.append(order, [5, 6]))
+    sensor.attitude[-2:] = [0.0, 0.0, 0.0, 1.0]
+    found = read_measured(only(tmp_path, 'PoseStamped', sensor), '/it')
+    np.testing.assert_array_equal(found.stamps, measured.stamps[:50])
+    assert found.attitude[5:7].tolist() == [[0.0, 0.0, 0.0, 1.0]] * 2  # the last of equal stamps
+
+
+def test_transforms_of_other_frames_are_ignored(tmp_path, measured):
+    path = only(tmp_path, 'TFMessage', measured)
+    found = read_measured(path, '/it', frames=('world', 'odometer'))
+    assert found.attitude.tolist() == [[1.0, 0.0, 0.0, 0.0]] * 2000
+    with pytest.raises(InputError, match="from 'world' to 'x', found none; choose other frames"):
+        read_measured(path, '/it', frames=('world', 'x'))
+
+
+@pytest.mark.parametrize('little_endian', [True, False])
+def test_transforms_have_any_position_and_byte_order(little_endian):
+    kind, names = messages.TRANSFORM, ['a', 'ab', 'abc', 'abcd', 'Flügel/機体']
+    sent, raws = [], []
+    for number in range(200):
+        random = np.random.default_rng(number)
+        parts = [transform(EPOCH_NS + number, Quaternion(*random.normal(size=4)), parent, child)
+                 for parent, child in random.choice(names, (random.integers(0, 6), 2))]
+        sent += [part for part in parts if (part.header.frame_id, part.child_frame_id)
+                 == ('abc', 'Flügel/機体')]
+        raws.append(Sent('/tf', TFMessage(parts), 0).cdr(little_endian))
+    times = np.arange(200)
+    raw = recording.bulk.Raw.from_bytes(raws, times, times)
+    found, decoded = recording.transforms.decode(kind, raw, ('abc', 'Flügel/機体'))
+    assert len(sent) > 10
+    assert decoded.stamps_ns.tolist() == [
+        part.header.stamp.sec * SECOND + part.header.stamp.nanosec for part in sent]
+    rotations = [part.transform.rotation for part in sent]
+    assert decoded.values[:, 3:].tolist() == [[q.x, q.y, q.z, q.w] for q in rotations]
+    assert found.log_ns.tolist() == (decoded.stamps_ns - EPOCH_NS).tolist()
+    for size in range(len(raws[-1])):  # cut anywhere: an error, and no crash
+        cut = recording.bulk.Raw.from_bytes([raws[-1][:size]], times[:1], times[:1])
+        with pytest.raises(recording.bulk.BadMessageError):
+            recording.transforms.decode(kind, cut, ('abc', 'abc'))
+
+
+@pytest.fixture
+def run(capsys, bag, scene):
+    """Return a function that runs the command and returns its exit status and outputs."""
+    def call(*arguments, path=bag, scene=scene):
+        status = cli.attitude_compare([*map(str, (path, '--scene', scene, *arguments))])
+        return status, *capsys.readouterr()
+    return call
+
+
+def test_the_command_reports_the_noise(run, tmp_path):
+    status, shown, _ = run('--json', tmp_path / 'it.json', '--horizon', 1, '--horizon', 5)
+    assert status == 0
+    assert 'likely cause' not in shown
+    found = json.loads((tmp_path / 'it.json').read_text())
+    assert (found['recording'], found['measured']) == ('flight.mcap', ['/imu'])
+    assert (found['samples'], found['span_s']) == (2000, pytest.approx(19.99))
+    assert found['attitude_error_rad']['rms'] == pytest.approx(3 ** 0.5 * 1e-3, rel=0.05)
+    assert found['rate_error_rad_s']['rms'] == pytest.approx(3 ** 0.5 * 2e-3, rel=0.05)
+    assert [(each['seconds'], each['windows']) for each in found['horizons']] == [(1, 19), (5, 3)]
+    assert found['residual_torque_N_m']['rms'] < 1e-3
+
+
+def test_the_command_writes_errors_and_a_plot(run, tmp_path):
+    output, plot = tmp_path / 'errors.mcap', tmp_path / 'errors.png'
+    status, shown, _ = run('-o', output, '--plot', plot, '--measured', '/imu', '--horizon', 1)
+    assert status == 0
+    assert f'{output}, {plot}' in shown
+    assert plot.read_bytes().startswith(b'\x89PNG')
+    vectors = recording.read(output, '/error/rotation_vector', messages.VECTOR3)
+    assert len(vectors) == 2000
+    assert set(vectors.names) == {'base_link'}
+    assert np.sqrt(np.mean(vectors.values ** 2)) == pytest.approx(1e-3, rel=0.05)
+    assert len(recording.read(output, '/error/angular_velocity', messages.VECTOR3)) == 2000
+    torques = recording.read(output, '/residual_torque')
+    assert not torques.values[:, :3].any()
+    assert np.abs(torques.values[:, 3:]).max() < 2e-3
+
+
+def test_the_command_aligns(run, tmp_path):
+    mount = Rotation.from_rotvec([0.1, 0.1, -0.1])
+    sensor = truth().measured(1e-3, 2e-3, clock=0.035, mount=mount)
+    path = write(tmp_path / 'flight.mcap', torque=torque_messages(truth()),
+                 pose=messages_of('Odometry', sensor))
+    status, shown, _ = run('--align', 'clock,mount', '--json', tmp_path / 'it.json', path=path)
+    assert status == 0
+    assert 'clock offset' in shown
+    found = json.loads((tmp_path / 'it.json').read_text())['alignment']
+    assert found['clock_offset_s'] == pytest.approx(0.035, abs=1e-3)
+    assert so3.angle_between(found['mount_xyzw'], mount.as_quat()) < 2e-3
+
+
+def test_a_recorded_motion_is_compared(run, tmp_path, bag, scene):
+    motion = tmp_path / 'motion.mcap'
+    assert cli.attitude_replay([str(bag), '--scene', str(scene), '--topic', '/torque', '-o',
+                                str(motion), '--rate', '200', '--until', '20']) == 0
+    status, _, _ = run('--motion', motion, '--json', tmp_path / 'it.json')
+    assert status == 0
+    found = json.loads((tmp_path / 'it.json').read_text())
+    assert found['attitude_error_rad']['rms'] == pytest.approx(3 ** 0.5 * 1e-3, rel=0.05)
+    assert found['residual_torque_N_m']['rms'] is None
+    status, _, error = run('--motion', motion, '--horizon', 1)
+    assert status == 2
+    assert 'expected a model that can restart, found a recorded motion' in error
+
+
+def test_a_recording_without_torques_is_a_free_body(run, tmp_path, measured):
+    path = write(tmp_path / 'free.mcap', imu=messages_of('Imu', measured))
+    status, shown, _ = run(path=path)
+    assert status == 0
+    assert 'none in the recording: the body is free' in shown
+
+
+def test_an_input_is_never_an_output(run, bag, scene):
+    for option in ('-o', '--json', '--plot'):
+        for name in (bag, scene):
+            before = name.read_bytes()
+            status, _, error = run(option, name, '--overwrite')
+            assert status == 2
+            assert 'would overwrite' in error or 'expected' in error
+            assert name.read_bytes() == before
+
+
+def bad_recordings(measured):
+    few = measured.rows(np.arange(3))
+    nan = measured.rows(np.arange(100))
+    nan.attitude[:] = np.nan
+    late = measured.rows(np.arange(100))
+    late.stamps[:] += 1000 * SECOND
+    unstamped = measured.rows(np.arange(100))
+    unstamped.stamps[:] = 0
+    yield few, '/pose: expected at least 4 messages with a finite attitude', ()
+    yield nan, 'found 0 among 100', ()
+    yield late, '/pose: expected measurements during the motion', ()
+    yield unstamped, 'use --time-source log', ()
+    yield measured, 'expected a topic /mocap, found /torque, /pose', ('--measured', '/mocap')
+    yield measured, '/torque: expected geometry_msgs/msg/QuaternionStamped or', (
+        '--measured', '/torque')
+    yield measured, '--measured: expected each topic once', (
+        '--measured', '/pose', '--measured', '/pose')
+    yield measured, "found 'colour'", ('--align', 'clock,colour')
+
+
+@pytest.mark.parametrize('case', range(8))
+def test_bad_input_is_one_line_and_status_2(run, tmp_path, measured, capsys, case):
+    sensor, message, arguments = [*bad_recordings(measured)][case]
+    path = write(tmp_path / 'bad.mcap', torque=torque_messages(truth()),
+                 pose=messages_of('PoseStamped', sensor))
+    try:
+        status, shown, error = run(*arguments, path=path)
+    except SystemExit as exit_:  # of argparse
+        status, shown, error = exit_.code, *capsys.readouterr()
+        error = error.splitlines(keepends=True)[-1]
+    assert (status, shown) == (2, '')
+    assert message in error
+    assert error.count('\n') == 1
+
+
+def test_ambiguous_topics_are_an_error(run, tmp_path, measured):
+    path = write(tmp_path / 'two.mcap', torque=torque_messages(truth()),
+                 pose=messages_of('PoseStamped', measured), imu=messages_of('Imu', measured))
+    status, _, error = run(path=path)
+    assert status == 2
+    assert 'found /pose, /imu; choose one with --measured' in error
