@@ -92,6 +92,7 @@ def truth(seconds=20.0, torque_rate=20.0, rate=100.0, size=0.01, seed=1, rates=t
         solved = solve_ivp(slope, (begin, end), state, 'DOP853',
                            np.clip(np.append(at[rows], end), begin, end), rtol=1e-12, atol=1e-14)
         found[rows], state = solved.y.T[:-1], solved.y.T[-1]
+
     def stamps(seconds):
         return EPOCH_NS + np.round(SECOND * seconds).astype(np.int64)
     return Truth(stamps(at), Rotation.from_quat(found[:, :4]), found[:, 4:], stamps(times),

@@ -232,12 +232,30 @@ class _Problem:
         kept = np.abs(self._residuals(self._value)) < _OUTLIER
         jacobian = self._fit(1e-12, kept)
         sigma, column = {}, 0
-        deviations = _deviations(jacobian)
+        deviations = _deviations(jacobian) * self._correlation()
         for name, size in zip(self._names, self._sizes):
             part = deviations[column:column + size]
             sigma[name] = float(part[0]) if size == 1 else part
             column += size
         return replace(self._value, sigma=sigma)
+
+    def _correlation(self) -> float:
+        """
+        Return by how much errors that are not white enlarge the standard deviations.
+
+        Errors of the model last for many samples. With the correlation r of neighbours, n samples
+        count as n (1 - r) / (1 + r).
+        """
+        residuals, first, found = self._residuals(self._value), 0, [0.0]
+        for sensor, rows in zip(self._sensors, self._rows):
+            for values in (sensor.attitude, sensor.angular_velocity):
+                count = 0 if values is None else 3 * len(rows)
+                part = np.clip(residuals[first:first + count].reshape(-1, 3), -3.0, 3.0)
+                products = np.sum(part[1:] * part[:-1], axis=0)
+                found += (products / np.maximum(np.sum(part * part, axis=0), 1e-300)).tolist()
+                first += count
+        neighbours = min(max(found), 0.9999)
+        return float(np.sqrt((1.0 + neighbours) / (1.0 - neighbours)))
 
     def _estimate_scales(self) -> None:
         residuals, first, scales = self._residuals(self._value), 0, []

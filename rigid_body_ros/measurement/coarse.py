@@ -65,8 +65,8 @@ def guess(motion: Model | Recorded, sensors: Sequence[Measured], clock: bool,
 
 def _offset(motion: Model | Recorded, sensor: Measured, mount: bool) -> float:
     """Return the offset at which measured and computed angular velocities agree best, s."""
-    stamps, rates = measured_rates(sensor)
     from scipy.ndimage import median_filter
+    stamps, rates = measured_rates(sensor)
     rates = median_filter(rates, (5, 1), mode='nearest')  # without single outliers
     first_ns, last_ns = int(stamps[0]), int(stamps[-1])
     step = max(int(np.median(np.diff(stamps))), (last_ns - first_ns) // _POINTS, 1000)

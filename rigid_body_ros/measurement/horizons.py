@@ -29,8 +29,8 @@ from rigid_body_ros.state import State
 
 #: Samples from which a restart is estimated, unless the horizon is too short for them.
 _SAMPLES = 11
-#: Corrections of an estimated restart.
-_CORRECTIONS = 2
+#: Most corrections of an estimated restart, and the correction, rad, that is the last.
+_CORRECTIONS, _CORRECTED = 8, 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ def _restarted(model: Model, samples: Measured, momentum: Floats) -> State:
     """Return the state at the first of a few samples that fits all of them best."""
     assert samples.attitude is not None
     first_ns, (_, rates) = int(samples.stamps[0]), measured_rates(samples)
-    start = State(first_ns, samples.attitude[0], rates[0], momentum)
+    start = State(first_ns, samples.attitude[0], np.median(rates, axis=0), momentum)
     if len(samples) < 3:
         return start
     seconds = 1e-9 * (samples.stamps - first_ns)
@@ -114,11 +114,23 @@ def _restarted(model: Model, samples: Measured, momentum: Floats) -> State:
         assert vectors is not None
         # In space axes: a constant error of the attitude is constant there.
         vectors = so3.rotate(motion.attitude, vectors)
-        offset, drift = np.linalg.lstsq(columns, vectors, rcond=None)[0]
+        offset, drift = _line(columns, vectors)
         turn = so3.conjugate(start.attitude)
-        change = so3.rotate(turn, drift) if rate_errors is None else rate_errors.mean(axis=0)
+        change = so3.rotate(turn, drift) if rate_errors is None else \
+            _line(columns[:, :1], rate_errors)[0]
         attitude = so3.multiply(so3.exp(offset), start.attitude)
         start = State(first_ns, so3.normalize(attitude), start.angular_velocity + change, momentum)
+        if np.linalg.norm(offset) + seconds[-1] * np.linalg.norm(change) < _CORRECTED:
+            break
     return start
 
 
+def _line(columns: Floats, values: Floats) -> Floats:
+    """Return the coefficients of the columns, with less weight on outliers."""
+    weights = np.ones((len(values), 1))
+    for _ in range(5):
+        found = np.linalg.lstsq(weights * columns, weights * values, rcond=None)[0]
+        distances = np.linalg.norm(values - columns @ found, axis=1, keepdims=True)
+        limit = max(2.0 * float(np.median(distances)), 1e-300)
+        weights = np.minimum(limit / np.maximum(distances, limit), 1.0)
+    return np.asarray(found)

@@ -152,6 +152,7 @@ def read_motion(path: str | Path, scene: Scene) -> Recorded:
 
     """
     found = recording.topics(path, (messages.QUATERNION, messages.VECTOR3))
+
     def measured(topic: str | None = None) -> Measured:
         return read_measured(path, topic, body_frame=scene.body_frame,
                              space_frame=scene.space_frame)

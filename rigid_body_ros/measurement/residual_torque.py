@@ -40,6 +40,8 @@ WINDOW, FEWEST = 0.25, 11
 #: The nodes of Gauss's formula with two points, exact for a cubic.
 _NODES = 0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0)
 _BLOCK = 2 ** 15
+#: Distance from the median around a sample, in usual ones, from which on it is an outlier.
+_OUTLIER = 10.0
 #: The six entries of an inertia tensor, as symmetric matrices: xx yy zz xy xz yz.
 ENTRIES = np.array([[[(i, j) in ((a, b), (b, a)) for j in range(3)] for i in range(3)]
                     for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))], float)
@@ -104,7 +106,7 @@ def residual_torque(model: Model, sensor: Measured) -> ResidualTorque | None:
     sensor = sensor.rows(inside)
     if len(sensor) < 2:
         return None
-    stamps, rates = measured_rates(sensor)
+    stamps, rates = without_outliers(*measured_rates(sensor))
     seconds = 1e-9 * (stamps - stamps[0])
     window = _half_window(seconds)
     if len(stamps) <= 2 * window + 1:
@@ -169,6 +171,30 @@ def _interpolated(stamps: NDArray[np.int64], attitude: Floats, times: NDArray[np
     part = (times - stamps[rows]) / np.diff(stamps)[rows]
     step = so3.log(so3.multiply(so3.conjugate(attitude[rows]), attitude[rows + 1]))
     return so3.multiply(attitude[rows], so3.exp(part[:, None] * step))
+
+
+def without_outliers(stamps: NDArray[np.int64], rates: Floats
+                     ) -> tuple[NDArray[np.int64], Floats]:
+    """
+    Return angular velocities without gross outliers.
+
+    An outlier differs from the median of the five samples around it by more than ten times what is
+    usual, and by more than samples usually change. The angular velocity of a body cannot jump and
+    come back.
+
+    Parameters
+    ----------
+    stamps : array of int64, shape (n,), ns
+        Ascending.
+    rates : array, shape (n, 3), rad/s
+        In any axes.
+
+    """
+    from scipy.ndimage import median_filter
+    away = np.linalg.norm(rates - median_filter(rates, (5, 1), mode='nearest'), axis=1)
+    change = np.median(np.linalg.norm(np.diff(rates, axis=0), axis=1))
+    kept = away <= _OUTLIER * np.median(away) + 3.0 * change
+    return stamps[kept], rates[kept]
 
 
 def _integral(seconds: Floats, values: Floats) -> Floats:
