@@ -25,6 +25,7 @@ import argparse
 from typing import NamedTuple
 
 from rigid_body_ros import commands, scene
+from rigid_body_ros.compare_command import compare_parser
 from rigid_body_ros.runtime.parameters import limits
 
 WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
@@ -368,7 +369,7 @@ be a `MultiThreadedExecutor`, because that of rclpy fails if a callback destroys
 
 ## Parameters
 
-The node, `attitude_replay` and `attitude_tradeoff` (`--scene`) read the same file. Integers are
+The node and every command (`--scene`) read the same file. Integers are
 accepted for floating-point parameters. In a running node all parameters but `publish_rate` are
 read-only. `ros2 param describe` prints the descriptions of this table, and `ros2 param dump`
 writes a file that is a scene.
@@ -400,6 +401,16 @@ attitude_replay INPUT [INPUT ...] --scene FILE [-o OUTPUT | --verify MOTION] [--
 {replay}
 
 [Recordings](recordings.md) describes inputs and outputs in detail.
+
+## attitude_compare
+
+```
+attitude_compare RECORDING --scene FILE [--measured TOPIC]... [--align NAMES] [-o RESIDUALS]
+```
+
+{compare}
+
+[Is my model right?](compare.md) explains the results.
 
 ## attitude_tradeoff
 
@@ -443,6 +454,7 @@ def main():
             (f'`{parameter.name}`', parameter.unit, default(parameter), values(parameter),
              parameter.description) for parameter in scene.PARAMETERS.values()]),
         replay=options(commands.replay_parser()),
+        compare=options(compare_parser()),
         tradeoff=options(commands.tradeoff_parser()),
         exits=table(('status', 'meaning'), EXITS)), end='')
 

@@ -68,8 +68,9 @@ def test_parameters_and_defaults_are_those_documented(function, parameters):
 
 
 def test_the_top_level_has_these_names():
-    assert sorted(rigid_body_ros.__all__) == ['Propagator', 'RigidBody', 'State', 'TorqueLog',
-                                              'Trajectory', 'propagate', 'warm_up']
+    assert sorted(rigid_body_ros.__all__) == [
+        'Measured', 'Propagator', 'RigidBody', 'State', 'TorqueLog', 'Trajectory', 'compare',
+        'propagate', 'read_measured', 'warm_up']
     assert (rigid_body_ros.so3, rigid_body_ros.euler) == (so3, euler)
 
 

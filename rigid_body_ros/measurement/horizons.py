@@ -29,8 +29,8 @@ from rigid_body_ros.state import State
 
 #: Samples from which a restart is estimated, unless the horizon is too short for them.
 _SAMPLES = 11
-#: Most corrections of an estimated restart, and the correction, rad, that is the last.
-_CORRECTIONS, _CORRECTED = 8, 1e-10
+#: Most corrections of an estimated restart. The last is below an angle, rad, or part of the noise.
+_CORRECTIONS, _CORRECTED, _NEGLIGIBLE = 8, 1e-10, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,9 @@ def _restarted(model: Model, samples: Measured, momentum: Floats) -> State:
             _line(columns[:, :1], rate_errors)[0]
         attitude = so3.multiply(so3.exp(offset), start.attitude)
         start = State(first_ns, so3.normalize(attitude), start.angular_velocity + change, momentum)
-        if np.linalg.norm(offset) + seconds[-1] * np.linalg.norm(change) < _CORRECTED:
+        usual = float(np.median(np.linalg.norm(vectors, axis=1)))
+        if np.linalg.norm(offset) + seconds[-1] * np.linalg.norm(change) \
+                < max(_CORRECTED, _NEGLIGIBLE * usual):
             break
     return start
 
@@ -128,7 +130,7 @@ def _restarted(model: Model, samples: Measured, momentum: Floats) -> State:
 def _line(columns: Floats, values: Floats) -> Floats:
     """Return the coefficients of the columns, with less weight on outliers."""
     weights = np.ones((len(values), 1))
-    for _ in range(5):
+    for _ in range(3):
         found = np.linalg.lstsq(weights * columns, weights * values, rcond=None)[0]
         distances = np.linalg.norm(values - columns @ found, axis=1, keepdims=True)
         limit = max(2.0 * float(np.median(distances)), 1e-300)
