@@ -1,0 +1,26 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Identify the parameters of a body from what was measured.
+
+`identify.py` has the public function and its result, `experiment.py` the recordings,
+`parameters.py` the parameters, `windows.py` the predictions, `problem.py` the least-squares
+problem, `solve.py` the fit, and `identifiability.py` what the data does not determine.
+"""
+
+from rigid_body_ros.identification.experiment import Experiment
+from rigid_body_ros.identification.identifiability import Direction
+from rigid_body_ros.identification.identify import Estimate, Identification, identify, Misfit
+
+__all__ = ['Direction', 'Estimate', 'Experiment', 'Identification', 'Misfit', 'identify']

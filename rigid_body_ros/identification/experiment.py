@@ -1,0 +1,222 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Recordings of one body, and the channels of their sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros import so3
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.measurement.measured import Measured
+from rigid_body_ros.state import State
+from rigid_body_ros.torque import TorqueLog
+
+#: A sensor needs at least this many samples.
+_FEWEST = 8
+#: s; over this time the rate of an attitude is estimated, and at most this many samples.
+_LAG, _LOCAL = 0.1, 25
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """
+    One recording: what acted on the body, and what was measured.
+
+    Attributes
+    ----------
+    start : State
+        The initial state, or a guess of it if it is fitted. Measurements before it are not used.
+    log : TorqueLog, sequence of TorqueLog or None
+        The torques, as for `propagate`.
+    measured : sequence of Measured
+        What the sensors measured.
+    wheels : TorqueLog, optional
+        Torque on the rotors, as for `propagate`.
+
+    """
+
+    start: State
+    log: TorqueLog | Sequence[TorqueLog] | None
+    measured: Sequence[Measured]
+    wheels: TorqueLog | None = None
+
+    @property
+    def logs(self) -> list[TorqueLog]:
+        """Return the torques as a list."""
+        return [self.log] if isinstance(self.log, TorqueLog) else [*(self.log or ())]
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """
+    Attitudes or angular velocities of one topic.
+
+    Attributes
+    ----------
+    topic : str
+    is_attitude : bool
+    is_mounted : bool
+        Whether the values are in the axes of the sensor that `mount` rotates, not in body axes.
+    stamps : array of int64, shape (n,), ns
+    values : array, shape (n, 4) or (n, 3)
+
+    """
+
+    topic: str
+    is_attitude: bool
+    is_mounted: bool
+    stamps: NDArray[np.int64]
+    values: Floats
+
+    def rows(self, chosen: NDArray[np.bool_] | slice) -> Channel:
+        """Return a channel with some of the samples."""
+        return replace(self, stamps=self.stamps[chosen], values=self.values[chosen])
+
+
+def channels_of(experiment: Experiment) -> list[Channel]:
+    """
+    Return the channels of a recording, with the samples from its start on.
+
+    Raises
+    ------
+    InputError
+        A topic has too few finite samples from the start on, or there is no topic.
+
+    """
+    if not experiment.measured:
+        raise InputError('expected at least one measured topic, found none')
+    has_attitude = any(one.attitude is not None for one in experiment.measured)
+    return [_checked(channel, experiment.start.time_ns) for measured in experiment.measured
+            for channel in _channels(measured, has_attitude)]
+
+
+def _channels(measured: Measured, has_attitude: bool) -> Iterator[Channel]:
+    stamps = np.asarray(measured.stamps, np.int64)
+    mounted = measured.attitude is not None or not has_attitude
+    if measured.attitude is not None:
+        yield Channel(measured.topic, True, True, stamps, np.asarray(measured.attitude, float))
+    if measured.angular_velocity is not None:
+        yield Channel(measured.topic, False, mounted, stamps,
+                      np.asarray(measured.angular_velocity, float))
+
+
+def _checked(channel: Channel, start_ns: int) -> Channel:
+    what = 'attitudes' if channel.is_attitude else 'angular velocities'
+    finite = np.atleast_1d(np.isfinite(channel.values).all(axis=1))
+    if channel.is_attitude:
+        finite &= channel.values.any(axis=1)
+    if not finite.any():
+        raise InputError(f'{channel.topic}: expected finite {what}, found none among '
+                         f'{len(finite)} samples')
+    channel = channel.rows(finite & (channel.stamps >= start_ns))
+    if not len(channel.stamps):
+        raise InputError(f'{channel.topic}: expected {what} from the start of the motion '
+                         f'({start_ns} ns) on, found only earlier ones')
+    if len(channel.stamps) < _FEWEST:
+        raise InputError(f'{channel.topic}: expected at least {_FEWEST} {what} from the start of '
+                         f'the motion on, found {len(channel.stamps)}')
+    return replace(channel, values=so3.normalize(channel.values)) if channel.is_attitude \
+        else channel
+
+
+def typical_rate(channels: Sequence[Channel]) -> float:
+    """Return the root mean square of the angular velocity, rad/s, robustly."""
+    rates = [channel.values if not channel.is_attitude else _rates(channel)
+             for channel in channels]
+    found = max(float(np.sqrt(np.mean(np.minimum(squares, 25.0 * np.median(squares)))))
+                for squares in (np.sum(rate * rate, axis=1) for rate in rates))
+    return max(found, 1e-6)
+
+
+def _rates(channel: Channel) -> Floats:
+    """Return rates from attitudes some time apart."""
+    spacing = np.median(np.diff(channel.stamps)) * 1e-9
+    lag = min(max(1, round(_LAG / max(spacing, 1e-9))), len(channel.stamps) - 1)
+    turned = so3.log(so3.multiply(so3.conjugate(channel.values[:-lag]), channel.values[lag:]))
+    seconds = (channel.stamps[lag:] - channel.stamps[:-lag]) * 1e-9
+    return turned / np.maximum(seconds, 1e-9)[:, None]
+
+
+def local_state(channels: Sequence[Channel], time_ns: int, rate: float, mount: Floats,
+                fallback: State) -> tuple[Floats, Floats]:
+    """
+    Return attitude and angular velocity at a time, from the measurements close to it.
+
+    Parameters
+    ----------
+    channels : sequence of Channel
+        Their stamps are those of the clock of the torques.
+    time_ns : int
+        The time of the state.
+    rate : float, rad/s
+        Typical angular velocity.
+    mount : array, shape (4,)
+        From sensor axes to body axes.
+    fallback : State
+        For what was not measured.
+
+    Returns
+    -------
+    attitude, angular_velocity : array, shape (4,) and (3,)
+
+    """
+    attitude, velocity = fallback.attitude, fallback.angular_velocity
+    has_rate = False
+    for channel in channels:
+        if channel.is_attitude or has_rate:
+            continue
+        near = _near(channel, time_ns, rate)
+        if len(near.stamps):
+            velocity = _robust_line((near.stamps - time_ns) * 1e-9, near.values)[0]
+            velocity = so3.rotate(mount, velocity) if channel.is_mounted else velocity
+            has_rate = True
+    for channel in (one for one in channels if one.is_attitude):
+        near = _near(channel, time_ns, rate)
+        if not len(near.stamps):
+            continue
+        middle = near.values[np.argsort(near.stamps)[len(near.stamps) // 2]]
+        turned = so3.log(so3.multiply(so3.conjugate(middle), near.values))
+        here, slope = _robust_line((near.stamps - time_ns) * 1e-9, turned)
+        attitude = so3.multiply(so3.multiply(middle, so3.exp(here)), so3.conjugate(mount))
+        velocity = velocity if has_rate else so3.rotate(mount, slope)
+        break
+    return attitude, velocity
+
+
+def _near(channel: Channel, time_ns: int, rate: float) -> Channel:
+    span_ns = int(0.5e9 / rate)
+    centre = int(np.searchsorted(channel.stamps, time_ns))
+    near = channel.rows(slice(max(centre - _LOCAL // 2, 0), centre + _LOCAL))
+    close = near.rows(np.abs(near.stamps - time_ns) <= span_ns)
+    return close if len(close.stamps) >= 3 else near.rows(slice(0, 3))
+
+
+def _robust_line(seconds: NDArray[np.floating], values: Floats) -> tuple[Floats, Floats]:
+    """Return value and slope at zero of lines or parabolas through most of the samples."""
+    degree = 0 if len(seconds) < 3 else 1 if len(seconds) < 7 else 2
+    columns = np.vander(seconds, degree + 1, increasing=True)
+    weights: Floats = np.ones(len(seconds))
+    coefficients: Floats = np.zeros((degree + 1, 3))
+    for _ in range(8):
+        root = np.sqrt(weights)[:, None]
+        coefficients = np.linalg.lstsq(columns * root, values * root, rcond=None)[0]
+        errors = np.linalg.norm(values - columns @ coefficients, axis=1)
+        weights = 1.0 / (1.0 + (errors / (2.0 * np.median(errors) + 1e-12)) ** 2)
+    return coefficients[0], coefficients[1] if degree else np.zeros(3)

@@ -1,0 +1,147 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""What the data determines, and what it does not, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+
+#: Relative sizes of a derivative, and of a combination of derivatives, that are rounding errors.
+_ZERO, _ROUNDING = 1e-9, 1e-6
+#: A direction is undetermined if its standard deviation exceeds this part of the scale.
+_WIDEST = 0.5
+#: Components of a direction that count, that are listed, and that are rounding errors.
+_COUNTS, _LISTED, _EXACT = 0.3, 0.05, 1e-3
+#: Relative difference up to which ratios of moments count as equal.
+_SAME = 0.1
+
+
+@dataclass(frozen=True)
+class Direction:
+    """
+    A combination of parameters that the data does not determine.
+
+    Attributes
+    ----------
+    components : dict of str to float
+        By name of a parameter, its part of the direction, relative to its scale.
+    reason : str
+
+    """
+
+    components: dict[str, float]
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Certainty:
+    """
+    What is known about parameters, divided by their scales.
+
+    Attributes
+    ----------
+    covariance : array, shape (n, n)
+    identifiable : array of bool, shape (n,)
+    directions : list of Direction
+
+    """
+
+    covariance: Floats
+    identifiable: NDArray[np.bool_]
+    directions: list[Direction]
+
+
+def certainty(factor: Floats, names: Sequence[str], values: Floats) -> Certainty:
+    """
+    Return what an information matrix says about parameters.
+
+    Parameters
+    ----------
+    factor : array, shape (m, n)
+        F of the information F^T F of the parameters, divided by their scales.
+    names : sequence of str, length n
+        The names of the parameters.
+    values : array, shape (n,)
+        The parameters, divided by their scales.
+
+    """
+    null, rest = _split(factor)
+    _, singular, rows = np.linalg.svd(factor @ rest, full_matrices=False)
+    vectors = rest @ rows.T
+    covariance = (vectors / singular ** 2) @ vectors.T
+    weak = vectors[:, singular * _WIDEST < 1.0]
+    identifiable = np.sqrt(np.diag(covariance)) <= _WIDEST
+    identifiable &= (np.abs(null) <= _EXACT).all(axis=1) & (np.abs(weak) <= _COUNTS).all(axis=1)
+    directions = [_direction(names, values, vector) for vector in (*null.T, *weak.T)]
+    if any(direction.reason == _RATIOS for direction in directions):
+        identifiable &= ~_chosen(names, 'inertia')
+    return Certainty(covariance, identifiable, directions)
+
+
+def _split(factor: Floats) -> tuple[Floats, Floats]:
+    """Return orthonormal bases, as columns, of the directions without effect, and of the rest."""
+    norms = np.linalg.norm(factor, axis=0)
+    zero = norms <= _ZERO * norms.max(initial=1e-300)
+    norms = np.where(zero, 1.0, norms)
+    _, singular, rows = np.linalg.svd(np.where(zero, 0.0, factor / norms))
+    singular = np.append(singular, np.zeros(len(norms) - len(singular)))
+    vectors = (rows[singular < _ROUNDING] / norms).T
+    basis = np.linalg.qr(vectors, mode='complete')[0]
+    count = vectors.shape[1]
+    return basis[:, :count], basis[:, count:]
+
+
+_RATIOS = ('neither a torque nor a rotor acts, so only the ratios of the moments of inertia enter '
+           'the motion')
+
+
+def _direction(names: Sequence[str], values: Floats, vector: Floats) -> Direction:
+    vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
+    components = {name: round(float(part), 4) for name, part in zip(names, vector)
+                  if abs(part) >= _LISTED}
+    return Direction(components, _reason(names, values, vector))
+
+
+def _reason(names: Sequence[str], values: Floats, vector: Floats) -> str:
+    inertia = _chosen(names, 'inertia')
+    ratios = vector[inertia][:3] / values[inertia][:3]  # of the moments
+    scales_inertia = ratios.size > 0 and np.ptp(ratios) < _SAME * np.abs(ratios).max()
+    parts = {name.split('.')[0] for name, part in zip(names, vector) if abs(part) >= _COUNTS}
+    wider = {name.split('.')[0] for name, part in zip(names, vector) if abs(part) >= _LISTED}
+    if scales_inertia and wider & {'torque_gain', 'torque_bias', 'damping',
+                                   'initial_rotor_momentum'}:
+        return 'only the ratio of torque to inertia enters the motion'
+    if scales_inertia and wider == {'inertia'}:
+        return _RATIOS
+    if parts == {'inertia'}:
+        return ('the motion excites these moments too little: turn the body about all three axes, '
+                'at changing rates')
+    if 'gyro_bias' in parts:
+        return 'a bias of the gyro cannot be told from a slow rotation'
+    if 'mount' in parts and 'initial_attitude' in parts:
+        return 'a rotation of the sensor cannot be told from one of the body'
+    if 'clock_offset' in parts:
+        return 'the motion changes too little for a shift in time to show'
+    if 'torque_gain' in parts:
+        return 'the torque is too small to show'
+    return 'these parameters change the prediction too little, or in the same way'
+
+
+def _chosen(names: Sequence[str], prefix: str) -> NDArray[np.bool_]:
+    return np.array([name.split('.')[0] == prefix for name in names], bool)

@@ -1,0 +1,294 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The parameters of a fit: names, scales, and coordinates without bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from rigid_body_ros.body import RigidBody
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError
+
+#: The entries of a symmetric tensor, in the order of a scene.
+_ROWS, _COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
+_ENTRIES = ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')
+#: Component names by name of the parameter.
+COMPONENTS = {
+    'inertia': tuple(f'inertia.i{entry}' for entry in _ENTRIES),
+    'inertia_diagonal': tuple(f'inertia.i{entry}' for entry in _ENTRIES[:3]),
+    'torque_gain': ('torque_gain',),
+    'torque_bias': tuple(f'torque_bias.{axis}' for axis in 'xyz'),
+    'clock_offset': ('clock_offset',),
+    'mount': tuple(f'mount.{axis}' for axis in 'xyz'),
+    'gyro_bias': tuple(f'gyro_bias.{axis}' for axis in 'xyz'),
+    'damping': tuple(f'damping.d{entry}' for entry in _ENTRIES),
+    'rotor_momentum': tuple(f'initial_rotor_momentum.{axis}' for axis in 'xyz'),
+}
+#: The name of the initial attitude and angular velocity.
+START = 'start'
+#: Units by the beginning of a component name.
+UNITS = {'inertia': 'kg m^2', 'torque_gain': '', 'torque_bias': 'N m', 'clock_offset': 's',
+         'mount': 'rad', 'gyro_bias': 'rad/s', 'damping': 'N m s/rad',
+         'initial_rotor_momentum': 'N m s', 'initial_attitude': 'rad',
+         'initial_angular_velocity': 'rad/s'}
+#: The second moments of a guess are at least this fraction of their trace.
+_THINNEST = 1e-5
+#: Damping from which a fit starts if the scene has none, relative to the scale.
+_LITTLE = 1e-3
+#: Tensors without negative eigenvalues whose sums are all damping tensors nearby: n n^T.
+_DIRECTIONS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]], float)
+#: Column i has the entries xx ... yz of the tensor of direction i.
+_OF_DIRECTIONS = np.array([[n[i] * n[j] for n in _DIRECTIONS] for i, j in zip(_ROWS, _COLUMNS)])
+
+
+@dataclass(frozen=True, eq=False)
+class Physics:
+    """
+    What the motions and the sensors of all recordings have in common.
+
+    Attributes
+    ----------
+    inertia : array, shape (3, 3), kg m^2, body axes
+    damping : array, shape (3, 3), N m s/rad, body axes
+    torque_gain : float
+        The torque that acts is this gain times the logged torque, plus the bias.
+    torque_bias : array, shape (3,), N m, body axes
+    clock_offset : float, s
+        Added to the stamps of the measurements.
+    mount : array, shape (3,), rad
+        Rotation vector of the sensor axes in body axes.
+    gyro_bias : array, shape (3,), rad/s
+        Added to the angular velocity by the sensor.
+    rotor_momentum : array, shape (3,), N m s, body axes
+        Added to the momentum of the rotors at the start.
+
+    """
+
+    inertia: Floats
+    damping: Floats
+    torque_gain: float = 1.0
+    torque_bias: Floats = field(default_factory=lambda: np.zeros(3))
+    clock_offset: float = 0.0
+    mount: Floats = field(default_factory=lambda: np.zeros(3))
+    gyro_bias: Floats = field(default_factory=lambda: np.zeros(3))
+    rotor_momentum: Floats = field(default_factory=lambda: np.zeros(3))
+
+    @cached_property
+    def body(self) -> RigidBody:
+        """Return the body."""
+        return RigidBody(self.inertia, self.damping)
+
+
+def entries(tensor: ArrayLike) -> Floats:
+    """Return the six entries xx, yy, zz, xy, xz, yz of a symmetric tensor."""
+    return np.asarray(tensor, float)[_ROWS, _COLUMNS]
+
+
+def tensor(values: Floats) -> Floats:
+    """Return the symmetric tensor with the entries xx, yy, zz, xy, xz, yz."""
+    result = np.empty((3, 3))
+    result[_ROWS, _COLUMNS] = result[_COLUMNS, _ROWS] = values
+    return result
+
+
+def second_moments(inertia: Floats) -> Floats:
+    """Return the second moments of mass; they are positive definite for every possible body."""
+    return 0.5 * np.trace(inertia) * np.eye(3) - inertia
+
+
+def inertia_of(moments: Floats) -> Floats:
+    """Return the inertia of a body with these second moments of mass."""
+    return np.trace(moments) * np.eye(3) - moments
+
+
+def checked_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of parameters; raise InputError if they cannot be fitted together."""
+    known = (*COMPONENTS, START)
+    for name in names:
+        if name not in known:
+            raise InputError(f'estimate: expected names among {", ".join(known)}, found {name!r}')
+        if list(names).count(name) > 1:
+            raise InputError(f'estimate: expected each name once, found {name!r} twice')
+    if not names:
+        raise InputError('estimate: expected at least one name, found none')
+    if {'inertia', 'inertia_diagonal'} <= {*names}:
+        raise InputError('estimate: expected one of inertia and inertia_diagonal, found both')
+    return tuple(name for name in known if name in names)
+
+
+class Parameters:
+    """
+    The fitted parameters that all recordings share.
+
+    In the coordinates of the fit, every point is a possible body: they are the logarithms and the
+    relative off-diagonal entries of the Cholesky factor of the second moments of mass (Rucker and
+    Wensing 2022), the entries of a Cholesky factor of the damping, and other values divided by
+    their scale. Close to a solution, the *plain* coordinates are all values divided by their
+    scale; those of the damping are the weights of six tensors whose sums need no bounds.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Keys of `COMPONENTS`.
+    guess : Physics
+    rate, torque, span_s : float
+        Magnitude of the angular velocity (rad/s) and of the torque (N m), and length (s) of the
+        recordings.
+
+    """
+
+    def __init__(self, names: Sequence[str], guess: Physics, rate: float, torque: float,
+                 span_s: float) -> None:
+        self.groups = tuple(name for name in COMPONENTS if name in names)
+        self.names = [name for group in self.groups for name in COMPONENTS[group]]
+        self.guess = guess
+        self._moments = _possible(second_moments(guess.inertia))
+        self._size = float(np.sqrt(np.trace(self._moments)))
+        self._scales = _scales(inertia_of(self._moments), rate, torque, span_s)
+
+    @property
+    def size(self) -> int:
+        """Return the number of components."""
+        return len(self.names)
+
+    @property
+    def scales(self) -> Floats:
+        """Return the magnitude of each component, in its unit."""
+        return np.concatenate([np.empty(0), *(self._scales[name] for name in self.groups)])
+
+    @property
+    def clock(self) -> list[int]:
+        """Return the number of the clock offset, if it is fitted."""
+        return [i for i, name in enumerate(self.names) if name == 'clock_offset']
+
+    @property
+    def steps(self) -> Floats:
+        """Return steps for finite differences; that of the clock is a number of nanoseconds."""
+        return np.array([1e-5 if name == 'clock_offset' else 1e-7 for name in self.names])
+
+    def values(self, physics: Physics) -> Floats:
+        """Return the components, in their units."""
+        return np.concatenate([np.empty(0), *(_values(name, physics) for name in self.groups)])
+
+    def coordinates(self, physics: Physics) -> Floats:
+        """Return the coordinates of the fit."""
+        return np.concatenate([np.empty(0), *(self._coordinates(name, physics)
+                                              for name in self.groups)])
+
+    def physics(self, coordinates: Floats) -> Physics:
+        """Return the values at a point."""
+        return self._at(coordinates, False, self.guess)
+
+    def near(self, physics: Physics, steps: Floats) -> Physics:
+        """Return the values a small, positive step in plain coordinates from a solution."""
+        return self._at(steps, True, physics)
+
+    def from_plain(self, jacobian: Floats) -> Floats:
+        """Return derivatives by values divided by their scale, from those in plain coordinates."""
+        result = jacobian.copy()
+        if 'damping' in self.groups:
+            first = self.names.index('damping.dxx')
+            result[:, first:first + 6] = jacobian[:, first:first + 6] @ np.linalg.inv(
+                _OF_DIRECTIONS)
+        return result
+
+    def _at(self, point: Floats, plain: bool, physics: Physics) -> Physics:
+        first = 0
+        for name in self.groups:
+            part = point[first:first + len(COMPONENTS[name])]
+            first += len(part)
+            change = self._plain if plain else self._value
+            physics = replace(physics, **change(name, part, physics))
+        return physics
+
+    def _coordinates(self, name: str, physics: Physics) -> Floats:
+        if name.startswith('inertia'):
+            factor = np.linalg.cholesky(_possible(second_moments(physics.inertia))) / self._size
+            logarithms = np.log(np.diag(factor))
+            return logarithms if name == 'inertia_diagonal' else np.append(
+                logarithms, factor[[1, 2, 2], [0, 0, 1]])
+        if name == 'damping':
+            scale = self._scales[name][0]
+            damping = physics.damping / scale
+            factor = np.linalg.cholesky(damping + _LITTLE * np.eye(3))
+            return entries(factor.T)
+        return _values(name, physics) / self._scales[name]
+
+    def _value(self, name: str, part: Floats, _: Physics) -> dict[str, Any]:
+        if name == 'inertia':
+            factor = np.diag(np.exp(part[:3]))
+            factor[[1, 2, 2], [0, 0, 1]] = part[3:]
+            factor *= self._size
+            return {'inertia': inertia_of(factor @ factor.T)}
+        if name == 'inertia_diagonal':
+            factor = _with_products(self._size * np.exp(part), self._moments)
+            return {'inertia': inertia_of(factor @ factor.T)}
+        if name == 'damping':
+            factor = np.zeros((3, 3))
+            factor[_COLUMNS, _ROWS] = part
+            return {'damping': self._scales[name][0] * factor @ factor.T}
+        return _attribute(name, part * self._scales[name])
+
+    def _plain(self, name: str, part: Floats, physics: Physics) -> dict[str, Any]:
+        scaled = part * self._scales[name]
+        if name.startswith('inertia'):
+            rest = np.zeros(6 - len(part))
+            return {'inertia': physics.inertia + tensor(np.append(scaled, rest))}
+        if name == 'damping':
+            return {'damping': physics.damping + tensor(_OF_DIRECTIONS @ scaled)}
+        return _attribute(name, _values(name, physics) + scaled)
+
+
+def _possible(moments: Floats) -> Floats:
+    values, vectors = np.linalg.eigh(moments)
+    return (vectors * np.maximum(values, _THINNEST * values.sum())) @ vectors.T
+
+
+def _with_products(diagonal: Floats, moments: Floats) -> Floats:
+    """Return the Cholesky factor with this diagonal of a tensor with the products of another."""
+    factor = np.diag(diagonal)
+    factor[1, 0] = moments[1, 0] / diagonal[0]
+    factor[2, 0] = moments[2, 0] / diagonal[0]
+    factor[2, 1] = (moments[2, 1] - factor[1, 0] * factor[2, 0]) / diagonal[1]
+    return factor
+
+
+def _scales(inertia: Floats, rate: float, torque: float, span_s: float) -> dict[str, Floats]:
+    moments = np.diag(inertia)
+    largest = float(moments.max())
+    acting = max(torque, largest * rate / span_s)
+    return {'inertia': np.sqrt(moments[list(_ROWS)] * moments[list(_COLUMNS)]),
+            'inertia_diagonal': moments.copy(),
+            'torque_gain': np.ones(1), 'torque_bias': np.full(3, acting),
+            'clock_offset': np.ones(1), 'mount': np.ones(3), 'gyro_bias': np.full(3, rate),
+            'damping': np.full(6, acting / rate), 'rotor_momentum': np.full(3, largest * rate)}
+
+
+def _values(name: str, physics: Physics) -> Floats:
+    if name.startswith('inertia'):
+        return entries(physics.inertia)[:len(COMPONENTS[name])]
+    if name == 'damping':
+        return entries(physics.damping)
+    return np.atleast_1d(getattr(physics, name))
+
+
+def _attribute(name: str, values: Floats) -> dict[str, Any]:
+    return {name: values if len(values) > 1 else float(values[0])}

@@ -1,0 +1,336 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Multiple shooting: the least-squares problem of the parameters and the states of all windows.
+
+The residuals of a window depend on the parameters that all windows share and on the state at its
+beginning. A QR decomposition of the derivatives by both splits them: the first rows determine the
+change of the state from that of the parameters, and the others contain the parameters alone, as in
+the variable projection of Golub and Pereyra (1973). The solver sees only these few rows. So
+neither its memory nor its work grows with the number of samples, and little with that of windows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from rigid_body_ros import so3
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.identification.parameters import Parameters, Physics
+from rigid_body_ros.identification.windows import Window
+
+#: Width of the prior of each coordinate, which only keeps undetermined ones near the guess.
+_PRIOR = 3.0
+#: Largest change of a prediction, and of an unknown, in a finite difference.
+_STEP = 1e-7
+#: How much longer the steps of the final derivatives are, which are of second order.
+_FINAL = 100.0
+#: If the solver rejects a step, the states take this fraction of their own next time.
+_SHORTER = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """
+    What a sample of each channel counts.
+
+    Attributes
+    ----------
+    sigma : list of list of float
+        Standard deviation of each channel of each recording, rad or rad/s.
+    roots : list of list of array, shape (n,)
+        Square root of the weight of each sample.
+
+    """
+
+    sigma: list[list[float]]
+    roots: list[list[Floats]]
+
+
+@dataclass(eq=False)
+class States:
+    """
+    The states at the beginnings of windows.
+
+    Attributes
+    ----------
+    attitude : array, shape (k, 4)
+    velocity : array, shape (k, 3), rad/s
+
+    """
+
+    attitude: Floats
+    velocity: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearization:
+    """
+    The problem close to a point.
+
+    Attributes
+    ----------
+    point : array, shape (n,)
+        The shared parameters.
+    changes : array, shape (k, 6)
+        The states, relative to the reference, scaled.
+    triangles : list of array
+        For each window, the triangular factor of its rows.
+    residuals, jacobian : array, shape (m,) and (m, n)
+
+    """
+
+    point: Floats
+    changes: Floats
+    triangles: list[Floats]
+    residuals: Floats
+    jacobian: Floats
+
+
+class Problem:
+    """
+    The least-squares problem of some windows.
+
+    Parameters
+    ----------
+    parameters : Parameters
+    windows : sequence of Window
+    states : States
+        A guess of the state of each window.
+    weights : Weights
+    rate : float, rad/s
+        Typical angular velocity, the scale of those of the states.
+    fits_start, fits_attitude : bool
+        Whether the states at the starts of recordings, and attitudes, are unknown.
+
+    """
+
+    def __init__(self, parameters: Parameters, windows: Sequence[Window], states: States,
+                 weights: Weights, rate: float, fits_start: bool, fits_attitude: bool) -> None:
+        self.parameters, self.windows, self.reference = parameters, windows, states
+        self.weights, self._rate = weights, rate
+        #: Rows of a state that are unknown: those of a rotation vector, and of the rate.
+        unknown = np.arange(0 if fits_attitude else 3, 6)
+        self.unknowns = [unknown if fits_start or not window.is_first else unknown[:0]
+                         for window in windows]
+        self.guess = parameters.coordinates(parameters.guess)
+        self.evaluations = 0
+        #: Steps of the finite differences, of the shared parameters and of each state.
+        self.steps = parameters.steps, np.full((len(windows), 6), _STEP)
+        #: Where the solver is, and where it looks.
+        self._base: _Linearization | None = None
+        self._trial: _Linearization | None = None
+        self._rejected = 0
+
+    @property
+    def size(self) -> int:
+        """Return the number of unknowns."""
+        return self.parameters.size + sum(len(unknown) for unknown in self.unknowns)
+
+    def states(self) -> States:
+        """Return the states at the latest point that the solver accepted."""
+        assert self._base is not None
+        pairs = [self._state(k, change) for k, change in enumerate(self._base.changes)]
+        return States(np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs]))
+
+    def fun(self, point: Floats) -> Floats:
+        """Return the residuals at a point of the shared parameters, compressed."""
+        if self._trial is None or not np.array_equal(self._trial.point, point):
+            self._trial = self._linearized(point)
+            self._rejected += 1
+        return self._trial.residuals
+
+    def jac(self, point: Floats) -> Floats:
+        """Return the derivatives of `fun` at a point that the solver accepted."""
+        self.fun(point)
+        self._base, self._rejected = self._trial, 0
+        assert self._base is not None
+        return self._base.jacobian
+
+    def _linearized(self, point: Floats) -> _Linearization:
+        self.evaluations += 1
+        shared, changes = self.parameters.size, self._changes(point)
+        prior = (point - self.guess) / _PRIOR
+        try:
+            here = self.parameters.physics(point)
+            there = [self.parameters.physics(point + step * unit)
+                     for step, unit in zip(self.steps[0], np.eye(shared))]
+            largest = np.ones((len(changes), 6 + shared))
+            triangles = [self._triangle(k, here, there, change, largest[k])
+                         for k, change in enumerate(changes)]
+            self._adapt(largest)
+        except ValueError:  # no body, or too fast a motion: the solver takes a shorter step
+            return _Linearization(point, changes, [], np.append(prior, np.inf), np.eye(shared))
+        residuals, jacobian = [prior], [np.eye(shared) / _PRIOR]
+        for triangle, unknown in zip(triangles, self.unknowns):
+            own = len(unknown)
+            residuals.append(triangle[:, -1])
+            jacobian.append(np.concatenate([np.zeros((own, shared)), triangle[own:, own:-1]]))
+        return _Linearization(point, changes, triangles, np.concatenate(residuals),
+                              np.concatenate(jacobian))
+
+    def _changes(self, point: Floats) -> Floats:
+        """Return the changes of all states that go with a point, shape (k, 6), scaled."""
+        base = self._base
+        if base is None:
+            return np.zeros((len(self.windows), 6))
+        step, changes = point - base.point, base.changes.copy()
+        for triangle, unknown, change in zip(base.triangles, self.unknowns, changes):
+            own = len(unknown)
+            if own:
+                wanted = (_SHORTER ** self._rejected * triangle[:own, -1]
+                          + triangle[:own, own:-1] @ step)
+                change[unknown] -= np.linalg.solve(triangle[:own, :own], wanted)
+        return changes
+
+    def _state(self, k: int, change: Floats) -> tuple[Floats, Floats]:
+        attitude = self.reference.attitude[k]
+        if change[:3].any():
+            attitude = so3.multiply(attitude, so3.exp(change[:3]))
+        return attitude, self.reference.velocity[k] + self._rate * change[3:]
+
+    def _triangle(self, k: int, physics: Physics, moved_physics: Sequence[Physics],
+                  change: Floats, largest: Floats) -> Floats:
+        """
+        Return the triangular factor of a window: columns of its state, shared ones, rest.
+
+        The array `largest` takes the largest derivative of any prediction by each unknown.
+        """
+        unknown, steps = self.unknowns[k], self.steps[0]
+        own = len(unknown)
+        base = self._predicted(k, physics, change)
+        columns = np.zeros((own + len(steps) + 1, 3 * len(self.windows[k].stamps) + own))
+        for i, row in enumerate(unknown):
+            step = self.steps[1][k, row]
+            moved = self._predicted(k, physics, change + step * np.eye(6)[row])
+            slope = self._slope(k, base, moved, step)
+            largest[row] = max(np.abs(one).max(initial=0.0) for one in slope)
+            columns[i, own:] = self._rows(k, slope)
+            columns[i, i], columns[-1, i] = 1.0 / _PRIOR, change[row] / _PRIOR
+        for i, (step, there) in enumerate(zip(steps, moved_physics)):
+            slope = self._slope(k, base, self._predicted(k, there, change), step)
+            largest[6 + i] = max(np.abs(one).max(initial=0.0) for one in slope)
+            columns[own + i, own:] = self._rows(k, slope)
+        columns[-1, own:] = self._rows(k, self.errors(k, base))
+        return _padded(np.asarray(np.linalg.qr(columns.T, mode='r')))
+
+    def _predicted(self, k: int, physics: Physics, change: Floats) -> list[Floats]:
+        return self.windows[k].predict(physics, *self._state(k, change))
+
+    def _adapt(self, largest: Floats) -> None:
+        """Choose steps that change no prediction much, however much the motion magnifies them."""
+        shared = self.parameters.steps / np.maximum(largest[:, 6:].max(axis=0), 1.0)
+        clock = self.parameters.clock
+        shared[clock] = self.parameters.steps[clock]
+        self.steps = shared, _STEP / np.maximum(largest[:, :6], 1.0)
+
+    def _slope(self, k: int, base: list[Floats], moved: list[Floats],
+               step: float) -> list[Floats]:
+        return slopes(self.windows[k], base,
+                      [(there - here) / step for here, there in zip(base, moved)])
+
+    def errors(self, k: int, predicted: list[Floats]) -> list[Floats]:
+        """Return predicted minus measured values of a window, rad or rad/s."""
+        return [-so3.log(so3.multiply(so3.conjugate(here), channel.values))
+                if channel.is_attitude else here - channel.values
+                for channel, here in zip(self.windows[k].channels, predicted)]
+
+    def _rows(self, k: int, errors: list[Floats]) -> Floats:
+        window = self.windows[k]
+        sigma = self.weights.sigma[window.experiment]
+        roots = self.weights.roots[window.experiment]
+        return np.concatenate([(error * (root[rows] / one)[:, None]).ravel() for error, one, root,
+                               rows in zip(errors, sigma, roots, window.rows)])
+
+    def residuals(self, physics: Physics) -> list[list[Floats]]:
+        """Return the errors of all samples with the reference states, NaN outside of windows."""
+        result = [[np.full((len(root), 3), np.nan) for root in roots]
+                  for roots in self.weights.roots]
+        for k, window in enumerate(self.windows):
+            errors = self.errors(k, self._predicted(k, physics, np.zeros(6)))
+            for one, rows, error in zip(result[window.experiment], window.rows, errors):
+                one[rows] = error
+        return result
+
+    def information(self, physics: Physics) -> Floats:
+        """
+        Return a factor F of the information F^T F of the values, divided by their scales.
+
+        Returns
+        -------
+        array, shape (m, n)
+            Columns for the shared parameters, and for the state at each start that is fitted. The
+            states of the other windows are eliminated.
+
+        """
+        kept = [k for k, window in enumerate(self.windows)
+                if window.is_first and len(self.unknowns[k])]
+        shared = self.parameters.size
+        width = shared + sum(len(self.unknowns[k]) for k in kept)
+        blocks, column = [], shared
+        for k in range(len(self.windows)):
+            triangle = self._plain_triangle(k, physics)
+            own = len(self.unknowns[k])
+            block = np.zeros((len(triangle), width))
+            block[:, :shared] = triangle[:, own:]
+            if k in kept:
+                block[:, column:column + own] = triangle[:, :own]
+                column += own
+            else:
+                block = block[own:]
+            blocks.append(block)
+        return np.asarray(np.linalg.qr(np.concatenate(blocks), mode='r'))
+
+    def _plain_triangle(self, k: int, physics: Physics) -> Floats:
+        """Return the factor of the derivatives of a window, by values divided by scales."""
+        shared, unknown = self.parameters.size, self.unknowns[k]
+        steps = _FINAL * self.steps[0]
+        steps[self.parameters.clock] /= _FINAL
+        change = np.zeros(6)
+        base = self._predicted(k, physics, change)
+
+        def column(step: float, moved: list[list[Floats]]) -> Floats:
+            # One-sided, so that values on the boundary of possible bodies are no exception.
+            return self._rows(k, slopes(self.windows[k], base, [
+                (4.0 * one - two - 3.0 * here) / (2.0 * step)
+                for here, one, two in zip(base, *moved)]))
+        columns = np.empty((len(unknown) + shared, 3 * len(self.windows[k].stamps)))
+        for i, row in enumerate(unknown):
+            step = _FINAL * self.steps[1][k, row]
+            unit = np.eye(6)[row] * step
+            columns[i] = column(step, [self._predicted(k, physics, change + times * unit)
+                                       for times in (1, 2)])
+        for i, step in enumerate(steps):
+            unit = np.eye(shared)[i] * step
+            columns[len(unknown) + i] = column(step, [
+                self._predicted(k, self.parameters.near(physics, times * unit), change)
+                for times in (1, 2)])
+        rows = columns.T
+        rows[:, len(unknown):] = self.parameters.from_plain(rows[:, len(unknown):])
+        return np.asarray(np.linalg.qr(rows, mode='r'))
+
+
+def slopes(window: Window, predicted: list[Floats], changes: list[Floats]) -> list[Floats]:
+    """Return changes of predictions, attitudes as rotation vectors."""
+    return [2.0 * so3.multiply(so3.conjugate(here), change)[:, :3] if channel.is_attitude
+            else change for channel, here, change in zip(window.channels, predicted, changes)]
+
+
+def _padded(triangle: Floats) -> Floats:
+    """Return a triangular factor with zeros for missing rows."""
+    missing = triangle.shape[1] - len(triangle)
+    return np.concatenate([triangle, np.zeros((missing, triangle.shape[1]))])

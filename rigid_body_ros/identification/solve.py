@@ -1,0 +1,268 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The fit: windows that grow, noise levels, and outliers.
+
+Short windows first, whose states begin at the measurements: there a guess far off does no harm,
+because an error has no time to grow. Then longer ones, each fit from the one before, up to the
+whole recording, or until the motion magnifies errors so much that a longer window does not fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros import so3
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.identification.experiment import Channel, Experiment, local_state
+from rigid_body_ros.identification.parameters import Parameters, Physics
+from rigid_body_ros.identification.problem import Problem, States, Weights
+from rigid_body_ros.identification.windows import LEAD_NS, Window, windows_of
+
+#: rad; the body turns by about this much in the first windows.
+_FIRST = 8.0
+#: Fewest and most samples of a channel in a window.
+_SHORTEST, _LONGEST = 20, 60_000
+#: How much longer the next windows are; the smaller ones if that does not fit.
+_GROWTH = (8, 2)
+#: A longer window fits if its errors are at most this many times those of the shorter ones.
+_WORSE = 2.0
+#: A sample is an outlier if its error exceeds this many standard deviations.
+_OUTLIER = 5.0
+#: Scale of the Cauchy loss, in standard deviations.
+_CAUCHY = 2.4
+#: Standard deviations below this, in rad, and relative to the rate, are rounding errors.
+_ROUNDING = 1e-11
+#: Ratio of the standard deviation of normal noise to the median of its magnitude.
+_NORMAL = 1.4826
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What is fitted to what: see `identify`."""
+
+    experiments: Sequence[Experiment]
+    channels: list[list[Channel]]
+    parameters: Parameters
+    rate: float
+    fits_start: bool
+    attitude_noise: float | None
+    rate_noise: float | None
+    torque_timeout: float
+
+    @property
+    def fits_attitude(self) -> bool:
+        """Return whether attitudes are measured."""
+        return any(channel.is_attitude for channels in self.channels for channel in channels)
+
+    @property
+    def span_ns(self) -> int:
+        """Return the length of the longest recording, ns."""
+        return max(max(int(channel.stamps[-1]) for channel in channels)
+                   - min(int(channel.stamps[0]) for channel in channels)
+                   for channels in self.channels) + 1
+
+    @property
+    def longest_ns(self) -> int:
+        """Return the longest length of a window, ns."""
+        most = max(len(channel.stamps) for channels in self.channels for channel in channels)
+        return max(int(self.span_ns * min(1.0, _LONGEST / most)), 1)
+
+    @property
+    def shortest_ns(self) -> int:
+        """Return the length of the first windows, ns."""
+        spacing = max(float(np.median(np.diff(channel.stamps))) for channels in self.channels
+                      for channel in channels)
+        return int(min(max(1e9 * _FIRST / self.rate, _SHORTEST * spacing), self.longest_ns))
+
+    def windows(self, length_ns: int, physics: Physics) -> list[Window]:
+        """Return all recordings in windows of about this length."""
+        lead_ns = LEAD_NS if 'clock_offset' in self.parameters.groups else 0
+        return [window for number, (experiment, channels)
+                in enumerate(zip(self.experiments, self.channels))
+                for window in windows_of(number, experiment, channels, length_ns,
+                                         round(physics.clock_offset * 1e9), lead_ns,
+                                         self.torque_timeout)]
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """
+    A fit with windows of some length.
+
+    Attributes
+    ----------
+    length_ns : int
+    problem : Problem
+        Its reference states are those of the solution.
+    physics : Physics
+    errors : list of list of array, shape (n, 3)
+        Predicted minus measured values of each channel of each recording.
+    weights : Weights
+        Those of the next fit: from these errors.
+    inliers : list of list of array of bool, shape (n,)
+    evaluations : int
+        Of all fits up to this one.
+    converged : bool
+
+    """
+
+    length_ns: int
+    problem: Problem
+    physics: Physics
+    errors: list[list[Floats]]
+    weights: Weights
+    inliers: list[list[NDArray[np.bool_]]]
+    evaluations: int
+    converged: bool
+
+
+def solve(setup: Setup) -> Solution:
+    """Return the fit with the longest windows that the data allows."""
+    solution = _first(setup)
+    for tolerance in (1e-2, 1e-3):
+        solution = _fitted(setup, solution, solution.length_ns, tolerance, 8)
+    while solution.length_ns < setup.longest_ns:
+        for factor in _GROWTH:
+            length_ns = min(factor * solution.length_ns, setup.longest_ns)
+            longer = _fitted(setup, solution, length_ns, 1e-3, 12)
+            if _fits(longer, solution):
+                break
+        else:
+            break
+        solution = longer
+    return _polished(setup, solution)
+
+
+def _polished(setup: Setup, solution: Solution) -> Solution:
+    """Return the maximum-likelihood fit to the samples that are not outliers."""
+    previous = solution
+    for _ in range(8):
+        solution = _fitted(setup, previous, previous.length_ns, 1e-8, 50, is_last=True)
+        same = all(np.array_equal(one, other) for a, b in zip(solution.inliers, previous.inliers)
+                   for one, other in zip(a, b))
+        if same and np.allclose(np.concatenate(solution.weights.sigma),
+                                np.concatenate(previous.weights.sigma), rtol=1e-3):
+            break
+        previous = solution
+    return solution
+
+
+def _first(setup: Setup) -> Solution:
+    """Return the guess of the user, with states from the measurements."""
+    physics = setup.parameters.physics(setup.parameters.coordinates(setup.parameters.guess))
+    windows = setup.windows(setup.shortest_ns, physics)
+    mount = so3.exp(physics.mount)
+    pairs = []
+    for window in windows:
+        start = setup.experiments[window.experiment].start
+        if window.is_first and not setup.fits_start:
+            pairs.append((start.attitude, start.angular_velocity))
+            continue
+        pairs.append(local_state(setup.channels[window.experiment], window.anchor_ns, setup.rate,
+                                 mount, start))
+    states = States(*(np.array(values) for values in zip(*pairs)))
+    ones = Weights([[1.0 for _ in channels] for channels in setup.channels],
+                   [[np.ones(len(channel.stamps)) for channel in channels]
+                    for channels in setup.channels])
+    return _solution(setup, setup.shortest_ns, _problem(setup, windows, states, ones), physics,
+                     0, False, False)
+
+
+def _problem(setup: Setup, windows: list[Window], states: States, weights: Weights) -> Problem:
+    return Problem(setup.parameters, windows, states, weights, setup.rate, setup.fits_start,
+                   setup.fits_attitude)
+
+
+def _fitted(setup: Setup, previous: Solution, length_ns: int, tolerance: float, most: int,
+            is_last: bool = False) -> Solution:
+    """Return a fit with windows of this length, from the states of another one."""
+    from scipy.optimize import least_squares
+    windows = setup.windows(length_ns, previous.physics)
+    states = _states(setup, previous, windows)
+    problem = _problem(setup, windows, states, previous.weights)
+    result = least_squares(problem.fun, setup.parameters.coordinates(previous.physics),
+                           problem.jac, x_scale='jac', ftol=tolerance, xtol=1e-12, gtol=1e-14,
+                           max_nfev=most)
+    physics = setup.parameters.physics(result.x)
+    moved = _problem(setup, windows, problem.states(), previous.weights)
+    moved.steps = problem.steps
+    return _solution(setup, length_ns, moved, physics, previous.evaluations + problem.evaluations,
+                     result.status > 0, is_last)
+
+
+def _states(setup: Setup, solution: Solution, windows: list[Window]) -> States:
+    """Return the states of a solution at the beginnings of other windows."""
+    old, pairs = solution.problem, []
+    for window in windows:
+        same = [k for k, one in enumerate(old.windows) if one.experiment == window.experiment]
+        before = [k for k in same if old.windows[k].anchor_ns <= window.anchor_ns]
+        k = before[-1] if before else same[0]
+        pairs.append(old.windows[k].state_at(solution.physics, old.reference.attitude[k],
+                                             old.reference.velocity[k], window.anchor_ns))
+    return States(*(np.array(values) for values in zip(*pairs)))
+
+
+def _solution(setup: Setup, length_ns: int, problem: Problem, physics: Physics, evaluations: int,
+              converged: bool, is_last: bool) -> Solution:
+    errors = problem.residuals(physics)
+    unknown = problem.size
+    total = sum(int(np.isfinite(error).sum()) for every in errors for error in every)
+    share = np.sqrt(total / max(total - unknown, 1))
+    sigma, roots, inliers = [], [], []
+    for every, channels in zip(errors, setup.channels):
+        levels = [_level(error, channel, setup, share) for error, channel in zip(every, channels)]
+        given = [setup.attitude_noise if channel.is_attitude else setup.rate_noise
+                 for channel in channels]
+        distances = [np.nan_to_num(np.linalg.norm(error, axis=1) / max(level, noise or 0.0))
+                     for error, level, noise in zip(every, levels, given)]
+        inlier = [distance <= _OUTLIER for distance in distances]
+        if is_last:
+            levels = [max(float(np.sqrt(np.nanmean(error[one] ** 2))) * share,
+                          _floor(channel, setup))
+                      for error, one, channel in zip(every, inlier, channels)]
+        inliers.append(inlier)
+        sigma.append([noise or level for noise, level in zip(given, levels)])
+        roots.append([one.astype(float) if is_last else
+                      1.0 / np.sqrt(1.0 + distance ** 2 / (3.0 * _CAUCHY ** 2))
+                      for one, distance in zip(inlier, distances)])
+    return Solution(length_ns, problem, physics, errors, Weights(sigma, roots), inliers,
+                    evaluations, converged)
+
+
+def _level(error: Floats, channel: Channel, setup: Setup, share: float) -> float:
+    """Return a robust standard deviation of the errors of a channel."""
+    finite = np.abs(error[np.isfinite(error)])
+    middle = float(np.median(finite)) if finite.size else 0.0
+    return max(_NORMAL * middle * share, _floor(channel, setup))
+
+
+def _floor(channel: Channel, setup: Setup) -> float:
+    return _ROUNDING * (1.0 if channel.is_attitude else max(1.0, setup.rate))
+
+
+def _fits(longer: Solution, shorter: Solution) -> bool:
+    """Return whether no longer window has much larger errors than the shorter ones."""
+    for window in longer.problem.windows:
+        for i, rows in enumerate(window.rows):
+            error = longer.errors[window.experiment][i][rows]
+            before = shorter.errors[window.experiment][i]
+            if len(error) and np.median(np.abs(error)) > _WORSE * np.nanmedian(np.abs(before)) \
+                    + 1e3 * _ROUNDING:
+                return False
+    return True

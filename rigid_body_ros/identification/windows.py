@@ -1,0 +1,197 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Windows of a recording, and the predictions of the sensors in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros import so3
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.identification.experiment import Channel, Experiment
+from rigid_body_ros.identification.parameters import Physics
+from rigid_body_ros.propagation import propagate
+from rigid_body_ros.state import State
+from rigid_body_ros.torque import TorqueLog
+
+#: ns; a window with a fitted clock begins this much before its first sample.
+LEAD_NS = 200_000_000
+
+
+@dataclass(eq=False)
+class Window:
+    """
+    A part of a recording, whose motion is computed from a state at its beginning.
+
+    Attributes
+    ----------
+    experiment : int
+        Number of the recording.
+    is_first : bool
+        Whether it begins at the start of the recording.
+    anchor_ns : int
+        Its beginning, ns.
+    logs, wheels
+        The torques that act in the window.
+    rotors : array, shape (3,), N m s
+        Momentum of the rotors at the beginning, with the initial momentum of the scene.
+    channels : list of Channel
+    rows : list of slice
+        Which samples of each channel of the recording are in the window.
+
+    """
+
+    experiment: int
+    is_first: bool
+    anchor_ns: int
+    logs: list[TorqueLog]
+    wheels: TorqueLog | None
+    rotors: Floats
+    channels: list[Channel]
+    rows: list[slice]
+    torque_timeout: float = 0.0
+    stamps: NDArray[np.int64] = field(init=False)
+    _scaled: tuple[float, list[TorqueLog]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.stamps = np.concatenate([channel.stamps for channel in self.channels])
+        self._scaled = 1.0, self.logs
+
+    def predict(self, physics: Physics, attitude: Floats, velocity: Floats) -> list[Floats]:
+        """
+        Return what the sensors measure without noise, for each channel.
+
+        Parameters
+        ----------
+        physics : Physics
+            The parameters.
+        attitude, velocity : array, shape (4,) and (3,)
+            The state at the beginning.
+
+        Raises
+        ------
+        ValueError
+            As for `propagate`.
+
+        """
+        start = State(self.anchor_ns, attitude, velocity, self.rotors + physics.rotor_momentum)
+        times = np.maximum(self.stamps + round(physics.clock_offset * 1e9), self.anchor_ns)
+        motion = propagate(physics.body, start, self._acting(physics), at=times,
+                           wheels=self.wheels, torque_timeout=self.torque_timeout)
+        mount = so3.exp(physics.mount) if physics.mount.any() else None
+        result, first = [], 0
+        for channel in self.channels:
+            part = slice(first, first + len(channel.stamps))
+            first = part.stop
+            result.append(_sensed(channel, motion.attitude[part], motion.angular_velocity[part],
+                                  physics, mount))
+        return result
+
+    def state_at(self, physics: Physics, attitude: Floats, velocity: Floats,
+                 time_ns: int) -> tuple[Floats, Floats]:
+        """Return attitude and angular velocity at a time, from those at the beginning."""
+        if time_ns <= self.anchor_ns:
+            return attitude, velocity
+        start = State(self.anchor_ns, attitude, velocity, self.rotors + physics.rotor_momentum)
+        motion = propagate(physics.body, start, self._acting(physics), at=[time_ns],
+                           wheels=self.wheels, torque_timeout=self.torque_timeout)
+        return motion.attitude[0], motion.angular_velocity[0]
+
+    def _acting(self, physics: Physics) -> list[TorqueLog]:
+        if physics.torque_gain != self._scaled[0]:
+            scaled = [log.with_torques(physics.torque_gain * log.torques) for log in self.logs]
+            self._scaled = physics.torque_gain, scaled
+        logs = self._scaled[1]
+        return [*logs, self._bias(physics.torque_bias)] if physics.torque_bias.any() else logs
+
+    def _bias(self, torque: Floats) -> TorqueLog:
+        times = np.array([self.anchor_ns])
+        if self.torque_timeout:  # a bias does not time out
+            end_ns = int(self.stamps.max()) + LEAD_NS
+            times = np.arange(self.anchor_ns, end_ns, max(1, int(self.torque_timeout * 0.5e9)))
+        return TorqueLog(times, np.broadcast_to(torque, (len(times), 3)))
+
+
+def _sensed(channel: Channel, attitude: Floats, velocity: Floats, physics: Physics,
+            mount: Floats | None) -> Floats:
+    mount = mount if channel.is_mounted else None
+    if channel.is_attitude:
+        return attitude if mount is None else so3.multiply(attitude, mount)
+    if mount is not None:
+        velocity = so3.rotate(so3.conjugate(mount), velocity)
+    return velocity + physics.gyro_bias
+
+
+def windows_of(number: int, experiment: Experiment, channels: Sequence[Channel], length_ns: int,
+               offset_ns: int, lead_ns: int, torque_timeout: float) -> list[Window]:
+    """
+    Divide a recording into windows.
+
+    Parameters
+    ----------
+    number : int
+        Number of the recording.
+    experiment : Experiment
+        The recording.
+    channels : sequence of Channel
+        Its sensors.
+    length_ns : int
+        Length of a window.
+    offset_ns, lead_ns : int
+        Added to the stamps; how much earlier than their first sample windows begin.
+    torque_timeout : float, s
+        As for `propagate`.
+
+    Returns
+    -------
+    list of Window
+        Those with samples, in order.
+
+    """
+    start_ns = experiment.start.time_ns
+    first_ns = max(start_ns, min(int(channel.stamps[0]) for channel in channels) + offset_ns)
+    last_ns = max(int(channel.stamps[-1]) for channel in channels) + offset_ns
+    count = max(1, round((last_ns - first_ns) / length_ns))
+    edges = first_ns + np.arange(count + 1) * ((last_ns - first_ns) // count + 1)
+    anchors = np.append(start_ns, np.maximum(edges[1:-1] - lead_ns, start_ns))
+    momenta = _rotor_momenta(experiment, anchors, torque_timeout)
+    result = []
+    for k, anchor_ns in enumerate(anchors.tolist()):
+        rows = [slice(*np.searchsorted(channel.stamps + offset_ns, [edges[k], edges[k + 1]]))
+                for channel in channels]
+        parts = [channel.rows(part) for channel, part in zip(channels, rows)]
+        if not any(len(part.stamps) for part in parts):
+            continue
+        end_ns = int(edges[k + 1]) + LEAD_NS
+        wheels = experiment.wheels
+        result.append(Window(
+            number, k == 0, anchor_ns, [log.between(anchor_ns, end_ns) for log in experiment.logs],
+            wheels.between(anchor_ns, end_ns) if wheels else None, momenta[k], parts, rows,
+            torque_timeout))
+    return result
+
+
+def _rotor_momenta(experiment: Experiment, times_ns: NDArray[np.int64],
+                   torque_timeout: float) -> Floats:
+    """Return the momentum of the rotors, which depends on their motors only."""
+    still = Physics(np.eye(3), np.zeros((3, 3))).body
+    start = State(experiment.start.time_ns, rotor_momentum=experiment.start.rotor_momentum)
+    if experiment.wheels is None:
+        return np.tile(start.rotor_momentum, (len(times_ns), 1))
+    return propagate(still, start, at=times_ns, wheels=experiment.wheels,
+                     torque_timeout=torque_timeout).rotor_momentum

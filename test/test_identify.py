@@ -1,0 +1,319 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Parameters of a body from measured motions: the truth, its uncertainty, and what is unknown."""
+
+from functools import cache
+import json
+
+import numpy as np
+import pytest
+from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
+from rigid_body_ros.identification import Experiment, identify
+from rigid_body_ros.measurement.measured import Measured
+from tumbling import INERTIA, mounted, SECOND, shifted, Truth, with_outliers
+
+GUESS = RigidBody(np.diag([0.03, 0.03, 0.03]))
+ATTITUDE, RATE = 2e-3, 5e-3
+INERTIA_NAMES = [f'inertia.i{entry}' for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')]
+
+
+@cache
+def tumble():
+    return Truth()
+
+
+def inertia_error(result, inertia=INERTIA):
+    return np.abs(result.body.inertia - inertia).max() / inertia.max()
+
+
+def assert_covered(result, truth, width=4.0):
+    for name, value in truth.items():
+        one = result.estimates[name]
+        assert one.identifiable
+        assert abs(one.value - value) < width * one.sigma, name
+
+
+def inertia_truth(inertia=INERTIA):
+    rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
+    return dict(zip(INERTIA_NAMES, inertia[rows, columns]))
+
+
+@pytest.mark.parametrize('factor', [1.0, 3.0, 1.0 / 3.0])
+def test_the_inertia_is_exact_without_noise_from_a_guess_three_times_off(factor):
+    result = identify(RigidBody(factor * np.diag(np.diag(INERTIA))),
+                      tumble().experiment(tumble().measured()))
+    assert result.converged
+    assert inertia_error(result) < 1e-9
+    assert result.unidentifiable == []
+
+
+@pytest.mark.parametrize(('attitude', 'rate'), [(0.0, None), (None, 0.0)])
+def test_either_attitudes_or_rates_are_enough(attitude, rate):
+    result = identify(GUESS, tumble().experiment(tumble().measured(attitude, rate)))
+    assert inertia_error(result) < 1e-8
+    assert ('initial_attitude.x' in result.estimates) == (attitude is not None)
+
+
+def test_the_start_is_fitted_from_a_wrong_one():
+    wrong = State(0, (0.5, 0.1, 0.0, 1.0), (0.0, 0.0, 0.0))
+    result = identify(GUESS, tumble().experiment(tumble().measured(), start=wrong))
+    assert so3.angle_between(result.starts[0].attitude, tumble().start.attitude) < 1e-9
+    np.testing.assert_allclose(result.starts[0].angular_velocity, tumble().rates, atol=1e-9)
+    turned = so3.log(so3.multiply(so3.conjugate(wrong.attitude), tumble().start.attitude))
+    found = [result.estimates[f'initial_attitude.{axis}'].value for axis in 'xyz']
+    np.testing.assert_allclose(found, turned, atol=1e-9)
+
+
+def test_a_given_start_is_kept():
+    result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, RATE)),
+                      estimate=['inertia'])
+    assert [*result.estimates] == INERTIA_NAMES
+    assert result.starts[0].angular_velocity.tolist() == list(tumble().rates)
+    assert_covered(result, inertia_truth())
+
+
+def test_noise_levels_and_intervals():
+    result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, RATE, seed=3)))
+    assert_covered(result, inertia_truth())
+    assert result.noise == pytest.approx({'/imu attitude': ATTITUDE,
+                                          '/imu angular_velocity': RATE}, rel=0.05)
+    for one in result.estimates.values():
+        low, high = one.interval_95
+        assert high - low == pytest.approx(2 * 1.96 * one.sigma, rel=1e-4)
+
+
+def test_chi_square_with_given_noise():
+    result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, RATE)),
+                      attitude_noise=ATTITUDE, rate_noise=RATE)
+    assert 0.9 < result.training.chi2_per_dof < 1.1
+    assert result.training.samples == 2 * len(tumble().stamps)
+
+
+def test_gyro_bias():
+    clean = tumble().measured(None, RATE)
+    bias = np.array([0.02, -0.03, 0.01])
+    gyro = Measured('/gyro', clean.stamps, None, clean.angular_velocity + bias)
+    result = identify(GUESS, tumble().experiment(gyro), estimate=['inertia', 'start', 'gyro_bias'])
+    assert_covered(result, inertia_truth())
+    assert_covered(result, dict(zip(('gyro_bias.x', 'gyro_bias.y', 'gyro_bias.z'), bias)))
+
+
+def test_clock_offset_and_mount():
+    vector = np.array([0.12, -0.13, 0.09])
+    camera = mounted(shifted(tumble().measured(ATTITUDE, None, topic='/camera'), 0.035), vector)
+    gyro = shifted(tumble().measured(None, RATE, topic='/gyro'), 0.035)
+    result = identify(GUESS, tumble().experiment(camera, gyro),
+                      estimate=['inertia', 'start', 'clock_offset', 'mount'])
+    assert_covered(result, {**inertia_truth(), 'clock_offset': 0.035,
+                            **dict(zip(('mount.x', 'mount.y', 'mount.z'), vector))})
+    assert result.estimates['clock_offset'].sigma < 1e-3
+
+
+def test_torque_gain_and_bias_with_a_known_inertia():
+    bias = (0.002, -0.001, 0.003)
+    truth = Truth(bias=bias, gain=0.9)
+    result = identify(RigidBody(INERTIA), truth.experiment(truth.measured(ATTITUDE, RATE)),
+                      estimate=['start', 'torque_gain', 'torque_bias'])
+    assert_covered(result, {'torque_gain': 0.9, 'torque_bias.x': bias[0],
+                            'torque_bias.y': bias[1], 'torque_bias.z': bias[2]})
+
+
+def test_torque_bias_and_inertia():
+    truth = Truth(bias=(0.002, -0.001, 0.003))
+    result = identify(GUESS, truth.experiment(truth.measured(ATTITUDE, RATE)),
+                      estimate=['inertia', 'start', 'torque_bias'])
+    assert_covered(result, {**inertia_truth(), 'torque_bias.x': 0.002})
+
+
+def test_damping():
+    damping = np.array([[2e-3, 3e-4, 0.0], [3e-4, 1e-3, 0.0], [0.0, 0.0, 3e-3]])
+    truth = Truth(damping=damping)
+    result = identify(GUESS, truth.experiment(truth.measured(ATTITUDE, RATE)),
+                      estimate=['inertia', 'start', 'damping'])
+    assert_covered(result, {**inertia_truth(), 'damping.dxx': 2e-3, 'damping.dxy': 3e-4,
+                            'damping.dyz': 0.0})
+    assert np.linalg.eigvalsh(result.body.damping)[0] >= 0.0
+
+
+def test_three_moments_keep_the_products():
+    guess = INERTIA + np.diag([0.01, 0.004, -0.01])
+    result = identify(RigidBody(guess), tumble().experiment(tumble().measured()),
+                      estimate=['inertia_diagonal', 'start'])
+    assert inertia_error(result) < 1e-9
+    assert result.body.inertia[0, 2] == pytest.approx(INERTIA[0, 2], rel=1e-12)
+
+
+def flywheel(**options):
+    """Return a thrown body without torque, whose flywheel spins up in flight."""
+    times = np.arange(61) / 10
+    spin = 0.05 * np.clip(times - 1.0, 0.0, 3.0) / 3.0
+    return Truth(seconds=6.0, amplitude=0.0, momentum=np.outer(spin, [0.6, 0.5, 0.6]),
+                 measured_hz=100, **options)
+
+
+def test_a_flywheel_that_spins_up_gives_the_scale_of_the_inertia_without_torque():
+    truth = flywheel()
+    assert inertia_error(identify(GUESS, truth.experiment(truth.measured()))) < 1e-8
+    noisy = identify(GUESS, truth.experiment(truth.measured(ATTITUDE, RATE)))
+    assert noisy.unidentifiable == []
+    assert_covered(noisy, inertia_truth())
+
+
+def test_the_momentum_of_a_rotor():
+    truth = Truth(momentum=np.tile([0.0, 0.01, 0.02], (201, 1)))
+    unknown = State(0, truth.attitude, truth.rates)
+    experiment = Experiment(unknown, truth.log, [truth.measured(ATTITUDE, RATE)])
+    result = identify(RigidBody(INERTIA), experiment, estimate=['start', 'rotor_momentum'])
+    assert_covered(result, dict(zip([f'initial_rotor_momentum.{axis}' for axis in 'xyz'],
+                                    (0.0, 0.01, 0.02))))
+    np.testing.assert_allclose(result.starts[0].rotor_momentum, (0.0, 0.01, 0.02), atol=1e-4)
+
+
+def test_outliers_are_counted_and_do_no_harm():
+    measured, bad = with_outliers(tumble().measured(ATTITUDE, RATE), 0.02)
+    result = identify(GUESS, tumble().experiment(measured))
+    assert_covered(result, inertia_truth())
+    assert 2 * bad.sum() - 2 <= result.training.outliers <= 2 * bad.sum() + 2
+    assert result.noise == pytest.approx({'/imu attitude': ATTITUDE,
+                                          '/imu angular_velocity': RATE}, rel=0.05)
+
+
+def test_two_recordings_give_one_inertia_and_two_starts():
+    other = Truth(rates=(-0.3, 0.2, 0.9), seconds=10.0)
+    both = identify(GUESS, [tumble().experiment(tumble().measured(ATTITUDE, RATE)),
+                            other.experiment(other.measured(ATTITUDE, RATE))])
+    alone = identify(GUESS, other.experiment(other.measured(ATTITUDE, RATE)))
+    assert_covered(both, {**inertia_truth(), 'initial_angular_velocity.x[2]': -0.3})
+    assert both.estimates['inertia.ixx'].sigma < alone.estimates['inertia.ixx'].sigma
+    assert len(both.starts) == 2
+
+
+def test_validation_is_kept_out_of_the_fit():
+    whole = tumble().measured(ATTITUDE, RATE)
+    result = identify(GUESS, tumble().experiment(whole), validate=0.3)
+    assert result.training.samples == pytest.approx(1.4 * len(whole.stamps), rel=0.01)
+    assert result.training.samples + result.validation.samples == 2 * len(whole.stamps)
+    assert result.validation.attitude_rms < 2 * ATTITUDE
+    spoilt = Measured(whole.topic, whole.stamps, whole.attitude, whole.angular_velocity.copy())
+    spoilt.angular_velocity[-200:] += 1.0
+    again = identify(GUESS, tumble().experiment(spoilt), validate=0.3)
+    assert np.array_equal(again.body.inertia, result.body.inertia)
+    assert again.validation.rate_rms > 0.5
+
+
+@pytest.mark.parametrize('noise', [(0.0, 0.0), (ATTITUDE, RATE)])
+def test_without_torque_only_ratios_of_moments_are_known(noise):
+    truth = Truth(amplitude=0.0)
+    result = identify(GUESS, truth.experiment(truth.measured(*noise)))
+    assert not any(result.estimates[name].identifiable for name in INERTIA_NAMES)
+    assert result.estimates['inertia.ixx'].interval_95 is None
+    assert result.estimates['initial_angular_velocity.x'].identifiable
+    assert 'ratios' in ' '.join(one.reason for one in result.unidentifiable)
+
+
+@pytest.mark.parametrize('noise', [(0.0, 0.0), (ATTITUDE, RATE)])
+def test_torque_gain_and_inertia_are_not_known_together(noise):
+    result = identify(GUESS, tumble().experiment(tumble().measured(*noise)),
+                      estimate=['inertia', 'start', 'torque_gain'])
+    assert not result.estimates['torque_gain'].identifiable
+    assert not any(result.estimates[name].identifiable for name in INERTIA_NAMES[:3])
+    direction, = result.unidentifiable
+    assert direction.reason == 'only the ratio of torque to inertia enters the motion'
+    assert {'inertia.izz', 'torque_gain'} <= {*direction.components}
+
+
+@pytest.mark.parametrize('noise', [(0.0, 0.0), (ATTITUDE, RATE)])
+def test_a_rotation_about_one_axis_gives_one_moment(noise):
+    truth = Truth(inertia=np.diag([0.02, 0.03, 0.04]), rates=(0.0, 0.0, 0.3), axes=(0, 0, 1))
+    result = identify(RigidBody.from_moments(0.03, 0.03, 0.03),
+                      truth.experiment(truth.measured(*noise)))
+    assert not result.estimates['inertia.ixx'].identifiable
+    assert not result.estimates['inertia.iyy'].identifiable
+    assert_covered(result, {'inertia.izz': 0.04}, width=4.0 if noise[0] else 1e9)
+
+
+def test_the_result_as_json():
+    result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, RATE)),
+                      estimate=['inertia', 'start', 'torque_gain'], validate=0.2)
+    data = json.loads(json.dumps(result.as_dict(), allow_nan=False))
+    assert data['estimates']['torque_gain'] == {
+        'value': result.estimates['torque_gain'].value, 'start': 1.0, 'sigma': None,
+        'interval_95': None, 'identifiable': False}
+    assert data['training'].keys() == data['validation'].keys() == {
+        'samples', 'outliers', 'attitude_rms_rad', 'rate_rms_rad_s', 'chi2_per_dof'}
+
+
+def bad(**changes):
+    measured = tumble().measured()
+    fields = {'topic': '/pose', 'stamps': measured.stamps, 'attitude': measured.attitude,
+              'angular_velocity': None}
+    return tumble().experiment(Measured(**{**fields, **changes}))
+
+
+@pytest.mark.parametrize(('experiment', 'options', 'message'), [
+    (lambda: bad(attitude=np.full((999, 4), np.nan)), {}, '/pose: expected finite attitudes'),
+    (lambda: bad(stamps=tumble().stamps - 100 * SECOND), {}, '/pose: expected attitudes from'),
+    (lambda: bad(stamps=tumble().stamps[:3], attitude=tumble().q[:3]), {},
+     '/pose: expected at least 8 attitudes'),
+    (lambda: tumble().experiment(), {}, 'expected at least one measured topic'),
+    (bad, {'estimate': ['mass']}, "estimate: expected names among inertia.*found 'mass'"),
+    (bad, {'estimate': ['inertia', 'inertia_diagonal']}, 'expected one of'),
+    (bad, {'estimate': []}, 'at least one name'),
+    (bad, {'estimate': ['start', 'start']}, 'each name once'),
+    (bad, {'attitude_noise': 0.0}, 'attitude_noise: expected a number greater than zero'),
+    (bad, {'validate': 1.0}, 'validate: expected a fraction'),
+])
+def test_bad_input_is_named(experiment, options, message):
+    with pytest.raises(ValueError, match=message):
+        identify(GUESS, experiment(), **options)
+
+
+@pytest.mark.slow
+def test_a_chaotic_tumble_of_five_minutes():
+    truth = Truth(seconds=300.0, measured_hz=20)
+    result = identify(RigidBody(3.0 * np.diag(np.diag(INERTIA))),
+                      truth.experiment(truth.measured()))
+    assert inertia_error(result) < 1e-8
+    noisy = identify(GUESS, truth.experiment(truth.measured(ATTITUDE, RATE)))
+    assert_covered(noisy, inertia_truth())
+
+
+@pytest.mark.slow
+def test_intervals_cover_the_truth_and_are_as_short_as_possible():
+    truth, covered, errors, sigmas, chi2 = tumble(), [], [], [], []
+    for seed in range(20):
+        result = identify(GUESS, truth.experiment(truth.measured(ATTITUDE, RATE, seed)),
+                          attitude_noise=ATTITUDE, rate_noise=RATE)
+        for name, value in inertia_truth().items():
+            low, high = result.estimates[name].interval_95
+            covered.append(low <= value <= high)
+            errors.append((result.estimates[name].value - value) / result.estimates[name].sigma)
+        sigmas.append([result.estimates[name].sigma for name in INERTIA_NAMES])
+        chi2.append(result.training.chi2_per_dof)
+    assert 0.88 <= np.mean(covered) <= 1.0  # 120 intervals that are correlated
+    assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.2
+    assert min(chi2) > 0.9
+    assert max(chi2) < 1.1
+    assert np.ptp(sigmas, axis=0).max() < 0.05 * np.max(sigmas)
+
+
+def test_a_log_in_space_axes():
+    # Under a torque in space axes the motion of the momentum is known, whatever the inertia.
+    times = np.arange(100) * (SECOND // 10)
+    torque = TorqueLog(times, 0.01 * np.sin(np.outer(times * 1e-9, [0.9, 1.3, 0.5])), 'space')
+    body, start = RigidBody(INERTIA), State(angular_velocity=(0.3, -0.2, 0.5))
+    stamps = np.arange(1, 500) * (SECOND // 50)
+    motion = propagate(body, start, torque, at=stamps)
+    measured = Measured('/pose', stamps, motion.attitude, None)
+    assert inertia_error(identify(GUESS, Experiment(start, torque, [measured]))) < 1e-8

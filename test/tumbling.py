@@ -1,0 +1,125 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Motions with known parameters, integrated by SciPy, and what sensors measure of them."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from rigid_body_ros import so3, State, TorqueLog
+from rigid_body_ros.identification import Experiment
+from rigid_body_ros.measurement.measured import Measured
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+SECOND = 10 ** 9
+INERTIA = np.array([[0.020, 0.001, -0.002], [0.001, 0.030, 0.0005], [-0.002, 0.0005, 0.040]])
+
+
+@dataclass
+class Truth:
+    """What SciPy's DOP853 integrates: all torques are held between samples."""
+
+    seconds: float = 20.0
+    torque_hz: int = 10
+    measured_hz: int = 50
+    amplitude: float = 0.02
+    inertia: np.ndarray = field(default_factory=lambda: INERTIA)
+    rates: tuple = (0.5, 1.0, 0.2)
+    attitude: tuple = (0.1, -0.2, 0.3, 0.9)
+    damping: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    bias: tuple = (0.0, 0.0, 0.0)
+    gain: float = 1.0
+    #: Momentum of the rotors at the torque samples, linear in between.
+    momentum: np.ndarray | None = None
+    axes: tuple = (1.0, 1.0, 1.0)
+
+    def __post_init__(self):
+        count = round(self.seconds * self.torque_hz)
+        self.times = np.arange(count + 1) * (SECOND // self.torque_hz)
+        phases = np.outer(self.times * 1e-9, [0.7, 1.1, 1.7]) + np.arange(3.0)
+        self.torques = self.amplitude * np.sin(phases) * self.axes
+        spacing = SECOND // self.measured_hz
+        self.stamps = np.arange(1, round(self.seconds * self.measured_hz)) * spacing
+        self.q, self.w = self._integrated()
+
+    @property
+    def start(self):
+        return State(0, self.attitude, self.rates,
+                     self.momentum[0] if self.momentum is not None else (0.0, 0.0, 0.0))
+
+    @property
+    def log(self):
+        return TorqueLog(self.times, self.torques)
+
+    @property
+    def wheels(self):
+        return None if self.momentum is None else TorqueLog.from_momentum(self.times,
+                                                                          self.momentum)
+
+    def experiment(self, *measured, start=None):
+        return Experiment(start or self.start, self.log, measured, self.wheels)
+
+    def measured(self, attitude=0.0, rate=0.0, seed=0, topic='/imu'):
+        """Return attitudes and rates with noise; None leaves one of them out."""
+        random = np.random.default_rng(seed)
+        turned, added = random.standard_normal((2, len(self.stamps), 3))
+        q = None if attitude is None else so3.multiply(self.q, so3.exp(attitude * turned))
+        w = None if rate is None else self.w + rate * added
+        return Measured(topic, self.stamps, q, w)
+
+    def _integrated(self):
+        inverse = np.linalg.inv(self.inertia)
+        momenta = np.zeros_like(self.torques) if self.momentum is None else self.momentum
+
+        def slope(t, y, torque, rotors, spin, begin):
+            q, w = y[:4], y[4:]
+            total = self.inertia @ w + rotors + spin * (t - begin)
+            change = inverse @ (np.cross(total, w) + torque - spin - self.damping @ w)
+            return np.append(0.5 * so3.multiply(q, np.append(w, 0.0)), change)
+        y = np.append(self.start.attitude, self.rates)
+        rows = []
+        for k in range(len(self.times) - 1):
+            begin, end = self.times[k:k + 2] * 1e-9
+            inside = self.stamps[(self.stamps >= self.times[k])
+                                 & (self.stamps < self.times[k + 1])] * 1e-9
+            spin = (momenta[k + 1] - momenta[k]) / (end - begin)
+            acting = self.gain * self.torques[k] + self.bias
+            result = solve_ivp(slope, (begin, end), y, 'DOP853', np.append(inside, end),
+                               args=(acting, momenta[k], spin, begin), rtol=1e-12, atol=1e-13)
+            rows.append(result.y[:, :-1].T)
+            y = result.y[:, -1]
+        found = np.concatenate(rows)
+        return so3.normalize(found[:, :4]), found[:, 4:]
+
+
+def shifted(measured, seconds):
+    """Return measurements whose clock is behind by some time."""
+    return Measured(measured.topic, measured.stamps - round(seconds * SECOND), measured.attitude,
+                    measured.angular_velocity)
+
+
+def mounted(measured, vector):
+    """Return attitudes in the axes of a sensor that is turned by a rotation vector."""
+    return Measured(measured.topic, measured.stamps,
+                    so3.multiply(measured.attitude, so3.exp(vector)), measured.angular_velocity)
+
+
+def with_outliers(measured, fraction, seed=0):
+    """Return measurements of which some are far off."""
+    random = np.random.default_rng(seed)
+    bad = random.random(len(measured.stamps)) < fraction
+    q, w = measured.attitude.copy(), measured.angular_velocity.copy()
+    q[bad] = Rotation.random(int(bad.sum()), random_state=seed).as_quat()
+    w[bad] += 5.0 * random.standard_normal((int(bad.sum()), 3))
+    return Measured(measured.topic, measured.stamps, q, w), bad
