@@ -49,6 +49,7 @@ setup(
     entry_points={'console_scripts': [
         f'attitude_compare = {NAME}.cli:attitude_compare',
         f'attitude_controller = {NAME}.cli:attitude_controller',
+        f'attitude_identify = {NAME}.cli:attitude_identify',
         f'attitude_lifecycle_node = {NAME}.cli:attitude_lifecycle_node',
         f'attitude_node = {NAME}.cli:attitude_node',
         f'attitude_replay = {NAME}.cli:attitude_replay',

@@ -19,19 +19,21 @@ from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rigid_body_ros.body import RigidBody
+    from rigid_body_ros.identification import Experiment, identify
     from rigid_body_ros.measurement import compare, Measured, read_measured
     from rigid_body_ros.propagation import propagate, Propagator, Trajectory, warm_up
     from rigid_body_ros.state import State
     from rigid_body_ros.torque import TorqueLog
 else:
     # Importing the engine takes most of a second, and commands must handle signals before.
-    _SUBMODULES = ('body', 'common', 'euler', 'kernels', 'measurement', 'propagation', 'so3',
-                   'state', 'torque', 'urdf')
+    _SUBMODULES = ('body', 'common', 'euler', 'identification', 'kernels', 'measurement',
+                   'propagation', 'so3', 'state', 'torque', 'urdf')
     #: The submodule of each public name.
     _HOMES = {'RigidBody': 'body', 'State': 'state', 'TorqueLog': 'torque',
               'Propagator': 'propagation', 'Trajectory': 'propagation',
               'propagate': 'propagation', 'warm_up': 'propagation', 'Measured': 'measurement',
-              'compare': 'measurement', 'read_measured': 'measurement'}
+              'compare': 'measurement', 'read_measured': 'measurement',
+              'Experiment': 'identification', 'identify': 'identification'}
 
     def __getattr__(name: str) -> Any:
         """Import a submodule or a public name when it is first used."""
@@ -45,5 +47,5 @@ else:
     def __dir__() -> list[str]:
         return sorted({*globals(), *_SUBMODULES, *_HOMES})
 
-__all__ = ['Measured', 'Propagator', 'RigidBody', 'State', 'TorqueLog', 'Trajectory', 'compare',
-           'propagate', 'read_measured', 'warm_up']
+__all__ = ['Experiment', 'Measured', 'Propagator', 'RigidBody', 'State', 'TorqueLog', 'Trajectory',
+           'compare', 'identify', 'propagate', 'read_measured', 'warm_up']

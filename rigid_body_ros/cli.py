@@ -53,6 +53,11 @@ def attitude_compare(arguments: Sequence[str] | None = None) -> int:
     return _run('attitude_compare', arguments)
 
 
+def attitude_identify(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_identify` and return its exit status."""
+    return _run('attitude_identify', arguments)
+
+
 def attitude_node(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_node` and return its exit status."""
     return _run('attitude_node', arguments)

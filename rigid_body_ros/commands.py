@@ -61,6 +61,12 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
     return compare_command.attitude_compare(arguments)
 
 
+def attitude_identify(arguments: Sequence[str] | None) -> int:
+    """Estimate parameters of a body from measured motions."""
+    from rigid_body_ros import identify_command
+    return identify_command.attitude_identify(arguments)
+
+
 def attitude_node(arguments: Sequence[str] | None) -> int:
     """Run the node until a signal ends it."""
     with _needs_ros('attitude_node'):
@@ -221,7 +227,7 @@ def replay_parser() -> argparse.ArgumentParser:
     add_torques(parser)
     target = parser.add_mutually_exclusive_group()
     target.add_argument('-o', '--output', metavar='OUTPUT',
-                        help='write attitude, eulerangles, angular_velocity and, if there '
+                        help='write attitude, euler_angles, angular_velocity and, if there '
                         'are rotors, rotor_momentum to this MCAP file, or, if the name does not '
                         'end in .mcap, to a new rosbag2 folder; for several recordings, a folder '
                         'of MCAP files')

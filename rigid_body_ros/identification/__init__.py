@@ -14,13 +14,14 @@
 """
 Identify the parameters of a body from what was measured.
 
-`identify.py` has the public function and its result, `experiment.py` the recordings,
-`parameters.py` the parameters, `windows.py` the predictions, `problem.py` the least-squares
-problem, `solve.py` the fit, and `identifiability.py` what the data does not determine.
+`estimation` has the public function and its result, `experiment` the recordings, `parameters` the
+parameters, `windows` the predictions, `problem` the least-squares problem, `solve` the fit, and
+`identifiability` what the data does not determine. The command reads and writes with `recorded`,
+and prints with `summary`.
 """
 
+from rigid_body_ros.identification.estimation import Estimate, Identification, identify, Misfit
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.identifiability import Direction
-from rigid_body_ros.identification.identify import Estimate, Identification, identify, Misfit
 
 __all__ = ['Direction', 'Estimate', 'Experiment', 'Identification', 'Misfit', 'identify']

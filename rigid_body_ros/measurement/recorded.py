@@ -105,7 +105,7 @@ def compare_recording(path: str | Path, scene: Scene, measured: Sequence[str] = 
         model: Model | Recorded = read_model(path, scene, topics, reading,
                                              min(int(each.stamps[0]) for each in sensors))
         assert isinstance(model, Model)
-        _check_overlap(path, model, sensors, CLOCK in align)
+        check_overlap(path, model, sensors, CLOCK in align)
     else:
         model = read_motion(motion, scene)
     try:
@@ -170,7 +170,7 @@ def read_motion(path: str | Path, scene: Scene) -> Recorded:
     return Recorded(motion)
 
 
-def _check_overlap(path: str | Path, model: Model, sensors: Sequence[Measured],
+def check_overlap(path: str | Path, model: Model, sensors: Sequence[Measured],
                    searched: bool) -> None:
     """Raise InputError if the measurements end before the torques begin, or the reverse."""
     margin = round(1e9 * LARGEST_OFFSET) if searched else 0

@@ -21,6 +21,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
@@ -129,6 +130,8 @@ class Identification:
         Combinations of parameters that the data does not determine.
     noise : dict of str to float
         By topic and quantity, the standard deviation that was given or estimated.
+    autocorrelation : dict of str to float
+        The same of the errors of neighbouring samples; close to 0 if the errors are white.
     training : Misfit
     validation : Misfit or None
     window_s : float
@@ -144,6 +147,7 @@ class Identification:
     correlation: Floats
     unidentifiable: list[Direction]
     noise: dict[str, float]
+    autocorrelation: dict[str, float]
     training: Misfit
     validation: Misfit | None
     window_s: float
@@ -162,7 +166,8 @@ class Identification:
                                for one in self.unidentifiable],
             'correlation': [[None if math.isnan(value) else value for value in row]
                             for row in self.correlation.tolist()],
-            'noise': self.noise, 'window_s': self.window_s,
+            'noise': self.noise, 'autocorrelation': self.autocorrelation,
+            'window_s': self.window_s,
             'training': self.training.as_dict(),
             'validation': self.validation.as_dict() if self.validation else None,
             'evaluations': self.evaluations, 'converged': self.converged}
@@ -279,7 +284,7 @@ def _result(setup: Setup, solution: Solution, validation: Misfit | None) -> Iden
                                 float(sigma[i]), bool(known.identifiable[i]))
                  for i, name in enumerate(names)}
     return Identification(physics.body, starts, estimates, _correlation(known), known.directions,
-                          _noise(setup, solution), _misfit(setup, solution), validation,
+                          *_noise(setup, solution), _misfit(setup, solution), validation,
                           solution.length_ns * 1e-9, solution.evaluations, solution.converged)
 
 
@@ -345,15 +350,26 @@ def _correlation(known: Certainty) -> Floats:
     return result
 
 
-def _noise(setup: Setup, solution: Solution) -> dict[str, float]:
-    """Return the noise of each channel of each recording, by a name for it."""
-    result = {}
-    for number, (channels, levels) in enumerate(zip(setup.channels, solution.weights.sigma)):
-        for channel, level in zip(channels, levels):
+def _noise(setup: Setup, solution: Solution) -> tuple[dict[str, float], dict[str, float]]:
+    """Return noise and autocorrelation of each channel of each recording, by a name for it."""
+    noise, autocorrelation = {}, {}
+    for number, channels in enumerate(setup.channels):
+        for channel, level, error, inlier in zip(
+                channels, solution.weights.sigma[number], solution.errors[number],
+                solution.inliers[number]):
             quantity = 'attitude' if channel.is_attitude else 'angular_velocity'
             suffix = f'[{number + 1}]' if number else ''
-            result[f'{channel.topic} {quantity}{suffix}'] = float(level)
-    return result
+            name = f'{channel.topic} {quantity}{suffix}'
+            noise[name] = float(level)
+            autocorrelation[name] = _autocorrelation(error, inlier)
+    return noise, autocorrelation
+
+
+def _autocorrelation(error: Floats, inlier: NDArray[np.bool_]) -> float:
+    """Return the correlation of the errors of neighbouring samples."""
+    kept = error[inlier & np.isfinite(error[:, 0])]
+    total = float(np.sum(kept * kept))
+    return float(np.sum(kept[1:] * kept[:-1])) / total if total else 0.0
 
 
 def _misfit(setup: Setup, solution: Solution) -> Misfit:

@@ -1,0 +1,108 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Read the recordings of a fit, and write the fitted scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rigid_body_ros.identification.estimation import Identification
+from rigid_body_ros.identification.experiment import Experiment
+from rigid_body_ros.identification.parameters import entries
+from rigid_body_ros.measurement.reading import read_all
+from rigid_body_ros.measurement.recorded import check_overlap, read_model, Reading
+from rigid_body_ros.replay.sources import Topics
+from rigid_body_ros.scene import PARAMETERS, Scene
+import yaml
+
+#: Estimates that are not parameters of a scene.
+_NOT_IN_SCENES = ('torque_gain', 'torque_bias', 'clock_offset', 'mount', 'gyro_bias')
+
+
+def read_experiment(path: str | Path, scene: Scene, measured: Sequence[str], topics: Topics,
+                    reading: Reading) -> Experiment:
+    """
+    Read the torques and the measurements of a recording.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording.
+    scene : Scene
+        If its start_time is 0, the motion starts at the earliest stamp of the torques or, without
+        torques, of the measurements.
+    measured : sequence of str
+        Measured topics; can be empty if the recording has one, as for `read_measured`.
+    topics : Topics
+        The topics of the torques.
+    reading : Reading
+        How to read the recording.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read, does not fit the scene, or torques and measurements do not
+        overlap in time.
+
+    """
+    sensors = read_all(path, measured, frames=reading.frames, body_frame=scene.body_frame,
+                       space_frame=scene.space_frame, time_source=reading.time_source,
+                       track=reading.track)
+    model = read_model(path, scene, topics, reading, min(int(one.stamps[0]) for one in sensors))
+    check_overlap(path, model, sensors, False)
+    return Experiment(model.start, model.logs, sensors, model.wheels)
+
+
+def fitted_scene(scene: Scene, found: Identification) -> str:
+    """
+    Return a scene file with the estimates of the first recording.
+
+    The values that a scene cannot contain are in comments. A robot_description is left out if
+    the inertia was fitted, because it has one of its own.
+    """
+    values = {name: value for name, value in scene.values.items()
+              if value != PARAMETERS[name].default or name.startswith('inertia')}
+    changed = _changed(found)
+    if any(name.startswith('inertia') for name in changed):
+        values.pop('robot_description', None)
+        values.pop('link', None)
+    values.update(changed)
+    tree: dict[str, Any] = {}
+    for name in PARAMETERS:
+        if name in values:
+            group, _, key = name.rpartition('.')
+            (tree.setdefault(group, {}) if group else tree)[key] = values[name]
+    comments = [f'# {name}: {one.value!r} {one.unit}'.rstrip()
+                for name, one in found.estimates.items()
+                if name.split('.')[0] in _NOT_IN_SCENES]
+    text = yaml.safe_dump({'/**': {'ros__parameters': tree}}, sort_keys=False)
+    return '\n'.join(['# Fitted by attitude_identify.', *comments, text])
+
+
+def _changed(found: Identification) -> dict[str, float]:
+    """Return the estimated parameters of a scene, with those that depend on them."""
+    names = {name.split('.')[0] for name in found.estimates}
+    start = found.starts[0]
+    groups = {
+        'inertia': ([f'i{entry}' for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')],
+                    entries(found.body.inertia)),
+        'damping': ([f'd{entry}' for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')],
+                    entries(found.body.damping)),
+        'initial_attitude': ('xyzw', start.attitude),
+        'initial_angular_velocity': ('xyz', start.angular_velocity),
+        'initial_rotor_momentum': ('xyz', start.rotor_momentum)}
+    return {f'{group}.{key}': float(value) for group, (keys, numbers) in groups.items()
+            if group in names for key, value in zip(keys, numbers)}

@@ -1,0 +1,85 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Summarize an identification as text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from rigid_body_ros.identification.estimation import Estimate, Identification, Misfit
+
+#: Correlations from which on a pair of estimates is listed, and the largest number of pairs.
+_CORRELATED, _PAIRS = 0.95, 6
+#: Autocorrelation from which on errors are not white.
+_COLOURED = 0.2
+
+
+def summary(found: Identification) -> str:
+    """Return a table of the estimates, and one line for each other fact."""
+    return '\n'.join([*_table(found), *(f'{name:17}{text}' for name, text in _rows(found))])
+
+
+def _table(found: Identification) -> Iterator[str]:
+    width = max([len(name) for name in found.estimates] + [9])
+    yield f'{"parameter":{width}}  {"value":>13}  {"sigma":>9}  {"95 % interval":>27}  ' \
+          f'{"guess":>11}  unit'
+    for name, one in found.estimates.items():
+        yield f'{name:{width}}  {one.value:13.7g}  {_spread(one)}  {one.start:11.5g}  {one.unit}'
+
+
+def _spread(one: Estimate) -> str:
+    if one.interval_95 is None:
+        return f'{"unknown":>9}  {"not determined by the data":>27}'
+    low, high = one.interval_95
+    return f'{one.sigma:9.2g}  {f"{low:.6g} to {high:.6g}":>27}'
+
+
+def _rows(found: Identification) -> Iterator[tuple[str, str]]:
+    for direction in found.unidentifiable:
+        yield 'not determined', f'{", ".join(direction.components)}: {direction.reason}'
+    for first, second, value in _correlated(found):
+        yield 'correlated', f'{first} and {second}: {value:.4f}'
+    for name, level in found.noise.items():
+        unit = 'rad' if 'attitude' in name.split()[1] else 'rad/s'
+        yield 'noise', f'{name}: {level:.4g} {unit}, {_colour(found.autocorrelation[name])}'
+    yield from _misfit('training', found.training)
+    if found.validation:
+        yield from _misfit('validation', found.validation)
+    state = 'converged' if found.converged else 'did not converge'
+    yield 'fit', f'{state} after {found.evaluations} evaluations, in windows of ' \
+                 f'{found.window_s:.4g} s'
+
+
+def _colour(autocorrelation: float) -> str:
+    white = abs(autocorrelation) < _COLOURED
+    return f'errors {"white" if white else "not white"} (autocorrelation {autocorrelation:.2f})'
+
+
+def _correlated(found: Identification) -> list[tuple[str, str, float]]:
+    names, matrix = [*found.estimates], np.triu(np.nan_to_num(found.correlation), 1)
+    pairs = np.argwhere(np.abs(matrix) > _CORRELATED).tolist()
+    pairs.sort(key=lambda pair: -abs(matrix[pair[0], pair[1]]))
+    return [(names[i], names[j], float(matrix[i, j])) for i, j in pairs[:_PAIRS]]
+
+
+def _misfit(name: str, one: Misfit) -> Iterator[tuple[str, str]]:
+    parts = [f'{one.samples} samples, {one.outliers} outliers']
+    if one.attitude_rms is not None:
+        parts.append(f'attitude rms {one.attitude_rms:.4g} rad')
+    if one.rate_rms is not None:
+        parts.append(f'rate rms {one.rate_rms:.4g} rad/s')
+    if one.chi2_per_dof is not None:
+        parts.append(f'chi-square per degree of freedom {one.chi2_per_dof:.3f}')
+    yield name, ', '.join(parts)

@@ -1,0 +1,172 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The command `attitude_identify`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+import json
+from typing import TYPE_CHECKING
+
+from rigid_body_ros.arguments import (
+    add_overwrite,
+    add_scene,
+    add_torques,
+    load_scene,
+    parsed,
+    Parser,
+    positive,
+)
+from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime.terminal import report, show
+
+if TYPE_CHECKING:
+    from rigid_body_ros.identification import Identification
+    from rigid_body_ros.scene import Scene
+
+#: Exit statuses; docs/nodes.md has their meaning.
+OK, PARTIAL = 0, 3
+
+
+def attitude_identify(arguments: Sequence[str] | None) -> int:
+    """Estimate parameters of a body from measured motions."""
+    options = parsed(identify_parser(), arguments)
+    with files.reading(*options.recording), files.protected('scene', options.scene), \
+            files.overwriting(options.overwrite):
+        files.check(*_outputs(options))
+        scene = load_scene(options)
+        found = _identified(options, scene)
+        is_whole = found.converged and not found.unidentifiable
+        written = _write(options, found, scene, is_whole or options.force)
+    from rigid_body_ros.identification.summary import summary
+    show(summary(found) + (f'\n{"wrote":17}{", ".join(written)}' if written else ''))
+    if not is_whole:
+        report(f'{options.command}: {_incomplete(options, found)}')
+    return OK if is_whole else PARTIAL
+
+
+def _incomplete(options: argparse.Namespace, found: Identification) -> str:
+    names = [name for name, one in found.estimates.items() if not one.identifiable]
+    text = f'the data does not determine {listed(names)}' if found.unidentifiable \
+        else 'the fit did not converge'
+    if options.output and not options.force:
+        text += f'; {options.output} was not written (--force writes it)'
+    return text
+
+
+def _outputs(options: argparse.Namespace) -> Iterator[tuple[str, str]]:
+    for name, suffix in ((options.output, '.yaml'), (options.json, '.json')):
+        if name:
+            yield name, suffix
+
+
+def _identified(options: argparse.Namespace, scene: Scene) -> Identification:
+    from rigid_body_ros import replay
+    from rigid_body_ros.identification import identify
+    from rigid_body_ros.identification.recorded import read_experiment
+    from rigid_body_ros.measurement.recorded import Reading
+    reading = Reading(options.interpolation, options.time_source,
+                      options.frames and tuple(options.frames),
+                      replay.progress('reading', size=len))
+    topics = replay.topics_of(options.topic, options.wheel_torque, options.wheel_momentum)
+    experiments = [read_experiment(path, scene, options.measured or (), topics, reading)
+                   for path in options.recording]
+    try:
+        return identify(scene.body, experiments, estimate=options.estimate,
+                        attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
+                        validate=options.validate,
+                        torque_timeout=scene.values['torque_timeout'])
+    except ValueError as error:
+        raise InputError(f'{options.recording[0]}: {error}') from error
+
+
+def _write(options: argparse.Namespace, found: Identification, scene: Scene,
+           with_scene: bool) -> list[str]:
+    """Write the outputs, and return their names."""
+    from rigid_body_ros.identification.recorded import fitted_scene
+    texts = [(options.json, '.json', f'{json.dumps(found.as_dict(), indent=1)}\n')]
+    if with_scene:
+        texts.append((options.output, '.yaml', fitted_scene(scene, found)))
+    written: list[str] = []
+    for name, suffix, text in texts:
+        if name:
+            with files.protected('output', *written), files.atomic_output(name, suffix) as path:
+                path.write_text(text, encoding='utf-8')
+            written.append(name)
+    return written
+
+
+def identify_parser() -> argparse.ArgumentParser:
+    """Return the argument parser of `attitude_identify`."""
+    parser = Parser(
+        prog='attitude_identify',
+        description='Estimate the inertia of a body, and other parameters, from measured '
+        'attitudes and angular velocities under recorded torques. Print the estimates with their '
+        'uncertainty; write a fitted scene. If the data does not determine all of them, the exit '
+        'status is 3.')
+    parser.add_argument('recording', metavar='RECORDING', nargs='+',
+                        help='recording of torques and measurements, as for attitude_replay; '
+                        'several of the same body are fitted together')
+    add_scene(parser)
+    parser.add_argument('--measured', action='append', metavar='TOPIC',
+                        help='measured topic, as for attitude_compare; may be repeated (default: '
+                        'the only topic of an attitude)')
+    parser.add_argument('--frames', nargs=2, metavar=('PARENT', 'CHILD'),
+                        help='the two frames of measured transforms (default: those of the scene)')
+    parser.add_argument('--estimate', type=_names, default=('inertia', 'start'), metavar='NAMES',
+                        help='what to estimate, separated by commas: inertia or inertia_diagonal, '
+                        'start, torque_gain, torque_bias, clock_offset, mount, gyro_bias, '
+                        'damping, rotor_momentum (default: inertia,start)')
+    parser.add_argument('--attitude-noise', type=positive, metavar='RAD',
+                        help='standard deviation of each component of a measured attitude '
+                        '(default: estimated for each topic)')
+    parser.add_argument('--rate-noise', type=positive, metavar='RAD/S',
+                        help='standard deviation of each component of a measured angular velocity '
+                        '(default: estimated for each topic)')
+    parser.add_argument('--validate', type=_fraction, default=0.0, metavar='FRACTION',
+                        help='do not fit this fraction at the end of each recording, but predict '
+                        'it, and report the errors')
+    add_torques(parser)
+    parser.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
+                        help="interpolation of the torques between samples (default: the scene's)")
+    parser.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
+                        help='time of torques and measurements: the stamp in the header, or when '
+                        'the message was logged or published (default: header)')
+    parser.add_argument('-o', '--output', metavar='FITTED', help='write the scene with the '
+                        'estimates to this YAML file')
+    parser.add_argument('--force', action='store_true', help='write the scene even if the data '
+                        'does not determine all estimates')
+    parser.add_argument('--json', metavar='OUT', help='write the result to this file')
+    add_overwrite(parser)
+    return parser
+
+
+def _names(text: str) -> tuple[str, ...]:
+    from rigid_body_ros.identification.parameters import checked_names
+    try:
+        return checked_names([name.strip() for name in text.split(',')])
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error).removeprefix('estimate: ')) from error
+
+
+def _fraction(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= 0.9:
+        raise argparse.ArgumentTypeError(f'expected a fraction from 0 to 0.9, found {text!r}')
+    return value

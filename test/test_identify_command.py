@@ -1,0 +1,157 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The command `attitude_identify`: from a recording to a fitted scene."""
+
+import json
+
+import measurements
+from measurements import header, INERTIA, messages_of, torque_messages, Vector3, Vector3Stamped
+import numpy as np
+import pytest
+from rigid_body_ros import cli, scene
+from tumbling import Truth
+
+GUESS = np.diag([0.03, 0.03, 0.03])
+
+
+def record(path, truth, sensor, kind='Imu', **more):
+    return measurements.write(path, torque=torque_messages(truth),
+                              imu=messages_of(kind, sensor), **more)
+
+
+@pytest.fixture
+def tumble(tmp_path):
+    truth = measurements.truth()
+    record(tmp_path / 'in.mcap', truth, truth.measured(2e-3, 5e-3))
+    guess = measurements.Truth(*(getattr(truth, name) for name in (
+        'stamps', 'attitude', 'rates', 'torque_times', 'torques')), inertia=GUESS)
+    measurements.write_scene(tmp_path / 'guess.yaml', guess)
+    return tmp_path
+
+
+def identify(folder, *arguments, recordings=('in.mcap',)):
+    return cli.attitude_identify([*(str(folder / name) for name in recordings), '--scene',
+                                  str(folder / 'guess.yaml'), *map(str, arguments)])
+
+
+def test_from_a_recording_to_a_fitted_scene(tumble, capsys):
+    status = identify(tumble, '--measured', '/imu', '-o', tumble / 'fitted.yaml', '--json',
+                      tumble / 'out.json', '--validate', 0.3)
+    assert status == 0
+    data = json.loads((tumble / 'out.json').read_text())
+    fitted = scene.load(tumble / 'fitted.yaml')
+    np.testing.assert_allclose(fitted.body.inertia, INERTIA, atol=1e-4)
+    assert fitted.values['inertia.ixy'] == data['estimates']['inertia.ixy']['value']
+    assert fitted.body_frame == scene.load(tumble / 'guess.yaml').body_frame
+    assert data['validation']['attitude_rms_rad'] == pytest.approx(2e-3, rel=0.3)
+    text = capsys.readouterr().out
+    assert 'inertia.izz' in text
+    assert 'errors white' in text
+    replayed = ['--scene', str(tumble / 'fitted.yaml'), '-o', str(tumble / 'motion.mcap')]
+    assert cli.attitude_replay([str(tumble / 'in.mcap'), *replayed]) == 0
+
+
+def test_two_recordings(tumble):
+    truth = measurements.truth(seed=2)
+    record(tumble / 'other.mcap', truth, truth.measured(2e-3, 5e-3, seed=1))
+    status = identify(tumble, '--json', tumble / 'out.json', recordings=('in.mcap', 'other.mcap'))
+    assert status == 0
+    estimates = json.loads((tumble / 'out.json').read_text())['estimates']
+    assert {'initial_attitude.x', 'initial_attitude.x[2]'} <= estimates.keys()
+
+
+def test_an_incomplete_answer_has_exit_status_3_and_no_scene(tumble, capsys):
+    options = ['--estimate', 'inertia,start,torque_gain', '-o', tumble / 'fitted.yaml', '--json',
+               tumble / 'out.json']
+    assert identify(tumble, *options) == 3
+    assert not (tumble / 'fitted.yaml').exists()
+    data = json.loads((tumble / 'out.json').read_text())
+    assert data['unidentifiable'][0]['reason'] == \
+        'only the ratio of torque to inertia enters the motion'
+    captured = capsys.readouterr()
+    assert 'not determined by the data' in captured.out
+    assert '--force' in captured.err
+    assert identify(tumble, *options, '--force', '--overwrite') == 3
+    assert '# torque_gain: ' in (tumble / 'fitted.yaml').read_text()
+
+
+def test_a_tumble_without_torque(tmp_path):
+    truth = measurements.free()
+    record(tmp_path / 'in.mcap', truth, truth.measured(2e-3, 5e-3))
+    measurements.write_scene(tmp_path / 'guess.yaml', truth)
+    assert identify(tmp_path, '-o', tmp_path / 'fitted.yaml') == 3
+    assert not (tmp_path / 'fitted.yaml').exists()
+
+
+def test_a_flywheel_weighs_a_thrown_drone(tmp_path):
+    spin = 0.05 * np.clip(np.arange(61) / 10 - 1.0, 0.0, 3.0) / 3.0
+    truth = Truth(seconds=6.0, amplitude=0.0, momentum=np.outer(spin, [0.6, 0.5, 0.6]),
+                  measured_hz=100)
+    sensor = truth.measured(2e-3, 5e-3)
+    second = 10 ** 9
+    wheels = [(stamp, Vector3Stamped(header(stamp, 'base_link'), Vector3(*momentum)))
+              for stamp, momentum in zip((truth.times + second).tolist(), truth.momentum.tolist())]
+    shifted = type(sensor)('/imu', sensor.stamps + second, sensor.attitude,
+                           sensor.angular_velocity)
+    measurements.write(tmp_path / 'in.mcap', imu=messages_of('Imu', shifted), wheels=wheels)
+    (tmp_path / 'guess.yaml').write_text(
+        '/**:\n  ros__parameters:\n    wheels: true\n    torque_topics: [torque]\n'
+        '    inertia: {ixx: 0.03, iyy: 0.03, izz: 0.03}\n')
+    status = identify(tmp_path, '--measured', '/imu', '--wheel-momentum', '/wheels', '-o',
+                      tmp_path / 'fitted.yaml')
+    assert status == 0
+    np.testing.assert_allclose(scene.load(tmp_path / 'fitted.yaml').body.inertia, truth.inertia,
+                               atol=3e-4)
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    (['--measured', '/pose'], '/pose'),
+    (['--measured', '/torque'], '/torque'),
+    (['-o', 'SCENE'], 'guess.yaml'),
+    (['--wheel-momentum', '/wheels'], 'wheels: true'),
+])
+def test_bad_input_has_exit_status_2(tumble, capsys, arguments, message):
+    before = (tumble / 'guess.yaml').read_bytes()
+    arguments = [tumble / 'guess.yaml' if one == 'SCENE' else one for one in arguments]
+    assert identify(tumble, *arguments, '--overwrite') == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert error.startswith('attitude_identify: error: ')
+    assert message in error
+    assert (tumble / 'guess.yaml').read_bytes() == before
+
+
+@pytest.mark.parametrize(('change', 'message'), [
+    (lambda sensor: {'attitude': np.full_like(sensor.attitude, np.nan),
+                     'angular_velocity': np.full_like(sensor.angular_velocity, np.nan)}, 'finite'),
+    (lambda sensor: {'stamps': sensor.stamps + 10 ** 12}, 'during the motion'),
+    (lambda sensor: {'stamps': sensor.stamps[:3], 'attitude': sensor.attitude[:3],
+                     'angular_velocity': sensor.angular_velocity[:3]}, 'at least'),
+])
+def test_useless_measurements_have_exit_status_2(tumble, capsys, change, message):
+    truth = measurements.truth()
+    sensor = truth.measured()
+    fields = {'topic': '/imu', 'stamps': sensor.stamps, 'attitude': sensor.attitude,
+              'angular_velocity': sensor.angular_velocity, **change(sensor)}
+    record(tumble / 'in.mcap', truth, type(sensor)(**fields))
+    assert identify(tumble) == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert message in error
+
+
+@pytest.mark.parametrize('text', ['mass', 'inertia,inertia', 'inertia,inertia_diagonal', ''])
+def test_unknown_names_to_estimate(tumble, capsys, text):
+    with pytest.raises(SystemExit) as ended:
+        identify(tumble, '--estimate', text)
+    assert ended.value.code == 2
+    assert '--estimate: expected' in capsys.readouterr().err
