@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
 from rigid_body_ros.identification import Experiment, identify
+from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.measurement.measured import Measured
 from tumbling import INERTIA, mounted, SECOND, shifted, Truth, with_outliers
 
@@ -317,3 +318,12 @@ def test_a_log_in_space_axes():
     motion = propagate(body, start, torque, at=stamps)
     measured = Measured('/pose', stamps, motion.attitude, None)
     assert inertia_error(identify(GUESS, Experiment(start, torque, [measured]))) < 1e-8
+
+
+@pytest.mark.parametrize(('rows', 'columns'), [(50, 7), (7, 7), (3, 5), (4, 1)])
+def test_triangular_factors(rows, columns):
+    matrix = np.random.default_rng(0).standard_normal((rows, columns))
+    matrix[:, columns // 2] = matrix[:, 0]  # of less than full rank
+    factor = triangle(matrix.T.copy())
+    np.testing.assert_allclose(factor.T @ factor, matrix.T @ matrix, atol=1e-12)
+    assert np.array_equal(factor, np.triu(factor))

@@ -31,6 +31,7 @@ import numpy as np
 from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.parameters import Parameters, Physics
+from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.identification.windows import Window
 
 #: Width of the prior of each coordinate, which only keeps undetermined ones near the guess.
@@ -176,10 +177,10 @@ class Problem:
         except ValueError:  # no body, or too fast a motion: the solver takes a shorter step
             return _Linearization(point, changes, [], np.append(prior, np.inf), np.eye(shared))
         residuals, jacobian = [prior], [np.eye(shared) / _PRIOR]
-        for triangle, unknown in zip(triangles, self.unknowns):
+        for factor, unknown in zip(triangles, self.unknowns):
             own = len(unknown)
-            residuals.append(triangle[:, -1])
-            jacobian.append(np.concatenate([np.zeros((own, shared)), triangle[own:, own:-1]]))
+            residuals.append(factor[:, -1])
+            jacobian.append(np.concatenate([np.zeros((own, shared)), factor[own:, own:-1]]))
         return _Linearization(point, changes, triangles, np.concatenate(residuals),
                               np.concatenate(jacobian))
 
@@ -189,12 +190,12 @@ class Problem:
         if base is None:
             return np.zeros((len(self.windows), 6))
         step, changes = point - base.point, base.changes.copy()
-        for triangle, unknown, change in zip(base.triangles, self.unknowns, changes):
+        for factor, unknown, change in zip(base.triangles, self.unknowns, changes):
             own = len(unknown)
             if own:
-                wanted = (_SHORTER ** self._rejected * triangle[:own, -1]
-                          + triangle[:own, own:-1] @ step)
-                change[unknown] -= np.linalg.solve(triangle[:own, :own], wanted)
+                wanted = (_SHORTER ** self._rejected * factor[:own, -1]
+                          + factor[:own, own:-1] @ step)
+                change[unknown] -= np.linalg.solve(factor[:own, :own], wanted)
         return changes
 
     def _state(self, k: int, change: Floats) -> tuple[Floats, Floats]:
@@ -226,7 +227,7 @@ class Problem:
             largest[6 + i] = max(np.abs(one).max(initial=0.0) for one in slope)
             columns[own + i, own:] = self._rows(k, slope)
         columns[-1, own:] = self._rows(k, self.errors(k, base))
-        return _padded(np.asarray(np.linalg.qr(columns.T, mode='r')))
+        return triangle(columns)
 
     def _predicted(self, k: int, physics: Physics, change: Floats) -> list[Floats]:
         return self.windows[k].predict(physics, *self._state(k, change))
@@ -283,17 +284,17 @@ class Problem:
         width = shared + sum(len(self.unknowns[k]) for k in kept)
         blocks, column = [], shared
         for k in range(len(self.windows)):
-            triangle = self._plain_triangle(k, physics)
+            factor = self._plain_triangle(k, physics)
             own = len(self.unknowns[k])
-            block = np.zeros((len(triangle), width))
-            block[:, :shared] = triangle[:, own:]
+            block = np.zeros((len(factor), width))
+            block[:, :shared] = factor[:, own:]
             if k in kept:
-                block[:, column:column + own] = triangle[:, :own]
+                block[:, column:column + own] = factor[:, :own]
                 column += own
             else:
                 block = block[own:]
             blocks.append(block)
-        return np.asarray(np.linalg.qr(np.concatenate(blocks), mode='r'))
+        return triangle(np.concatenate(blocks).T.copy())
 
     def _plain_triangle(self, k: int, physics: Physics) -> Floats:
         """Return the factor of the derivatives of a window, by values divided by scales."""
@@ -319,9 +320,9 @@ class Problem:
             columns[len(unknown) + i] = column(step, [
                 self._predicted(k, self.parameters.near(physics, times * unit), change)
                 for times in (1, 2)])
-        rows = columns.T
-        rows[:, len(unknown):] = self.parameters.from_plain(rows[:, len(unknown):])
-        return np.asarray(np.linalg.qr(rows, mode='r'))
+        factor = triangle(columns)
+        factor[:, len(unknown):] = self.parameters.from_plain(factor[:, len(unknown):])
+        return factor
 
 
 def slopes(window: Window, predicted: list[Floats], changes: list[Floats]) -> list[Floats]:
@@ -329,8 +330,3 @@ def slopes(window: Window, predicted: list[Floats], changes: list[Floats]) -> li
     return [2.0 * so3.multiply(so3.conjugate(here), change)[:, :3] if channel.is_attitude
             else change for channel, here, change in zip(window.channels, predicted, changes)]
 
-
-def _padded(triangle: Floats) -> Floats:
-    """Return a triangular factor with zeros for missing rows."""
-    missing = triangle.shape[1] - len(triangle)
-    return np.concatenate([triangle, np.zeros((missing, triangle.shape[1]))])
