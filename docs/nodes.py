@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 from rigid_body_ros import commands, scene
 from rigid_body_ros.compare_command import compare_parser
+from rigid_body_ros.identify_command import identify_parser
 from rigid_body_ros.runtime.parameters import limits
 
 WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
@@ -422,6 +423,16 @@ attitude_tradeoff --scene FILE
 
 [What does an error cost?](tradeoff.md) explains the results and how they are measured.
 
+## attitude_identify
+
+```
+attitude_identify RECORDING [RECORDING ...] --scene FILE [--measured TOPIC] [-o FITTED]
+```
+
+{identify}
+
+[Which inertia does my vehicle have?](identify.md) is a tutorial, and describes the results.
+
 ## Exit status
 
 {exits}
@@ -436,6 +447,8 @@ EXITS = [
     ('1', '`--verify` found states whose bits differ; the summary has the difference in radians'),
     ('2', 'wrong arguments, an input that cannot be read, or an output that cannot be written; '
           'one line names it'),
+    ('3', '`attitude_identify`: the data does not determine all estimates, or the fit did not '
+          'converge; no scene was written'),
     ('128 + n', 'signal n ended the command: 130 after Ctrl-C, 143 after SIGTERM (`attitude_node` '
                 'ends with 0 once it has started); 141, without a message, if the reader of the '
                 'output has ended, as in `attitude_replay ... | head`'),
@@ -456,6 +469,7 @@ def main():
         replay=options(commands.replay_parser()),
         compare=options(compare_parser()),
         tradeoff=options(commands.tradeoff_parser()),
+        identify=options(identify_parser()),
         exits=table(('status', 'meaning'), EXITS)), end='')
 
 
@@ -477,7 +491,8 @@ def argument(action):
     names = ', '.join(f'`{name}`' for name in action.option_strings)
     if action.nargs == 0:
         return names
-    takes = action.metavar or '|'.join(action.choices or ()) or action.dest.upper()
+    takes = ' '.join(action.metavar) if isinstance(action.metavar, tuple) \
+        else action.metavar or '|'.join(action.choices or ()) or action.dest.upper()
     more = ' ...' if action.nargs == argparse.ONE_OR_MORE else ''
     return f'{names} `{takes}`{more}'.strip()
 

@@ -21,6 +21,8 @@ import pytest
 import rigid_body_ros
 from rigid_body_ros import (
     euler,
+    Experiment,
+    identify,
     propagate,
     Propagator,
     RigidBody,
@@ -48,6 +50,9 @@ SIGNATURES = [
     (Propagator.apply, "self, time_ns, torque, frame='body', source=0"),
     (Propagator.apply_wheels, 'self, time_ns, torque'),
     (warm_up, ''),
+    (Experiment, 'start, log, measured, wheels=None'),
+    (identify, "body, experiments, *, estimate=('inertia', 'start'), attitude_noise=None, "
+               'rate_noise=None, validate=0.0, torque_timeout=0.0'),
 ]
 #: Attributes of a trajectory over m times: shape and type.
 TRAJECTORY = {
@@ -69,8 +74,8 @@ def test_parameters_and_defaults_are_those_documented(function, parameters):
 
 def test_the_top_level_has_these_names():
     assert sorted(rigid_body_ros.__all__) == [
-        'Measured', 'Propagator', 'RigidBody', 'State', 'TorqueLog', 'Trajectory', 'compare',
-        'propagate', 'read_measured', 'warm_up']
+        'Experiment', 'Measured', 'Propagator', 'RigidBody', 'State', 'TorqueLog', 'Trajectory',
+        'compare', 'identify', 'propagate', 'read_measured', 'warm_up']
     assert (rigid_body_ros.so3, rigid_body_ros.euler) == (so3, euler)
 
 
