@@ -68,7 +68,8 @@ def _compared(options: argparse.Namespace, scene: Scene) -> Comparison:
     from rigid_body_ros.measurement.recorded import compare_recording, Reading
     reading = Reading(options.interpolation, options.time_source,
                       options.frames and tuple(options.frames),
-                      replay.progress('reading', size=len))
+                      replay.progress('reading', size=len),
+                      replay.progress('comparing', ' steps'))
     return compare_recording(
         options.recording, scene, options.measured or (), topic=options.topic,
         wheel_torque=options.wheel_torque, wheel_momentum=options.wheel_momentum,

@@ -19,9 +19,10 @@ from dataclasses import replace
 from measurements import free, INERTIA, truth
 import numpy as np
 import pytest
-from rigid_body_ros import compare, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import compare, Measured, RigidBody, so3, State, TorqueLog
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.measurement.motion import Recorded
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 MOUNT, SPACE = Rotation.from_rotvec([0.1, -0.15, 0.08]), Rotation.from_rotvec([0.3, 0.5, -1.0])
@@ -173,6 +174,45 @@ def test_several_sensors_share_a_clock_and_a_mounting():
     assert found.samples == 2667
     assert found.alignment.clock_offset_s == pytest.approx(0.02, abs=1e-3)
     assert angle(found.alignment.mount, MOUNT) < 2e-3
+
+
+def test_rotors_damping_and_torques_in_space_axes_are_known():
+    # A spinning-up rotor and a drag, under a torque in space axes, integrated by DOP853.
+    damping, momentum = np.diag([1e-3, 2e-3, 5e-4]), np.array([0.01, -0.02, 0.03])
+    motor, torque = np.array([0.002, 0.001, -0.003]), np.array([0.01, -0.005, 0.004])
+    inverse, at = np.linalg.inv(INERTIA), np.arange(501) / 100.0
+
+    def slope(time, y):
+        q, w = Rotation.from_quat(y[:4]), y[4:]
+        turn = 0.5 * np.append(y[3] * w + np.cross(y[:3], w), -np.dot(y[:3], w))
+        total = np.cross(INERTIA @ w + momentum + motor * time, w) + q.inv().apply(torque) \
+            - motor - damping @ w
+        return np.append(turn, inverse @ total)
+    start = State(0, [0.0, 0.0, 0.0, 1.0], [0.5, -0.7, 0.9], momentum)
+    solved = solve_ivp(slope, (0.0, 5.0), [0.0, 0.0, 0.0, 1.0, 0.5, -0.7, 0.9], 'DOP853', at,
+                       rtol=1e-12, atol=1e-14).y.T
+    measured = Measured('/imu', np.round(at * 1e9).astype(np.int64), so3.normalize(solved[:, :4]),
+                        solved[:, 4:])
+    wheels = TorqueLog.from_momentum([0, 6 * 10 ** 9], [momentum, momentum + 6.0 * motor])
+    found = compare(RigidBody(INERTIA, damping), start, TorqueLog([0], [torque], 'space'),
+                    wheels=wheels, measured=measured, horizons=[1.0]).as_dict()
+    assert found['attitude_error_rad']['max'] < 1e-9
+    assert found['horizons'][0]['attitude_p95_rad'] < 1e-8
+    assert found['residual_torque_N_m']['max'] < 1e-5
+    assert found['likely_causes'] == []
+
+
+@pytest.mark.parametrize(('change', 'message'), [
+    ({'stamps': np.arange(3)}, '/imu: expected at least 4 samples, found 3'),
+    ({'stamps': np.zeros(2000, int)}, '/imu: expected increasing stamps'),
+    ({'stamps': np.arange(2000.0)}, '/imu: stamps: expected integer nanoseconds'),
+    ({'attitude': None, 'angular_velocity': None}, '/imu: expected attitudes or angular'),
+    ({'attitude': np.zeros((2000, 3))}, r'/imu: attitude: expected finite numbers of shape '),
+    ({'attitude': np.ones((2000, 4))}, '/imu: attitude: expected unit quaternions, found norms'),
+    ({'angular_velocity': np.full((2000, 3), np.nan)}, '6000 that are not finite')])
+def test_measurements_are_checked(change, message):
+    with pytest.raises(ValueError, match=message):
+        compared(replace(noisy(), **change))
 
 
 def mixed_up(name):

@@ -28,6 +28,7 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.measurement import coarse
 from rigid_body_ros.measurement.measured import Measured
 from rigid_body_ros.measurement.motion import measured_rates, Model, Recorded, States
+from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.state import State
 
 START, CLOCK, MOUNT = 'start', 'clock', 'mount'
@@ -37,6 +38,8 @@ ALIGNMENTS = (START, CLOCK, MOUNT)
 _STEP, _CLOCK_STEP = 1e-6, 1e-5
 #: Largest number of samples in the first stages of a fit of the start, and of steps of a fit.
 _STAGE, _MOST = 1000, 20
+#: Largest number of samples of a sensor in all but the last fit.
+_PART = 10_000
 #: Residuals, in standard deviations, from which on the loss grows linearly, or a sample is left
 #: out of the last stage.
 _HUBER, _OUTLIER = 2.0, 5.0
@@ -170,7 +173,7 @@ class _Problem:
         self._sizes = [1 if name == 'clock_offset_s' else 3 for name in self._names]
         self._rows = [_thinned(self._inside(sensor), most) for sensor in sensors]
         if not any(len(rows) for rows in self._rows):
-            raise _apart(motion, sensors)
+            raise apart(motion, sensors)
         #: Standard deviations of attitude and rate of each sensor.
         self._scales = [(1.0, 1.0)] * len(sensors)
 
@@ -225,10 +228,12 @@ class _Problem:
 
     def solved(self) -> Alignment:
         """Return the fit, with its standard deviations."""
-        self._fit(1e-8)
-        self._estimate_scales()
-        self._fit(1e-12)
-        self._estimate_scales()
+        every = self._rows
+        self._rows = [_thinned(rows, _PART) for rows in every]
+        for tolerance in (1e-8, 1e-12):
+            self._fit(tolerance)
+            self._estimate_scales()
+        self._rows = every
         kept = np.abs(self._residuals(self._value)) < _OUTLIER
         jacobian = self._fit(1e-12, kept)
         sigma, column = {}, 0
@@ -271,7 +276,7 @@ class _Problem:
         self._scales = scales
 
     def _fit(self, tolerance: float, kept: NDArray[np.bool_] | None = None) -> Floats:
-        """Improve the value, with the robust loss unless rows are chosen; return the Jacobian."""
+        """Improve the value; without chosen rows, by a robust loss. Return the Jacobian."""
         from scipy.optimize import least_squares  # takes as long to import as the engine
         base, count = self._value, sum(self._sizes)
         rows = slice(None) if kept is None else kept
@@ -292,7 +297,7 @@ class _Problem:
                                xtol=tolerance, ftol=tolerance, gtol=tolerance, x_scale='jac',
                                **options)
         self._value = self._moved(base, result.x)
-        return jacobian(result.x) if kept is not None else np.empty((0, count))
+        return np.asarray(result.jac)
 
     def _half_steps(self) -> list[float]:
         return [_CLOCK_STEP if name == 'clock_offset_s' else _STEP
@@ -320,6 +325,7 @@ class _Problem:
 
     def _residuals(self, value: Alignment) -> Floats:
         """Return the errors in standard deviations, of all samples of all sensors."""
+        interrupts.check()
         aligned = [value.applied(sensor.rows(rows))
                    for sensor, rows in zip(self._sensors, self._rows)]
         stamps = np.concatenate([sensor.stamps for sensor in aligned])
@@ -360,7 +366,8 @@ def errors_of(sensor: Measured, states: States) -> tuple[Floats | None, Floats |
     return rotation, rate
 
 
-def _apart(motion: Model | Recorded, sensors: Sequence[Measured]) -> InputError:
+def apart(motion: Model | Recorded, sensors: Sequence[Measured]) -> InputError:
+    """Return the error that measurements and motion do not overlap in time."""
     return InputError(f'{sensors[0].topic}: expected measurements during the motion, which begins '
                       f'at {motion.first_ns} ns, found them from {sensors[0].stamps[0]} ns to '
                       f'{sensors[0].stamps[-1]} ns; are the clocks the same (--time-source log)?')

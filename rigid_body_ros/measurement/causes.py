@@ -37,6 +37,7 @@ from rigid_body_ros.measurement.align import CLOCK, MOUNT
 from rigid_body_ros.measurement.measured import Measured
 from rigid_body_ros.measurement.motion import Model, Recorded
 from rigid_body_ros.measurement.residual_torque import ResidualTorque
+from rigid_body_ros.recording import Track
 
 if TYPE_CHECKING:
     from rigid_body_ros.measurement.comparison import Comparison
@@ -109,8 +110,8 @@ class _Trial:
     judged: str | None = None
 
 
-def find_causes(motion: Model | Recorded, found: Comparison,
-                align: Collection[str]) -> tuple[Cause, ...]:
+def find_causes(motion: Model | Recorded, found: Comparison, align: Collection[str],
+                track: Track = lambda items, total: items) -> tuple[Cause, ...]:
     """
     Return the likely causes of errors: none, or one for attitudes and one for angular velocities.
 
@@ -122,6 +123,8 @@ def find_causes(motion: Model | Recorded, found: Comparison,
         With the residual torque.
     align : collection of str
         As it was for `found`.
+    track : callable, optional
+        Wraps the iteration over possible causes, to show progress.
 
     """
     from rigid_body_ros.measurement.comparison import compared
@@ -132,7 +135,8 @@ def find_causes(motion: Model | Recorded, found: Comparison,
     if all(hopeless.values()):
         return ()
     tried: list[_Tried] = []
-    for trial in _trials(motion, found, align):
+    trials = list(_trials(motion, found, align))
+    for trial in track(trials, len(trials)):
         kind = trial.judged or kinds[0]
         if hopeless[kind]:
             continue

@@ -28,11 +28,12 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.measurement.align import align as aligned_by
-from rigid_body_ros.measurement.align import Alignment, errors_of, START
+from rigid_body_ros.measurement.align import Alignment, apart, errors_of, START
 from rigid_body_ros.measurement.horizons import Horizon, horizon
 from rigid_body_ros.measurement.measured import Measured
 from rigid_body_ros.measurement.motion import Model, Recorded, States
 from rigid_body_ros.measurement.residual_torque import residual_torque, ResidualTorque
+from rigid_body_ros.recording import Track
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import torque_logs, TorqueLog
 
@@ -117,9 +118,10 @@ class Comparison:
         """
         Return the 'rotation_vectors' or 'rates' of all sensors in the order of time.
 
-        None if no sensor measures that.
+        None if no sensor measures that within the motion.
         """
-        chosen = [each for each in self.errors if getattr(each, name) is not None]
+        chosen = [each for each in self.errors
+                  if getattr(each, name) is not None and len(each.times_ns)]
         if not chosen:
             return None
         times = np.concatenate([each.times_ns for each in chosen])
@@ -181,18 +183,20 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
     InputError
         No sample lies within the motion, or a name in `align` is unknown.
     ValueError
-        As for `propagate`, or a horizon is not positive.
+        As for `propagate` or `Measured.check`, or a horizon is not positive.
 
     """
+    sensors = [measured] if isinstance(measured, Measured) else measured
+    for sensor in sensors:
+        sensor.check()
     model = Model(body, start, tuple(torque_logs(log)), wheels, options)
-    return compare_motion(model, [measured] if isinstance(measured, Measured) else measured,
-                          align, horizons, causes)
+    return compare_motion(model, sensors, align, horizons, causes)
 
 
 def compare_motion(motion: Model | Recorded, measured: Sequence[Measured],
                    align: Collection[str] = (), horizons: Sequence[float] = (),
-                   causes: bool = True) -> Comparison:
-    """Compare as `compare` does, with a model or a recorded motion."""
+                   causes: bool = True, track: Track = lambda items, total: items) -> Comparison:
+    """Compare as `compare` does, with a model or a recorded motion; `track` shows progress."""
     from rigid_body_ros.measurement.causes import find_causes
     for seconds in horizons:
         if not duration_ns(seconds, 'horizons'):
@@ -205,8 +209,9 @@ def compare_motion(motion: Model | Recorded, measured: Sequence[Measured],
         assert isinstance(model, Model)
         best = max(aligned, key=lambda sensor: (sensor.angular_velocity is not None, len(sensor)))
         found = replace(found, residual_torque=residual_torque(model, best), horizons=tuple(
-            horizon(model, aligned, seconds) for seconds in horizons))
-    return replace(found, causes=find_causes(motion, found, align)) if causes else found
+            horizon(model, aligned, seconds, track) for seconds in horizons))
+    return replace(found, causes=find_causes(motion, found, align, track)) \
+        if causes else found
 
 
 def compared(motion: Model | Recorded, measured: Sequence[Measured],
@@ -219,10 +224,7 @@ def compared(motion: Model | Recorded, measured: Sequence[Measured],
     sensors = [alignment.applied(sensor) for sensor in measured]
     within = [inside(motion, sensor) for sensor in sensors]
     if not any(len(sensor) for sensor in within):
-        raise InputError(
-            f'{sensors[0].topic}: expected measurements during the motion, which begins at '
-            f'{motion.first_ns} ns, found them from {sensors[0].stamps[0]} ns to '
-            f'{sensors[0].stamps[-1]} ns; are the clocks the same (--time-source log)?')
+        raise apart(motion, sensors)
     errors = tuple(Errors(sensor.topic, sensor.stamps, *errors_of(sensor, states))
                    for sensor, states in zip(within, _states(motion, within)))
     left_out = sum(map(len, sensors)) - sum(map(len, within))

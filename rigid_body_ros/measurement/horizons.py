@@ -25,6 +25,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.measurement.align import errors_of
 from rigid_body_ros.measurement.measured import Measured
 from rigid_body_ros.measurement.motion import measured_rates, Model
+from rigid_body_ros.recording import Track
 from rigid_body_ros.state import State
 
 #: Samples from which a restart is estimated, unless the horizon is too short for them.
@@ -51,7 +52,8 @@ class Horizon:
     angles: Floats
 
 
-def horizon(model: Model, sensors: Sequence[Measured], seconds: float) -> Horizon:
+def horizon(model: Model, sensors: Sequence[Measured], seconds: float,
+            track: Track = lambda items, total: items) -> Horizon:
     """
     Return errors after a time, each from a restart from the measurement.
 
@@ -67,6 +69,8 @@ def horizon(model: Model, sensors: Sequence[Measured], seconds: float) -> Horizo
         angular velocity if it has one.
     seconds : float, s
         The horizon.
+    track : callable, optional
+        Wraps the iteration over windows, to show progress.
 
     """
     with_attitude = [sensor for sensor in sensors if sensor.attitude is not None]
@@ -81,8 +85,9 @@ def horizon(model: Model, sensors: Sequence[Measured], seconds: float) -> Horizo
     begins = stamps[0] + step * np.arange((stamps[-1] + half - stamps[0]) // max(step, 1) + 1)
     rows = np.clip(np.searchsorted(stamps, begins - half), 0, len(stamps) - 1)
     momenta = model.rotor_momentum(stamps[rows])
-    found = [_error(model, sensor, (int(first), int(last)), step, momentum)
-             for first, last, momentum in zip(rows[:-1], rows[1:], momenta)
+    windows = list(zip(rows[:-1].tolist(), rows[1:].tolist(), momenta))
+    found = [_error(model, sensor, (first, last), step, momentum)
+             for first, last, momentum in track(windows, len(windows))
              if first < last and abs(stamps[last] - stamps[first] - step) <= 2 * half]
     return Horizon(seconds, np.array(found, float))
 

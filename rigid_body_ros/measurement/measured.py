@@ -21,6 +21,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import instants
+
+#: Fewest samples that can be compared with a motion.
+FEWEST = 4
+#: Largest difference of the norm of a quaternion from 1.
+_UNIT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,39 @@ class Measured:
 
     def __len__(self) -> int:
         return len(self.stamps)
+
+    def check(self) -> None:
+        """
+        Check what the attributes promise.
+
+        Raises
+        ------
+        ValueError
+            There are fewer than four samples, stamps do not increase, neither attitudes nor
+            angular velocities are given, a shape does not match, or a value is not finite.
+
+        """
+        count = len(instants(self.stamps, f'{self.topic}: stamps'))
+        if count < FEWEST:
+            raise ValueError(f'{self.topic}: expected at least {FEWEST} samples, found {count}')
+        if not np.all(np.diff(self.stamps) > 0):
+            raise ValueError(f'{self.topic}: expected increasing stamps, found others')
+        if self.attitude is None and self.angular_velocity is None:
+            raise ValueError(f'{self.topic}: expected attitudes or angular velocities, '
+                             'found neither')
+        for name, values, size in (('attitude', self.attitude, 4),
+                                   ('angular_velocity', self.angular_velocity, 3)):
+            if values is None:
+                continue
+            if values.shape != (count, size) or not np.isfinite(values).all():
+                raise ValueError(f'{self.topic}: {name}: expected finite numbers of shape '
+                                 f'({count}, {size}), found {values.shape} with '
+                                 f'{np.sum(~np.isfinite(values))} that are not finite')
+        if self.attitude is not None:
+            norms = np.linalg.norm(self.attitude, axis=1)
+            if np.abs(norms - 1.0).max() > _UNIT:
+                raise ValueError(f'{self.topic}: attitude: expected unit quaternions, found norms '
+                                 f'from {norms.min():.6g} to {norms.max():.6g}')
 
     def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Measured:
         """Return a selection of the samples."""

@@ -18,19 +18,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages, recording, so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted, shortened
-from rigid_body_ros.measurement.measured import Measured
+from rigid_body_ros.measurement.measured import FEWEST, Measured
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording import Messages, Source, Track
 
-#: Fewest samples that can be compared with a motion.
-_FEWEST = 4
 #: Variances, rad^2 or rad^2/s^2, from which on a value counts as not measured.
 _MEANINGLESS = 1e3
 
@@ -145,9 +143,9 @@ def _measured(where: str, recorded: Messages, kind: MessageType) -> Measured:
     usable: list[NDArray[np.bool_]] = [
         each for each in (attitude, rate) if each is not None and each.any()]
     rows = np.logical_and.reduce([*usable, np.full(len(recorded), bool(usable))])
-    if rows.sum() < _FEWEST:
+    if rows.sum() < FEWEST:
         lost = f' ({recorded.damage})' if recorded.damage else ''
-        raise InputError(f'{where}: expected at least {_FEWEST} messages with a finite attitude '
+        raise InputError(f'{where}: expected at least {FEWEST} messages with a finite attitude '
                          f'or angular velocity, found {rows.sum()} among {len(recorded)}{lost}')
     order = _ordered(where, recorded.stamps_ns, np.flatnonzero(rows))
     values = values[order]
@@ -210,13 +208,13 @@ def _ordered(where: str, stamps: NDArray[np.int64], rows: NDArray[np.intp]) -> N
                          'recording')
     rows = rows[np.argsort(stamps[rows], kind='stable')]
     rows = rows[np.append(np.diff(stamps[rows]) != 0, True)]
-    if len(rows) < _FEWEST:
-        raise InputError(f'{where}: expected at least {_FEWEST} different stamps, found '
+    if len(rows) < FEWEST:
+        raise InputError(f'{where}: expected at least {FEWEST} different stamps, found '
                          f'{len(rows)}')
     return rows
 
 
-def read_all(path: str | Path, topics: Iterable[str], **options: object) -> list[Measured]:
+def read_all(path: str | Path, topics: Iterable[str], **options: Any) -> list[Measured]:
     """
     Read measured topics, with the arguments and errors of `read_measured`.
 
@@ -226,8 +224,8 @@ def read_all(path: str | Path, topics: Iterable[str], **options: object) -> list
         Also if a topic is given twice.
 
     """
-    names = list(topics)
+    names: list[str | None] = [*topics]
     for name in names:
         if names.count(name) > 1:
             raise InputError(f'--measured: expected each topic once, found {name!r} twice')
-    return [read_measured(path, name, **options) for name in names or [None]]  # type: ignore
+    return [read_measured(path, name, **options) for name in names or [None]]

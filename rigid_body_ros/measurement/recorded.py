@@ -50,6 +50,8 @@ class Reading:
         As for `read_measured`.
     track : callable
         Wraps the iteration over blocks of messages, to show progress.
+    work : callable
+        Wraps the iteration over restarts and possible causes, to show progress.
 
     """
 
@@ -57,6 +59,7 @@ class Reading:
     time_source: str = 'header'
     frames: tuple[str, str] | None = None
     track: Track = lambda items, total: items
+    work: Track = lambda items, total: items
 
 
 def compare_recording(path: str | Path, scene: Scene, measured: Sequence[str] = (), *,
@@ -109,7 +112,7 @@ def compare_recording(path: str | Path, scene: Scene, measured: Sequence[str] = 
     else:
         model = read_motion(motion, scene)
     try:
-        found = compare_motion(model, sensors, align, horizons)
+        found = compare_motion(model, sensors, align, horizons, track=reading.work)
     except ValueError as error:
         raise InputError(f'{path}: {error}') from error
     # A file name may hold bytes that are not text.
