@@ -329,4 +329,3 @@ def slopes(window: Window, predicted: list[Floats], changes: list[Floats]) -> li
     """Return changes of predictions, attitudes as rotation vectors."""
     return [2.0 * so3.multiply(so3.conjugate(here), change)[:, :3] if channel.is_attitude
             else change for channel, here, change in zip(window.channels, predicted, changes)]
-

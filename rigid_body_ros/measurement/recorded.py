@@ -174,7 +174,7 @@ def read_motion(path: str | Path, scene: Scene) -> Recorded:
 
 
 def check_overlap(path: str | Path, model: Model, sensors: Sequence[Measured],
-                   searched: bool) -> None:
+                  searched: bool) -> None:
     """Raise InputError if the measurements end before the torques begin, or the reverse."""
     margin = round(1e9 * LARGEST_OFFSET) if searched else 0
     stamps = [int(time) for log in model.logs if len(log) for time in log.times_ns[[0, -1]]]
