@@ -280,7 +280,7 @@ def test_bad_input_is_named(experiment, options, message):
         identify(GUESS, experiment(), **options)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_chaotic_tumble_of_five_minutes():
     truth = Truth(seconds=300.0, measured_hz=20)
     result = identify(RigidBody(3.0 * np.diag(np.diag(INERTIA))),
@@ -290,7 +290,7 @@ def test_a_chaotic_tumble_of_five_minutes():
     assert_covered(noisy, inertia_truth())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_intervals_cover_the_truth_and_are_as_short_as_possible():
     truth, covered, errors, sigmas, chi2 = tumble(), [], [], [], []
     for seed in range(20):
