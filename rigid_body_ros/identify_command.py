@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rigid_body_ros.arguments import (
@@ -34,7 +35,7 @@ from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import report, show
 
 if TYPE_CHECKING:
-    from rigid_body_ros.identification import Identification
+    from rigid_body_ros.identification import Experiment, Identification
     from rigid_body_ros.scene import Scene
 
 #: Exit statuses; docs/nodes.md has their meaning.
@@ -48,19 +49,22 @@ def attitude_identify(arguments: Sequence[str] | None) -> int:
             files.overwriting(options.overwrite):
         files.check(*_outputs(options))
         scene = load_scene(options)
-        found = _identified(options, scene)
-        is_whole = found.converged and not found.unidentifiable
-        written = _write(options, found, scene, is_whole or options.force)
+        found, first = _identified(options, scene)
+        written = _write(options, found, scene, found.is_complete or options.force)
+        if options.plot:
+            with files.protected('output', *written):
+                _plot(options, found, first)
+            written.append(options.plot)
     from rigid_body_ros.identification.summary import summary
     show(summary(found) + (f'\n{"wrote":17}{", ".join(written)}' if written else ''))
-    if not is_whole:
+    if not found.is_complete:
         report(f'{options.command}: {_incomplete(options, found)}')
-    return OK if is_whole else PARTIAL
+    return OK if found.is_complete else PARTIAL
 
 
 def _incomplete(options: argparse.Namespace, found: Identification) -> str:
     names = [name for name, one in found.estimates.items() if not one.identifiable]
-    text = f'the data does not determine {listed(names)}' if found.unidentifiable \
+    text = f'the data does not determine {listed(names)}' if names \
         else 'the fit did not converge'
     if options.output and not options.force:
         text += f'; {options.output} was not written (--force writes it)'
@@ -68,12 +72,15 @@ def _incomplete(options: argparse.Namespace, found: Identification) -> str:
 
 
 def _outputs(options: argparse.Namespace) -> Iterator[tuple[str, str]]:
-    for name, suffix in ((options.output, '.yaml'), (options.json, '.json')):
+    for name, suffix in ((options.output, '.yaml'), (options.json, '.json'),
+                         (options.plot, '.png')):
         if name:
             yield name, suffix
 
 
-def _identified(options: argparse.Namespace, scene: Scene) -> Identification:
+def _identified(options: argparse.Namespace,
+                scene: Scene) -> tuple[Identification, Experiment]:
+    """Return the result, and the first recording."""
     from rigid_body_ros import replay
     from rigid_body_ros.identification import identify
     from rigid_body_ros.identification.recorded import read_experiment
@@ -85,12 +92,19 @@ def _identified(options: argparse.Namespace, scene: Scene) -> Identification:
     experiments = [read_experiment(path, scene, options.measured or (), topics, reading)
                    for path in options.recording]
     try:
-        return identify(scene.body, experiments, estimate=options.estimate,
-                        attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
-                        validate=options.validate,
-                        torque_timeout=scene.values['torque_timeout'])
+        found = identify(scene.body, experiments, estimate=options.estimate,
+                         attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
+                         validate=options.validate,
+                         torque_timeout=scene.values['torque_timeout'])
     except ValueError as error:
         raise InputError(f'{options.recording[0]}: {error}') from error
+    return found, experiments[0]
+
+
+def _plot(options: argparse.Namespace, found: Identification, first: Experiment) -> None:
+    from rigid_body_ros.identification import plot  # matplotlib takes long to load
+    with files.atomic_output(options.plot, '.png') as path:
+        plot.draw(path, found, first, Path(options.recording[0]).name)
 
 
 def _write(options: argparse.Namespace, found: Identification, scene: Scene,
@@ -150,6 +164,8 @@ def identify_parser() -> argparse.ArgumentParser:
     parser.add_argument('--force', action='store_true', help='write the scene even if the data '
                         'does not determine all estimates')
     parser.add_argument('--json', metavar='OUT', help='write the result to this file')
+    parser.add_argument('--plot', metavar='PNG', help='plot the errors of the first recording '
+                        'over time, with its torques')
     add_overwrite(parser)
     return parser
 

@@ -200,6 +200,26 @@ def test_two_recordings_give_one_inertia_and_two_starts():
     assert len(both.starts) == 2
 
 
+def test_recordings_with_different_sensors():
+    other = Truth(rates=(-0.3, 0.2, 0.9), seconds=10.0)
+    result = identify(GUESS, [tumble().experiment(tumble().measured(ATTITUDE, None)),
+                              other.experiment(other.measured(None, RATE))])
+    assert result.unidentifiable == []
+    assert 'initial_attitude.x' in result.estimates
+    assert 'initial_attitude.x[2]' not in result.estimates
+    assert_covered(result, inertia_truth())
+
+
+def test_the_errors_of_all_samples_are_in_the_result():
+    measured, bad = with_outliers(tumble().measured(ATTITUDE, RATE), 0.02)
+    result = identify(GUESS, tumble().experiment(measured), validate=0.3)
+    first, _, last, _ = result.residuals
+    assert [one.is_training for one in result.residuals] == [True, True, False, False]
+    assert np.concatenate([first.stamps, last.stamps]).tolist() == measured.stamps.tolist()
+    assert abs(np.sum(~first.inliers) - bad[:len(first.stamps)].sum()) <= 1
+    assert abs(first.autocorrelation) < 0.1
+
+
 def test_validation_is_kept_out_of_the_fit():
     whole = tumble().measured(ATTITUDE, RATE)
     result = identify(GUESS, tumble().experiment(whole), validate=0.3)

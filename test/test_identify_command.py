@@ -47,8 +47,9 @@ def identify(folder, *arguments, recordings=('in.mcap',)):
 
 def test_from_a_recording_to_a_fitted_scene(tumble, capsys):
     status = identify(tumble, '--measured', '/imu', '-o', tumble / 'fitted.yaml', '--json',
-                      tumble / 'out.json', '--validate', 0.3)
+                      tumble / 'out.json', '--validate', 0.3, '--plot', tumble / 'errors.png')
     assert status == 0
+    assert (tumble / 'errors.png').read_bytes().startswith(b'\x89PNG')
     data = json.loads((tumble / 'out.json').read_text())
     fitted = scene.load(tumble / 'fitted.yaml')
     np.testing.assert_allclose(fitted.body.inertia, INERTIA, atol=1e-4)

@@ -14,14 +14,17 @@
 """
 Identify the parameters of a body from what was measured.
 
-`estimation` has the public function and its result, `experiment` the recordings, `parameters` the
-parameters, `windows` the predictions, `problem` the least-squares problem, `solve` the fit, and
-`identifiability` what the data does not determine. The command reads and writes with `recorded`,
-and prints with `summary`.
+`estimation` has the public function and `result` what it returns. `experiment` has the recordings,
+`parameters` the parameters, `windows` the predictions, `problem` the least-squares problem,
+`solve` the fit, `residuals` its errors, and `identifiability` what the data does not determine.
+The command reads and writes with `recorded`, and prints with `summary`.
 """
 
-from rigid_body_ros.identification.estimation import Estimate, Identification, identify, Misfit
+from rigid_body_ros.identification.estimation import identify
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.identifiability import Direction
+from rigid_body_ros.identification.residuals import Misfit, Residuals
+from rigid_body_ros.identification.result import Estimate, Identification
 
-__all__ = ['Direction', 'Estimate', 'Experiment', 'Identification', 'Misfit', 'identify']
+__all__ = ['Direction', 'Estimate', 'Experiment', 'Identification', 'Misfit', 'Residuals',
+           'identify']

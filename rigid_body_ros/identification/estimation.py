@@ -18,21 +18,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.identification import residuals
 from rigid_body_ros.identification.experiment import (
     Channel,
     channels_of,
     Experiment,
     typical_rate,
 )
-from rigid_body_ros.identification.identifiability import Certainty, certainty, Direction
+from rigid_body_ros.identification.identifiability import Certainty, certainty
 from rigid_body_ros.identification.parameters import (
     checked_names,
     Parameters,
@@ -40,137 +39,10 @@ from rigid_body_ros.identification.parameters import (
     START,
     UNITS,
 )
+from rigid_body_ros.identification.result import Estimate, Identification
 from rigid_body_ros.identification.solve import Setup, Solution, solve
-from rigid_body_ros.identification.windows import windows_of
 from rigid_body_ros.propagation import Options
 from rigid_body_ros.state import State
-
-#: Half the width of a 95 % interval, in standard deviations.
-_NORMAL_95 = 1.959963984540054
-#: A sample of the validation is left out if its error is this many times the median.
-_OUTLIER = 8.0
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """
-    An estimated number.
-
-    Attributes
-    ----------
-    name, unit : str
-    value, start : float
-        The estimate, and the guess.
-    sigma : float
-        Standard deviation; infinite if the data does not determine the number.
-    identifiable : bool
-
-    """
-
-    name: str
-    unit: str
-    value: float
-    start: float
-    sigma: float
-    identifiable: bool
-
-    @property
-    def interval_95(self) -> tuple[float, float] | None:
-        """Return the limits of the 95 % interval, None if there is none."""
-        half = _NORMAL_95 * self.sigma
-        return (self.value - half, self.value + half) if self.identifiable else None
-
-
-@dataclass(frozen=True)
-class Misfit:
-    """
-    How a model and measurements differ.
-
-    Attributes
-    ----------
-    samples, outliers : int
-        The outliers are not in the other numbers.
-    attitude_rms, rate_rms : float or None
-        rad and rad/s; None if not measured.
-    chi2_per_dof : float or None
-        Sum of squares of the errors, divided by their variances and their number less that of the
-        unknowns. It is 1 if the noise was estimated from the same errors.
-
-    """
-
-    samples: int
-    outliers: int
-    attitude_rms: float | None
-    rate_rms: float | None
-    chi2_per_dof: float | None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields with the names of the JSON."""
-        return {'samples': self.samples, 'outliers': self.outliers,
-                'attitude_rms_rad': self.attitude_rms, 'rate_rms_rad_s': self.rate_rms,
-                'chi2_per_dof': self.chi2_per_dof}
-
-
-@dataclass(frozen=True, eq=False)
-class Identification:
-    """
-    Estimated parameters of a body.
-
-    Attributes
-    ----------
-    body : RigidBody
-        With the estimated inertia and damping.
-    starts : list of State
-        The initial state of each recording.
-    estimates : dict of str to Estimate
-        By component name.
-    correlation : array, shape (n, n)
-        Of the estimates, NaN for those that are not identifiable.
-    unidentifiable : list of Direction
-        Combinations of parameters that the data does not determine.
-    noise : dict of str to float
-        By topic and quantity, the standard deviation that was given or estimated.
-    autocorrelation : dict of str to float
-        The same of the errors of neighbouring samples; close to 0 if the errors are white.
-    training : Misfit
-    validation : Misfit or None
-    window_s : float
-        Length of the windows of the fit; each begins with a state of its own.
-    evaluations : int
-    converged : bool
-
-    """
-
-    body: RigidBody
-    starts: list[State]
-    estimates: dict[str, Estimate]
-    correlation: Floats
-    unidentifiable: list[Direction]
-    noise: dict[str, float]
-    autocorrelation: dict[str, float]
-    training: Misfit
-    validation: Misfit | None
-    window_s: float
-    evaluations: int
-    converged: bool
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the result as JSON data; numbers that are not finite are None."""
-        return {
-            'estimates': {name: {
-                'value': one.value, 'start': one.start,
-                'sigma': one.sigma if one.identifiable else None,
-                'interval_95': list(one.interval_95) if one.interval_95 else None,
-                'identifiable': one.identifiable} for name, one in self.estimates.items()},
-            'unidentifiable': [{'direction': one.components, 'reason': one.reason}
-                               for one in self.unidentifiable],
-            'correlation': [[None if math.isnan(value) else value for value in row]
-                            for row in self.correlation.tolist()],
-            'noise': self.noise, 'autocorrelation': self.autocorrelation,
-            'window_s': self.window_s,
-            'training': self.training.as_dict(),
-            'validation': self.validation.as_dict() if self.validation else None,
-            'evaluations': self.evaluations, 'converged': self.converged}
 
 
 def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
@@ -223,8 +95,8 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     training = [_training(channels, validate) for channels in every]
     setup = _setup(body, experiments, training, names, attitude_noise, rate_noise, torque_timeout)
     solution = solve(setup)
-    validation = _validation(setup, solution, every) if validate else None
-    return _result(setup, solution, validation)
+    ahead = residuals.of_validation(setup, solution, every) if validate else []
+    return _result(setup, solution, ahead)
 
 
 def _training(channels: list[Channel], validate: float) -> list[Channel]:
@@ -252,7 +124,8 @@ def _setup(body: RigidBody, experiments: list[Experiment], channels: list[list[C
                  rate_noise, torque_timeout)
 
 
-def _result(setup: Setup, solution: Solution, validation: Misfit | None) -> Identification:
+def _result(setup: Setup, solution: Solution,
+            ahead: list[residuals.Residuals]) -> Identification:
     physics, parameters = solution.physics, setup.parameters
     names, values, guesses = [*parameters.names], [parameters.values(physics)], \
         [parameters.values(parameters.guess)]
@@ -283,9 +156,12 @@ def _result(setup: Setup, solution: Solution, validation: Misfit | None) -> Iden
     estimates = {name: Estimate(name, UNITS[name.split('.')[0]], float(value[i]), float(guess[i]),
                                 float(sigma[i]), bool(known.identifiable[i]))
                  for i, name in enumerate(names)}
-    return Identification(physics.body, starts, estimates, _correlation(known), known.directions,
-                          *_noise(setup, solution), _misfit(setup, solution), validation,
-                          solution.length_ns * 1e-9, solution.evaluations, solution.converged)
+    fitted = residuals.of_training(setup, solution)
+    return Identification(
+        physics.body, starts, estimates, _correlation(known), known.directions, [*fitted, *ahead],
+        residuals.Misfit.of(fitted, solution.problem.size),
+        residuals.Misfit.of(ahead, 0) if ahead else None, solution.length_ns * 1e-9,
+        solution.evaluations, solution.converged)
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,7 +189,7 @@ def _start(setup: Setup, solution: Solution, number: int) -> tuple[State, _Start
     names = [f'initial_angular_velocity.{axis}' for axis in 'xyz']
     values, guesses, scales, turn = (velocity, given.angular_velocity, np.full(3, setup.rate),
                                      np.eye(3))
-    if setup.fits_attitude:
+    if setup.fits_attitude[number]:
         turned = so3.log(so3.multiply(so3.conjugate(given.attitude), attitude))
         names = [*(f'initial_attitude.{axis}' for axis in 'xyz'), *names]
         values, guesses = np.append(turned, values), np.append(np.zeros(3), guesses)
@@ -348,72 +224,3 @@ def _correlation(known: Certainty) -> Floats:
         result = known.covariance / np.outer(sigma, sigma)
     result[~known.identifiable] = result[:, ~known.identifiable] = np.nan
     return result
-
-
-def _noise(setup: Setup, solution: Solution) -> tuple[dict[str, float], dict[str, float]]:
-    """Return noise and autocorrelation of each channel of each recording, by a name for it."""
-    noise, autocorrelation = {}, {}
-    for number, channels in enumerate(setup.channels):
-        for channel, level, error, inlier in zip(
-                channels, solution.weights.sigma[number], solution.errors[number],
-                solution.inliers[number]):
-            quantity = 'attitude' if channel.is_attitude else 'angular_velocity'
-            suffix = f'[{number + 1}]' if number else ''
-            name = f'{channel.topic} {quantity}{suffix}'
-            noise[name] = float(level)
-            autocorrelation[name] = _autocorrelation(error, inlier)
-    return noise, autocorrelation
-
-
-def _autocorrelation(error: Floats, inlier: NDArray[np.bool_]) -> float:
-    """Return the correlation of the errors of neighbouring samples."""
-    kept = error[inlier & np.isfinite(error[:, 0])]
-    total = float(np.sum(kept * kept))
-    return float(np.sum(kept[1:] * kept[:-1])) / total if total else 0.0
-
-
-def _misfit(setup: Setup, solution: Solution) -> Misfit:
-    errors = [(channel, error[inlier & np.isfinite(error[:, 0])], level,
-               int(np.sum(~inlier & np.isfinite(error[:, 0]))))
-              for channels, every, inliers, levels in zip(
-                  setup.channels, solution.errors, solution.inliers, solution.weights.sigma)
-              for channel, error, inlier, level in zip(channels, every, inliers, levels)]
-    return _summary(errors, solution.problem.size)
-
-
-def _summary(errors: Sequence[tuple[Channel, Floats, float, int]], unknowns: int) -> Misfit:
-    """Return the misfit of channels with errors, noise and number of outliers."""
-    def rms(is_attitude: bool) -> float | None:
-        squares = [error.ravel() ** 2 for channel, error, _, _ in errors
-                   if channel.is_attitude == is_attitude]
-        values = np.concatenate([np.empty(0), *squares])
-        return float(np.sqrt(values.mean())) if values.size else None
-    count = sum(error.size for _, error, _, _ in errors) - unknowns
-    chi2 = sum(float(np.sum((error / level) ** 2)) for _, error, level, _ in errors)
-    outliers = sum(one for *_, one in errors)
-    return Misfit(sum(len(error) for _, error, _, _ in errors) + outliers, outliers, rms(True),
-                  rms(False), chi2 / count if count > 0 else None)
-
-
-def _validation(setup: Setup, solution: Solution, every: list[list[Channel]]) -> Misfit:
-    """Return how the prediction from the end of the training fits the rest."""
-    physics, problem, found = solution.physics, solution.problem, []
-    offset_ns = round(physics.clock_offset * 1e9)
-    for number, (experiment, channels) in enumerate(zip(setup.experiments, every)):
-        fitted = setup.channels[number]
-        k = [k for k, one in enumerate(problem.windows) if one.experiment == number][-1]
-        last = problem.windows[k]
-        rest = [channel.rows(slice(len(one.stamps), None))
-                for channel, one in zip(channels, fitted)]
-        whole, = windows_of(number, experiment, channels, 2 ** 62, offset_ns, 0,
-                            setup.torque_timeout)
-        ahead = replace(whole, anchor_ns=last.anchor_ns, rotors=last.rotors, channels=rest)
-        predicted = ahead.predict(physics, problem.reference.attitude[k],
-                                  problem.reference.velocity[k])
-        for channel, here, level in zip(rest, predicted, solution.weights.sigma[number]):
-            error = -so3.log(so3.multiply(so3.conjugate(here), channel.values)) \
-                if channel.is_attitude else here - channel.values
-            size = np.linalg.norm(error, axis=1)
-            inlier = size <= _OUTLIER * max(np.median(size), level) if len(size) else size > 0
-            found.append((channel, error[inlier], level, int(np.sum(~inlier))))
-    return _summary(found, 0)

@@ -88,6 +88,8 @@ def certainty(factor: Floats, names: Sequence[str], values: Floats) -> Certainty
     weak = vectors[:, singular * _WIDEST < 1.0]
     identifiable = np.sqrt(np.diag(covariance)) <= _WIDEST
     identifiable &= (np.abs(null) <= _EXACT).all(axis=1) & (np.abs(weak) <= _COUNTS).all(axis=1)
+    for vector in (*null.T, *weak.T):
+        identifiable[np.argmax(np.abs(vector))] = False
     directions = [_direction(names, values, vector) for vector in (*null.T, *weak.T)]
     if any(direction.reason == _RATIOS for direction in directions):
         identifiable &= ~_chosen(names, 'inertia')

@@ -30,6 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.identification.experiment import Channel
 from rigid_body_ros.identification.parameters import Parameters, Physics
 from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.identification.windows import Window
@@ -115,18 +116,21 @@ class Problem:
     weights : Weights
     rate : float, rad/s
         Typical angular velocity, the scale of those of the states.
-    fits_start, fits_attitude : bool
-        Whether the states at the starts of recordings, and attitudes, are unknown.
+    fits_start : bool
+        Whether the states at the starts of recordings are unknown.
+    fits_attitude : sequence of bool
+        Whether the attitudes of each recording are unknown.
 
     """
 
     def __init__(self, parameters: Parameters, windows: Sequence[Window], states: States,
-                 weights: Weights, rate: float, fits_start: bool, fits_attitude: bool) -> None:
+                 weights: Weights, rate: float, fits_start: bool,
+                 fits_attitude: Sequence[bool]) -> None:
         self.parameters, self.windows, self.reference = parameters, windows, states
         self.weights, self._rate = weights, rate
         #: Rows of a state that are unknown: those of a rotation vector, and of the rate.
-        unknown = np.arange(0 if fits_attitude else 3, 6)
-        self.unknowns = [unknown if fits_start or not window.is_first else unknown[:0]
+        self.unknowns = [np.arange(0 if fits_attitude[window.experiment] else 3,
+                                   6 if fits_start or not window.is_first else 0)
                          for window in windows]
         self.guess = parameters.coordinates(parameters.guess)
         self.evaluations = 0
@@ -217,8 +221,10 @@ class Problem:
         columns = np.zeros((own + len(steps) + 1, 3 * len(self.windows[k].stamps) + own))
         for i, row in enumerate(unknown):
             step = self.steps[1][k, row]
-            moved = self._predicted(k, physics, change + step * np.eye(6)[row])
-            slope = self._slope(k, base, moved, step)
+            moved = change + step * np.eye(6)[row]
+            slope = self._turned(k, base, change, moved, step) \
+                if row < 3 and self.windows[k].is_in_body \
+                else self._slope(k, base, self._predicted(k, physics, moved), step)
             largest[row] = max(np.abs(one).max(initial=0.0) for one in slope)
             columns[i, own:] = self._rows(k, slope)
             columns[i, i], columns[-1, i] = 1.0 / _PRIOR, change[row] / _PRIOR
@@ -226,7 +232,7 @@ class Problem:
             slope = self._slope(k, base, self._predicted(k, there, change), step)
             largest[6 + i] = max(np.abs(one).max(initial=0.0) for one in slope)
             columns[own + i, own:] = self._rows(k, slope)
-        columns[-1, own:] = self._rows(k, self.errors(k, base))
+        columns[-1, own:] = self._rows(k, errors_of(self.windows[k].channels, base))
         return triangle(columns)
 
     def _predicted(self, k: int, physics: Physics, change: Floats) -> list[Floats]:
@@ -244,11 +250,13 @@ class Problem:
         return slopes(self.windows[k], base,
                       [(there - here) / step for here, there in zip(base, moved)])
 
-    def errors(self, k: int, predicted: list[Floats]) -> list[Floats]:
-        """Return predicted minus measured values of a window, rad or rad/s."""
-        return [-so3.log(so3.multiply(so3.conjugate(here), channel.values))
-                if channel.is_attitude else here - channel.values
-                for channel, here in zip(self.windows[k].channels, predicted)]
+    def _turned(self, k: int, base: list[Floats], change: Floats, moved: Floats,
+                step: float) -> list[Floats]:
+        """Return the slopes by an attitude: without torque in space axes, the motion turns."""
+        (here, _), (there, _) = self._state(k, change), self._state(k, moved)
+        space = 2.0 * so3.multiply(there - here, so3.conjugate(here))[:3] / step
+        return [so3.rotate(so3.conjugate(one), space) if channel.is_attitude
+                else np.zeros_like(one) for channel, one in zip(self.windows[k].channels, base)]
 
     def _rows(self, k: int, errors: list[Floats]) -> Floats:
         window = self.windows[k]
@@ -262,7 +270,8 @@ class Problem:
         result = [[np.full((len(root), 3), np.nan) for root in roots]
                   for roots in self.weights.roots]
         for k, window in enumerate(self.windows):
-            errors = self.errors(k, self._predicted(k, physics, np.zeros(6)))
+            predicted = self._predicted(k, physics, np.zeros(6))
+            errors = errors_of(window.channels, predicted)
             for one, rows, error in zip(result[window.experiment], window.rows, errors):
                 one[rows] = error
         return result
@@ -323,6 +332,13 @@ class Problem:
         factor = triangle(columns)
         factor[:, len(unknown):] = self.parameters.from_plain(factor[:, len(unknown):])
         return factor
+
+
+def errors_of(channels: Sequence[Channel], predicted: Sequence[Floats]) -> list[Floats]:
+    """Return predicted minus measured values, attitudes as rotation vectors."""
+    return [-so3.log(so3.multiply(so3.conjugate(here), channel.values))
+            if channel.is_attitude else here - channel.values
+            for channel, here in zip(channels, predicted)]
 
 
 def slopes(window: Window, predicted: list[Floats], changes: list[Floats]) -> list[Floats]:

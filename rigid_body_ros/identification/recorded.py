@@ -19,9 +19,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rigid_body_ros.identification.estimation import Identification
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.parameters import entries
+from rigid_body_ros.identification.result import Identification
 from rigid_body_ros.measurement.reading import read_all
 from rigid_body_ros.measurement.recorded import check_overlap, read_model, Reading
 from rigid_body_ros.replay.sources import Topics

@@ -66,9 +66,9 @@ class Setup:
     torque_timeout: float
 
     @property
-    def fits_attitude(self) -> bool:
-        """Return whether attitudes are measured."""
-        return any(channel.is_attitude for channels in self.channels for channel in channels)
+    def fits_attitude(self) -> list[bool]:
+        """Return whether attitudes are measured, for each recording."""
+        return [any(channel.is_attitude for channel in channels) for channels in self.channels]
 
     @property
     def span_ns(self) -> int:
@@ -153,7 +153,7 @@ def _polished(setup: Setup, solution: Solution) -> Solution:
     """Return the maximum-likelihood fit to the samples that are not outliers."""
     previous = solution
     for _ in range(8):
-        solution = _fitted(setup, previous, previous.length_ns, 1e-8, 50, is_last=True)
+        solution = _fitted(setup, previous, previous.length_ns, 1e-7, 50, is_last=True)
         same = all(np.array_equal(one, other) for a, b in zip(solution.inliers, previous.inliers)
                    for one, other in zip(a, b))
         if same and np.allclose(np.concatenate(solution.weights.sigma),

@@ -18,12 +18,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from rigid_body_ros.identification.estimation import Estimate, Identification, Misfit
+from rigid_body_ros.identification.residuals import Misfit
+from rigid_body_ros.identification.result import Estimate, Identification
 
 #: Correlations from which on a pair of estimates is listed, and the largest number of pairs.
 _CORRELATED, _PAIRS = 0.95, 6
 #: Autocorrelation from which on errors are not white.
 _COLOURED = 0.2
+
+#: Chi-square per degree of freedom from which on the errors are larger than the noise.
+_LARGE = 2.0
 
 
 def summary(found: Identification) -> str:
@@ -57,6 +61,9 @@ def _rows(found: Identification) -> Iterator[tuple[str, str]]:
     yield from _misfit('training', found.training)
     if found.validation:
         yield from _misfit('validation', found.validation)
+    if (found.training.chi2_per_dof or 0.0) > _LARGE:
+        yield 'warning', 'the errors are larger than the given noise, so the model lacks ' \
+                         'something, and the intervals are too short'
     state = 'converged' if found.converged else 'did not converge'
     yield 'fit', f'{state} after {found.evaluations} evaluations, in windows of ' \
                  f'{found.window_s:.4g} s'

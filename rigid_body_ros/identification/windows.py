@@ -53,6 +53,8 @@ class Window:
     channels : list of Channel
     rows : list of slice
         Which samples of each channel of the recording are in the window.
+    is_in_body : bool
+        Whether all torques are in body axes.
 
     """
 
@@ -66,10 +68,12 @@ class Window:
     rows: list[slice]
     torque_timeout: float = 0.0
     stamps: NDArray[np.int64] = field(init=False)
+    is_in_body: bool = field(init=False)
     _scaled: tuple[float, list[TorqueLog]] = field(init=False)
 
     def __post_init__(self) -> None:
         self.stamps = np.concatenate([channel.stamps for channel in self.channels])
+        self.is_in_body = not any(log.in_space.any() for log in self.logs)
         self._scaled = 1.0, self.logs
 
     def predict(self, physics: Physics, attitude: Floats, velocity: Floats) -> list[Floats]:

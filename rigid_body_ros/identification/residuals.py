@@ -1,0 +1,177 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""The errors that a fit leaves, of the samples that were fitted and of those kept out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.identification.experiment import Channel
+from rigid_body_ros.identification.problem import errors_of
+from rigid_body_ros.identification.solve import Setup, Solution
+from rigid_body_ros.identification.windows import windows_of
+
+#: A sample of the validation is left out if its error is this many times the median.
+_OUTLIER = 8.0
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """
+    The errors of one quantity of one topic.
+
+    Attributes
+    ----------
+    recording : int
+        Number of the recording, from 0.
+    topic : str
+    is_attitude : bool
+        Whether these are errors of attitudes, not of angular velocities.
+    is_training : bool
+        Whether the samples were fitted.
+    stamps : array of int64, shape (n,), ns
+        As measured.
+    errors : array, shape (n, 3)
+        Predicted minus measured; rotation vectors (rad) or angular velocities (rad/s) in the axes
+        of the sensor.
+    inliers : array of bool, shape (n,)
+        Which samples are not outliers.
+    noise : float
+        Standard deviation of each component, given or estimated.
+
+    """
+
+    recording: int
+    topic: str
+    is_attitude: bool
+    is_training: bool
+    stamps: NDArray[np.int64]
+    errors: Floats
+    inliers: NDArray[np.bool_]
+    noise: float
+
+    @property
+    def name(self) -> str:
+        """Return the topic and the quantity, and the number of a later recording."""
+        quantity = 'attitude' if self.is_attitude else 'angular_velocity'
+        return f'{self.topic} {quantity}' + (f'[{self.recording + 1}]' if self.recording else '')
+
+    @property
+    def kept(self) -> Floats:
+        """Return the errors that are not outliers."""
+        return self.errors[self.inliers]
+
+    @property
+    def autocorrelation(self) -> float:
+        """Return the correlation of the errors of neighbouring samples; 0 if they are white."""
+        total = float(np.sum(self.kept ** 2))
+        return float(np.sum(self.kept[1:] * self.kept[:-1])) / total if total else 0.0
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """
+    How a model and measurements differ.
+
+    Attributes
+    ----------
+    samples, outliers : int
+        The outliers are not in the other numbers.
+    attitude_rms, rate_rms : float or None
+        rad and rad/s; None if not measured.
+    chi2_per_dof : float or None
+        Sum of squares of the errors, divided by their variances and their number less that of the
+        unknowns. It is 1 if the noise was estimated from the same errors.
+
+    """
+
+    samples: int
+    outliers: int
+    attitude_rms: float | None
+    rate_rms: float | None
+    chi2_per_dof: float | None
+
+    @classmethod
+    def of(cls, residuals: Sequence[Residuals], unknowns: int) -> Misfit:
+        """Return the misfit of errors that so many unknowns were fitted to."""
+        def rms(is_attitude: bool) -> float | None:
+            values = np.concatenate([np.empty(0), *(one.kept.ravel() for one in residuals
+                                                    if one.is_attitude == is_attitude)])
+            return float(np.sqrt(np.mean(values ** 2))) if values.size else None
+        count = sum(one.kept.size for one in residuals) - unknowns
+        chi2 = sum(float(np.sum((one.kept / one.noise) ** 2)) for one in residuals)
+        return cls(sum(len(one.errors) for one in residuals),
+                   sum(int(np.sum(~one.inliers)) for one in residuals), rms(True), rms(False),
+                   chi2 / count if count > 0 else None)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fields with the names of the JSON."""
+        return {'samples': self.samples, 'outliers': self.outliers,
+                'attitude_rms_rad': self.attitude_rms, 'rate_rms_rad_s': self.rate_rms,
+                'chi2_per_dof': self.chi2_per_dof}
+
+
+def of_training(setup: Setup, solution: Solution) -> list[Residuals]:
+    """Return the errors of the samples that were fitted."""
+    result = []
+    for number, channels in enumerate(setup.channels):
+        for channel, errors, inliers, noise in zip(
+                channels, solution.errors[number], solution.inliers[number],
+                solution.weights.sigma[number]):
+            used = np.isfinite(errors[:, 0])  # a clock offset moves some before the start
+            result.append(Residuals(number, channel.topic, channel.is_attitude, True,
+                                    channel.stamps[used], errors[used], inliers[used],
+                                    float(noise)))
+    return result
+
+
+def of_validation(setup: Setup, solution: Solution,
+                  every: Sequence[Sequence[Channel]]) -> list[Residuals]:
+    """
+    Return the errors of the samples that were not fitted, in the prediction from the others.
+
+    Parameters
+    ----------
+    setup : Setup
+        What was fitted.
+    solution : Solution
+        The fit.
+    every : sequence of sequence of Channel
+        The channels of each recording, with the samples that were not fitted.
+
+    """
+    physics, problem, result = solution.physics, solution.problem, []
+    offset_ns = round(physics.clock_offset * 1e9)
+    for number, (experiment, channels) in enumerate(zip(setup.experiments, every)):
+        k = [k for k, one in enumerate(problem.windows) if one.experiment == number][-1]
+        last = problem.windows[k]
+        rest = [channel.rows(slice(len(fitted.stamps), None))
+                for channel, fitted in zip(channels, setup.channels[number])]
+        whole, = windows_of(number, experiment, channels, 2 ** 62, offset_ns, 0,
+                            setup.torque_timeout)
+        ahead = replace(whole, anchor_ns=last.anchor_ns, rotors=last.rotors, channels=rest)
+        predicted = ahead.predict(physics, problem.reference.attitude[k],
+                                  problem.reference.velocity[k])
+        for channel, errors, noise in zip(rest, errors_of(rest, predicted),
+                                          solution.weights.sigma[number]):
+            sizes = np.linalg.norm(errors, axis=1)
+            limit = _OUTLIER * max(float(np.median(sizes)) if len(sizes) else 0.0, noise)
+            result.append(Residuals(number, channel.topic, channel.is_attitude, False,
+                                    channel.stamps, errors, sizes <= limit, float(noise)))
+    return result

@@ -1,0 +1,134 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""What an identification returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from rigid_body_ros.body import RigidBody
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.identification.identifiability import Direction
+from rigid_body_ros.identification.residuals import Misfit, Residuals
+from rigid_body_ros.state import State
+
+#: Half the width of a 95 % interval, in standard deviations.
+_NORMAL_95 = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """
+    An estimated number.
+
+    Attributes
+    ----------
+    name, unit : str
+    value, start : float
+        The estimate, and the guess.
+    sigma : float
+        Standard deviation; infinite if the data does not determine the number.
+    identifiable : bool
+
+    """
+
+    name: str
+    unit: str
+    value: float
+    start: float
+    sigma: float
+    identifiable: bool
+
+    @property
+    def interval_95(self) -> tuple[float, float] | None:
+        """Return the limits of the 95 % interval, None if there is none."""
+        half = _NORMAL_95 * self.sigma
+        return (self.value - half, self.value + half) if self.identifiable else None
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """
+    Estimated parameters of a body.
+
+    Attributes
+    ----------
+    body : RigidBody
+        With the estimated inertia and damping.
+    starts : list of State
+        The initial state of each recording.
+    estimates : dict of str to Estimate
+        By component name.
+    correlation : array, shape (n, n)
+        Of the estimates, NaN for those that are not identifiable.
+    unidentifiable : list of Direction
+        Combinations of parameters that the data does not determine.
+    residuals : list of Residuals
+        The errors of all samples.
+    training : Misfit
+    validation : Misfit or None
+    window_s : float
+        Length of the windows of the fit; each begins with a state of its own.
+    evaluations : int
+    converged : bool
+
+    """
+
+    body: RigidBody
+    starts: list[State]
+    estimates: dict[str, Estimate]
+    correlation: Floats
+    unidentifiable: list[Direction]
+    residuals: list[Residuals]
+    training: Misfit
+    validation: Misfit | None
+    window_s: float
+    evaluations: int
+    converged: bool
+
+    @property
+    def is_complete(self) -> bool:
+        """Return whether the fit converged and the data determines all estimates."""
+        return self.converged and not self.unidentifiable and all(
+            one.identifiable for one in self.estimates.values())
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Return the standard deviation of each quantity of each topic, given or estimated."""
+        return {one.name: one.noise for one in self.residuals if one.is_training}
+
+    @property
+    def autocorrelation(self) -> dict[str, float]:
+        """Return the correlation of neighbouring errors that were fitted; 0 if they are white."""
+        return {one.name: one.autocorrelation for one in self.residuals if one.is_training}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the result as JSON data; numbers that are not finite are None."""
+        return {
+            'estimates': {name: {
+                'value': one.value, 'start': one.start,
+                'sigma': one.sigma if one.identifiable else None,
+                'interval_95': list(one.interval_95) if one.interval_95 else None,
+                'identifiable': one.identifiable} for name, one in self.estimates.items()},
+            'unidentifiable': [{'direction': one.components, 'reason': one.reason}
+                               for one in self.unidentifiable],
+            'correlation': [[None if math.isnan(value) else value for value in row]
+                            for row in self.correlation.tolist()],
+            'noise': self.noise, 'autocorrelation': self.autocorrelation,
+            'window_s': self.window_s,
+            'training': self.training.as_dict(),
+            'validation': self.validation.as_dict() if self.validation else None,
+            'evaluations': self.evaluations, 'converged': self.converged}
