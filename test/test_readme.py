@@ -25,6 +25,7 @@ import subprocess
 import sys
 
 from conftest import NAME, RECORDINGS, ROOT
+import measurements
 import pytest
 
 TEXT = (ROOT / 'README.md').read_text(encoding='utf-8')
@@ -42,6 +43,11 @@ def place(tmp_path, monkeypatch):
     """Work in a folder with the files that the README names, and the commands on the path."""
     (tmp_path / 'scene.yaml').write_text(SCENE)
     shutil.copy(RECORDINGS / 'tumbler.mcap', tmp_path / 'log.mcap')
+    flight = measurements.truth()
+    measured = measurements.messages_of('Imu', flight.measured(2e-3, 5e-3))
+    measurements.write(tmp_path / 'flight.mcap', imu=measured,
+                       torque=measurements.torque_messages(flight))
+    measurements.write_scene(tmp_path / 'guess.yaml', flight)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
