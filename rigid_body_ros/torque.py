@@ -209,9 +209,9 @@ class TorqueLog:
 
         Returns
         -------
-        iterable of (start, stop, coefficients)
-            The chunk has the samples `start` to `stop - 1`. The coefficients, N m, are an array
-            of shape (rows, 2 degree + 1, 3), with a row for each sample of the chunk and, except
+        iterable of (int, int, array)
+            The first sample of the chunk, the one after its last, and the coefficients, N m: an
+            array of shape (rows, 2 degree + 1, 3), with a row for each sample and, except
             in the last chunk, a row for the sample after it. A row has the degree + 1
             coefficients of a polynomial in the fraction of the time to the next sample, then the
             low-order parts of all coefficients but the first, which is the sample itself.
