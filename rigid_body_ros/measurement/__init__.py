@@ -22,7 +22,8 @@ the torque log lacks, and `causes` what explains the errors. The command reads w
 writes with `outputs` and prints with `summary`.
 """
 
-from rigid_body_ros.measurement.align import Alignment, ALIGNMENTS
+from rigid_body_ros.measurement.align import ALIGNMENTS
+from rigid_body_ros.measurement.alignment import Alignment
 from rigid_body_ros.measurement.causes import Cause
 from rigid_body_ros.measurement.comparison import compare, Comparison, Errors
 from rigid_body_ros.measurement.horizons import Horizon

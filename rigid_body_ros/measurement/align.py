@@ -17,8 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +25,7 @@ from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.measurement import coarse
+from rigid_body_ros.measurement.alignment import Alignment
 from rigid_body_ros.measurement.measured import Measured
 from rigid_body_ros.measurement.motion import measured_rates, Model, Recorded, States
 from rigid_body_ros.runtime import interrupts
@@ -43,72 +43,10 @@ _PART = 10_000
 #: Residuals, in standard deviations, from which on the loss grows linearly, or a sample is left
 #: out of the last stage.
 _HUBER, _OUTLIER = 2.0, 5.0
+#: Number of motions that are kept: at a clock offset, and half a step before and after it.
+_KEPT = 3
 #: Singular value, relative to the largest, below which the data does not determine a direction.
 _SINGULAR = 1e-7
-
-
-def _identity() -> Floats:
-    return np.array([0.0, 0.0, 0.0, 1.0])
-
-
-@dataclass(frozen=True, eq=False)
-class Alignment:
-    """
-    What brings a measurement into the time and the frames of a motion.
-
-    Measured attitude = `space` * attitude of the motion * `mount`.
-
-    Attributes
-    ----------
-    clock_offset_s : float, s
-        Added to the measured stamps.
-    mount, space : array, shape (4,)
-        x y z w; `mount` maps vectors from the axes of the sensor to the body axes.
-    start : State, optional
-        The fitted start; None for that of the scene.
-    sigma : dict
-        Standard deviations of what was fitted: 'clock_offset_s' in s, and arrays of shape (3,):
-        'mount_rad', 'space_rad' and 'initial_attitude_rad' about the axes of sensor, space and
-        body, 'initial_angular_velocity_rad_s'. Infinite if the measurement does not determine a
-        value.
-
-    """
-
-    clock_offset_s: float = 0.0
-    mount: Floats = field(default_factory=_identity)
-    space: Floats = field(default_factory=_identity)
-    start: State | None = None
-    sigma: dict[str, Any] | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the alignment as JSON types; an infinite standard deviation is None."""
-        found: dict[str, Any] = {
-            'clock_offset_s': self.clock_offset_s, 'mount_xyzw': _upper(self.mount).tolist(),
-            'space_xyzw': _upper(self.space).tolist(),
-            'start': 'fitted' if self.start else 'scene'}
-        if self.start:
-            found['initial_attitude_xyzw'] = self.start.attitude.tolist()
-            found['initial_angular_velocity_rad_s'] = self.start.angular_velocity.tolist()
-        if self.sigma:
-            found['sigma'] = {name: _finite(value) for name, value in self.sigma.items()}
-        return found
-
-    def applied(self, sensor: Measured) -> Measured:
-        """Return what a sensor measured, in the time and the frames of the motion."""
-        attitude, rate = sensor.attitude, sensor.angular_velocity
-        if attitude is not None:
-            attitude = so3.multiply(so3.multiply(so3.conjugate(self.space), attitude),
-                                    so3.conjugate(self.mount))
-        if rate is not None:
-            rate = so3.rotate(self.mount, rate)
-        turn = so3.matrix(self.mount)
-
-        def turned(covariance: Floats | None) -> Floats | None:
-            return None if covariance is None else turn @ covariance @ turn.T
-        return replace(sensor, stamps=sensor.stamps + round(1e9 * self.clock_offset_s),
-                       attitude=attitude, angular_velocity=rate,
-                       attitude_covariance=turned(sensor.attitude_covariance),
-                       rate_covariance=turned(sensor.rate_covariance))
 
 
 def align(motion: Model | Recorded, sensors: Sequence[Measured],
@@ -176,6 +114,8 @@ class _Problem:
             raise apart(motion, sensors)
         #: Standard deviations of attitude and rate of each sensor.
         self._scales = [(1.0, 1.0)] * len(sensors)
+        #: The latest motions, by start and stamps; a mounting does not change them.
+        self._kept: dict[bytes, States] = {}
 
     def _inside(self, sensor: Measured) -> NDArray[np.intp]:
         margin = 10_000_000 if 'clock_offset_s' in self._names else 0
@@ -280,28 +220,24 @@ class _Problem:
         from scipy.optimize import least_squares  # takes as long to import as the engine
         base, count = self._value, sum(self._sizes)
         rows = slice(None) if kept is None else kept
+        halves = [_CLOCK_STEP if name == 'clock_offset_s' else _STEP
+                  for name, size in zip(self._names, self._sizes) for _ in range(size)]
 
         def residuals(step: Floats) -> Floats:
             return np.asarray(self._residuals(self._moved(base, step))[rows])
 
         def jacobian(step: Floats) -> Floats:
-            columns = np.empty((len(residuals(step)), count))
-            for number, half in enumerate(self._half_steps()):
-                change = np.zeros(count)
-                change[number] = half
-                columns[:, number] = (residuals(step + change) - residuals(step - change)) \
-                    / (2.0 * half)
-            return columns
+            columns = []
+            for change, half in zip(np.diag(halves), halves):
+                columns.append((residuals(step + change) - residuals(step - change))
+                               / (2.0 * half))
+            return np.stack(columns, axis=1)
         options = {'loss': 'linear'} if kept is not None else {'loss': 'huber', 'f_scale': _HUBER}
         result = least_squares(residuals, np.zeros(count), jacobian, max_nfev=_MOST,
                                xtol=tolerance, ftol=tolerance, gtol=tolerance, x_scale='jac',
                                **options)
         self._value = self._moved(base, result.x)
         return np.asarray(result.jac)
-
-    def _half_steps(self) -> list[float]:
-        return [_CLOCK_STEP if name == 'clock_offset_s' else _STEP
-                for name, size in zip(self._names, self._sizes) for _ in range(size)]
 
     def _moved(self, base: Alignment, step: Floats) -> Alignment:
         """Return an alignment with small changes."""
@@ -330,10 +266,7 @@ class _Problem:
                    for sensor, rows in zip(self._sensors, self._rows)]
         stamps = np.concatenate([sensor.stamps for sensor in aligned])
         to_sensor = so3.conjugate(value.mount)
-        moved = replace(self._motion, start=value.start) \
-            if isinstance(self._motion, Model) and value.start else self._motion
-        # A step of the clock may lead out of the motion, unless the offset is nearly right.
-        states, first, parts = moved.at(np.clip(stamps, moved.first_ns, moved.last_ns)), 0, []
+        states, first, parts = self._states(value.start, stamps), 0, []
         for sensor, scales in zip(aligned, self._scales):
             part = slice(first, first + len(sensor))
             errors = errors_of(sensor, States(states.attitude[part],
@@ -344,6 +277,19 @@ class _Problem:
                       for error, scale in zip(errors, scales) if error is not None]
             first += len(sensor)
         return np.concatenate(parts)
+
+    def _states(self, start: State | None, stamps: NDArray[np.int64]) -> States:
+        key = stamps.tobytes()
+        moved = self._motion
+        if start and isinstance(moved, Model):
+            moved = replace(moved, start=start)
+            key += start.attitude.tobytes() + start.angular_velocity.tobytes()
+        if key not in self._kept:
+            if len(self._kept) == _KEPT:
+                del self._kept[next(iter(self._kept))]
+            # A step of the clock may lead out of the motion, unless the offset is nearly right.
+            self._kept[key] = moved.at(np.clip(stamps, moved.first_ns, moved.last_ns))
+        return self._kept[key]
 
 
 def errors_of(sensor: Measured, states: States) -> tuple[Floats | None, Floats | None]:
@@ -381,17 +327,9 @@ def _deviations(jacobian: Floats) -> Floats:
     """Return standard deviations; infinite for what the rows do not determine."""
     norms = np.linalg.norm(jacobian, axis=0)
     scaled = jacobian / np.where(norms > 0.0, norms, 1.0)
-    _, singular, turn = np.linalg.svd(scaled, full_matrices=False)
+    # The factor R has the singular values of the whole matrix, and is as small as the problem.
+    _, singular, turn = np.linalg.svd(np.linalg.qr(scaled, mode='r'), full_matrices=False)
     small = singular < _SINGULAR * singular.max(initial=1e-300)
     variances = np.sum((turn / np.where(small, 1.0, singular)[:, None]) ** 2, axis=0)
     lost = (np.abs(turn[small]) > 1e-3).any(axis=0) | (norms == 0.0)
     return np.where(lost, np.inf, np.sqrt(variances) / np.where(norms > 0.0, norms, 1.0))
-
-
-def _upper(quaternion: Floats) -> Floats:
-    return -quaternion if quaternion[3] < 0.0 else quaternion
-
-
-def _finite(value: Any) -> Any:
-    each = [float(one) if np.isfinite(one) else None for one in np.atleast_1d(value)]
-    return each[0] if np.ndim(value) == 0 else each

@@ -28,7 +28,8 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.measurement.align import align as aligned_by
-from rigid_body_ros.measurement.align import Alignment, apart, errors_of, START
+from rigid_body_ros.measurement.align import apart, errors_of, START
+from rigid_body_ros.measurement.alignment import Alignment
 from rigid_body_ros.measurement.horizons import Horizon, horizon
 from rigid_body_ros.measurement.measured import Measured
 from rigid_body_ros.measurement.motion import Model, Recorded, States

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats, written
-from rigid_body_ros.measurement.align import Alignment
+from rigid_body_ros.measurement.alignment import Alignment
 from rigid_body_ros.measurement.comparison import Comparison, statistics
 from rigid_body_ros.measurement.motion import Model
 
