@@ -40,6 +40,9 @@ ROUNDING = 1e-12
 #: Largest accepted `triangle_excess`. Published tensors have two or three digits, so the tensor of
 #: a thin plate may be slightly unphysical. Its motion is still well defined.
 TRIANGLE_EXCESS = 0.03
+#: Largest accepted entry of J^-1 D, 1/s: in a nanosecond, the shortest step, no motion decays by
+#: more than a factor e.
+FASTEST_DAMPING = 1e9
 #: Bound on the relative rounding error of a weighted sum over up to a million point masses with
 #: numpy's pairwise summation.
 _SUMMED = 40.0 * np.finfo(float).eps
@@ -80,7 +83,7 @@ class RigidBody:
         The tensor is not 3 by 3, finite, symmetric and positive definite; its largest principal
         moment exceeds the sum of the others by more than `TRIANGLE_EXCESS`; a moment or its
         inverse does not fit a double; or the damping is not 3 by 3, finite, symmetric and positive
-        semidefinite.
+        semidefinite, or is too strong for steps of a nanosecond.
 
     """
 
@@ -310,10 +313,15 @@ def _damping_coefficients(tensor: Floats, damping: Floats) -> Floats:
     if not damping.any():
         return np.zeros((2, 3, 3))
     try:
-        return tensor_constants.damping_coefficients(tensor, damping)
+        coefficients = tensor_constants.damping_coefficients(tensor, damping)
     except ArithmeticError:
         raise ValueError('damping: expected entries whose quotients by the moments of inertia fit '
                          f'a double, found {damping.tolist()}') from None
+    largest = np.max(np.abs(coefficients[0]))
+    if largest > FASTEST_DAMPING:
+        raise ValueError('damping: expected quotients by the moments of inertia of at most '
+                         f'{FASTEST_DAMPING:g} 1/s, found {largest:.6g} 1/s')
+    return coefficients
 
 
 def _check_thickness(tensor: Floats, mass: float, distance: float) -> None:

@@ -247,6 +247,8 @@ def test_a_solver_without_rotors_rejects_a_torque_on_them(solver):
     (np.triu(np.ones((3, 3))), 'damping: expected a symmetric tensor, found .*'),
     (np.diag([1.0, -0.5, 2.0]), 'damping: expected a tensor without negative eigenvalues, found '
                                 '.* with the eigenvalue -0.5 N m s/rad'),
+    (1e12 * np.eye(3), r'damping: expected quotients by the moments of inertia of at most 1e\+09 '
+                       r'1/s, found .*e\+\d\d 1/s'),
 ])
 def test_impossible_damping_is_rejected(damping, message):
     with pytest.raises(ValueError, match=f'^{message}$'):
