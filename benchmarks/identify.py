@@ -15,13 +15,15 @@
 """
 Whether the intervals of `identify` cover the truth, and how long it takes.
 
-Run `python benchmarks/identify.py [SEEDS]`. One motion, integrated by SciPy, with new noise for
-each seed: the share of the 95 % intervals of the inertia that cover the truth, chi-square per
-degree of freedom, and the standard deviations relative to the Cramer-Rao bound, which comes from
-derivatives of the motion at the truth. Then the time for a recording of a minute.
+Run `python benchmarks/identify.py [SEEDS]`. First the time and the memory for recordings of a
+minute and of an hour. Then one motion, integrated by SciPy, with new noise for each seed: the
+share of the 95 % intervals of the inertia that cover the truth, chi-square per degree of freedom,
+and the standard deviations relative to the Cramer-Rao bound, which comes from derivatives of the
+motion at the truth.
 """
 
 from pathlib import Path
+import resource
 import sys
 import time
 
@@ -29,7 +31,16 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))
 
-from rigid_body_ros import identify, propagate, RigidBody, so3, State  # noqa: E402
+from rigid_body_ros import (  # noqa: E402
+    Experiment,
+    identify,
+    Measured,
+    propagate,
+    RigidBody,
+    so3,
+    State,
+    TorqueLog,
+)
 from tumbling import INERTIA, Truth  # noqa: E402
 
 ATTITUDE, RATE = 2e-3, 5e-3
@@ -80,17 +91,32 @@ def coverage(seeds):
           f'from the errors {(np.sqrt(np.mean(np.square(errors), axis=0)) / least).round(3)}')
 
 
-def minute():
-    """Print the time for 60 s of torques at 200 Hz, and attitudes and rates at 100 Hz."""
-    truth = Truth(seconds=60.0, torque_hz=200, measured_hz=100)
-    experiment = truth.experiment(truth.measured(ATTITUDE, RATE))
-    for _ in range(3):
+def recording(seconds):
+    """Return torques at 200 Hz, and attitudes and rates at 100 Hz, computed by the engine."""
+    times = np.arange(200 * seconds + 1) * 5_000_000
+    phases = np.outer(times * 1e-9, [0.7, 1.1, 1.7]) + np.arange(3.0)
+    log, start = TorqueLog(times, 0.02 * np.sin(phases)), State(angular_velocity=(0.5, 1.0, 0.2))
+    stamps = times[2:-1:2]
+    motion = propagate(RigidBody(INERTIA), start, log, at=stamps)
+    turned, added = np.random.default_rng(0).standard_normal((2, len(stamps), 3))
+    q = so3.multiply(motion.attitude, so3.exp(ATTITUDE * turned))
+    return Experiment(start, log, [Measured('/imu', stamps, q,
+                                            motion.angular_velocity + RATE * added)])
+
+
+def duration(seconds, repetitions):
+    """Print the time of a fit to a recording of some length, and the memory of the process."""
+    experiment = recording(seconds)
+    for _ in range(repetitions):
         begin = time.perf_counter()
         result = identify(RigidBody(np.diag([0.03, 0.03, 0.03])), experiment)
-        print(f'60 s recording: {time.perf_counter() - begin:.2f} s, '
-              f'{result.evaluations} evaluations')
+        taken = time.perf_counter() - begin
+        resident = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # Linux counts in kB
+        print(f'recording of {seconds} s: {taken:.2f} s, {result.evaluations} evaluations in '
+              f'windows up to {result.window_s:.0f} s, {resident:.2f} GB resident', flush=True)
 
 
 if __name__ == '__main__':
-    minute()
+    duration(60, 3)
+    duration(3600, 1)
     coverage(int(sys.argv[1]) if len(sys.argv) > 1 else 200)

@@ -33,7 +33,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.experiment import Channel
 from rigid_body_ros.identification.parameters import Parameters, Physics
 from rigid_body_ros.identification.triangles import triangle
-from rigid_body_ros.identification.windows import Window
+from rigid_body_ros.identification.windows import States, Window
 
 #: Width of the prior of each coordinate, which only keeps undetermined ones near the guess.
 _PRIOR = 3.0
@@ -61,22 +61,6 @@ class Weights:
 
     sigma: list[list[float]]
     roots: list[list[Floats]]
-
-
-@dataclass(eq=False)
-class States:
-    """
-    The states at the beginnings of windows.
-
-    Attributes
-    ----------
-    attitude : array, shape (k, 4)
-    velocity : array, shape (k, 3), rad/s
-
-    """
-
-    attitude: Floats
-    velocity: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +133,7 @@ class Problem:
     def states(self) -> States:
         """Return the states at the latest point that the solver accepted."""
         assert self._base is not None
-        pairs = [self._state(k, change) for k, change in enumerate(self._base.changes)]
-        return States(np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs]))
+        return self._changed(slice(None), self._base.changes)
 
     def fun(self, point: Floats) -> Floats:
         """Return the residuals at a point of the shared parameters, compressed."""
@@ -202,11 +185,10 @@ class Problem:
                 change[unknown] -= np.linalg.solve(factor[:own, :own], wanted)
         return changes
 
-    def _state(self, k: int, change: Floats) -> tuple[Floats, Floats]:
-        attitude = self.reference.attitude[k]
-        if change[:3].any():
-            attitude = so3.multiply(attitude, so3.exp(change[:3]))
-        return attitude, self.reference.velocity[k] + self._rate * change[3:]
+    def _changed(self, k: int | slice, changes: Floats) -> States:
+        """Return a reference state, or all of them, with changes of shape (c, 6)."""
+        return States(so3.multiply(self.reference.attitude[k], so3.exp(changes[:, :3])),
+                      self.reference.velocity[k] + self._rate * changes[:, 3:])
 
     def _triangle(self, k: int, physics: Physics, moved_physics: Sequence[Physics],
                   change: Floats, largest: Floats) -> Floats:
@@ -215,28 +197,32 @@ class Problem:
 
         The array `largest` takes the largest derivative of any prediction by each unknown.
         """
-        unknown, steps = self.unknowns[k], self.steps[0]
-        own = len(unknown)
-        base = self._predicted(k, physics, change)
-        columns = np.zeros((own + len(steps) + 1, 3 * len(self.windows[k].stamps) + own))
-        for i, row in enumerate(unknown):
-            step = self.steps[1][k, row]
-            moved = change + step * np.eye(6)[row]
-            slope = self._turned(k, base, change, moved, step) \
-                if row < 3 and self.windows[k].is_in_body \
-                else self._slope(k, base, self._predicted(k, physics, moved), step)
-            largest[row] = max(np.abs(one).max(initial=0.0) for one in slope)
-            columns[i, own:] = self._rows(k, slope)
-            columns[i, i], columns[-1, i] = 1.0 / _PRIOR, change[row] / _PRIOR
-        for i, (step, there) in enumerate(zip(steps, moved_physics)):
-            slope = self._slope(k, base, self._predicted(k, there, change), step)
-            largest[6 + i] = max(np.abs(one).max(initial=0.0) for one in slope)
-            columns[own + i, own:] = self._rows(k, slope)
-        columns[-1, own:] = self._rows(k, errors_of(self.windows[k].channels, base))
+        window, unknown, steps = self.windows[k], self.unknowns[k], self.steps[0]
+        own, free = len(unknown), self._free(k)
+        step = np.append(self.steps[1][k, unknown], steps)
+        moves = np.zeros((1 + len(step), 6))
+        moves[1 + np.arange(own), unknown] = step[:own]
+        states = self._changed(k, change + moves)
+        predicted = window.predict([physics] * (1 + own - free) + [*moved_physics],
+                                   states.rows(np.r_[0, 1 + free:len(moves)]))
+        base = [one[0] for one in predicted]
+        slope = [np.concatenate(parts) for parts in zip(
+            self._turned(k, base, states.attitude[:1 + free], step[:free]),
+            slopes(window, base, [(one[1:] - one[0]) / step[free:, None, None]
+                                  for one in predicted]))]
+        found = np.max([np.abs(one).max(axis=(1, 2), initial=0.0) for one in slope], axis=0)
+        largest[np.append(unknown, 6 + np.arange(len(steps)))] = found
+        columns = np.zeros((len(step) + 1, 3 * window.size + own))
+        columns[:-1, own:] = self._rows(k, slope)
+        columns[-1:, own:] = self._rows(
+            k, errors_of(window.channels, [one[:1] for one in predicted]))
+        columns[np.arange(own), np.arange(own)] = 1.0 / _PRIOR
+        columns[-1, :own] = change[unknown] / _PRIOR
         return triangle(columns)
 
-    def _predicted(self, k: int, physics: Physics, change: Floats) -> list[Floats]:
-        return self.windows[k].predict(physics, *self._state(k, change))
+    def _free(self, k: int) -> int:
+        """Return by how many unknowns of a window the derivatives need no motion."""
+        return int(np.sum(self.unknowns[k] < 3)) if self.windows[k].is_in_body else 0
 
     def _adapt(self, largest: Floats) -> None:
         """Choose steps that change no prediction much, however much the motion magnifies them."""
@@ -245,35 +231,32 @@ class Problem:
         shared[clock] = self.parameters.steps[clock]
         self.steps = shared, _STEP / np.maximum(largest[:, :6], 1.0)
 
-    def _slope(self, k: int, base: list[Floats], moved: list[Floats],
-               step: float) -> list[Floats]:
-        return slopes(self.windows[k], base,
-                      [(there - here) / step for here, there in zip(base, moved)])
-
-    def _turned(self, k: int, base: list[Floats], change: Floats, moved: Floats,
-                step: float) -> list[Floats]:
+    def _turned(self, k: int, base: list[Floats], attitude: Floats, step: Floats) -> list[Floats]:
         """Return the slopes by an attitude: without torque in space axes, the motion turns."""
-        (here, _), (there, _) = self._state(k, change), self._state(k, moved)
-        space = 2.0 * so3.multiply(there - here, so3.conjugate(here))[:3] / step
+        space = 2.0 * so3.multiply(attitude[1:] - attitude[0],
+                                   so3.conjugate(attitude[0]))[:, None, :3] / step[:, None, None]
         return [so3.rotate(so3.conjugate(one), space) if channel.is_attitude
-                else np.zeros_like(one) for channel, one in zip(self.windows[k].channels, base)]
+                else np.zeros((len(step), *one.shape))
+                for channel, one in zip(self.windows[k].channels, base)]
 
     def _rows(self, k: int, errors: list[Floats]) -> Floats:
+        """Return errors or slopes, shape (c, n, 3) each, in standard deviations, as rows."""
         window = self.windows[k]
         sigma = self.weights.sigma[window.experiment]
         roots = self.weights.roots[window.experiment]
-        return np.concatenate([(error * (root[rows] / one)[:, None]).ravel() for error, one, root,
-                               rows in zip(errors, sigma, roots, window.rows)])
+        return np.concatenate([(error * (root[rows] / one)[:, None]).reshape(len(error), -1)
+                               for error, one, root, rows
+                               in zip(errors, sigma, roots, window.rows)], axis=1)
 
     def residuals(self, physics: Physics) -> list[list[Floats]]:
         """Return the errors of all samples with the reference states, NaN outside of windows."""
         result = [[np.full((len(root), 3), np.nan) for root in roots]
                   for roots in self.weights.roots]
         for k, window in enumerate(self.windows):
-            predicted = self._predicted(k, physics, np.zeros(6))
+            predicted = window.predict([physics], self.reference.rows([k]))
             errors = errors_of(window.channels, predicted)
             for one, rows, error in zip(result[window.experiment], window.rows, errors):
-                one[rows] = error
+                one[rows] = error[0]
         return result
 
     def information(self, physics: Physics) -> Floats:
@@ -307,41 +290,33 @@ class Problem:
 
     def _plain_triangle(self, k: int, physics: Physics) -> Floats:
         """Return the factor of the derivatives of a window, by values divided by scales."""
-        shared, unknown = self.parameters.size, self.unknowns[k]
+        window, unknown = self.windows[k], self.unknowns[k]
+        own, shared = len(unknown), self.parameters.size
         steps = _FINAL * self.steps[0]
         steps[self.parameters.clock] /= _FINAL
-        change = np.zeros(6)
-        base = self._predicted(k, physics, change)
-
-        def column(step: float, moved: list[list[Floats]]) -> Floats:
-            # One-sided, so that values on the boundary of possible bodies are no exception.
-            return self._rows(k, slopes(self.windows[k], base, [
-                (4.0 * one - two - 3.0 * here) / (2.0 * step)
-                for here, one, two in zip(base, *moved)]))
-        columns = np.empty((len(unknown) + shared, 3 * len(self.windows[k].stamps)))
-        for i, row in enumerate(unknown):
-            step = _FINAL * self.steps[1][k, row]
-            unit = np.eye(6)[row] * step
-            columns[i] = column(step, [self._predicted(k, physics, change + times * unit)
-                                       for times in (1, 2)])
-        for i, step in enumerate(steps):
-            unit = np.eye(shared)[i] * step
-            columns[len(unknown) + i] = column(step, [
-                self._predicted(k, self.parameters.near(physics, times * unit), change)
-                for times in (1, 2)])
-        factor = triangle(columns)
+        step = np.append(_FINAL * self.steps[1][k, unknown], steps)
+        moves = np.zeros((2, len(step), 6))
+        moves[:, np.arange(own), unknown] = np.outer((1, 2), step[:own])
+        moved = [[physics] * own + [self.parameters.near(physics, times * unit * steps)
+                                    for unit in np.eye(shared)] for times in (1, 2)]
+        predicted = window.predict([physics, *moved[0], *moved[1]], self._changed(
+            k, np.concatenate([np.zeros((1, 6)), *moves])))
+        # One-sided, so that values on the boundary of possible bodies are no exception.
+        factor = triangle(self._rows(k, slopes(window, [one[0] for one in predicted], [
+            (4.0 * one[1:1 + len(step)] - one[1 + len(step):] - 3.0 * one[0])
+            / (2.0 * step[:, None, None]) for one in predicted])))
         factor[:, len(unknown):] = self.parameters.from_plain(factor[:, len(unknown):])
         return factor
 
 
 def errors_of(channels: Sequence[Channel], predicted: Sequence[Floats]) -> list[Floats]:
-    """Return predicted minus measured values, attitudes as rotation vectors."""
+    """Return predicted minus measured values, shape (c, n, 3), attitudes as rotation vectors."""
     return [-so3.log(so3.multiply(so3.conjugate(here), channel.values))
             if channel.is_attitude else here - channel.values
             for channel, here in zip(channels, predicted)]
 
 
 def slopes(window: Window, predicted: list[Floats], changes: list[Floats]) -> list[Floats]:
-    """Return changes of predictions, attitudes as rotation vectors."""
-    return [2.0 * so3.multiply(so3.conjugate(here), change)[:, :3] if channel.is_attitude
+    """Return changes of predictions, shape (c, n, 3), attitudes as rotation vectors."""
+    return [2.0 * so3.multiply(so3.conjugate(here), change)[..., :3] if channel.is_attitude
             else change for channel, here, change in zip(window.channels, predicted, changes)]

@@ -166,10 +166,10 @@ def of_validation(setup: Setup, solution: Solution,
         whole, = windows_of(number, experiment, channels, 2 ** 62, offset_ns, 0,
                             setup.torque_timeout)
         ahead = replace(whole, anchor_ns=last.anchor_ns, rotors=last.rotors, channels=rest)
-        predicted = ahead.predict(physics, problem.reference.attitude[k],
-                                  problem.reference.velocity[k])
+        predicted = ahead.predict([physics], problem.reference.rows([k]))
         for channel, errors, noise in zip(rest, errors_of(rest, predicted),
                                           solution.weights.sigma[number]):
+            errors = errors[0]
             sizes = np.linalg.norm(errors, axis=1)
             limit = _OUTLIER * max(float(np.median(sizes)) if len(sizes) else 0.0, noise)
             result.append(Residuals(number, channel.topic, channel.is_attitude, False,

@@ -25,12 +25,32 @@ from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.experiment import Channel, Experiment
 from rigid_body_ros.identification.parameters import Physics
-from rigid_body_ros.propagation import propagate
+from rigid_body_ros.propagation import propagate, Trajectory
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
 
 #: ns; a window with a fitted clock begins this much before its first sample.
 LEAD_NS = 200_000_000
+
+
+@dataclass(eq=False)
+class States:
+    """
+    Several states.
+
+    Attributes
+    ----------
+    attitude : array, shape (k, 4)
+    velocity : array, shape (k, 3), rad/s
+
+    """
+
+    attitude: Floats
+    velocity: Floats
+
+    def rows(self, chosen: Sequence[int] | slice) -> States:
+        """Return some of the states."""
+        return States(self.attitude[chosen], self.velocity[chosen])
 
 
 @dataclass(eq=False)
@@ -67,25 +87,33 @@ class Window:
     channels: list[Channel]
     rows: list[slice]
     torque_timeout: float = 0.0
+    #: Of all channels, increasing, each once.
     stamps: NDArray[np.int64] = field(init=False)
     is_in_body: bool = field(init=False)
     _scaled: tuple[float, list[TorqueLog]] = field(init=False)
+    #: Where in `stamps` those of each channel are.
+    _moments: list[NDArray[np.intp]] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.stamps = np.concatenate([channel.stamps for channel in self.channels])
+        self.stamps = np.unique(np.concatenate([channel.stamps for channel in self.channels]))
         self.is_in_body = not any(log.in_space.any() for log in self.logs)
         self._scaled = 1.0, self.logs
+        self._moments = [np.searchsorted(self.stamps, channel.stamps) for channel in self.channels]
 
-    def predict(self, physics: Physics, attitude: Floats, velocity: Floats) -> list[Floats]:
+    def predict(self, physics: Sequence[Physics], states: States) -> list[Floats]:
         """
         Return what the sensors measure without noise, for each channel.
 
         Parameters
         ----------
-        physics : Physics
+        physics : sequence of Physics, length c
             The parameters.
-        attitude, velocity : array, shape (4,) and (3,)
-            The state at the beginning.
+        states : States
+            The c states at the beginning.
+
+        Returns
+        -------
+        list of array, shape (c, n, 4) or (c, n, 3)
 
         Raises
         ------
@@ -93,28 +121,35 @@ class Window:
             As for `propagate`.
 
         """
-        start = State(self.anchor_ns, attitude, velocity, self.rotors + physics.rotor_momentum)
-        times = np.maximum(self.stamps + round(physics.clock_offset * 1e9), self.anchor_ns)
-        motion = propagate(physics.body, start, self._acting(physics), at=times,
-                           wheels=self.wheels, torque_timeout=self.torque_timeout)
-        mount = so3.exp(physics.mount) if physics.mount.any() else None
-        result, first = [], 0
-        for channel in self.channels:
-            part = slice(first, first + len(channel.stamps))
-            first = part.stop
-            result.append(_sensed(channel, motion.attitude[part], motion.angular_velocity[part],
-                                  physics, mount))
-        return result
+        motions = [self._motion(*one, self.stamps + round(one[0].clock_offset * 1e9))
+                   for one in zip(physics, states.attitude, states.velocity)]
+        attitude = np.stack([motion.attitude for motion in motions])
+        velocity = np.stack([motion.angular_velocity for motion in motions])
+        vectors = np.array([one.mount for one in physics])
+        mount = so3.exp(vectors)[:, None] if vectors.any() else None
+        bias = np.array([one.gyro_bias for one in physics])[:, None]
+        return [_attitudes(channel, attitude[:, rows], mount) if channel.is_attitude
+                else _rates(channel, velocity[:, rows], mount, bias)
+                for channel, rows in zip(self.channels, self._moments)]
 
     def state_at(self, physics: Physics, attitude: Floats, velocity: Floats,
                  time_ns: int) -> tuple[Floats, Floats]:
         """Return attitude and angular velocity at a time, from those at the beginning."""
-        if time_ns <= self.anchor_ns:
-            return attitude, velocity
-        start = State(self.anchor_ns, attitude, velocity, self.rotors + physics.rotor_momentum)
-        motion = propagate(physics.body, start, self._acting(physics), at=[time_ns],
-                           wheels=self.wheels, torque_timeout=self.torque_timeout)
+        motion = self._motion(physics, attitude, velocity, np.array([time_ns]))
         return motion.attitude[0], motion.angular_velocity[0]
+
+    def _motion(self, physics: Physics, attitude: Floats, velocity: Floats,
+                times_ns: NDArray[np.int64]) -> Trajectory:
+        """Return the motion at times, at the beginning for earlier ones."""
+        start = State(self.anchor_ns, attitude, velocity, self.rotors + physics.rotor_momentum)
+        return propagate(physics.body, start, self._acting(physics),
+                         at=np.maximum(times_ns, self.anchor_ns), wheels=self.wheels,
+                         torque_timeout=self.torque_timeout)
+
+    @property
+    def size(self) -> int:
+        """Return the number of samples of all channels."""
+        return sum(len(channel.stamps) for channel in self.channels)
 
     def _acting(self, physics: Physics) -> list[TorqueLog]:
         if physics.torque_gain != self._scaled[0]:
@@ -131,14 +166,14 @@ class Window:
         return TorqueLog(times, np.broadcast_to(torque, (len(times), 3)))
 
 
-def _sensed(channel: Channel, attitude: Floats, velocity: Floats, physics: Physics,
-            mount: Floats | None) -> Floats:
-    mount = mount if channel.is_mounted else None
-    if channel.is_attitude:
-        return attitude if mount is None else so3.multiply(attitude, mount)
-    if mount is not None:
+def _attitudes(channel: Channel, attitude: Floats, mount: Floats | None) -> Floats:
+    return attitude if mount is None or not channel.is_mounted else so3.multiply(attitude, mount)
+
+
+def _rates(channel: Channel, velocity: Floats, mount: Floats | None, bias: Floats) -> Floats:
+    if mount is not None and channel.is_mounted:
         velocity = so3.rotate(so3.conjugate(mount), velocity)
-    return velocity + physics.gyro_bias
+    return velocity + bias
 
 
 def windows_of(number: int, experiment: Experiment, channels: Sequence[Channel], length_ns: int,
