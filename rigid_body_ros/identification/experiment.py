@@ -204,8 +204,9 @@ def _near(channel: Channel, time_ns: int, rate: float) -> Channel:
     span_ns = int(0.5e9 / rate)
     centre = int(np.searchsorted(channel.stamps, time_ns))
     near = channel.rows(slice(max(centre - _LOCAL // 2, 0), centre + _LOCAL))
-    close = near.rows(np.abs(near.stamps - time_ns) <= span_ns)
-    return close if len(close.stamps) >= 3 else near.rows(slice(0, 3))
+    distances = np.abs(near.stamps - time_ns)
+    closest = np.sort(distances)[:3]
+    return near.rows(distances <= max(span_ns, int(closest.max(initial=0))))
 
 
 def _robust_line(seconds: NDArray[np.floating], values: Floats) -> tuple[Floats, Floats]:

@@ -23,7 +23,7 @@ whole recording, or until the motion magnifies errors so much that a longer wind
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,10 +38,17 @@ from rigid_body_ros.identification.windows import LEAD_NS, States, Window, windo
 _FIRST = 8.0
 #: Fewest and most samples of a channel in a window.
 _SHORTEST, _LONGEST = 20, 60_000
+#: Number of windows of the first fit, which only has to find out roughly what acts.
+_FEW = 32
 #: How much longer the next windows are; the smaller ones if that does not fit.
-_GROWTH = (8, 2)
-#: A longer window fits if its errors are at most this many times those of the shorter ones.
-_WORSE = 2.0
+_GROWTH = (8, 4, 2)
+#: rad, and relative to the rate; errors of a prediction up to which derivatives are of use.
+_LINEAR = 0.3
+#: A fit that takes more evaluations than this is too far from linear, and so are its intervals.
+_FAST = 6
+#: Longer windows fit if their errors are at most this many times those of the shorter ones: all
+#: errors, and those in one of them.
+_WORSE, _WORST = 1.1, 2.0
 #: A sample is an outlier if its error exceeds this many standard deviations.
 _OUTLIER = 5.0
 #: Scale of the Cauchy loss, in standard deviations.
@@ -134,24 +141,43 @@ class Solution:
 
 def solve(setup: Setup) -> Solution:
     """Return the fit with the longest windows that the data allows."""
-    solution = _first(setup)
-    for tolerance in (1e-2, 1e-3):
-        solution = _fitted(setup, solution, solution.length_ns, tolerance, 8)
+    solution = _rough(setup)
+    solution = _fitted(setup, solution, solution.length_ns, 1e-2, 12)
     while solution.length_ns < setup.longest_ns:
-        for factor in _GROWTH:
-            length_ns = min(factor * solution.length_ns, setup.longest_ns)
-            longer = _fitted(setup, solution, length_ns, 1e-3, 12)
-            if _fits(longer, solution):
-                break
-        else:
+        longer = _longer(setup, solution)
+        if longer is None:
             break
         solution = longer
     return _polished(setup, solution)
 
 
+def _rough(setup: Setup) -> Solution:
+    """Return a fit to a few short windows, with states from the measurements in all of them."""
+    guess = setup.parameters.physics(setup.parameters.coordinates(setup.parameters.guess))
+    windows = setup.windows(setup.shortest_ns, guess)
+    few = windows[::-(-len(windows) // _FEW)]
+    first = _first(setup, few, guess)
+    physics = _fitted(setup, first, first.length_ns, 1e-2, 30, windows=few).physics
+    return _first(setup, setup.windows(setup.shortest_ns, physics), physics)
+
+
+def _longer(setup: Setup, solution: Solution) -> Solution | None:
+    """Return a fit with longer windows, None if none fits."""
+    for factor in _GROWTH:
+        length_ns = min(factor * solution.length_ns, setup.longest_ns)
+        windows = setup.windows(length_ns, solution.physics)
+        problem = _problem(setup, windows, _states(setup, solution, windows), solution.weights)
+        if factor == _GROWTH[-1] or _predicts(setup, problem, solution.physics):
+            longer = _fitted(setup, solution, length_ns, 1e-3, _FAST)
+            if _fits(longer, solution):
+                return longer
+    return None
+
+
 def _polished(setup: Setup, solution: Solution) -> Solution:
     """Return the maximum-likelihood fit to the samples that are not outliers."""
-    previous = solution
+    whole = [[inlier.astype(float) for inlier in inliers] for inliers in solution.inliers]
+    previous = replace(solution, weights=Weights(solution.weights.sigma, whole))
     for _ in range(8):
         solution = _fitted(setup, previous, previous.length_ns, 1e-7, 50, is_last=True)
         same = all(np.array_equal(one, other) for a, b in zip(solution.inliers, previous.inliers)
@@ -163,10 +189,8 @@ def _polished(setup: Setup, solution: Solution) -> Solution:
     return solution
 
 
-def _first(setup: Setup) -> Solution:
-    """Return the guess of the user, with states from the measurements."""
-    physics = setup.parameters.physics(setup.parameters.coordinates(setup.parameters.guess))
-    windows = setup.windows(setup.shortest_ns, physics)
+def _first(setup: Setup, windows: list[Window], physics: Physics) -> Solution:
+    """Return a guess, with states from the measurements."""
     mount = so3.exp(physics.mount)
     pairs = []
     for window in windows:
@@ -190,10 +214,10 @@ def _problem(setup: Setup, windows: list[Window], states: States, weights: Weigh
 
 
 def _fitted(setup: Setup, previous: Solution, length_ns: int, tolerance: float, most: int,
-            is_last: bool = False) -> Solution:
+            is_last: bool = False, windows: list[Window] | None = None) -> Solution:
     """Return a fit with windows of this length, from the states of another one."""
     from scipy.optimize import least_squares
-    windows = setup.windows(length_ns, previous.physics)
+    windows = windows or setup.windows(length_ns, previous.physics)
     states = _states(setup, previous, windows)
     problem = _problem(setup, windows, states, previous.weights)
     result = least_squares(problem.fun, setup.parameters.coordinates(previous.physics),
@@ -256,13 +280,38 @@ def _floor(channel: Channel, setup: Setup) -> float:
     return _ROUNDING * (1.0 if channel.is_attitude else max(1.0, setup.rate))
 
 
+def _predicts(setup: Setup, problem: Problem, physics: Physics) -> bool:
+    """Return whether errors before a fit are so small that derivatives are of use."""
+    errors = problem.residuals(physics)
+    for window in problem.windows:
+        every = setup.channels[window.experiment]
+        for channel, rows, error in zip(every, window.rows, errors[window.experiment]):
+            sizes = np.linalg.norm(error[rows], axis=1)
+            most = _LINEAR * (1.0 if channel.is_attitude else setup.rate)
+            if len(sizes) and np.quantile(sizes, 0.9) > most:
+                return False
+    return True
+
+
 def _fits(longer: Solution, shorter: Solution) -> bool:
-    """Return whether no longer window has much larger errors than the shorter ones."""
-    for window in longer.problem.windows:
-        for i, rows in enumerate(window.rows):
-            error = longer.errors[window.experiment][i][rows]
-            before = shorter.errors[window.experiment][i]
-            if len(error) and np.median(np.abs(error)) > _WORSE * np.nanmedian(np.abs(before)) \
-                    + 1e3 * _ROUNDING:
+    """Return whether a fit converged, and the errors grew neither as a whole nor in a window."""
+    found = [(error, before, _WORSE) for every, others in zip(longer.errors, shorter.errors)
+             for error, before in zip(every, others)]
+    found += [(longer.errors[window.experiment][i][rows], shorter.errors[window.experiment][i],
+               _WORST) for window in longer.problem.windows for i, rows in enumerate(window.rows)]
+    return longer.converged and all(
+        np.nanmedian(np.abs(error)) <= most * np.nanmedian(np.abs(before)) + 1e3 * _ROUNDING
+        for error, before, most in found if np.isfinite(error).any())
+
+
+def _predicts(setup: Setup, problem: Problem, physics: Physics) -> bool:
+    """Return whether errors before a fit are so small that derivatives are of use."""
+    errors = problem.residuals(physics)
+    for window in problem.windows:
+        every = setup.channels[window.experiment]
+        for channel, rows, error in zip(every, window.rows, errors[window.experiment]):
+            sizes = np.linalg.norm(error[rows], axis=1)
+            most = _LINEAR * (1.0 if channel.is_attitude else setup.rate)
+            if len(sizes) and np.quantile(sizes, 0.9) > most:
                 return False
     return True
