@@ -11,6 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
+
 """Parameters of a body from measured motions: the truth, its uncertainty, and what is unknown."""
 
 from functools import cache

@@ -11,6 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
+
 """Motions with known parameters, integrated by SciPy, and what sensors measure of them."""
 
 from dataclasses import dataclass, field
