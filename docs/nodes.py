@@ -448,7 +448,7 @@ EXITS = [
     ('2', 'wrong arguments, an input that cannot be read, or an output that cannot be written; '
           'one line names it'),
     ('3', '`attitude_identify`: the data does not determine all estimates, or the fit did not '
-          'converge; no scene was written'),
+          'converge; nothing was written, unless with `--force`'),
     ('128 + n', 'signal n ended the command: 130 after Ctrl-C, 143 after SIGTERM (`attitude_node` '
                 'ends with 0 once it has started); 141, without a message, if the reader of the '
                 'output has ended, as in `attitude_replay ... | head`'),

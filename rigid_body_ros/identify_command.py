@@ -51,11 +51,8 @@ def attitude_identify(arguments: Sequence[str] | None) -> int:
         files.check(*_outputs(options))
         scene = load_scene(options)
         found, first = _identified(options, scene)
-        written = _write(options, found, scene, found.is_complete or options.force)
-        if options.plot:
-            with files.protected('output', *written):
-                _plot(options, found, first)
-            written.append(options.plot)
+        written = _write(options, found, first, scene) if found.is_complete or options.force \
+            else []
     from rigid_body_ros.identification.summary import summary
     show(summary(found) + (f'\n{"wrote":17}{", ".join(written)}' if written else ''))
     if not found.is_complete:
@@ -67,8 +64,8 @@ def _incomplete(options: argparse.Namespace, found: Identification) -> str:
     names = [name for name, one in found.estimates.items() if not one.identifiable]
     text = f'the data does not determine {listed(names)}' if names \
         else 'the fit did not converge'
-    if options.output and not options.force:
-        text += f'; {options.output} was not written (--force writes it)'
+    if [*_outputs(options)] and not options.force:
+        text += '; nothing was written (--force writes it)'
     return text
 
 
@@ -102,25 +99,24 @@ def _identified(options: argparse.Namespace,
     return found, experiments[0]
 
 
-def _plot(options: argparse.Namespace, found: Identification, first: Experiment) -> None:
-    from rigid_body_ros.identification import plot  # matplotlib takes long to load
-    with files.atomic_output(options.plot, '.png') as path:
-        plot.draw(path, found, first, Path(options.recording[0]).name)
-
-
-def _write(options: argparse.Namespace, found: Identification, scene: Scene,
-           with_scene: bool) -> list[str]:
+def _write(options: argparse.Namespace, found: Identification, first: Experiment,
+           scene: Scene) -> list[str]:
     """Write the outputs, and return their names."""
     from rigid_body_ros.identification.recorded import fitted_scene
-    texts = [(options.json, '.json', f'{json.dumps(found.as_dict(), indent=1)}\n')]
-    if with_scene:
-        texts.append((options.output, '.yaml', fitted_scene(scene, found)))
     written: list[str] = []
-    for name, suffix, text in texts:
+    for name, suffix, text in (
+            (options.json, '.json', f'{json.dumps(found.as_dict(), indent=1)}\n'),
+            (options.output, '.yaml', fitted_scene(scene, found))):
         if name:
             with files.protected('output', *written), files.atomic_output(name, suffix) as path:
                 path.write_text(text, encoding='utf-8')
             written.append(name)
+    if options.plot:
+        from rigid_body_ros.identification import plot  # matplotlib takes long to load
+        with files.protected('output', *written), \
+                files.atomic_output(options.plot, '.png') as path:
+            plot.draw(path, found, first, Path(options.recording[0]).name)
+        written.append(options.plot)
     return written
 
 
@@ -130,8 +126,8 @@ def identify_parser() -> argparse.ArgumentParser:
         prog='attitude_identify',
         description='Estimate the inertia of a body, and other parameters, from measured '
         'attitudes and angular velocities under recorded torques. Print the estimates with their '
-        'uncertainty; write a fitted scene. If the data does not determine all of them, the exit '
-        'status is 3.')
+        'uncertainty; write a fitted scene. If the data does not determine all of them, write '
+        'nothing; the exit status is then 3.')
     parser.add_argument('recording', metavar='RECORDING', nargs='+',
                         help='recording of torques and measurements, as for attitude_replay; '
                         'several of the same body are fitted together')
@@ -162,7 +158,7 @@ def identify_parser() -> argparse.ArgumentParser:
                         'the message was logged or published (default: header)')
     parser.add_argument('-o', '--output', metavar='FITTED', help='write the scene with the '
                         'estimates to this YAML file')
-    parser.add_argument('--force', action='store_true', help='write the scene even if the data '
+    parser.add_argument('--force', action='store_true', help='write the outputs even if the data '
                         'does not determine all estimates')
     parser.add_argument('--json', metavar='OUT', help='write the result to this file')
     parser.add_argument('--plot', metavar='PNG', help='plot the errors of the first recording '

@@ -14,6 +14,7 @@
 
 """Parameters of a body from measured motions: the truth, its uncertainty, and what is unknown."""
 
+from dataclasses import replace
 from functools import cache
 import json
 
@@ -65,6 +66,11 @@ def test_either_attitudes_or_rates_are_enough(attitude, rate):
     result = identify(GUESS, tumble().experiment(tumble().measured(attitude, rate)))
     assert inertia_error(result) < 1e-8
     assert ('initial_attitude.x' in result.estimates) == (attitude is not None)
+
+
+def test_noisy_attitudes_are_enough():
+    result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, None)))
+    assert_covered(result, inertia_truth())
 
 
 def test_the_start_is_fitted_from_a_wrong_one():
@@ -120,6 +126,23 @@ def test_clock_offset_and_mount():
     assert_covered(result, {**inertia_truth(), 'clock_offset': 0.035,
                             **dict(zip(('mount.x', 'mount.y', 'mount.z'), vector))})
     assert result.estimates['clock_offset'].sigma < 1e-3
+
+
+@pytest.mark.parametrize('offset', [1.5, -1.5])
+def test_a_clock_offset_of_seconds(offset):
+    sensor = shifted(tumble().measured(ATTITUDE, RATE), offset)
+    result = identify(GUESS, tumble().experiment(sensor),
+                      estimate=['inertia', 'start', 'clock_offset'])
+    assert_covered(result, {**inertia_truth(), 'clock_offset': offset})
+
+
+def test_covariances_in_messages_are_not_used():
+    # Many drivers fill in constants, and an interval from a wrong one would be wrong.
+    plain = tumble().measured(ATTITUDE, RATE)
+    constant = np.tile(np.eye(3), (len(plain.stamps), 1, 1))
+    result = identify(GUESS, tumble().experiment(replace(
+        plain, attitude_covariance=constant, rate_covariance=constant)))
+    assert result.noise['/imu attitude'] == pytest.approx(ATTITUDE, rel=0.05)
 
 
 def test_torque_gain_and_bias_with_a_known_inertia():
@@ -301,7 +324,7 @@ def test_bad_input_is_named(experiment, options, message):
         identify(GUESS, experiment(), **options)
 
 
-@pytest.mark.nightly
+@pytest.mark.slow
 def test_a_chaotic_tumble_of_five_minutes():
     truth = Truth(seconds=300.0, measured_hz=20)
     result = identify(RigidBody(3.0 * np.diag(np.diag(INERTIA))),
@@ -311,7 +334,7 @@ def test_a_chaotic_tumble_of_five_minutes():
     assert_covered(noisy, inertia_truth())
 
 
-@pytest.mark.nightly
+@pytest.mark.slow
 def test_intervals_cover_the_truth_and_are_as_short_as_possible():
     truth, covered, errors, sigmas, chi2 = tumble(), [], [], [], []
     for seed in range(20):

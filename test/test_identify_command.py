@@ -21,7 +21,7 @@ from measurements import header, INERTIA, messages_of, torque_messages, Vector3,
 import numpy as np
 import pytest
 from rigid_body_ros import cli, scene
-from tumbling import Truth
+from tumbling import mounted, shifted, Truth
 
 GUESS = np.diag([0.03, 0.03, 0.03])
 
@@ -64,6 +64,20 @@ def test_from_a_recording_to_a_fitted_scene(tumble, capsys):
     assert cli.attitude_replay([str(tumble / 'in.mcap'), *replayed]) == 0
 
 
+def test_a_late_clock_and_a_turned_sensor(tumble):
+    truth, vector = measurements.truth(), np.array([0.12, -0.13, 0.09])
+    sensor = mounted(shifted(truth.measured(2e-3, 5e-3), 0.035), vector)
+    record(tumble / 'in.mcap', truth, sensor)
+    status = identify(tumble, '--estimate', 'inertia,start,clock_offset,mount', '--json',
+                      tumble / 'out.json', '-o', tumble / 'fitted.yaml')
+    assert status == 0
+    found = json.loads((tumble / 'out.json').read_text())['estimates']
+    for name, value in zip(('clock_offset', 'mount.x', 'mount.y', 'mount.z'), (0.035, *vector)):
+        assert abs(found[name]['value'] - value) < 4.0 * found[name]['sigma']
+    fitted = scene.load(tumble / 'fitted.yaml')
+    np.testing.assert_allclose(fitted.body.inertia, INERTIA, atol=1e-4)
+
+
 def test_two_recordings(tumble):
     truth = measurements.truth(seed=2)
     record(tumble / 'other.mcap', truth, truth.measured(2e-3, 5e-3, seed=1))
@@ -73,19 +87,22 @@ def test_two_recordings(tumble):
     assert {'initial_attitude.x', 'initial_attitude.x[2]'} <= estimates.keys()
 
 
-def test_an_incomplete_answer_has_exit_status_3_and_no_scene(tumble, capsys):
-    options = ['--estimate', 'inertia,start,torque_gain', '-o', tumble / 'fitted.yaml', '--json',
-               tumble / 'out.json']
+def test_an_incomplete_answer_has_exit_status_3_and_no_outputs(tumble, capsys):
+    outputs = [tumble / name for name in ('fitted.yaml', 'out.json', 'errors.png')]
+    options = ['--estimate', 'inertia,start,torque_gain', '-o', outputs[0], '--json', outputs[1],
+               '--plot', outputs[2]]
     assert identify(tumble, *options) == 3
-    assert not (tumble / 'fitted.yaml').exists()
-    data = json.loads((tumble / 'out.json').read_text())
-    assert data['unidentifiable'][0]['reason'] == \
-        'only the ratio of torque to inertia enters the motion'
+    assert not any(path.exists() for path in outputs)
     captured = capsys.readouterr()
     assert 'not determined by the data' in captured.out
-    assert '--force' in captured.err
-    assert identify(tumble, *options, '--force', '--overwrite') == 3
-    assert '# torque_gain: ' in (tumble / 'fitted.yaml').read_text()
+    assert 'only the ratio of torque to inertia enters the motion' in captured.out
+    assert 'nothing was written (--force writes it)' in captured.err
+    assert identify(tumble, *options, '--force') == 3
+    assert all(path.exists() for path in outputs)
+    assert '# torque_gain: ' in outputs[0].read_text()
+    data = json.loads(outputs[1].read_text())
+    assert data['unidentifiable'][0]['reason'] == \
+        'only the ratio of torque to inertia enters the motion'
 
 
 def test_a_tumble_without_torque(tmp_path):

@@ -80,14 +80,23 @@ class Truth:
         return Measured(topic, self.stamps, q, w)
 
     def _integrated(self):
-        inverse = np.linalg.inv(self.inertia)
+        inertia, inverse = self.inertia.tolist(), np.linalg.inv(self.inertia).tolist()
+        damping = self.damping.tolist()
         momenta = np.zeros_like(self.torques) if self.momentum is None else self.momentum
 
-        def slope(t, y, torque, rotors, spin, begin):
-            q, w = y[:4], y[4:]
-            total = self.inertia @ w + rotors + spin * (t - begin)
-            change = inverse @ (np.cross(total, w) + torque - spin - self.damping @ w)
-            return np.append(0.5 * so3.multiply(q, np.append(w, 0.0)), change)
+        def times(matrix, v):
+            return [row[0] * v[0] + row[1] * v[1] + row[2] * v[2] for row in matrix]
+
+        def slope(t, state, torque, rotors, spin, begin):  # in floats, ten times as fast
+            x, y, z, s, *w = state.tolist()
+            a, b, c = (moment + rotor + rate * (t - begin) for moment, rotor, rate
+                       in zip(times(inertia, w), rotors, spin))
+            gyroscopic = (b * w[2] - c * w[1], c * w[0] - a * w[2], a * w[1] - b * w[0])
+            total = [one + tau - rate - drag for one, tau, rate, drag
+                     in zip(gyroscopic, torque, spin, times(damping, w))]
+            return [0.5 * (s * w[0] + y * w[2] - z * w[1]), 0.5 * (s * w[1] + z * w[0] - x * w[2]),
+                    0.5 * (s * w[2] + x * w[1] - y * w[0]),
+                    -0.5 * (x * w[0] + y * w[1] + z * w[2]), *times(inverse, total)]
         y = np.append(self.start.attitude, self.rates)
         rows = []
         for k in range(len(self.times) - 1):
@@ -96,8 +105,9 @@ class Truth:
                                  & (self.stamps < self.times[k + 1])] * 1e-9
             spin = (momenta[k + 1] - momenta[k]) / (end - begin)
             acting = self.gain * self.torques[k] + self.bias
+            vectors = (one.tolist() for one in (acting, momenta[k], spin))
             result = solve_ivp(slope, (begin, end), y, 'DOP853', np.append(inside, end),
-                               args=(acting, momenta[k], spin, begin), rtol=1e-12, atol=1e-13)
+                               args=(*vectors, begin), rtol=1e-12, atol=1e-13)
             rows.append(result.y[:, :-1].T)
             y = result.y[:, -1]
         found = np.concatenate(rows)
@@ -111,9 +121,10 @@ def shifted(measured, seconds):
 
 
 def mounted(measured, vector):
-    """Return attitudes in the axes of a sensor that is turned by a rotation vector."""
-    return Measured(measured.topic, measured.stamps,
-                    so3.multiply(measured.attitude, so3.exp(vector)), measured.angular_velocity)
+    """Return measurements in the axes of a sensor that is turned by a rotation vector."""
+    turn, rates = so3.exp(vector), measured.angular_velocity
+    return Measured(measured.topic, measured.stamps, so3.multiply(measured.attitude, turn),
+                    None if rates is None else so3.rotate(so3.conjugate(turn), rates))
 
 
 def with_outliers(measured, fraction, seed=0):

@@ -26,6 +26,7 @@ from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification import residuals
+from rigid_body_ros.identification.clock import likely_offset
 from rigid_body_ros.identification.experiment import (
     Channel,
     channels_of,
@@ -42,6 +43,7 @@ from rigid_body_ros.identification.parameters import (
 )
 from rigid_body_ros.identification.result import Estimate, Identification
 from rigid_body_ros.identification.solve import Setup, Solution, solve
+from rigid_body_ros.measurement.motion import Model
 from rigid_body_ros.propagation import Options
 from rigid_body_ros.state import State
 
@@ -119,10 +121,22 @@ def _setup(body: RigidBody, experiments: list[Experiment], channels: list[list[C
     torques = [np.sqrt(np.mean(np.sum(log.torques ** 2, axis=1)))
                for experiment in experiments for log in experiment.logs if len(log)]
     span_s = max(float(one.stamps[-1] - one.stamps[0]) for every in channels for one in every)
-    parameters = Parameters(names, Physics(body.inertia, body.damping), rate,
-                            float(max(torques, default=0.0)), max(span_s * 1e-9, 1e-9))
+    offset = _clock_offset(body, experiments, channels, torque_timeout) \
+        if 'clock_offset' in names else 0.0
+    guess = Physics(body.inertia, body.damping, clock_offset=offset)
+    parameters = Parameters(names, guess, rate, float(max(torques, default=0.0)),
+                            max(span_s * 1e-9, 1e-9))
     return Setup(experiments, channels, parameters, rate, START in names, attitude_noise,
                  rate_noise, torque_timeout)
+
+
+def _clock_offset(body: RigidBody, experiments: list[Experiment], channels: list[list[Channel]],
+                  torque_timeout: float) -> float:
+    """Return a guess of the clock offset from the recording with the most samples, s."""
+    one, sensors = max(zip(experiments, channels),
+                       key=lambda pair: sum(len(channel.stamps) for channel in pair[1]))
+    model = Model(body, one.start, tuple(one.logs), one.wheels, {'torque_timeout': torque_timeout})
+    return likely_offset(model, [channel.as_measured() for channel in sensors])
 
 
 def _result(setup: Setup, solution: Solution,

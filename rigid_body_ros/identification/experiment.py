@@ -89,6 +89,11 @@ class Channel:
         """Return a channel with some of the samples."""
         return replace(self, stamps=self.stamps[chosen], values=self.values[chosen])
 
+    def as_measured(self) -> Measured:
+        """Return the samples as those of a sensor that measures nothing else."""
+        return Measured(self.topic, self.stamps, self.values if self.is_attitude else None,
+                        None if self.is_attitude else self.values)
+
 
 def channels_of(experiment: Experiment) -> list[Channel]:
     """
@@ -162,9 +167,9 @@ def local_state(channels: Sequence[Channel], time_ns: int, rate: float, mount: F
     Parameters
     ----------
     channels : sequence of Channel
-        Their stamps are those of the clock of the torques.
+        The sensors.
     time_ns : int
-        The time of the state.
+        The time of the state, on the clock of the channels.
     rate : float, rad/s
         Typical angular velocity.
     mount : array, shape (4,)

@@ -191,15 +191,15 @@ def _polished(setup: Setup, solution: Solution) -> Solution:
 
 def _first(setup: Setup, windows: list[Window], physics: Physics) -> Solution:
     """Return a guess, with states from the measurements."""
-    mount = so3.exp(physics.mount)
+    mount, offset_ns = so3.exp(physics.mount), round(physics.clock_offset * 1e9)
     pairs = []
     for window in windows:
         start = setup.experiments[window.experiment].start
         if window.is_first and not setup.fits_start:
             pairs.append((start.attitude, start.angular_velocity))
             continue
-        pairs.append(local_state(setup.channels[window.experiment], window.anchor_ns, setup.rate,
-                                 mount, start))
+        pairs.append(local_state(setup.channels[window.experiment], window.anchor_ns - offset_ns,
+                                 setup.rate, mount, start))
     states = States(*(np.array(values) for values in zip(*pairs)))
     ones = Weights([[1.0 for _ in channels] for channels in setup.channels],
                    [[np.ones(len(channel.stamps)) for channel in channels]
@@ -302,16 +302,3 @@ def _fits(longer: Solution, shorter: Solution) -> bool:
     return longer.converged and all(
         np.nanmedian(np.abs(error)) <= most * np.nanmedian(np.abs(before)) + 1e3 * _ROUNDING
         for error, before, most in found if np.isfinite(error).any())
-
-
-def _predicts(setup: Setup, problem: Problem, physics: Physics) -> bool:
-    """Return whether errors before a fit are so small that derivatives are of use."""
-    errors = problem.residuals(physics)
-    for window in problem.windows:
-        every = setup.channels[window.experiment]
-        for channel, rows, error in zip(every, window.rows, errors[window.experiment]):
-            sizes = np.linalg.norm(error[rows], axis=1)
-            most = _LINEAR * (1.0 if channel.is_attitude else setup.rate)
-            if len(sizes) and np.quantile(sizes, 0.9) > most:
-                return False
-    return True

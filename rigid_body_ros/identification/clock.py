@@ -1,0 +1,79 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""A first guess of the clock offset, for any inertia."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.measurement.measured import Measured
+from rigid_body_ros.measurement.motion import Model
+from rigid_body_ros.measurement.residual_torque import residual_torque
+
+#: s; largest offset that is searched for, and spacing of the offsets that are tried.
+_LARGEST, _SPACING = 10.0, 0.02
+#: About how many samples each offset is tried with.
+_ROWS = 500
+#: Part of the samples that must lie within the torques.
+_OVERLAP = 0.5
+#: An offset is only used if it leaves at most this part of what no offset leaves.
+_BETTER = 0.8
+
+
+def likely_offset(model: Model, sensors: Sequence[Measured]) -> float:
+    """
+    Return the clock offset at which the logged torques explain the measured motion best.
+
+    The torque that a motion needs is linear in the entries of the inertia. So each offset has an
+    inertia that explains most, and the guess does not matter.
+
+    Parameters
+    ----------
+    model : Model
+        Its torques count, not its inertia.
+    sensors : sequence of Measured
+        The best of them is used.
+
+    Returns
+    -------
+    float, s
+        To add to the stamps of the measurements; 0 if no offset is much better.
+
+    """
+    sensor = max(sensors, key=lambda one: (one.angular_velocity is not None, len(one)))
+    found = residual_torque(model, sensor)
+    if found is None or not found.logged.any():
+        return 0.0
+    seconds = 1e-9 * (found.times_ns - found.times_ns[0])
+    rows = slice(None, None, -(-len(seconds) // _ROWS))
+    largest = min(_LARGEST, _OVERLAP * seconds[-1])
+    offsets = _SPACING * np.arange(-int(largest / _SPACING), int(largest / _SPACING) + 1)
+    left = np.array([_unexplained(seconds[rows] + offset, found.of_inertia[rows], seconds,
+                                  found.logged) for offset in offsets])
+    best = int(np.argmin(left))
+    return float(offsets[best]) if left[best] < _BETTER * left[len(left) // 2] else 0.0
+
+
+def _unexplained(times: Floats, of_inertia: Floats, seconds: Floats, logged: Floats) -> float:
+    """Return the part of the torques at some times that no inertia explains."""
+    inside = (times >= 0.0) & (times <= seconds[-1])
+    torques = np.stack([np.interp(times[inside], seconds, column) for column in logged.T], axis=1)
+    matrix, wanted = of_inertia[inside].reshape(-1, 6), torques.ravel()
+    total = float(wanted @ wanted)
+    if not total:
+        return 1.0
+    errors = wanted - matrix @ np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+    return float(errors @ errors) / total
