@@ -22,6 +22,7 @@ whole recording, or until the motion magnifies errors so much that a longer wind
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -51,6 +52,8 @@ _FAST = 6
 _WORSE, _WORST = 1.1, 2.0
 #: A sample is an outlier if its error exceeds this many standard deviations.
 _OUTLIER = 5.0
+#: rad or rad/s; errors of a few times this are no outliers, however small the others.
+_NO_OUTLIER = 1e-8
 #: Scale of the Cauchy loss, in standard deviations.
 _CAUCHY = 2.4
 #: Standard deviations below this, in rad, and relative to the rate, are rounding errors.
@@ -233,10 +236,10 @@ def _fitted(setup: Setup, previous: Solution, length_ns: int, tolerance: float, 
 def _states(setup: Setup, solution: Solution, windows: list[Window]) -> States:
     """Return the states of a solution at the beginnings of other windows."""
     old, pairs = solution.problem, []
+    begins = [(one.experiment, one.anchor_ns) for one in old.windows]
     for window in windows:
-        same = [k for k, one in enumerate(old.windows) if one.experiment == window.experiment]
-        before = [k for k in same if old.windows[k].anchor_ns <= window.anchor_ns]
-        k = before[-1] if before else same[0]
+        k = max(bisect_right(begins, (window.experiment, window.anchor_ns)) - 1,
+                bisect_left(begins, (window.experiment,)))
         pairs.append(old.windows[k].state_at(solution.physics, old.reference.attitude[k],
                                              old.reference.velocity[k], window.anchor_ns))
     return States(*(np.array(values) for values in zip(*pairs)))
@@ -253,7 +256,8 @@ def _solution(setup: Setup, length_ns: int, problem: Problem, physics: Physics, 
         levels = [_level(error, channel, setup, share) for error, channel in zip(every, channels)]
         given = [setup.attitude_noise if channel.is_attitude else setup.rate_noise
                  for channel in channels]
-        distances = [np.nan_to_num(np.linalg.norm(error, axis=1) / max(level, noise or 0.0))
+        distances = [np.nan_to_num(np.linalg.norm(error, axis=1)
+                                   / max(level, noise or 0.0, _NO_OUTLIER))
                      for error, level, noise in zip(every, levels, given)]
         inlier = [distance <= _OUTLIER for distance in distances]
         if is_last:
@@ -271,9 +275,13 @@ def _solution(setup: Setup, length_ns: int, problem: Problem, physics: Physics, 
 
 def _level(error: Floats, channel: Channel, setup: Setup, share: float) -> float:
     """Return a robust standard deviation of the errors of a channel."""
+    return max(_NORMAL * _middle(error) * share, _floor(channel, setup))
+
+
+def _middle(error: Floats) -> float:
+    """Return the median magnitude of errors; NaN stands for a sample outside of the windows."""
     finite = np.abs(error[np.isfinite(error)])
-    middle = float(np.median(finite)) if finite.size else 0.0
-    return max(_NORMAL * middle * share, _floor(channel, setup))
+    return float(np.median(finite)) if finite.size else 0.0
 
 
 def _floor(channel: Channel, setup: Setup) -> float:
@@ -295,10 +303,12 @@ def _predicts(setup: Setup, problem: Problem, physics: Physics) -> bool:
 
 def _fits(longer: Solution, shorter: Solution) -> bool:
     """Return whether a fit converged, and the errors grew neither as a whole nor in a window."""
-    found = [(error, before, _WORSE) for every, others in zip(longer.errors, shorter.errors)
-             for error, before in zip(every, others)]
-    found += [(longer.errors[window.experiment][i][rows], shorter.errors[window.experiment][i],
-               _WORST) for window in longer.problem.windows for i, rows in enumerate(window.rows)]
-    return longer.converged and all(
-        np.nanmedian(np.abs(error)) <= most * np.nanmedian(np.abs(before)) + 1e3 * _ROUNDING
-        for error, before, most in found if np.isfinite(error).any())
+    usual = [[_middle(error) for error in every] for every in shorter.errors]
+    pairs = [(error, _WORSE * middle) for every, middles in zip(longer.errors, usual)
+             for error, middle in zip(every, middles)]
+    for window in longer.problem.windows:
+        one = window.experiment
+        pairs += [(error[rows], _WORST * middle)
+                  for error, rows, middle in zip(longer.errors[one], window.rows, usual[one])]
+    return longer.converged and all(_middle(error) <= most + 1e3 * _ROUNDING
+                                    for error, most in pairs)
