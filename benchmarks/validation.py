@@ -49,8 +49,10 @@ TEXTS = {
         'vehicle simulations, NASA/TM-2015-218675: atmospheric case 3, tumbling brick with '
         'damping, simulation 4. Also in github.com/nasa/simupy-flight: '
         '`NESC_data/Atmospheric_checkcases/Atmos_03_TumblingBrickDamping/Atmos_03_sim_04.csv`.',
-        'The logged moments are replayed with cubic interpolation. The data are not part of this '
-        'project. To repeat the comparison, set `NESC_DATA` to the folder that contains '
+        'The logged moments are replayed with cubic interpolation. The last row fits the inertia '
+        'to the logged moments, attitudes and rates, with a sphere as the guess; the reference is '
+        'the inertia of the check-case, slug ft^2. The data are not part of this project. To '
+        'repeat the comparison, set `NESC_DATA` to the folder that contains '
         '`atmos_03_sim_04.csv`; otherwise the test is skipped.']),
     'toutatis': ('The asteroid Toutatis', [
         'Moments, initial state and radar observations: Takahashi, Busch and Scheeres, Spin state '

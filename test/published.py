@@ -30,6 +30,9 @@ from known import damped_sphere, dual_spin, gyrostat, landau_zener, period, TOPS
 import numpy as np
 from rigid_body_ros import (
     euler,
+    Experiment,
+    identify,
+    Measured,
     messages,
     propagate,
     recording,
@@ -106,14 +109,16 @@ def station_rows():
 
 # The tumbling brick of NASA's check-cases.
 
+#: slug ft^2
+BRICK = 0.001894220, 0.006211019, 0.007194665
+
 
 @cache
-def brick():
+def brick_log():
     """
-    Return the largest errors of the brick: attitude, degrees, and rates, degrees/s.
+    Return times, ns, moments, attitudes and rates of the brick, as logged at 10 Hz.
 
-    Slugs and feet are not converted, because only the ratio of moment to inertia matters. The
-    moments were logged at 10 Hz; the replay reads them from a recording.
+    Slugs and feet are not converted, because only the ratio of moment to inertia matters.
     """
     if 'NESC_DATA' not in os.environ:
         raise DataNotHereError('needs NESC_DATA')
@@ -124,21 +129,41 @@ def brick():
         names = [next(name for name in rows[0] if name.endswith(ending)) for ending in endings]
         return np.array([[float(row[name]) for name in names] for row in rows])
     times = EPOCH_NS + np.round(columns('time')[:, 0] * 10).astype(np.int64) * (SECOND // 10)
-    motion = brick_motion(times, columns('Moment_ftlbf_L', 'Moment_ftlbf_M', 'Moment_ftlbf_N'))
-    spin = columns('deg_s_Roll', 'deg_s_Pitch', 'deg_s_Yaw')
     # The north-east-down frame rotates about its north axis with the Earth and the longitude.
     local = euler.to_quaternion(np.radians(columns('deg_Yaw', 'deg_Pitch', 'deg_Roll')), 'ZYX')
     turned = (7.292115e-5 * (times - times[0]) * 1e-9
               + np.radians(columns('longitude_deg')[:, 0]))
     frame = so3.exp(turned[:, None] * [1.0, 0.0, 0.0])
-    apart = so3.angle_between(so3.multiply(frame, local), motion.attitude)
+    return (times, columns('Moment_ftlbf_L', 'Moment_ftlbf_M', 'Moment_ftlbf_N'),
+            so3.multiply(frame, local),
+            np.radians(columns('deg_s_Roll', 'deg_s_Pitch', 'deg_s_Yaw')))
+
+
+@cache
+def brick():
+    """Return the largest errors of the brick: attitude, degrees, and rates, degrees/s."""
+    times, moments, attitude, spin = brick_log()
+    motion = brick_motion(times, moments)
+    apart = so3.angle_between(attitude, motion.attitude)
     return (np.degrees(apart.max()),
-            np.abs(np.degrees(motion.angular_velocity) - spin).max())
+            np.degrees(np.abs(motion.angular_velocity - spin).max()))
+
+
+def brick_inertia():
+    """Return moment of the long axis, logged and identified, and the error of the tensor."""
+    times, moments, attitude, spin = brick_log()
+    start = State(int(times[0]), attitude[0], spin[0])
+    measured = Measured('/brick', times[1:], attitude[1:], spin[1:])
+    log = TorqueLog(times, moments, interpolation='cubic')
+    sphere = RigidBody(0.005 * np.eye(3))
+    found = identify(sphere, Experiment(start, log, [measured])).body.inertia
+    error = np.abs(found - np.diag(BRICK)).max() / max(BRICK)
+    return f'{BRICK[2]:.9f}', f'{found[2, 2]:.9f}', float(error)
 
 
 def brick_motion(times_ns, moments):
     body = scene.Scene.from_values({
-        'inertia.ixx': 0.001894220, 'inertia.iyy': 0.006211019, 'inertia.izz': 0.007194665,
+        'inertia.ixx': BRICK[0], 'inertia.iyy': BRICK[1], 'inertia.izz': BRICK[2],
         **{f'initial_angular_velocity.{axis}': np.radians(rate)
            for axis, rate in zip('xyz', (10.0, 20.0, 30.0))}})
     with TemporaryDirectory() as folder:
@@ -155,6 +180,7 @@ def brick_rows():
     cells = 'logged at 10 Hz', 'replayed'
     yield 'attitude, largest in 30 s, degrees', lambda: (*cells, brick()[0]), 1e-5
     yield 'rates, largest in 30 s, degrees/s', lambda: (*cells, brick()[1]), 1e-6
+    yield 'inertia identified from these, relative to the largest moment', brick_inertia, 2e-8
 
 
 # The asteroid Toutatis.

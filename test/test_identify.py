@@ -61,6 +61,15 @@ def test_the_inertia_is_exact_without_noise_from_a_guess_three_times_off(factor)
     assert result.unidentifiable == []
 
 
+def test_a_sphere_is_guess_enough_where_the_torque_is_weak_and_samples_are_few():
+    # As in NASA's check-case of a brick, which test_validation.py fits where its data is.
+    brick = np.diag([0.0019, 0.0062, 0.0072])
+    truth = Truth(seconds=30.0, measured_hz=10, amplitude=2e-5, inertia=brick,
+                  rates=(0.17, 0.35, 0.52), attitude=(0.0, 0.0, 0.0, 1.0))
+    result = identify(RigidBody(0.005 * np.eye(3)), truth.experiment(truth.measured()))
+    np.testing.assert_allclose(result.body.inertia, brick, rtol=1e-8, atol=1e-8 * 0.0072)
+
+
 @pytest.mark.parametrize(('attitude', 'rate'), [(0.0, None), (None, 0.0)])
 def test_either_attitudes_or_rates_are_enough(attitude, rate):
     result = identify(GUESS, tumble().experiment(tumble().measured(attitude, rate)))

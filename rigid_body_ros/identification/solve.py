@@ -39,6 +39,10 @@ from rigid_body_ros.identification.windows import LEAD_NS, States, Window, windo
 _FIRST = 8.0
 #: Fewest and most samples of a channel in a window.
 _SHORTEST, _LONGEST = 20, 60_000
+#: How much shorter windows are if the guess is too far off for the first ones.
+_CLOSER = 8
+#: Correlation of neighbouring errors from which on the first fit is in doubt.
+_LASTING = 0.5
 #: Number of windows of the first fit, which only has to find out roughly what acts.
 _FEW = 32
 #: How much longer the next windows are; the smaller ones if that does not fit.
@@ -155,13 +159,43 @@ def solve(setup: Setup) -> Solution:
 
 
 def _rough(setup: Setup) -> Solution:
-    """Return a fit to a few short windows, with states from the measurements in all of them."""
+    """
+    Return the first windows, with parameters from a fit to a few of them.
+
+    If errors are left that last for many samples, the fit may have ended in a wrong minimum. In
+    shorter windows errors have less time to grow, so a fit to them is tried as another guess.
+    """
     guess = setup.parameters.physics(setup.parameters.coordinates(setup.parameters.guess))
-    windows = setup.windows(setup.shortest_ns, guess)
+    found = _from_few(setup, setup.shortest_ns, guess)
+    if _lasts(found):
+        closer = _from_few(setup, setup.shortest_ns // _CLOSER, guess)
+        found = min(found, _from_few(setup, setup.shortest_ns, closer.physics), key=_misfit)
+    return _first(setup, setup.windows(setup.shortest_ns, found.physics), found.physics)
+
+
+def _from_few(setup: Setup, length_ns: int, guess: Physics) -> Solution:
+    """Return a fit to a few windows, with states from the measurements in all of them."""
+    windows = setup.windows(length_ns, guess)
     few = windows[::-(-len(windows) // _FEW)]
-    first = _first(setup, few, guess)
-    physics = _fitted(setup, first, first.length_ns, 1e-2, 30, windows=few).physics
-    return _first(setup, setup.windows(setup.shortest_ns, physics), physics)
+    return _fitted(setup, _first(setup, few, guess), length_ns, 1e-2, 30, windows=few)
+
+
+def _lasts(solution: Solution) -> bool:
+    """Return whether errors of neighbouring samples are alike, in any channel."""
+    for error, middle in _with_middles(solution):
+        clipped = np.clip(error, -3.0 * middle, 3.0 * middle)  # an outlier hides the others
+        if np.nansum(clipped[1:] * clipped[:-1]) > _LASTING * np.nansum(clipped ** 2):
+            return True
+    return False
+
+
+def _misfit(solution: Solution) -> float:
+    """Return a number that is smaller for the better of two fits to the same samples."""
+    return sum(float(np.log(max(middle, _ROUNDING))) for _, middle in _with_middles(solution))
+
+
+def _with_middles(solution: Solution) -> list[tuple[Floats, float]]:
+    return [(error, _middle(error)) for every in solution.errors for error in every]
 
 
 def _longer(setup: Setup, solution: Solution) -> Solution | None:
