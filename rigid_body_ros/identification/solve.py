@@ -44,7 +44,7 @@ _CLOSER = 8
 #: Correlation of neighbouring errors from which on the first fit is in doubt.
 _LASTING = 0.5
 #: Number of windows of the first fit, which only has to find out roughly what acts.
-_FEW = 32
+_FEW = 8
 #: How much longer the next windows are; the smaller ones if that does not fit.
 _GROWTH = (8, 4, 2)
 #: rad, and relative to the rate; errors of a prediction up to which derivatives are of use.
