@@ -133,7 +133,22 @@ def _summed_together(in_body: Sequence[TorqueLog], in_space: Sequence[TorqueLog]
         for logs in (in_body, in_space, motors))
     for array in (body, space, on_rotors):  # one type for the kernels
         array.flags.writeable = False
-    return Summed(times, *_sum_rows(times, body, space, on_rotors, momentum))
+    torques, terms = _allocated(len(times), 0)
+    spaces = _sum_rows(times, body, space, on_rotors, momentum, torques, terms)
+    return Summed(times, torques, spaces, terms)
+
+
+def _allocated(count: int, degree: int) -> tuple[Floats, Floats]:
+    """
+    Return arrays for the polynomials and terms of `Summed`, not yet filled.
+
+    They are one block that numpy allocates. For a large block numpy asks for large pages; to get
+    small ones from the system takes longer than to fill them. Memory that is never touched takes
+    no time.
+    """
+    block, parts = np.empty(count * 3 * (4 * degree + 5)), count * 3 * (2 * degree + 1)
+    return (block[:parts].reshape(count, 2 * degree + 1, 3),
+            block[parts:].reshape(count, 2 * degree + 4, 3))
 
 
 def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats,
@@ -145,15 +160,18 @@ def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats,
                        np.concatenate([log.times_ns for log in sources]),
                        np.concatenate([log.in_space for log in sources]),
                        np.cumsum([0, *map(len, sources)]))
-    return Summed(*_sum(*samples, timeout_ns, start_ns, momentum))
+    limit = 1 + len(samples.stamps_ns) * (2 if timeout_ns > 0 else 1)
+    torques, terms = _allocated(limit, degree)
+    times, spaces = _sum(*samples, timeout_ns, start_ns, momentum, torques, terms)
+    return Summed(times, torques[:len(times)], spaces, terms[:len(times)])
 
 
 @njit
 def _sum_rows(times_ns: NDArray[np.int64], body: Floats, space: Floats, on_rotors: Floats,
-              momentum: Floats) -> tuple[Floats, NDArray[np.bool_], Floats]:
-    # Return the sum of held torques, each shape (n, 3), or (1, 3) if it is the same at all times.
+              momentum: Floats, torques: Floats, terms: Floats) -> NDArray[np.bool_]:
+    # Store the sum of held torques, each shape (n, 3), or (1, 3) if it is the same at all times.
+    # Return whether it is in space axes.
     count = len(times_ns)
-    torques, terms = np.empty((count, 1, 3)), np.empty((count, 4, 3))
     spaces, rotors = np.empty(count, np.bool_), _loaded(momentum)
     for row in range(count):
         turning = _row(on_rotors, row)
@@ -163,7 +181,7 @@ def _sum_rows(times_ns: NDArray[np.int64], body: Floats, space: Floats, on_rotor
         if row + 1 < count:
             length_ns = times_ns[row + 1] - times_ns[row]
             rotors = after(rotors, total.rotors, length_ns, length_ns)
-    return torques, spaces, terms
+    return spaces
 
 
 @inlined
@@ -197,13 +215,12 @@ def _padded(coefficients: Floats, degree: int) -> Floats:
 @njit
 def _sum(coefficients: Floats, stamps_ns: NDArray[np.int64], in_space: NDArray[np.bool_],
          offsets: NDArray[np.intp], timeout_ns: int, start_ns: int,
-         momentum: Floats) -> tuple[NDArray[np.int64], Floats, NDArray[np.bool_], Floats]:
+         momentum: Floats, torques: Floats,
+         terms: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    # Store the sum, and return its times, and whether it is in space axes.
     count, degree = len(offsets) - 1, coefficients.shape[1] // 2
-    limit = 1 + len(stamps_ns) * (2 if timeout_ns > 0 else 1)
     samples = offsets[:-1] - 1  # in force, of each source
-    # Memory that is never touched takes no time: sources with the same stamps do not need it all.
-    times, spaces = np.empty(limit, np.int64), np.empty(limit, np.bool_)
-    torques, terms = np.empty((limit, 2 * degree + 1, 3)), np.empty((limit, 2 * degree + 4, 3))
+    times, spaces = np.empty(len(torques), np.int64), np.empty(len(torques), np.bool_)
     rotors = _loaded(momentum)
     at, time_ns = 0, start_ns
     while time_ns < NEVER_NS:
@@ -240,7 +257,7 @@ def _sum(coefficients: Floats, stamps_ns: NDArray[np.int64], in_space: NDArray[n
         if next_ns < NEVER_NS:
             rotors = after(rotors, total.rotors, length_ns, length_ns)
         at, time_ns = at + 1, next_ns
-    return times[:at], torques[:at], spaces[:at], terms[:at]
+    return times[:at], spaces[:at]
 
 
 @inlined
