@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
 from rigid_body_ros.identification import Experiment, identify
+from rigid_body_ros.identification.summary import summary
 from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.measurement.measured import Measured
 from tumbling import INERTIA, mounted, SECOND, shifted, Truth, with_outliers
@@ -168,6 +169,14 @@ def test_torque_bias_and_inertia():
     result = identify(GUESS, truth.experiment(truth.measured(ATTITUDE, RATE)),
                       estimate=['inertia', 'start', 'torque_bias'])
     assert_covered(result, {**inertia_truth(), 'torque_bias.x': 0.002})
+
+
+@pytest.mark.parametrize(('modelled', 'warnings'), [(['torque_bias'], 0), ([], 1)])
+def test_errors_that_are_alike_are_a_warning(modelled, warnings):
+    truth = Truth(bias=(0.002, -0.001, 0.003))
+    result = identify(GUESS, truth.experiment(truth.measured(1e-4, 1e-4)),
+                      estimate=['inertia', 'start', *modelled])
+    assert summary(result).count('neighbouring errors are almost the same') == warnings
 
 
 def test_damping():

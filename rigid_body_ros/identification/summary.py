@@ -26,7 +26,8 @@ from rigid_body_ros.identification.result import Estimate, Identification
 _CORRELATED, _PAIRS = 0.95, 6
 #: Autocorrelation from which on errors are not white.
 _COLOURED = 0.2
-
+#: Autocorrelation from which on neighbouring errors have a cause in common, not noise.
+_ALIKE = 0.8
 #: Chi-square per degree of freedom from which on the errors are larger than the noise.
 _LARGE = 2.0
 
@@ -65,6 +66,10 @@ def _rows(found: Identification) -> Iterator[tuple[str, str]]:
     if (found.training.chi2_per_dof or 0.0) > _LARGE:
         yield 'warning', 'the errors are larger than the given noise, so the model lacks ' \
                          'something, and the intervals are too short'
+    alike = [name for name, value in found.autocorrelation.items() if value > _ALIKE]
+    if alike:
+        yield 'warning', f'{", ".join(alike)}: neighbouring errors are almost the same, so the ' \
+                         'model lacks something, and the intervals are much too short'
     state = 'converged' if found.converged else 'did not converge'
     yield 'fit', f'{state} after {found.evaluations} evaluations, in windows of ' \
                  f'{found.window_s:.4g} s'
