@@ -18,18 +18,29 @@ from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rigid_body_ros.bodies import RigidBodies
     from rigid_body_ros.body import RigidBody
     from rigid_body_ros.identification import Experiment, identify
     from rigid_body_ros.measurement import compare, Measured, read_measured
-    from rigid_body_ros.propagation import propagate, Propagator, Trajectory, warm_up
+    from rigid_body_ros.propagation import (
+        propagate,
+        propagate_many,
+        Propagator,
+        Trajectories,
+        Trajectory,
+        warm_up,
+    )
     from rigid_body_ros.state import State
+    from rigid_body_ros.states import States
     from rigid_body_ros.torque import TorqueLog
 else:
     # Importing the engine takes most of a second, and commands must handle signals before.
-    _SUBMODULES = ('body', 'common', 'euler', 'identification', 'kernels', 'measurement',
-                   'propagation', 'so3', 'state', 'torque', 'urdf')
+    _SUBMODULES = ('bodies', 'body', 'common', 'euler', 'identification', 'kernels', 'measurement',
+                   'propagation', 'so3', 'state', 'states', 'torque', 'urdf')
     #: The submodule of each public name.
-    _HOMES = {'RigidBody': 'body', 'State': 'state', 'TorqueLog': 'torque',
+    _HOMES = {'RigidBodies': 'bodies', 'States': 'states', 'propagate_many': 'propagation',
+              'Trajectories': 'propagation', 'RigidBody': 'body', 'State': 'state',
+              'TorqueLog': 'torque',
               'Propagator': 'propagation', 'Trajectory': 'propagation',
               'propagate': 'propagation', 'warm_up': 'propagation', 'Measured': 'measurement',
               'compare': 'measurement', 'read_measured': 'measurement',
@@ -47,5 +58,6 @@ else:
     def __dir__() -> list[str]:
         return sorted({*globals(), *_SUBMODULES, *_HOMES})
 
-__all__ = ['Experiment', 'Measured', 'Propagator', 'RigidBody', 'State', 'TorqueLog', 'Trajectory',
-           'compare', 'identify', 'propagate', 'read_measured', 'warm_up']
+__all__ = ['Experiment', 'Measured', 'Propagator', 'RigidBodies', 'RigidBody', 'State', 'States',
+           'TorqueLog', 'Trajectories', 'Trajectory', 'compare', 'identify', 'propagate',
+           'propagate_many', 'read_measured', 'warm_up']

@@ -21,7 +21,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.common.errors import quoted
@@ -95,7 +95,7 @@ class State:
         if not q.any():
             raise ValueError('attitude quaternion (x, y, z, w): expected a non-zero quaternion, '
                              f'found {q.tolist()}')
-        if abs(np.sqrt(np.sum(q * q)) - 1.0) > 4.0 * np.finfo(float).eps:
+        if not is_normalized(q):
             q = so3.normalize(q)
         w = _checked_vector(angular_velocity, 3, 'angular velocity')
         computed = self._as_computed(instant(time_ns), state_layout.pack(w, q), None,
@@ -112,6 +112,11 @@ class State:
             if self._has_rotors else ''
         return (f'State(time {self.time_ns} ns, attitude xyzw {written(self.attitude)}, '
                 f'angular velocity {written(self.angular_velocity)} rad/s{rotors})')
+
+
+def is_normalized(q: Floats) -> NDArray[np.bool_]:
+    """Return whether quaternions, shape (..., 4), are of norm 1 within 4 eps."""
+    return abs(np.sqrt(np.sum(q * q, axis=-1)) - 1.0) <= 4.0 * np.finfo(float).eps
 
 
 def _checked_rotors(momentum: ArrayLike) -> Floats:

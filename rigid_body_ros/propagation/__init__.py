@@ -25,6 +25,7 @@ for bit.
 
 from rigid_body_ros.common.times import LONGEST
 from rigid_body_ros.propagation.integration import Integration, propagate, warm_up
+from rigid_body_ros.propagation.many import propagate_many, Trajectories
 from rigid_body_ros.propagation.models import Model
 from rigid_body_ros.propagation.options import Options, TOLERANCES
 from rigid_body_ros.propagation.propagator import Propagator
@@ -32,4 +33,4 @@ from rigid_body_ros.propagation.solvers import Solver, SOLVERS
 from rigid_body_ros.propagation.trajectory import Trajectory
 
 __all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Integration', 'Model', 'Options', 'Propagator',
-           'Solver', 'Trajectory', 'propagate', 'warm_up']
+           'Solver', 'Trajectories', 'Trajectory', 'propagate', 'propagate_many', 'warm_up']

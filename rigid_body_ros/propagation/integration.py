@@ -152,7 +152,7 @@ class Integration:
 
         """
         times, ascends, end_ns = checked_times(at, self._end_ns)
-        _check_solver(self._options, log)
+        check_solver(self._options, log)
         count, begin_ns = times.size, self._end_ns
         if stop is not None and end_ns < log.times_ns[stop]:
             end_ns = int(log.times_ns[stop])
@@ -229,7 +229,8 @@ def _constant_terms(body: RigidBody, start: State, options: Options) -> Floats |
     return terms
 
 
-def _check_solver(options: Options, log: TorqueLog) -> None:
+def check_solver(options: Options, log: TorqueLog) -> None:
+    """Raise ValueError if the log has torques and the solver handles none."""
     if not options.record.takes_torque and log.torques.any():
         row = int(np.flatnonzero(log.torques.any(axis=1))[0])
         raise ValueError(f'solver {options.solver!r} handles torque-free motion only, found '

@@ -1,0 +1,94 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Many rigid bodies as arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rigid_body_ros.body import RigidBody
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import body_layout
+
+
+class RigidBodies:
+    """
+    Many rigid bodies, of which some may be invalid.
+
+    `bodies[i]` is the `RigidBody` of row i, or raises its error.
+
+    Parameters
+    ----------
+    tensors : array, shape (n, 3, 3), kg m^2
+        As for `RigidBody`.
+    damping : array, shape (n, 3, 3) or (3, 3), N m s/rad, optional
+        Of each body, or of all.
+
+    Attributes
+    ----------
+    inertia : array, shape (n, 3, 3), kg m^2, body axes
+        As given.
+    damping : array, shape (n, 3, 3), N m s/rad, body axes
+        As given.
+    is_damped : array of bool, shape (n,)
+        Whether the damping is not zero.
+    messages : tuple of n str
+        Why each body is invalid: the message of `RigidBody`. Empty for a valid body.
+
+    Raises
+    ------
+    ValueError
+        A shape does not match.
+
+    """
+
+    def __init__(self, tensors: ArrayLike, damping: ArrayLike | None = None) -> None:
+        self.inertia = _rows_of_tensors(tensors, 'tensors')
+        self.damping = np.zeros_like(self.inertia) if damping is None else _rows_of_tensors(
+            np.broadcast_to(damping, self.inertia.shape) if np.ndim(damping) == 2 else damping,
+            'damping')
+        if len(self.damping) != len(self.inertia):
+            raise ValueError(f'damping: expected {len(self.inertia)} tensors, '
+                             f'found {len(self.damping)}')
+        self.is_damped: NDArray[np.bool_] = np.asarray(self.damping.any(axis=(1, 2)))
+        self._constants, self.messages = self._computed()
+
+    def __len__(self) -> int:
+        return len(self.inertia)
+
+    def __getitem__(self, row: int) -> RigidBody:
+        return RigidBody(self.inertia[row], self.damping[row])
+
+    def __repr__(self) -> str:
+        return f'RigidBodies({len(self)} bodies, {sum(map(bool, self.messages))} invalid)'
+
+    def _computed(self) -> tuple[Floats, tuple[str, ...]]:
+        """Return the constants for the kernels, shape (n, body_layout.SIZE), and the messages."""
+        constants, messages = np.zeros((len(self), body_layout.SIZE)), []
+        for row in range(len(self)):
+            try:
+                constants[row] = self[row]._constants
+                messages.append('')
+            except ValueError as error:
+                messages.append(str(error))
+        return constants, tuple(messages)
+
+
+def _rows_of_tensors(values: ArrayLike, name: str) -> Floats:
+    tensors = np.array(values, float)
+    if tensors.ndim != 3 or tensors.shape[1:] != (3, 3):
+        raise ValueError(f'{name}: expected shape (n, 3, 3), found {tensors.shape}')
+    tensors.flags.writeable = False
+    return tensors

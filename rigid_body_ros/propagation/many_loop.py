@@ -1,0 +1,64 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The loop over many runs, without Python between them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels.jit import njit
+from rigid_body_ros.propagation import loop
+
+
+@njit
+def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64],
+             times_ns: NDArray[np.int64], rows: NDArray[np.intp], motions: Floats,
+             stamps_ns: NDArray[np.int64], polynomials: Floats, in_space: NDArray[np.bool_],
+             first: int, stop: int, constants: Floats, settings: Floats, budget: int,
+             terms: Floats | None, too_fast: NDArray[np.bool_]) -> int:
+    """
+    Call `loop.run` for one run after the other.
+
+    Parameters
+    ----------
+    which : array of int, shape (k,)
+        The runs, rows of the arrays that follow.
+    states, progress, motions, constants : array, shape (n, ...)
+        A row for each run, see `loop.run`.
+    times_ns, rows, stamps_ns, polynomials, in_space, first, stop, settings, budget, terms
+        As for `loop.run`, of all runs.
+    too_fast : array of bool, shape (n,)
+        Set where the body becomes too fast; such runs are skipped.
+
+    Returns
+    -------
+    int
+        How many runs are done. The next one has used up the budget, and another call continues
+        from there.
+
+    """
+    closed = np.empty(len(stamps_ns) + 1, np.bool_)
+    for k in range(len(which)):
+        i = which[k]
+        if too_fast[i]:
+            continue
+        result = loop.run(states[i], progress[i], times_ns, rows, motions[i], closed, stamps_ns,
+                          polynomials, in_space, first, stop, constants[i], settings, budget,
+                          terms)
+        if result == loop.UNFINISHED:
+            return k
+        too_fast[i] = result == loop.TOO_FAST
+    return len(which)

@@ -1,0 +1,129 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Many motions at once: each has the bits of `propagate`, and a bad one does not end the rest."""
+
+import numpy as np
+import pytest
+from rigid_body_ros import (
+    propagate,
+    propagate_many,
+    RigidBodies,
+    RigidBody,
+    State,
+    States,
+    TorqueLog,
+)
+
+SECOND = 10 ** 9
+COUNT = 12
+AT = np.array([0, 7, 3 * SECOND, SECOND, SECOND // 3])
+
+
+def scattered(seed=0):
+    """Return random bodies, diagonal, full, thin or out of range, and their starts."""
+    random = np.random.default_rng(seed)
+    turns = np.linalg.qr(random.normal(size=(COUNT, 3, 3)))[0]
+    moments = np.array([[1.0, 2.0, 2.5], [1e-6, 1.0, 1.0], [1.0, 1.0 + 1e-13, 1.5]])
+    tensors = moments[np.arange(COUNT) % 3] * (1.0 + 1e-3 * random.normal(size=(COUNT, 1)))
+    tensors = (turns * tensors[:, None]) @ turns.transpose(0, 2, 1)
+    tensors[3] = np.diag([1.0, 2.0, 3.0])
+    tensors[4], tensors[5] = np.diag([1.0, 2.0, 9.0]), np.nan
+    tensors[6] *= 1e-150
+    rates = random.normal(size=(COUNT, 3))
+    rates[7], rates[8] = 2e9, 0.0
+    return tensors, rates, random.normal(size=(COUNT, 4))
+
+
+def random_log(interpolation='hold', frame='body'):
+    random = np.random.default_rng(5)
+    torques = random.normal(size=(20, 3))
+    torques[6:9] = 0.0
+    return TorqueLog(np.arange(20) * 123_456_789, torques, frame, interpolation)
+
+
+def alone(tensor, start, log, **options):
+    """Return attitude and rates of one motion, or its error."""
+    try:
+        motion = propagate(RigidBody(tensor, options.pop('damping', None)), State(*start), log,
+                           at=AT, **options)
+    except ValueError as error:
+        return str(error)
+    return motion.attitude.tobytes() + motion.angular_velocity.tobytes()
+
+
+def rows(motions):
+    return [message or attitude.tobytes() + rates.tobytes() for attitude, rates, message
+            in zip(motions.attitude, motions.angular_velocity, motions.messages)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('log', [
+    None, *(random_log(*way) for way in (('hold', 'body'), ('hold', 'space'), ('linear', 'body'),
+                                         ('cubic', 'space')))])
+@pytest.mark.parametrize('options', [
+    {}, {'tolerance': 1e-4}, {'torque_timeout': 0.05}, {'solver': 'taylor', 'max_step': 0.1},
+    {'solver': 'rk4', 'max_step': 0.01}, {'solver': 'strang', 'max_step': 0.02}])
+def test_each_motion_has_the_bits_of_the_motion_alone(log, options):
+    tensors, rates, attitudes = scattered()
+    found = propagate_many(RigidBodies(tensors), States(0, attitudes, rates), log, at=AT,
+                           **options)
+    expected = [alone(tensor, (0, q, w), log, **options)
+                for tensor, q, w in zip(tensors, attitudes, rates)]
+    assert rows(found) == expected
+    assert {4, 5} <= set(np.flatnonzero(found.failed)) < set(range(COUNT))
+    assert np.isnan(found.attitude[found.failed]).all()
+
+
+@pytest.mark.slow
+def test_damping_gains_and_logs_of_each_run_give_the_same_bits():
+    tensors, rates, attitudes = scattered(1)
+    tensors[5:7] = np.diag([1.0, 2.0, 3.0])
+    damping = np.zeros_like(tensors)
+    damping[::2] = 0.01 * np.eye(3)
+    log, gains = random_log(), np.linspace(0.5, 1.5, COUNT)
+    logs = [log.with_torques(gain * log.torques) for gain in gains]
+    bodies, starts = RigidBodies(tensors, damping), States(0, attitudes, rates)
+    expected = [alone(tensor, (0, q, w), each, damping=drag) for tensor, q, w, each, drag
+                in zip(tensors, attitudes, rates, logs, damping)]
+    assert rows(propagate_many(bodies, starts, log, at=AT, torque_gains=gains)) == expected
+    assert rows(propagate_many(bodies, starts, logs, at=AT)) == expected
+
+
+def test_states_and_bodies_are_those_of_their_rows():
+    attitudes = np.random.default_rng(2).normal(size=(5, 4))
+    attitudes[3] = 0.0
+    states = States(7, attitudes, (0.1, 0.2, 0.3))
+    for row in (0, 1, 2, 4):
+        assert np.array_equal(states.attitude[row], State(7, attitudes[row]).attitude)
+        assert np.array_equal(states[row]._packed, states._packed[row])
+    assert [bool(message) for message in states.messages] == [False] * 3 + [True, False]
+    with pytest.raises(ValueError, match='non-zero'):
+        states[3]
+    bodies = RigidBodies([np.eye(3), -np.eye(3)])
+    assert not bodies.messages[0]
+    assert 'positive definite' in bodies.messages[1]
+
+
+@pytest.mark.parametrize(('change', 'message'), [
+    ({'starts': States(0, np.ones((3, 4)))}, 'starts: expected 2, one for each body, found 3'),
+    ({'log': [None]}, 'log: expected 2, one for each body, found 1'),
+    ({'torque_gains': [1.0]}, 'torque_gains: expected 2'),
+    ({'at': [-1]}, 'at: expected no time before the start'),
+    ({'bodies': RigidBodies(np.zeros((0, 3, 3)))}, 'starts: expected 0')])
+def test_input_that_does_not_fit_is_one_line(change, message):
+    given = {'bodies': RigidBodies([np.eye(3)] * 2), 'starts': States(0, np.ones((2, 4))),
+             'at': [1], **change}
+    with pytest.raises(ValueError, match=message):
+        propagate_many(given.pop('bodies'), given.pop('starts'), given.pop('log', None), **given)
