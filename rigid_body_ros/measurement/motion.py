@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import so3
+from rigid_body_ros import hermite, so3
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
@@ -128,8 +128,7 @@ class Recorded:
         """
         Return the states at times.
 
-        The rotation vector from a sample to the next is a cubic polynomial in time with the
-        measured angular velocities at both ends.
+        `hermite.between` interpolates between the measured angular velocities.
 
         Raises
         ------
@@ -145,16 +144,10 @@ class Recorded:
             raise InputError(f'expected a motion up to the last measurement at {times_ns.max()} '
                              f'ns, found its end at {stamps[-1]} ns')
         rows = np.clip(np.searchsorted(stamps, times_ns, 'right') - 1, 0, len(stamps) - 2)
-        span = (np.diff(stamps)[rows] * 1e-9)[:, None]
-        part = ((times_ns - stamps[rows]) * 1e-9)[:, None] / span
-        step = so3.log(so3.multiply(so3.conjugate(attitude[rows]), attitude[rows + 1]))
-        begin, end = rates[rows] * span, _vector_rate(step, rates[rows + 1]) * span
-        square, cube = part * part, part ** 3
-        vector = (3 * square - 2 * cube) * step + (part - 2 * square + cube) * begin \
-            + (cube - square) * end
-        change = (6 * (part - square) * step + (1 - 4 * part + 3 * square) * begin
-                  + (3 * square - 2 * part) * end) / span
-        return States(so3.multiply(attitude[rows], so3.exp(vector)), _body_rate(vector, change))
+        span = np.diff(stamps)[rows] * 1e-9
+        part = (times_ns - stamps[rows]) * 1e-9 / span
+        return States(*hermite.between((attitude[rows], rates[rows]),
+                                       (attitude[rows + 1], rates[rows + 1]), span, part))
 
 
 def derived_rates(stamps: NDArray[np.int64], attitude: Floats
@@ -186,23 +179,3 @@ def measured_rates(sensor: Measured) -> tuple[NDArray[np.int64], Floats]:
         return sensor.stamps, sensor.angular_velocity
     assert sensor.attitude is not None
     return derived_rates(sensor.stamps, sensor.attitude)
-
-
-def _vector_rate(vector: Floats, rate: Floats) -> Floats:
-    """Return the derivatives of rotation vectors from angular velocities in body axes."""
-    angle = np.linalg.norm(vector, axis=1, keepdims=True)
-    half = np.maximum(0.5 * angle, 1e-9)
-    factor = np.where(angle < 1e-3, 1.0 / 12.0,
-                      (1.0 - half / np.tan(half)) / np.maximum(angle, 1e-9) ** 2)
-    cross = np.cross(vector, rate)
-    return rate + 0.5 * cross + factor * np.cross(vector, cross)
-
-
-def _body_rate(vector: Floats, change: Floats) -> Floats:
-    """Return the angular velocities in body axes from the derivatives of rotation vectors."""
-    angle = np.linalg.norm(vector, axis=1, keepdims=True)
-    safe = np.maximum(angle, 1e-9)
-    first = np.where(angle < 1e-3, 0.5, (1.0 - np.cos(angle)) / safe ** 2)
-    second = np.where(angle < 1e-3, 1.0 / 6.0, (angle - np.sin(angle)) / safe ** 3)
-    cross = np.cross(vector, change)
-    return change - first * cross + second * np.cross(vector, cross)

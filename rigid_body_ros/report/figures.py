@@ -31,12 +31,20 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import shortened
 from rigid_body_ros.propagation import Trajectory
+from rigid_body_ros.report.style import (
+    axes_name,
+    COLOURS,
+    ERRORS,
+    euler_names,
+    MARKERS,
+    MOMENTA,
+    QUATERNION,
+    RATES,
+    STYLES,
+    TORQUES,
+)
 from rigid_body_ros.torque import torque_logs, TorqueLog
 
-#: The palette of Okabe and Ito, safe for colour-blind readers; line styles serve greyscale prints.
-_COLOURS = ('#0072B2', '#D55E00', '#009E73', '#000000', '#CC79A7', '#56B4E9')
-_STYLES = ('-', '--', '-.', ':')
-_MARKERS = ('o', 's', '^', 'D', 'v', 'x')
 _GREYS = ('#333333', '#999999')
 #: Largest number of points in a curve; more would not be visible.
 _POINTS = 20_000
@@ -81,14 +89,14 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
     figure.suptitle(_literal(title), parse_math=False)
     panels = figure.subplots(count, 1, sharex=True)
     _draw_angles(panels[0], seconds, trajectory.euler_angles(sequence)[rows], sequence)
-    _draw_curves(panels[1], seconds, trajectory.attitude[rows], ('x', 'y', 'z', 'w'))
+    _draw_curves(panels[1], seconds, trajectory.attitude[rows], QUATERNION)
     panels[1].set_ylabel('quaternion')
-    _draw_curves(panels[2], seconds, trajectory.angular_velocity[rows], ('ω₁', 'ω₂', 'ω₃'))
+    _draw_curves(panels[2], seconds, trajectory.angular_velocity[rows], RATES)
     _label(panels[2].yaxis, 'angular velocity,\nbody axes', 'rad/s',
            trajectory.angular_velocity[rows])
     if has_rotors:
         momentum = trajectory.rotor_momentum[rows]
-        _draw_curves(panels[3], seconds, momentum, ('h₁', 'h₂', 'h₃'))
+        _draw_curves(panels[3], seconds, momentum, MOMENTA)
         _label(panels[3].yaxis, 'rotor momentum,\nbody axes', 'N m s', momentum)
     for number, one in enumerate(logs, 1):
         name = f'torque {number}' if len(logs) > 1 else 'torque'
@@ -127,14 +135,14 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
     panel = figure.subplots()
     least = float(np.finfo(float).eps)  # smaller errors are not meaningful
     for number, (name, (errors, costs)) in enumerate(curves.items()):
-        panel.loglog(np.maximum(errors, least), costs, _STYLES[number % len(_STYLES)],
-                     linewidth=1.4, markersize=4.5, color=_COLOURS[number],
-                     marker=_MARKERS[number], label=name.replace('_', ' '))
+        panel.loglog(np.maximum(errors, least), costs, STYLES[number % len(STYLES)],
+                     linewidth=1.4, markersize=4.5, color=COLOURS[number],
+                     marker=MARKERS[number], label=name.replace('_', ' '))
     for number, (name, value) in enumerate(sorted(lines.items(), key=lambda line: line[1])):
         value = max(value, least)
         text = name if name.endswith('rad') else f'{name} {value:.0e} rad'
-        panel.axvline(value, color=_GREYS[number // len(_STYLES) % len(_GREYS)],
-                      linestyle=_STYLES[number % len(_STYLES)], linewidth=1.0, zorder=1,
+        panel.axvline(value, color=_GREYS[number // len(STYLES) % len(_GREYS)],
+                      linestyle=STYLES[number % len(STYLES)], linewidth=1.0, zorder=1,
                       label=text)
     panel.margins(0.08)
     panel.set_xlabel('largest attitude error (rad)')
@@ -197,7 +205,7 @@ def errors(path: str | Path, panels: Sequence[Panel], residual: Panel | None,
         _draw_torque(rows[len(panels) + number], log, name, start_ns, end_ns, timeout_ns)
     if residual is not None:
         seconds, values = _thinned(residual, start_ns)
-        _draw_curves(rows[shared - 1], seconds, values, ('τ₁', 'τ₂', 'τ₃'))
+        _draw_curves(rows[shared - 1], seconds, values, TORQUES)
         _label(rows[shared - 1].yaxis, f'{residual.label},\nbody axes', residual.unit, values)
     for row in rows[:shared]:
         row.set_xlim(0.0, max(1e-9 * (end_ns - start_ns), 1e-9))
@@ -212,8 +220,8 @@ def _draw_errors(row: Axes, panel: Panel, start_ns: int) -> None:
     seconds, values = _thinned(panel, start_ns)
     least = float(np.finfo(float).tiny)
     sizes = np.maximum(np.abs(np.column_stack([np.linalg.norm(values, axis=1), values])), least)
-    for column, name, colour, width in zip(sizes.T, ('|e|', '|e₁|', '|e₂|', '|e₃|'),
-                                           ('#000000', *_COLOURS), (1.2, 0.7, 0.7, 0.7)):
+    for column, name, colour, width in zip(sizes.T, ERRORS,
+                                           ('#000000', *COLOURS), (1.2, 0.7, 0.7, 0.7)):
         row.semilogy(seconds, column, color=colour, linewidth=width, label=name,
                      zorder=3 if name == '|e|' else 2)
     shown = sizes[:, 0][sizes[:, 0] > 0.0]
@@ -227,7 +235,7 @@ def _draw_horizons(row: Axes, horizons: Mapping[float, Floats]) -> None:
     seconds = sorted(horizons)
     for column, name in enumerate(('median', '95 %')):
         row.loglog(seconds, [max(float(horizons[each][column]), 1e-16) for each in seconds],
-                   _STYLES[column], color=_COLOURS[column], marker=_MARKERS[column], label=name)
+                   STYLES[column], color=COLOURS[column], marker=MARKERS[column], label=name)
     row.set_xlabel('time since the restart from the measurement (s)')
     row.set_ylabel('attitude error (rad)')
     row.grid(alpha=0.3)
@@ -245,9 +253,7 @@ def _literal(title: str) -> str:
 
 
 def _draw_angles(panel: Axes, seconds: Floats, angles: Floats, sequence: str) -> None:
-    names = (('φ', 'θ', 'ψ') if sequence == 'ZXZ' else
-             tuple(f'{axis}{number}' for number, axis in enumerate(sequence, 1)))
-    _draw_curves(panel, seconds, _without_jumps(angles), names)
+    _draw_curves(panel, seconds, _without_jumps(angles), euler_names(sequence))
     panel.set_ylabel(f'Euler angles {sequence} (rad)')
     low, high = (-2, 2) if angles.min() < 0.0 else (0, 4)
     labels = {-2: '−π', -1: '−π/2', 0: '0', 1: 'π/2', 2: 'π', 3: '3π/2', 4: '2π'}
@@ -259,15 +265,13 @@ def _draw_torque(panel: Axes, log: TorqueLog, name: str, start_ns: int, end_ns: 
                  timeout_ns: int) -> None:
     times = _torque_times(log, start_ns, end_ns, timeout_ns)
     torques = log.at(times, timeout_ns)[0]
-    frames = np.unique(log.in_space)
-    axes = 'body axes' if not frames.any() else 'space axes' if frames.all() else 'mixed axes'
     seconds = np.asarray((times - start_ns) * 1e-9, np.float64)
-    _draw_curves(panel, seconds, torques, ('τ₁', 'τ₂', 'τ₃'))
-    _label(panel.yaxis, f'{name},\n{axes}', 'N m', torques)
+    _draw_curves(panel, seconds, torques, TORQUES)
+    _label(panel.yaxis, f'{name},\n{axes_name(log.in_space)}', 'N m', torques)
 
 
 def _draw_curves(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...]) -> None:
-    for column, name, colour, style in zip(columns.T, names, _COLOURS, _STYLES):
+    for column, name, colour, style in zip(columns.T, names, COLOURS, STYLES):
         panel.plot(x, column, style, color=colour, linewidth=1.2, label=name)
     panel.grid(alpha=0.3)
     _legend(panel, handlelength=2.5)

@@ -1,0 +1,39 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Colours, dashes and names that figures and pages share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: The palette of Okabe and Ito, safe for colour-blind readers; line styles serve greyscale prints.
+COLOURS = ('#0072B2', '#D55E00', '#009E73', '#000000', '#CC79A7', '#56B4E9')
+STYLES = ('-', '--', '-.', ':')
+MARKERS = ('o', 's', '^', 'D', 'v', 'x')
+QUATERNION = ('x', 'y', 'z', 'w')
+RATES, MOMENTA, TORQUES = ('ω₁', 'ω₂', 'ω₃'), ('h₁', 'h₂', 'h₃'), ('τ₁', 'τ₂', 'τ₃')
+ERRORS = ('|e|', '|e₁|', '|e₂|', '|e₃|')
+
+
+def euler_names(sequence: str) -> tuple[str, ...]:
+    """Return the names of the three angles of a sequence."""
+    return ('φ', 'θ', 'ψ') if sequence == 'ZXZ' else \
+        tuple(f'{axis}{number}' for number, axis in enumerate(sequence, 1))
+
+
+def axes_name(in_space: NDArray[np.bool_]) -> str:
+    """Return the name of the axes that torques are given in."""
+    return 'body axes' if not in_space.any() else 'space axes' if in_space.all() else 'mixed axes'
