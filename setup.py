@@ -36,7 +36,7 @@ setup(
     maintainer_email=PACKAGE.find('maintainer').get('email'),
     license=PACKAGE.findtext('license'),
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed']},
+    package_data={NAME: ['py.typed', 'report/web/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

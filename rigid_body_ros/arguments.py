@@ -18,6 +18,8 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+import os
+import shlex
 import sys
 from typing import Any, TYPE_CHECKING
 
@@ -69,7 +71,36 @@ def parsed(parser: argparse.ArgumentParser,
     """Return the options; raise InputError if standard output is closed."""
     if sys.stdout is None:
         raise InputError('cannot write to standard output: it is closed')
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    options.arguments = [*(sys.argv[1:] if arguments is None else arguments)]
+    return options
+
+
+def command_line(options: argparse.Namespace, *names: str) -> str:
+    """
+    Return the command line, with file names in place of paths.
+
+    Parameters
+    ----------
+    options : Namespace
+        From `parsed`.
+    names : str
+        The options that are paths.
+
+    """
+    given = [value for name in names if (value := getattr(options, name))]
+    paths = [os.fspath(path) for value in given
+             for path in (value if isinstance(value, list) else [value])]
+    return shlex.join([options.command, *(_without_folder(os.fspath(text), paths)
+                                          for text in options.arguments)])
+
+
+def _without_folder(argument: str, paths: Sequence[str]) -> str:
+    for path in paths:
+        option = argument.removesuffix(path)
+        if option != argument and (not option or option.startswith('-')):
+            return option + os.path.basename(os.path.abspath(path))
+    return argument
 
 
 def load_scene(options: argparse.Namespace) -> Scene:
@@ -108,6 +139,12 @@ def add_torques(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--wheel-momentum', metavar='TOPIC',
                         help='topic of the measured momentum of the rotors (Vector3Stamped, N m '
                         's, body axes), linear between samples; needs a scene with wheels: true')
+
+
+def add_report(parser: argparse.ArgumentParser, shows: str) -> None:
+    """Add the option for the page."""
+    parser.add_argument('--report', metavar='HTML', help=f'write a page for any browser, without '
+                        f'network, that shows {shows}')
 
 
 def add_overwrite(parser: argparse.ArgumentParser) -> None:

@@ -17,17 +17,20 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 import json
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros.arguments import (
     add_overwrite,
+    add_report,
     add_scene,
     add_torques,
     angle,
+    command_line,
     load_scene,
     parsed,
     Parser,
@@ -39,6 +42,9 @@ from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
+    from rigid_body_ros.replay import Replay
+    from rigid_body_ros.replay.page import Collector
+    from rigid_body_ros.scene import Scene
     from rigid_body_ros.tradeoff import Tradeoff
 
 #: Exit statuses; docs/nodes.md has their meaning.
@@ -118,15 +124,34 @@ def _replay_one(options: argparse.Namespace) -> int:
         raise InputError('--also: expected an output file or folder (-o), found none')
     outputs = [(options.output, replay.suffix_of(options.output))] if options.output else []
     outputs += [(options.plot, '.png')] if options.plot else []
+    outputs += [(options.report, '.html')] if options.report else []
     files.check(*outputs)
-    result = replay.replay(path, load_scene(options), options.output, keep=bool(options.plot),
+    scene = load_scene(options)
+    result = replay.replay(path, scene, options.output, keep=bool(options.plot),
+                           collect=_collector(scene) if options.report else None,
                            **_replay_options(options))
     if options.plot:
         with files.protected('output', options.output):
             replay.plot(options.plot, result, Path(path).name)
+    if options.report:
+        with files.protected('output', options.output, options.plot):
+            _write_page(options, result, Path(path).name)
     written = ', '.join(name for name, _ in outputs)
     show(summary(result) + (f'\n{"wrote":14}{written}' if written else ''))
     return OK
+
+
+def _collector(scene: Scene) -> Callable[[], Collector]:
+    from rigid_body_ros.replay.page import Collector
+    return partial(Collector, scene)
+
+
+def _write_page(options: argparse.Namespace, result: Replay, name: str) -> None:
+    from rigid_body_ros.replay.page import Collector
+    from rigid_body_ros.report import page
+    assert isinstance(result.collected, Collector)
+    line = command_line(options, 'input', 'scene', 'output', 'plot', 'report')
+    page.write(options.report, result.collected.page(result, name, line))
 
 
 def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
@@ -136,8 +161,9 @@ def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
 
 def _replay_many(options: argparse.Namespace) -> int:
     from rigid_body_ros.replay.many import outputs_in, replay_many, table
-    if options.plot:
-        raise InputError(f'--plot: expected one recording, found {len(options.input)}')
+    for name in ('plot', 'report'):
+        if getattr(options, name):
+            raise InputError(f'--{name}: expected one recording, found {len(options.input)}')
     if not options.output:
         raise InputError('-o: expected a folder for several recordings, found none')
     outputs_in(options.output, options.input)
@@ -155,7 +181,7 @@ def _verify(options: argparse.Namespace) -> int:
     from rigid_body_ros.replay.verify import summary, verify
     if len(options.input) > 1:
         raise InputError(f'--verify: expected one recording, found {len(options.input)}')
-    unused = [name for name in ('rate', 'until', 'start', 'also', 'plot')
+    unused = [name for name in ('rate', 'until', 'start', 'also', 'plot', 'report')
               if getattr(options, name)]
     if unused:
         raise InputError(f'--verify: cannot be combined with --{unused[0]}')
@@ -251,6 +277,7 @@ def replay_parser() -> argparse.ArgumentParser:
                         'its message was logged or published (default: header)')
     parser.add_argument('--plot', metavar='PNG', help='plot Euler angles, quaternion, angular '
                         'velocity and torque over time')
+    add_report(parser, 'the moving body, these plots and the summary')
     add_overwrite(parser)
     return parser
 

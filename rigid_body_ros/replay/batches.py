@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Thread
 import time
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,15 @@ class Request:
     rate: float | None
     until: float | None
     also: Collection[str] = ()
+    #: Returns what takes each batch besides the output; None for nothing.
+    collect: Callable[[], Collector] | None = None
+
+
+class Collector(Protocol):
+    """Takes each batch of a motion."""
+
+    def add(self, batch: Batch) -> None:
+        """Take a batch."""
 
 
 class Batch(NamedTuple):

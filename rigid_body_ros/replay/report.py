@@ -28,12 +28,17 @@ _REPORTED = 10.0
 
 def summary(result: Replay) -> str:
     """Return a summary, one line per fact."""
+    return '\n'.join(f'{name:14}{text}' for name, text in rows(result))
+
+
+def rows(result: Replay) -> list[tuple[str, object]]:
+    """Return the facts of a summary: names and texts."""
     last = result.last
     sequence = result.scene.values['euler_sequence']
     span = (last.time_ns - result.start.time_ns) * 1e-9
     total = sum(result.seconds.values())
     split = ', '.join(f'{name} {seconds:.2g} s' for name, seconds in result.seconds.items())
-    rows = [
+    return [
         ('torques', f'{result.messages} on {result.topic}, over '
                     f'{(result.last_ns - result.first_ns) * 1e-9:.9g} s'
                     + (f'; the last of {result.logs} epochs' if result.logs > 1 else '')),
@@ -56,7 +61,6 @@ def summary(result: Replay) -> str:
         *([('last digits', result.last_digits)] if _is_reported(result.last_digits) else []),
         ('speed', f'{span / total:.3g} times real time ({split})'),
     ]
-    return '\n'.join(f'{name:14}{text}' for name, text in rows)
 
 
 def _is_reported(digits: LastDigits | None) -> bool:

@@ -36,7 +36,13 @@ from rigid_body_ros.messages import VECTOR3
 from rigid_body_ros.propagation import Trajectory, warm_up
 from rigid_body_ros.recording import Messages, NotInOrderError, Piece, Source
 from rigid_body_ros.replay import outputs
-from rigid_body_ros.replay.batches import Batch, Batches, CombinedBatches, Request
+from rigid_body_ros.replay.batches import (
+    Batch,
+    Batches,
+    Collector,
+    CombinedBatches,
+    Request,
+)
 from rigid_body_ros.replay.check import Check, drift, last_digits, LastDigits
 from rigid_body_ros.replay.outputs import INPUT, suffix_of
 from rigid_body_ros.replay.sources import absolute, read_sources, Sources, Topics, topics_of
@@ -92,6 +98,8 @@ class Replay:
         has a tuple of logs, one for each topic.
     wheels : TorqueLog, optional
         The torque on the rotors, if `keep` was set and the recording has it.
+    collected : optional
+        What `collect` returned.
 
     """
 
@@ -116,13 +124,15 @@ class Replay:
     log: TorqueLog | Sequence[TorqueLog] | None = None
     wheels: TorqueLog | None = None
     trajectory: Trajectory | None = None
+    collected: Collector | None = None
 
 
 def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
            topic: str | Sequence[str] | None = None, interpolation: str | None = None,
            rate: float | None = None, until: float | None = None, start: float = 0.0,
            time_source: str = 'header', also: Collection[str] = (), keep: bool | None = None,
-           wheel_torque: str | None = None, wheel_momentum: str | None = None) -> Replay:
+           wheel_torque: str | None = None, wheel_momentum: str | None = None,
+           collect: Callable[[], Collector] | None = None) -> Replay:
     """
     Compute the motion of a body from the torques of a recording.
 
@@ -162,6 +172,9 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     wheel_momentum : str, optional
         Topic of the measured momentum of the rotors, which is linear between samples. The motion
         starts with the measured momentum.
+    collect : callable, optional
+        Returns an object whose method `add` takes each `Batch` of the motion. It is called once
+        more if the recording has to be read again.
 
     Returns
     -------
@@ -180,7 +193,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     is_plain = given.is_plain(scene)
     keep = output is None if keep is None else keep
     interpolation = interpolation or scene.values['interpolation']
-    request = Request(path, scene, interpolation, rate, until, also)
+    request = Request(path, scene, interpolation, rate, until, also, collect)
     with files.reading(path), files.protected('scene', scene.path):
         if output is not None:
             files.check((output, suffix_of(output)))
@@ -333,6 +346,7 @@ def _replayed(request: Request, source: Source, topic: str,
     result = Replay(request.scene, request.interpolation, topic)
     began, kept = time.perf_counter(), []
     batches = begin(result)
+    result.collected = request.collect() if request.collect else None
     result.start = result.last = batches.start
     result.first_ns = batches.first_ns
     with ExitStack() as stack:
@@ -347,6 +361,8 @@ def _replayed(request: Request, source: Source, topic: str,
                 writing = time.perf_counter()
                 outputs.write(writer, request, batch.trajectory)
                 result.seconds['write'] += time.perf_counter() - writing
+            if result.collected:
+                result.collected.add(batch)
             if keep:
                 kept.append(batch)
         if writer and INPUT in request.also:

@@ -1,0 +1,143 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Collect a replayed motion batch by batch for a page, and put the page together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros import so3
+from rigid_body_ros.common.arrays import Floats, written
+from rigid_body_ros.replay.batches import Batch
+from rigid_body_ros.replay.report import rows
+from rigid_body_ros.replay.single import Replay
+from rigid_body_ros.report import moving_body, style
+from rigid_body_ros.report.charts import Curves, Panel
+from rigid_body_ros.report.page import Page
+from rigid_body_ros.report.thinning import EveryNth, Extremes
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.torque import torque_logs, TorqueLog
+
+
+class Collector:
+    """
+    What a page shows of a motion, thinned while the motion is computed.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._motion = Extremes(13 if scene.has_rotors else 10)
+        self._keys = EveryNth(moving_body.MOST)
+        self._torques: list[_Torque] = []
+        self._start_ns: int | None = None
+
+    def add(self, batch: Batch) -> None:
+        """Add a part of the motion."""
+        motion, scene = batch.trajectory, self._scene
+        if not motion.times_ns.size:
+            return
+        logs = torque_logs(batch.log)
+        if self._start_ns is None:
+            self._start_ns = int(motion.times_ns[0])
+            self._torques = [_Torque(scene.timeout_ns) for _ in logs]
+        columns = [motion.euler_angles(scene.values['euler_sequence']), motion.attitude,
+                   motion.angular_velocity]
+        if scene.has_rotors:
+            columns.append(motion.rotor_momentum)
+        self._motion.add(motion.times_ns, np.hstack(columns))
+        for torque, log in zip(self._torques, logs):
+            torque.add(log, motion.times_ns)
+        chosen = self._keys.chosen(len(motion.times_ns))
+        times, attitude = motion.times_ns[chosen], motion.attitude[chosen]
+        self._keys.add(len(motion.times_ns), times, np.hstack([
+            attitude, motion.angular_velocity[chosen], self._total(logs, times, attitude),
+            motion.rotor_momentum[chosen]]))
+
+    def page(self, result: Replay, name: str, command: str) -> Page:
+        """Return the page of a replay of the recording `name`."""
+        times, keys = self._keys.result()
+        body = result.scene.body
+        story = [('recording', name), *rows(result),
+                 ('start', f'attitude {written(result.start.attitude)} (x y z w), body rates '
+                           f'{written(result.start.angular_velocity)} rad/s'),
+                 ('moments', f'{written(body.principal_moments)} kg m^2')]
+        return Page(f'{name}: {result.topic}', story, self._panels(),
+                    moving_body.as_data(body, times, keys), result.scene.warnings,
+                    scene=result.scene, command=command)
+
+    def _total(self, logs: Sequence[TorqueLog], times: NDArray[np.int64],
+               attitude: Floats) -> Floats:
+        """Return the sum of the torques, N m, body axes."""
+        total = np.zeros((len(times), 3))
+        for log in logs:
+            torque, in_space = log.at(times, self._scene.timeout_ns)
+            total += np.where(in_space[:, None], so3.rotate(so3.conjugate(attitude), torque),
+                              torque)
+        return total
+
+    def _panels(self) -> list[Panel]:
+        start_ns, sequence = self._start_ns or 0, self._scene.values['euler_sequence']
+        times, low, high = self._motion.result()
+        seconds = np.asarray((times - start_ns) * 1e-9, np.float64)
+
+        def curves(first: int, names: Sequence[str]) -> list[Curves]:
+            part = slice(first, first + len(names))
+            return [Curves(seconds, low[:, part], high[:, part], names)]
+        panels = [Panel(f'Euler angles {sequence}', 'rad',
+                        curves(0, style.euler_names(sequence)), kind='angle'),
+                  Panel('quaternion', '', curves(3, style.QUATERNION)),
+                  Panel('angular velocity, body axes', 'rad/s', curves(7, style.RATES))]
+        if self._scene.has_rotors:
+            panels.append(Panel('rotor momentum, body axes', 'N m s', curves(10, style.MOMENTA)))
+        several = len(self._torques) > 1
+        return panels + [torque.panel(f'torque {number}' if several else 'torque', start_ns)
+                         for number, torque in enumerate(self._torques, 1)]
+
+
+class _Torque:
+    """The torque of one log over the time of the motion."""
+
+    def __init__(self, timeout_ns: int) -> None:
+        self._timeout_ns, self._extremes = timeout_ns, Extremes(3)
+        self._frames: set[bool] = set()
+        self._taken_ns: int | None = None
+        self._step = True
+
+    def add(self, log: TorqueLog, times: NDArray[np.int64]) -> None:
+        """Add the torque up to the last of these times."""
+        end_ns = int(times[-1])
+        changes, _ = log.segments(self._timeout_ns)
+        known = changes[(changes > (times[0] if self._taken_ns is None else self._taken_ns))
+                        & (changes <= end_ns)]
+        first = times[:1] if self._taken_ns is None else times[:0]
+        grid = times if log.interpolation == 'cubic' else times[-1:]
+        at = np.unique(np.concatenate([first, known, grid]))
+        torque, in_space = log.at(at, self._timeout_ns)
+        self._extremes.add(at, torque)
+        self._frames |= set(np.unique(in_space).tolist())
+        self._taken_ns, self._step = end_ns, log.interpolation == 'hold'
+
+    def panel(self, name: str, start_ns: int) -> Panel:
+        """Return the panel."""
+        axes = style.axes_name(np.array([*self._frames], np.bool_))
+        return Panel(f'{name}, {axes}', 'N m', [Curves.of(
+            self._extremes, style.TORQUES, start_ns, self._step)])

@@ -1,0 +1,95 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A motion as data for the moving body of a page."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros import hermite, so3
+from rigid_body_ros.body import RigidBody
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.report.charts import packed
+
+#: Columns of the rows: attitude, angular velocity, torque and rotor momentum in body axes.
+ATTITUDE, RATE, TORQUE, ROTORS = slice(4), slice(4, 7), slice(7, 10), slice(10, 13)
+COLUMNS = 13
+#: Largest number of attitudes of a page.
+MOST = 2 ** 14
+#: rad; where an interpolated attitude would be worse, the page shows exact attitudes only.
+_WORST = 1e-7
+#: Relative change of energy and momentum up to which a motion is nearly torque-free.
+_NEARLY = 0.05
+
+
+def as_data(body: RigidBody, times_ns: NDArray[np.int64], rows: Floats) -> dict[str, Any]:
+    """
+    Return data for the page.
+
+    Parameters
+    ----------
+    body : RigidBody
+        The body.
+    times_ns : array of int64, shape (n,)
+        Ascending.
+    rows : array, shape (n, 13)
+        With the columns named above.
+
+    """
+    seconds = (times_ns - times_ns[0]) * 1e-9
+    return {'times': packed(seconds), 'attitude': packed(rows[:, ATTITUDE]),
+            'rate': packed(rows[:, RATE]), 'torque': packed(rows[:, TORQUE], np.float32),
+            'rotors': packed(rows[:, ROTORS], np.float32),
+            'smooth': packed(_is_smooth(seconds, rows), np.uint8),
+            'inertia': body.inertia.tolist(), 'axes': body.principal_axes.T.tolist(),
+            'moments': body.principal_moments.tolist(), 'sides': _sides(body).tolist(),
+            'poinsot': _is_nearly_free(body, rows)}
+
+
+def _sides(body: RigidBody) -> Floats:
+    """Return the sides of a uniform box with these principal moments, the longest one 1."""
+    squares = 0.5 * body.principal_moments.sum() - body.principal_moments
+    sides = np.sqrt(np.maximum(squares, 0.0025 * squares.max()))  # a thin plate stays visible
+    return sides / sides.max()
+
+
+def _is_smooth(seconds: Floats, rows: Floats) -> NDArray[np.bool_]:
+    """
+    Return between which neighbours, shape (n - 1,), the page may interpolate.
+
+    The interpolation from one neighbour of a sample to the other, twice as far, must meet the
+    sample itself.
+    """
+    states = rows[:, ATTITUDE], rows[:, RATE]
+    if len(seconds) < 3:
+        return np.zeros(max(len(seconds) - 1, 0), bool)
+    first, last = ((states[0][part], states[1][part]) for part in (slice(-2), slice(2, None)))
+    spans = seconds[2:] - seconds[:-2]
+    attitude, _ = hermite.between(first, last, spans, (seconds[1:-1] - seconds[:-2]) / spans)
+    good = so3.angle_between(attitude, states[0][1:-1]) < _WORST
+    good &= np.linalg.norm(states[1][1:-1], axis=1) * spans < 1.0  # no turn goes unseen
+    return np.append(good[:1], good) & np.append(good, good[-1:])
+
+
+def _is_nearly_free(body: RigidBody, rows: Floats) -> bool:
+    if rows[:, ROTORS].any():
+        return False
+    energy = body.kinetic_energy(rows[:, RATE])
+    momentum = so3.rotate(rows[:, ATTITUDE], body.angular_momentum(rows[:, RATE]))
+    change = np.linalg.norm(momentum - momentum[0], axis=1).max()
+    return bool(energy.min() > 0.0 and np.ptp(energy) < _NEARLY * energy.max()
+                and change < _NEARLY * np.linalg.norm(momentum[0]))

@@ -1,0 +1,137 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Put a page together: one HTML file that needs no network, no ROS and no installation.
+
+Everything from recordings and scenes is escaped. The page's policy allows the scripts and the
+style of this package alone, by their hashes, and no request to anywhere.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+import hashlib
+from html import escape
+import json
+from pathlib import Path
+import platform
+from string import Template
+from typing import Any
+
+from rigid_body_ros.report.charts import Panel
+from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime.fingerprint import fingerprint
+from rigid_body_ros.scene import PARAMETERS, Scene
+
+_WEB = Path(__file__).with_name('web')
+#: Characters that could end a script or a line of one inside a JSON text.
+_UNSAFE = {ord(char): f'\\u{ord(char):04x}' for char in '<>&\u2028\u2029'}
+#: Number of characters of a parameter that is shown, such as a URDF.
+_LONGEST = 200
+
+#: Facts as names and texts; an empty name continues the fact before.
+Rows = Sequence[tuple[str, object]]
+
+
+@dataclass(frozen=True)
+class Page:
+    """
+    The contents of a page.
+
+    Attributes
+    ----------
+    title : str
+    story : sequence of (str, object)
+        The facts in words.
+    panels : sequence of Panel
+    body : dict, optional
+        The motion to show, from `moving_body.as_data`.
+    warnings : sequence of str
+    copied : str
+        Lines with a button to copy them, '' for none.
+    index : str
+        HTML with a row for each recording, '' for none.
+
+    """
+
+    title: str
+    story: Rows
+    panels: Sequence[Panel] = ()
+    body: Mapping[str, Any] | None = None
+    warnings: Sequence[str] = ()
+    copied: str = ''
+    index: str = ''
+    scene: Scene | None = field(default=None, kw_only=True)
+    command: str = field(default='', kw_only=True)
+
+
+def write(path: str | Path, page: Page) -> None:
+    """
+    Write a page.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+
+    """
+    with files.atomic_output(path, '.html') as temporary:
+        temporary.write_text(html(page), encoding='utf-8', errors='replace')
+
+
+def html(page: Page) -> str:
+    """Return the text of a page."""
+    style, charts, body = (f'\n{(_WEB / name).read_text(encoding="utf-8")}'
+                           for name in ('page.css', 'charts.js', 'body.js'))
+    data = {'panels': [panel.as_data() for panel in page.panels], 'body': page.body}
+    return Template((_WEB / 'page.html').read_text(encoding='utf-8')).substitute(
+        title=escape(page.title), style=style, style_hash=_hash(style),
+        script_hashes=' '.join(map(_hash, (charts, body))), charts=charts, body=body,
+        warnings=''.join(f'<p class="warning">{escape(text)}</p>' for text in page.warnings),
+        story=_facts(page.story), index=page.index,
+        copied=f'<pre id="copied">{escape(page.copied)}</pre><button id="copy" type="button">'
+               'Copy</button>' if page.copied else '',
+        made=_facts(_origin(page)), data=embedded(data))
+
+
+def embedded(data: object) -> str:
+    """Return data as JSON that contains no characters with a meaning in HTML or scripts."""
+    return json.dumps(data, allow_nan=False).translate(_UNSAFE)
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def _facts(rows: Rows) -> str:
+    return ''.join(f'<dt>{escape(name)}</dt><dd>{escape(str(text))}</dd>' for name, text in rows)
+
+
+def _origin(page: Page) -> Rows:
+    rows = [('command', page.command)] if page.command else []
+    if page.scene:
+        given = {name: value for name, value in page.scene.values.items()
+                 if name in PARAMETERS and value != PARAMETERS[name].default}
+        rows.append(('scene', ', '.join(f'{name}: {_cut(value)}' for name, value
+                                        in given.items())))
+    versions = {'Python': platform.python_version(), **fingerprint()}
+    return [*rows, ('versions', ', '.join(f'{name} {text}' for name, text in versions.items()))]
+
+
+def _cut(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= _LONGEST else f'{text[:_LONGEST]} ...'

@@ -1,0 +1,135 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Thin long series for a page while they are computed, so that they are never in memory."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+
+#: Largest number of intervals of a series: ten for each pixel column of a chart.
+_INTERVALS = 2 ** 13
+
+
+class Extremes:
+    """
+    Minimum and maximum of columns in intervals of equally many samples.
+
+    The intervals hold 2^k samples; if there are too many intervals, neighbours are merged. So a
+    spike of one sample stays visible, however long the series.
+
+    Parameters
+    ----------
+    columns : int
+    most : int
+        Largest number of intervals, even.
+
+    """
+
+    def __init__(self, columns: int, most: int = _INTERVALS) -> None:
+        self._most, self._size = most, 1
+        self._times = np.empty(0, np.int64)
+        self._low = self._high = np.empty((0, columns))
+        #: Samples of the last interval, which is not complete yet.
+        self._rest = np.empty(0, np.int64), np.empty((0, columns))
+
+    def add(self, times_ns: NDArray[np.int64], values: Floats) -> None:
+        """Add samples: later times, shape (n,), and their values, shape (n, columns)."""
+        times = np.concatenate([self._rest[0], times_ns])
+        values = np.concatenate([self._rest[1], values])
+        count = len(times) // self._size
+        whole = count * self._size
+        blocks = values[:whole].reshape(count, self._size, values.shape[1])
+        self._append(times[:whole:self._size], blocks.min(axis=1), blocks.max(axis=1))
+        self._rest = times[whole:].copy(), values[whole:].copy()
+        while len(self._times) > self._most:
+            self._merge()
+
+    def result(self) -> tuple[NDArray[np.int64], Floats, Floats]:
+        """Return the first times, shape (n,), minima and maxima, shape (n, columns)."""
+        times, values = self._rest
+        if not len(times):
+            return self._times, self._low, self._high
+        return (np.append(self._times, times[0]), np.vstack([self._low, values.min(axis=0)]),
+                np.vstack([self._high, values.max(axis=0)]))
+
+    def _append(self, times: NDArray[np.int64], low: Floats, high: Floats) -> None:
+        self._times = np.concatenate([self._times, times])
+        self._low = np.concatenate([self._low, low])
+        self._high = np.concatenate([self._high, high])
+
+    def _merge(self) -> None:
+        # An interval without a partner would have half the size of the others: its extremes go
+        # back to the rest, as two samples if they differ.
+        odd = len(self._times) % 2
+        if odd:
+            time, low, high = self._times[-1:], self._low[-1:], self._high[-1:]
+            self._times, self._low, self._high = \
+                self._times[:-1], self._low[:-1], self._high[:-1]
+            filler = np.repeat(np.vstack([low, high]), self._size // 2, axis=0) \
+                if self._size > 1 else low
+            self._rest = (np.concatenate([np.repeat(time, len(filler)), self._rest[0]]),
+                          np.concatenate([filler, self._rest[1]]))
+        shape = len(self._times) // 2, 2, self._low.shape[1]
+        self._times = self._times[::2]
+        self._low = self._low.reshape(shape).min(axis=1)
+        self._high = self._high.reshape(shape).max(axis=1)
+        self._size *= 2
+
+
+class EveryNth:
+    """
+    Rows of a series at equal distances, among them the first and the last.
+
+    Parameters
+    ----------
+    most : int
+        Largest number of rows but the last.
+
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most, self._step, self._count = most, 1, 0
+        self._parts: list[tuple[NDArray[np.int64], Floats]] = []
+        self._last: tuple[NDArray[np.int64], Floats] | None = None
+
+    def chosen(self, count: int) -> NDArray[np.intp]:
+        """Return which of the next rows to `add`, the last of them included."""
+        rows = np.arange(-self._count % self._step, count, self._step)
+        return np.union1d(rows, [count - 1]) if count else rows
+
+    def add(self, count: int, times_ns: NDArray[np.int64], values: Floats) -> None:
+        """Add the chosen ones of the next rows: times, shape (n,), and values, shape (n, k)."""
+        regular = len(times_ns) - ((self._count + count - 1) % self._step != 0)
+        self._parts.append((times_ns[:regular], values[:regular]))
+        self._last = times_ns[-1:], values[-1:]
+        self._count += count
+        while sum(len(times) for times, _ in self._parts) > self._most:
+            times, rows = self._joined()
+            self._parts = [(times[::2], rows[::2])]
+            self._step *= 2
+
+    def result(self) -> tuple[NDArray[np.int64], Floats]:
+        """Return times, shape (n,), and values, shape (n, k)."""
+        times, rows = self._joined()
+        assert self._last is not None
+        if self._last[0][0] > times[-1]:
+            return np.append(times, self._last[0]), np.vstack([rows, self._last[1]])
+        return times, rows
+
+    def _joined(self) -> tuple[NDArray[np.int64], Floats]:
+        return (np.concatenate([times for times, _ in self._parts]),
+                np.concatenate([rows for _, rows in self._parts]))

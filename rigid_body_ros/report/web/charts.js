@@ -1,0 +1,411 @@
+'use strict';
+// Charts in SVG: panels with curves, zoom and cursor. Panels with the same abscissa are linked.
+
+const page = JSON.parse(document.getElementById('data').textContent);
+
+function unpacked(text, kind) {
+  const bytes = Uint8Array.from(atob(text), (char) => char.charCodeAt(0));
+  return new kind(bytes.buffer);
+}
+
+function element(name, attributes, parent) {
+  const made = document.createElementNS('http://www.w3.org/2000/svg', name);
+  for (const key in attributes) made.setAttribute(key, attributes[key]);
+  if (parent) parent.append(made);
+  return made;
+}
+
+function html(name, parent, text) {
+  const made = document.createElement(name);
+  if (text !== undefined) made.textContent = text;
+  if (parent) parent.append(made);
+  return made;
+}
+
+const DASHES = ['', '7 3', '8 3 2 3', '2 3'];
+const MARGIN = {left: 62, right: 10, top: 8, bottom: 34};
+const HEIGHT = 210;
+const PREFIXES = {0: '', '-3': 'm', '-6': 'µ', '-9': 'n', '-12': 'p', '-15': 'f', '-18': 'a'};
+
+// The last index whose abscissa is not later, at least 0.
+function indexAt(x, value) {
+  let low = 0, high = x.length;
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (x[middle] <= value) low = middle; else high = middle;
+  }
+  return low;
+}
+
+function niceStep(span, count) {
+  const raw = span / count, size = 10 ** Math.floor(Math.log10(raw));
+  return size * [1, 2, 5, 10].find((factor) => factor * size >= raw * 0.999);
+}
+
+function written(value, step) {
+  const digits = Math.max(0, Math.min(12, Math.ceil(-Math.log10(step) - 1e-9)));
+  const text = Math.abs(value) >= 1e7 ? value.toExponential(2) : value.toFixed(digits);
+  return text.replace(/^-(0(\.0*)?)$/, '$1').replace('-', '−');
+}
+
+class Group {  // the panels that share an abscissa
+  constructor() {
+    this.panels = [];
+    this.cursor = null;
+    this.listeners = [];
+  }
+
+  add(panel) {
+    this.panels.push(panel);
+    const [low, high] = panel.extent();
+    this.whole = this.whole ? [Math.min(this.whole[0], low), Math.max(this.whole[1], high)]
+      : [low, high];
+    this.range = this.whole.slice();
+  }
+
+  show(low, high) {
+    const least = 1e-9 * Math.max(Math.abs(this.whole[1]), this.whole[1] - this.whole[0]);
+    if (high - low < least) return;
+    this.range = [Math.max(low, this.whole[0]), Math.min(high, this.whole[1])];
+    this.panels.forEach((panel) => panel.draw());
+  }
+
+  zoom(factor) {
+    const [low, high] = this.range, span = (high - low) * factor;
+    const inside = this.cursor !== null && this.cursor >= low && this.cursor <= high;
+    const middle = inside ? this.cursor : (low + high) / 2;
+    const first = Math.max(this.whole[0], Math.min(middle - span / 2, this.whole[1] - span));
+    this.show(first, first + span);
+  }
+
+  moveCursor(value, from) {
+    this.cursor = Math.max(this.whole[0], Math.min(value, this.whole[1]));
+    this.panels.forEach((panel) => panel.drawCursor());
+    this.listeners.forEach((listener) => listener !== from && listener(this.cursor));
+  }
+}
+
+class Panel {
+  constructor(data, group, parent) {
+    this.data = data;
+    this.group = group;
+    this.logX = data.kind === 'loglog';
+    this.logY = this.logX || data.kind === 'log';
+    this.series = data.curves.flatMap((curves) => this.read(curves));
+    this.unit = this.withPrefix();
+    const box = html('div', parent);
+    box.className = 'panel';
+    html('h3', box, data.label + (this.unit ? ` (${this.unit})` : ''));
+    this.svg = element('svg', {class: 'plot', role: 'img', 'aria-label':
+      `${data.label} over ${data.xLabel}: ${this.series.map((one) => one.name).join(', ')}`}, box);
+    this.legend(box);
+    if (data.texts.length) {
+      this.said = html('p', box, 'Point at a marker to read it.');
+      this.said.className = 'said';
+      this.said.setAttribute('aria-live', 'polite');
+    }
+    group.add(this);
+    this.listen();
+  }
+
+  read(curves) {
+    const x = unpacked(curves.x, Float64Array);
+    const low = unpacked(curves.low, Float32Array);
+    const high = curves.high === null ? low : unpacked(curves.high, Float32Array);
+    return curves.names.map((name, k) => {
+      const part = [k * x.length, (k + 1) * x.length], offset = curves.offsets[k];
+      const values = (source) => Float64Array.from(source.subarray(...part), (v) => v + offset);
+      const lower = values(low);
+      return {name, x, low: lower, high: high === low ? lower : values(high), step: curves.step};
+    });
+  }
+
+  withPrefix() {  // small numbers have a unit with a prefix, as mrad/s
+    this.scale = 1;
+    if (!this.data.unit || this.logY || this.data.kind === 'angle') return this.data.unit;
+    let largest = 0;
+    for (const one of this.series)
+      for (let i = 0; i < one.x.length; i++)
+        largest = Math.max(largest, Math.abs(one.low[i]), Math.abs(one.high[i]));
+    if (!largest) return this.data.unit;
+    const power = Math.max(-18, Math.min(0, 3 * Math.floor(Math.log10(largest) / 3)));
+    this.scale = 10 ** power;
+    return PREFIXES[power] + this.data.unit;
+  }
+
+  colour(k) { return `c${k % 6}`; }
+
+  legend(box) {
+    const list = html('ul', box);
+    list.className = 'legend';
+    this.readings = this.series.map((one, k) => {
+      const item = html('li', list);
+      const line = element('svg', {viewBox: '0 0 30 10', 'aria-hidden': 'true'}, item);
+      element('line', {x1: 0, x2: 30, y1: 5, y2: 5, 'stroke-width': 2, class: this.colour(k),
+        'stroke-dasharray': DASHES[k % 4]}, line);
+      html('span', item, `${one.name} `);
+      return html('output', item);
+    });
+    Object.keys(this.data.lines).forEach((name, k) => {
+      const item = html('li', list);
+      const line = element('svg', {viewBox: '0 0 30 10', 'aria-hidden': 'true'}, item);
+      element('line', {x1: 0, x2: 30, y1: 5, y2: 5, 'stroke-width': 1.5, class: 'c6',
+        'stroke-dasharray': DASHES[k % 4]}, line);
+      html('span', item, name);
+    });
+  }
+
+  extent() {
+    let low = Infinity, high = -Infinity;
+    for (const one of this.series) {
+      for (const x of this.logX ? one.x : [one.x[0], one.x[one.x.length - 1]]) {
+        low = Math.min(low, x);
+        high = Math.max(high, x);
+      }
+    }
+    for (const x of Object.values(this.data.lines)) {
+      low = Math.min(low, x);
+      high = Math.max(high, x);
+    }
+    if (!(low < Infinity)) return [0, 1];
+    if (this.logX) return [low / 2, high * 2];
+    return high > low ? [low, high] : [low, low + 1e-9];
+  }
+
+  toX(value) {
+    const [low, high] = this.group.range, f = this.logX ? Math.log10 : (v) => v;
+    return MARGIN.left + this.width * (f(value) - f(low)) / (f(high) - f(low));
+  }
+
+  fromX(pixel) {
+    const [low, high] = this.group.range, part = (pixel - MARGIN.left) / this.width;
+    return this.logX ? low * (high / low) ** part : low + part * (high - low);
+  }
+
+  toY(value) {
+    const f = this.logY ? (v) => Math.log10(Math.max(v, 1e-300)) : (v) => v;
+    const [low, high] = this.limits.map(f);
+    const part = Math.max(-10, Math.min(10, (f(value) - low) / (high - low)));
+    return HEIGHT - MARGIN.bottom - (HEIGHT - MARGIN.top - MARGIN.bottom) * part;
+  }
+
+  visible(one) {
+    const [low, high] = this.group.range;
+    if (this.logX) return [0, one.x.length];
+    return [indexAt(one.x, low), Math.min(one.x.length, indexAt(one.x, high) + 2)];
+  }
+
+  findLimits() {
+    let low = Infinity, high = -Infinity;
+    for (const one of this.series) {
+      const [first, stop] = this.visible(one);
+      for (let i = first; i < stop; i++) {
+        if (this.logY && one.high[i] <= 0) continue;
+        low = Math.min(low, this.logY && one.low[i] <= 0 ? one.high[i] : one.low[i]);
+        high = Math.max(high, one.high[i]);
+      }
+    }
+    if (!(low < Infinity)) [low, high] = this.logY ? [0.1, 1] : [-1, 1];
+    if (this.logY) {  // a zero crossing of an error is no information
+      low = Math.max(low, this.logX ? 0 : high * 1e-6);
+      this.limits = [low / 2, high * 2];
+    } else {
+      const room = 0.05 * (high - low) || 0.05 * Math.abs(high) || 1;
+      this.limits = [low - room, high + room];
+    }
+  }
+
+  draw() {
+    const full = this.svg.clientWidth || 600;
+    this.width = full - MARGIN.left - MARGIN.right;
+    this.svg.setAttribute('viewBox', `0 0 ${full} ${HEIGHT}`);
+    this.svg.replaceChildren();
+    this.findLimits();
+    this.drawAxes();
+    const frame = element('svg', {x: MARGIN.left, y: 0, width: this.width, height:
+      HEIGHT - MARGIN.bottom, viewBox: `${MARGIN.left} 0 ${this.width} ${HEIGHT - MARGIN.bottom}`},
+    this.svg);
+    Object.values(this.data.lines).forEach((value, k) => element('line', {x1: this.toX(value),
+      x2: this.toX(value), y1: MARGIN.top, y2: HEIGHT, class: 'c6',
+      'stroke-dasharray': DASHES[k % 4]}, frame));
+    this.series.forEach((one, k) => element('path', {d: this.path(one), class:
+      `curve ${this.colour(k)}`, 'stroke-dasharray': DASHES[k % 4]}, frame));
+    if (this.data.texts.length) this.drawPoints(frame);
+    this.chosen = element('rect', {class: 'chosen', y: 0, height: HEIGHT, width: 0}, frame);
+    this.line = element('line', {class: 'cursor', y1: 0, y2: HEIGHT}, frame);
+    this.drawCursor();
+  }
+
+  // Two points, minimum and maximum, for each pixel column that has several samples.
+  path(one) {
+    const [first, stop] = this.visible(one), parts = [];
+    const jump = this.data.kind === 'angle' ? Math.PI : Infinity;
+    let pen = 'M', before = NaN, beforeY = 0;
+    const point = (x, y) => {
+      if (one.step && pen === 'L') parts.push('L', x.toFixed(1), beforeY.toFixed(1));
+      parts.push(pen, x.toFixed(1), y.toFixed(1));
+      [pen, beforeY] = ['L', y];
+    };
+    for (let i = first; i < stop;) {
+      const x = this.toX(one.x[i]);
+      let low = one.low[i], high = one.high[i], last = one.low[i], k = i + 1;
+      if (Math.abs(last - before) > jump) pen = 'M';
+      while (k < stop && stop - first > 2 * this.width && this.toX(one.x[k]) < x + 1
+             && Math.abs(one.low[k] - last) <= jump) {
+        low = Math.min(low, one.low[k]);
+        high = Math.max(high, one.high[k]);
+        last = one.low[k++];
+      }
+      const rising = !(Math.abs(before - high) < Math.abs(before - low));
+      point(x, this.toY(rising ? low : high));
+      if (high > low) point(x, this.toY(rising ? high : low));
+      before = last;
+      i = k;
+    }
+    if (one.step && stop === one.x.length && parts.length)
+      parts.push('L', this.toX(this.group.whole[1]).toFixed(1), beforeY.toFixed(1));
+    return parts.join(' ');
+  }
+
+  drawPoints(frame) {
+    this.series.forEach((one, k) => one.x.forEach((x, i) => {
+      const text = `${one.name}: ${(this.data.texts[k] || [])[i] || ''}`;
+      const point = element('circle', {class: `point ${this.colour(k)}`, cx: this.toX(x),
+        cy: this.toY(one.low[i]), r: 5, tabindex: 0, role: 'img', 'aria-label': text}, frame);
+      for (const event of ['focus', 'pointerenter'])
+        point.addEventListener(event, () => { this.said.textContent = text; });
+    }));
+  }
+
+  ticks(limits, count, logarithmic) {
+    if (logarithmic) {
+      const [low, high] = limits.map(Math.log10), found = [];
+      const step = Math.max(1, Math.ceil((high - low) / count));
+      for (let power = Math.ceil(low); power <= high; power += step)
+        found.push([10 ** power, `1e${power}`.replace('-', '−')]);
+      return found.length > 1 ? found : limits.map((v) => [v, v.toExponential(1)]);
+    }
+    const step = niceStep(limits[1] - limits[0], count), found = [];
+    for (let n = Math.ceil(limits[0] / step); n * step <= limits[1]; n++)
+      found.push([n * step, written(n * step, step)]);
+    return found;
+  }
+
+  drawAxes() {
+    const bottom = HEIGHT - MARGIN.bottom, right = MARGIN.left + this.width;
+    for (const [value, text] of this.yTicks()) {
+      const y = this.toY(value);
+      element('line', {x1: MARGIN.left, x2: right, y1: y, y2: y, class: 'grid'}, this.svg);
+      element('text', {x: MARGIN.left - 6, y: y + 4, 'text-anchor': 'end'}, this.svg)
+        .textContent = text;
+    }
+    for (const [value, text] of this.ticks(this.group.range, this.width / 80, this.logX)) {
+      const x = this.toX(value);
+      element('line', {x1: x, x2: x, y1: MARGIN.top, y2: bottom, class: 'grid'}, this.svg);
+      const room = Math.max(x, MARGIN.left + 4);
+      element('text', {x: Math.min(room, right - 12), y: bottom + 14, 'text-anchor': 'middle'},
+        this.svg).textContent = text;
+    }
+    element('text', {x: MARGIN.left + this.width / 2, y: HEIGHT - 4, 'text-anchor': 'middle'},
+      this.svg).textContent = this.data.xLabel;
+  }
+
+  yTicks() {
+    if (this.data.kind === 'angle' && this.limits[1] - this.limits[0] > 2) {
+      const names = ['−π', '−π/2', '0', 'π/2', 'π', '3π/2', '2π'];
+      return names.map((name, k) => [(k - 2) * Math.PI / 2, name])
+        .filter(([value]) => value >= this.limits[0] && value <= this.limits[1]);
+    }
+    const limits = this.limits.map((value) => value / this.scale);
+    return this.ticks(limits, 5, this.logY).map(([value, text]) => [value * this.scale, text]);
+  }
+
+  drawCursor() {
+    const value = this.group.cursor;
+    if (value === null || !this.line) return;
+    const x = this.toX(value);
+    this.line.setAttribute('x1', x);
+    this.line.setAttribute('x2', x);
+    if (this.logX) return;
+    this.series.forEach((one, k) => {
+      const i = indexAt(one.x, value), shown = (v) => (v / this.scale).toPrecision(6)
+        .replace('-', '−');
+      this.readings[k].textContent = one.low[i] === one.high[i] ? shown(one.low[i])
+        : `${shown(one.low[i])} to ${shown(one.high[i])}`;
+    });
+  }
+
+  listen() {
+    let from = null;
+    const at = (event) => {
+      const box = this.svg.getBoundingClientRect();
+      return Math.max(MARGIN.left, Math.min(MARGIN.left + this.width, event.clientX - box.left));
+    };
+    this.svg.addEventListener('pointerdown', (event) => {
+      from = at(event);
+      this.svg.setPointerCapture(event.pointerId);
+    });
+    this.svg.addEventListener('pointermove', (event) => {
+      if (from === null) return;
+      const to = at(event);
+      this.chosen.setAttribute('x', Math.min(from, to));
+      this.chosen.setAttribute('width', Math.abs(to - from));
+    });
+    this.svg.addEventListener('pointerup', (event) => {
+      if (from === null) return;
+      const [low, high] = [from, at(event)].sort((a, b) => a - b);
+      from = null;
+      this.chosen.setAttribute('width', 0);
+      if (high - low < 5) { if (!this.logX) this.group.moveCursor(this.fromX(high)); }
+      else this.group.show(this.fromX(low), this.fromX(high));
+    });
+    this.svg.addEventListener('pointercancel', () => {
+      from = null;
+      this.chosen.setAttribute('width', 0);
+    });
+    this.svg.addEventListener('dblclick', () => this.group.show(...this.group.whole));
+  }
+}
+
+const groups = {};
+
+function addButtons(parent, group) {
+  const box = html('p', parent);
+  const all = (['Zoom in', 'Zoom out', 'Whole']).map((text) => {
+    const button = html('button', box, text);
+    button.type = 'button';
+    box.append(' ');
+    return button;
+  });
+  all[0].addEventListener('click', () => group.zoom(0.5));
+  all[1].addEventListener('click', () => group.zoom(2));
+  all[2].addEventListener('click', () => group.show(...group.whole));
+  html('small', box, 'Drag across a chart to zoom, double-click for the whole, click to set ' +
+    'the cursor.');
+}
+
+for (const data of page.panels) {
+  const parent = document.getElementById('charts');
+  const name = data.kind === 'loglog' ? data.label : data.xLabel;
+  if (!groups[name]) {
+    groups[name] = new Group();
+    addButtons(parent, groups[name]);
+  }
+  new Panel(data, groups[name], parent);
+}
+
+function drawCharts() {
+  Object.values(groups).forEach((group) => group.panels.forEach((panel) => panel.draw()));
+}
+
+drawCharts();
+let drawnWidth = innerWidth;
+addEventListener('resize', () => {
+  if (innerWidth !== drawnWidth) drawCharts();
+  drawnWidth = innerWidth;
+});
+const copy = document.getElementById('copy');
+if (copy) copy.addEventListener('click', () => {
+  getSelection().selectAllChildren(document.getElementById('copied'));
+  copy.textContent = document.execCommand('copy') ? 'Copied' : 'Press Ctrl+C';
+});
