@@ -65,8 +65,8 @@ setup(
         'jazzy': [f'ros-jazzy-{package}' for package in ROS_PACKAGES],
         'test': ['colcon-bash', 'colcon-core', 'colcon-recursive-crawl', 'colcon-ros',
                  'colcon-test-result', 'hypothesis', 'import-linter', 'mcap-ros2-support',
-                 'mpmath', 'mypy', 'psutil', 'pytest', 'pytest-xdist', 'rosbags', 'ruff',
-                 'setuptools>=70', 'types-PyYAML', 'types-tqdm',
+                 'mpmath', 'mypy', 'playwright', 'psutil', 'pytest', 'pytest-xdist', 'rosbags',
+                 'ruff', 'setuptools>=70', 'types-PyYAML', 'types-tqdm',
                  # The linters of ROS that PyPI has, and what they run.
                  'ros-ament-flake8', 'ros-ament-pep257', 'flake8', 'flake8-blind-except',
                  'flake8-builtins', 'flake8-class-newline', 'flake8-comprehensions',

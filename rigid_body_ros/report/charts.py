@@ -72,11 +72,10 @@ class Curves:
 
     def as_data(self) -> dict[str, Any]:
         """Return data for the page; the values are 32-bit differences from an offset."""
-        offsets = [float(column) for column in 0.5 * self.low.min(axis=0)
-                   + 0.5 * self.high.max(axis=0)] if len(self.x) else [0.0] * len(self.names)
+        offsets = _offsets(self.low, self.high)
         single = np.array_equal(self.low, self.high)
         return {'x': packed(self.x), 'names': [*self.names], 'step': self.step,
-                'offsets': offsets, 'low': packed((self.low - offsets).T, np.float32),
+                'offsets': offsets.tolist(), 'low': packed((self.low - offsets).T, np.float32),
                 'high': None if single else packed((self.high - offsets).T, np.float32)}
 
 
@@ -114,6 +113,15 @@ class Panel:
         return {'label': self.label, 'unit': self.unit, 'xLabel': self.x_label,
                 'kind': self.kind, 'lines': dict(self.lines), 'texts': [*map(list, self.texts)],
                 'curves': [each.as_data() for each in self.curves]}
+
+
+def _offsets(low: Floats, high: Floats) -> Floats:
+    """Return the middle of each column, or 0 where it has zeros, which the page shows exactly."""
+    if not len(low):
+        return np.zeros(low.shape[1])
+    lowest, highest = low.min(axis=0), high.max(axis=0)
+    crosses = (lowest <= 0.0) & (highest >= 0.0)
+    return np.asarray(np.where(crosses, 0.0, 0.5 * lowest + 0.5 * highest), np.float64)
 
 
 def packed(values: ArrayLike, kind: type = np.float64) -> str:

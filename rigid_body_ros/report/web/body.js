@@ -329,8 +329,8 @@ class Player {
   }
 
   addSpeeds() {  // 1, or what shows the whole motion in about a minute
-    const fitting = 10 ** Math.ceil(Math.log10(Math.max(this.end, 1e-9) / 60));
-    const chosen = this.end > 2 && this.end <= 60 ? 1 : fitting;
+    const fitting = 10 ** Math.ceil(Math.log10(Math.max(this.end, 1e-9) / 60) - 1e-6);
+    const chosen = this.end > 2 ? Math.max(1, fitting) : fitting;
     for (const factor of [0.01, 0.1, 0.3, 1, 3, 10, 100]) {
       const option = html('option', this.speed, `× ${Number((chosen * factor).toPrecision(3))}`);
       option.value = chosen * factor;
@@ -338,14 +338,14 @@ class Player {
     }
   }
 
-  set(time) {
+  set(time) {  // where the body is shown at the nearest key, the cursor stands there, too
     this.time = Math.max(0, Math.min(time, this.end));
     this.scene.show(this.time);
     this.slider.value = this.time;
     const shown = this.scene.state.time;
     this.clock.textContent = `${Number(shown.toPrecision(9))} s`;
-    if (this.group && this.group.cursor !== this.time)
-      this.group.moveCursor(this.time, this.follow);
+    if (this.group && this.group.cursor !== shown)
+      this.group.moveCursor(shown, this.follow);
   }
 
   toggle() {

@@ -44,7 +44,8 @@ function niceStep(span, count) {
 
 function written(value, step) {
   const digits = Math.max(0, Math.min(12, Math.ceil(-Math.log10(step) - 1e-9)));
-  const text = Math.abs(value) >= 1e7 ? value.toExponential(2) : value.toFixed(digits);
+  const figures = Math.max(2, Math.floor(Math.log10(Math.abs(value) / step)));
+  const text = Math.abs(value) >= 1e7 ? value.toExponential(figures) : value.toFixed(digits);
   return text.replace(/^-(0(\.0*)?)$/, '$1').replace('-', '−');
 }
 
@@ -122,15 +123,25 @@ class Panel {
 
   withPrefix() {  // small numbers have a unit with a prefix, as mrad/s
     this.scale = 1;
-    if (!this.data.unit || this.logY || this.data.kind === 'angle') return this.data.unit;
-    let largest = 0;
-    for (const one of this.series)
-      for (let i = 0; i < one.x.length; i++)
-        largest = Math.max(largest, Math.abs(one.low[i]), Math.abs(one.high[i]));
-    if (!largest) return this.data.unit;
+    const [lowest, highest] = this.extremes(), largest = Math.max(-lowest, highest);
+    const span = Math.min(highest - lowest || largest, largest);
+    this.finest = 10 ** (Math.floor(Math.log10(span || 1)) - 5);  // of the values at the cursor
+    if (!this.data.unit || this.logY || this.data.kind === 'angle' || !(largest > 0))
+      return this.data.unit;
     const power = Math.max(-18, Math.min(0, 3 * Math.floor(Math.log10(largest) / 3)));
     this.scale = 10 ** power;
     return PREFIXES[power] + this.data.unit;
+  }
+
+  extremes() {
+    let low = Infinity, high = -Infinity;
+    for (const one of this.series) {
+      for (let i = 0; i < one.x.length; i++) {
+        low = Math.min(low, one.low[i]);
+        high = Math.max(high, one.high[i]);
+      }
+    }
+    return [low, high];
   }
 
   colour(k) { return `c${k % 6}`; }
@@ -328,8 +339,8 @@ class Panel {
     this.line.setAttribute('x2', x);
     if (this.logX) return;
     this.series.forEach((one, k) => {
-      const i = indexAt(one.x, value), shown = (v) => (v / this.scale).toPrecision(6)
-        .replace('-', '−');
+      const i = indexAt(one.x, value), shown = (v) => (this.logY ? v.toPrecision(4)
+        : written(v / this.scale, this.finest / this.scale));
       this.readings[k].textContent = one.low[i] === one.high[i] ? shown(one.low[i])
         : `${shown(one.low[i])} to ${shown(one.high[i])}`;
     });

@@ -1,0 +1,259 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The page of a motion, in a browser: what it shows, what moves, and that it stays by itself."""
+
+import re
+import shlex
+import subprocess
+import sys
+
+import browser
+from conftest import CONFIG, EPOCH_NS, RECORDINGS, SECOND
+import numpy as np
+import pytest
+from rigid_body_ros import cli, messages, propagate, recording, replay, scene, so3
+
+TUMBLER = (str(RECORDINGS / 'tumbler.mcap'), '--scene', str(CONFIG / 'tumbler.yaml'))
+FREE = RECORDINGS / 'torque_free_asymmetric'
+#: Seconds of the tumbler.
+DURATION = 60.0
+
+
+@pytest.fixture(scope='module')
+def chromium():
+    with browser.started() as found:
+        yield found
+
+
+@pytest.fixture(scope='module')
+def path(tmp_path_factory):
+    return reported(tmp_path_factory.mktemp('page') / 'page.html', *TUMBLER)
+
+
+@pytest.fixture
+def page(chromium, path):
+    with browser.opened(chromium, path) as found:
+        yield found
+
+
+def reported(path, *arguments):
+    assert cli.attitude_replay([*map(str, arguments), '--report', str(path)]) == 0
+    return path
+
+
+def attitudes(seconds):
+    """Return the attitudes of the tumbler, as computed by the library."""
+    tumbler = scene.load(TUMBLER[2])
+    _, log, start = replay.read(TUMBLER[0], tumbler)
+    times = start.time_ns + np.round(np.array(seconds) * 1e9).astype(np.int64)
+    order = np.argsort(times)
+    motion = propagate(tumbler.body, start, log, at=times[order], **tumbler.options)
+    return motion.attitude[np.argsort(order)]
+
+
+def cursors(page):
+    """Return where the cursor is in each chart, px, and what the clock shows, s."""
+    at = page.eval_on_selector_all('.cursor', 'lines => lines.map(one => one.getAttribute("x1"))')
+    return [*map(float, at)], float(page.text_content('#clock').removesuffix(' s'))
+
+
+def times_shown(page):
+    """Return the labels of the abscissa of each chart."""
+    return page.eval_on_selector_all('.plot', """plots => plots.map(plot =>
+        Array.from(plot.querySelectorAll('text[text-anchor=middle]'), one => one.textContent))""")
+
+
+def test_a_page_replaces_no_file_that_it_should_not(tmp_path, capsys):
+    scene_path = tmp_path / 'scene.html'
+    scene_path.write_text((CONFIG / 'tumbler.yaml').read_text())
+    target = tmp_path / 'page.html'
+    target.write_text('kept')
+    for report, option, problem in (
+            (target, (), 'output exists; choose another name, or add --overwrite'),
+            (scene_path, ('--overwrite',), f'would overwrite the scene {scene_path}; choose '
+             'another name'),
+            (tmp_path / 'page.txt', (), 'expected a name ending in .html, found .txt')):
+        before = {path: path.read_text() for path in tmp_path.iterdir()}
+        assert cli.attitude_replay([TUMBLER[0], '--scene', str(scene_path), *option, '--report',
+                                    str(report)]) == 2
+        assert capsys.readouterr().err == f'attitude_replay: error: {report}: {problem}\n'
+        assert {path: path.read_text() for path in tmp_path.iterdir()} == before
+
+
+def test_no_page_no_import():
+    script = f"""
+import sys
+from rigid_body_ros import cli
+assert cli.attitude_replay({[*TUMBLER, '--until', '1']}) == 0
+assert 'rigid_body_ros.replay.single' in sys.modules
+for name in 'charts', 'moving_body', 'page', 'thinning':
+    assert f'rigid_body_ros.report.{{name}}' not in sys.modules
+"""
+    result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                            check=False)
+    assert result.stderr == ''
+
+
+@pytest.mark.slow
+def test_ten_attitudes_are_those_of_the_trajectory(page):
+    chosen = np.random.default_rng(1).uniform(0.0, DURATION, 10).tolist()
+    shown = [page.evaluate('time => { motion.set(time); return motion.shown(); }', time)
+             for time in chosen]
+    times = [state['time'] for state in shown]
+    np.testing.assert_allclose(times, chosen, rtol=0.0, atol=0.011)  # 1 if between torques
+    apart = so3.angle_between(np.array([state['attitude'] for state in shown]), attitudes(times))
+    assert apart.max() < 1e-6
+
+
+@pytest.mark.slow
+def test_play_moves_the_body_and_the_space_key_stops_it(page):
+    still = page.locator('#body').screenshot()
+    page.click('#play')
+    page.evaluate("""new Promise(resolve => {
+        const look = () => motion.shown().time > 0.3 ? resolve() : requestAnimationFrame(look);
+        look();
+    })""")
+    page.evaluate('document.activeElement.blur()')
+    page.keyboard.press('Space')
+    assert page.get_attribute('#play', 'aria-pressed') == 'false'
+    stopped = page.evaluate('motion.shown()')
+    assert page.locator('#body').screenshot() != still
+    page.evaluate('new Promise(resolve => setTimeout(resolve, 100))')
+    assert page.evaluate('motion.shown()') == stopped
+    np.testing.assert_array_less(so3.angle_between(
+        np.array(stopped['attitude']), attitudes([stopped['time']])), 1e-6)
+
+
+@pytest.mark.slow
+def test_the_slider_moves_the_cursor_of_every_chart(page):
+    before, _ = cursors(page)
+    page.focus('#time')
+    page.keyboard.press('End')
+    end, seconds = cursors(page)
+    assert (len(set(end)), seconds) == (1, DURATION)
+    page.keyboard.press('Home')
+    start, seconds = cursors(page)
+    assert (start, seconds) == (before, 0.0)
+    page.keyboard.press('ArrowRight')
+    between, seconds = cursors(page)
+    assert 0.0 < seconds < DURATION
+    np.testing.assert_allclose(between, start[0] + (end[0] - start[0]) * seconds / DURATION)
+
+
+@pytest.mark.slow
+def test_a_click_into_a_chart_moves_the_body(page):
+    plot = page.locator('.plot').nth(2)
+    width = plot.bounding_box()['width']
+    plot.click(position={'x': 0.5 * width, 'y': 50})
+    at, seconds = cursors(page)
+    assert page.evaluate('motion.shown().time') == pytest.approx(seconds, abs=1e-6)
+    assert 0.4 * DURATION < seconds < 0.6 * DURATION
+    np.testing.assert_allclose(at, 0.5 * width, atol=1.0)
+
+
+@pytest.mark.slow
+def test_zoom_in_one_chart_zooms_all(page):
+    whole = times_shown(page)
+    assert len(whole) == 4
+    assert whole[0][:2] == ['0', '5'], whole[0]
+    plot = page.locator('.plot').nth(1)
+    plot.scroll_into_view_if_needed()
+    box = plot.bounding_box()
+    page.mouse.move(box['x'] + 300, box['y'] + 60)
+    page.mouse.down()
+    page.mouse.move(box['x'] + 400, box['y'] + 90, steps=3)
+    page.mouse.up()
+    zoomed = times_shown(page)
+    assert zoomed[0] != whole[0]
+    assert zoomed == 4 * [zoomed[0]]
+    first, last = float(zoomed[0][0]), float(zoomed[0][-2])  # the last is the label of the axis
+    assert 10.0 < first < last < 22.0
+    page.dblclick('.plot >> nth=3')
+    assert times_shown(page) == whole
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('scheme', ['light', 'dark'])
+@pytest.mark.parametrize('width', [390, 1280])
+def test_nothing_is_wider_than_the_window(chromium, path, scheme, width):
+    with browser.opened(chromium, path, width, color_scheme=scheme) as page:
+        assert page.evaluate('document.documentElement.scrollWidth') == width
+        paper, ink = (page.evaluate(f'getComputedStyle(document.body).{name}')
+                      for name in ('backgroundColor', 'color'))
+        light, dark = (paper, ink) if scheme == 'light' else (ink, paper)
+        assert brightness(light) > 200 > 50 > brightness(dark)
+
+
+def brightness(colour):
+    return max(map(int, re.findall(r'\d+', colour)[:3]))
+
+
+@pytest.mark.slow
+def test_names_from_a_recording_stay_text(chromium, tmp_path):
+    topic = '/</script><script>alert(1)</script>'
+    name = '<img src=x onerror=alert(2)>.mcap'
+    with recording.Writer(tmp_path / name) as writer:
+        writer.add_topic(topic, messages.WRENCH)
+        for stamp_ns in range(EPOCH_NS, EPOCH_NS + 3 * SECOND, SECOND):
+            writer.write(topic, stamp_ns, messages.wrench(stamp_ns, '', (0.0, 0.0, 1e-3)))
+    target = reported(tmp_path / 'page.html', tmp_path / name, *TUMBLER[1:], '--topic', topic)
+    with browser.opened(chromium, target) as page:
+        assert page.text_content('h1') == f'{name}: {topic}'
+        assert shlex.quote(topic) in page.text_content('footer')
+        assert page.locator('script').count() == 3
+        assert page.locator('img').count() == 0
+        assert str(tmp_path) not in page.content()
+
+
+@pytest.mark.slow
+def test_the_ellipsoid_is_shown_for_a_motion_without_torque(chromium, path, tmp_path):
+    free = reported(tmp_path / 'free.html', f'{FREE}.mcap', '--scene', f'{FREE}.yaml')
+    for target, visible in ((path, False), (free, True)):
+        with browser.opened(chromium, target) as page:
+            assert page.is_visible('#poinsot') == visible
+
+
+def recorded_spike(path, count):
+    """Write torques of 1 mN m at 1 kHz with one sample of 1 N m; return its time, s."""
+    torques, spike = np.full((count, 6), 1e-3) * ([0.0] * 3 + [1.0] * 3), int(0.637 * count)
+    torques[spike, 3] = 1.0
+    with recording.Writer(path) as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        writer.write_columns(EPOCH_NS + np.arange(count) * 1_000_000,
+                             [recording.Column('/torque', '', torques)])
+    return 1e-3 * spike
+
+
+@pytest.mark.parametrize('count', [
+    pytest.param(60_000, marks=pytest.mark.slow), pytest.param(3_600_000,
+                                                               marks=pytest.mark.nightly)])
+def test_a_spike_of_one_sample_is_visible(chromium, tmp_path, count):
+    seconds = recorded_spike(tmp_path / 'spike.mcap', count)
+    target = reported(tmp_path / 'page.html', tmp_path / 'spike.mcap', *TUMBLER[1:])
+    assert target.stat().st_size < 8e6
+    with browser.opened(chromium, target) as page:
+        x, y = np.reshape(page.evaluate("""() => {
+            const plots = document.querySelectorAll('.plot');
+            return plots[plots.length - 1].querySelector('.curve').getAttribute('d')
+                .split(/[ MLml]+/).filter(Boolean).map(Number);
+        }"""), (-1, 2)).T
+        assert np.ptp(y) > 100.0
+        left, right = x.min(), x.max()
+        assert np.count_nonzero(y < y.max() - 1.0) <= 4
+        shown = (x[y.argmin()] - left) / (right - left) * 1e-3 * count
+        assert shown == pytest.approx(seconds, abs=2e-3 * count / (right - left))
+        page.evaluate('time => motion.set(time)', seconds)
+        reading = page.locator('.panel').last.locator('output').first.text_content()
+        assert reading == '0.001000 to 1.000000'
