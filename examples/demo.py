@@ -42,16 +42,17 @@ def main() -> int:
           flush=True)
     run_live()
     print('\n3. The torques that the node accepted, replayed offline\n', flush=True)
-    replay(OUTPUT / 'live.mcap', OUTPUT / 'live.yaml', OUTPUT / 'replay.mcap', '--topic', ACCEPTED)
+    replay(OUTPUT / 'live.mcap', OUTPUT / 'live.yaml', OUTPUT / 'replay.mcap', '--topic', ACCEPTED,
+           '--report', OUTPUT / 'report.html')
     return compare_with_live()
 
 
 def replay(recording_path, scene, output, *arguments):
     """Run attitude_replay as from the command line."""
-    paths = [recording_path, '--scene', scene, '-o', output, '--plot', output.with_suffix('.png'),
-             '--overwrite']
-    status = cli.attitude_replay([*(os.path.relpath(path) if isinstance(path, Path) else path
-                                    for path in paths), *arguments])
+    words = [recording_path, '--scene', scene, '-o', output, '--plot', output.with_suffix('.png'),
+             '--overwrite', *arguments]
+    status = cli.attitude_replay([os.path.relpath(word) if isinstance(word, Path) else word
+                                  for word in words])
     if status:
         sys.exit(status)
 
@@ -109,7 +110,8 @@ def compare_with_live():
     same = np.all(attitude.values[rows] == states[:, messages.ORIENTATION], axis=1)
     same &= np.all(rates.values[rows] == states[:, messages.ANGULAR_VELOCITY], axis=1)
     print(f'\nLive and replay agree bit for bit at {same.sum()} of {same.size} stamps.')
-    print(f'The recordings (.mcap) and plots (.png) are in {os.path.relpath(OUTPUT)}.')
+    print(f'The recordings (.mcap) and plots (.png) are in {os.path.relpath(OUTPUT)}.\n'
+          f'To watch the body move, open {os.path.relpath(OUTPUT / "report.html")} in a browser.')
     return 0 if same.all() and same.size == len(source.stamps_ns) else 1
 
 

@@ -386,3 +386,5 @@ def test_the_demo_runs():
                             capture_output=True, text=True, timeout=300, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
     assert 'Live and replay agree bit for bit at 3001 of 3001 stamps.' in result.stdout
+    assert 'open demo/report.html in a browser' in result.stdout
+    assert 'attitude_replay' in (ROOT / 'demo' / 'report.html').read_text(encoding='utf-8')

@@ -77,7 +77,7 @@ def test_the_commands_without_ros_do_what_they_say(place, installed):
                                 capture_output=True, text=True, env=environment(installed))
         assert result.returncode == 0, result.stderr
         written = {arguments[k + 1] for k, word in enumerate(arguments)
-                   if word in ('-o', '--plot', '--json')}
+                   if word in ('-o', '--plot', '--report', '--json')}
         assert written <= {path.name for path in place.iterdir()}
 
 

@@ -296,7 +296,7 @@ class Scene {
     const middle = times(dot(rate, normal), normal);
     const other = Math.abs(normal[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0];
     let side = cross(normal, other);
-    side = times(1.2 / length(side), side);
+    side = times(1 / length(side), side);
     const across = cross(normal, side);
     view.path([[1, 1], [1, -1], [-1, -1], [-1, 1], [1, 1]].map(([p, q]) =>
       sum(middle, times(p, side), times(q, across))), view.colour('quiet'), [], 1);

@@ -341,9 +341,16 @@ class Panel {
     this.series.forEach((one, k) => {
       const i = indexAt(one.x, value), shown = (v) => (this.logY ? v.toPrecision(4)
         : written(v / this.scale, this.finest / this.scale));
-      this.readings[k].textContent = one.low[i] === one.high[i] ? shown(one.low[i])
+      this.readings[k].textContent = one.low[i] === one.high[i] ? shown(this.drawn(one, i, value))
         : `${shown(one.low[i])} to ${shown(one.high[i])}`;
     });
+  }
+
+  drawn(one, i, value) {  // the height of the curve at an abscissa from x[i] to x[i + 1]
+    const before = one.low[i], change = one.low[i + 1] - before;
+    const jump = this.data.kind === 'angle' ? Math.PI : Infinity;
+    if (one.step || !(Math.abs(change) <= jump) || value <= one.x[i]) return before;
+    return before + change * (value - one.x[i]) / (one.x[i + 1] - one.x[i]);
   }
 
   listen() {
