@@ -24,8 +24,10 @@ from typing import TYPE_CHECKING
 
 from rigid_body_ros.arguments import (
     add_overwrite,
+    add_report,
     add_scene,
     add_torques,
+    command_line,
     load_scene,
     parsed,
     Parser,
@@ -58,7 +60,8 @@ def _outputs(options: argparse.Namespace) -> Iterator[tuple[str, str]]:
     from rigid_body_ros.replay import suffix_of
     if options.output:
         yield options.output, suffix_of(options.output)
-    for name, suffix in ((options.json, '.json'), (options.plot, '.png')):
+    for name, suffix in ((options.json, '.json'), (options.plot, '.png'),
+                         (options.report, '.html')):
         if name:
             yield name, suffix
 
@@ -90,6 +93,17 @@ def _write(options: argparse.Namespace, found: Comparison, scene: Scene) -> None
     if options.json:
         with files.atomic_output(options.json, '.json') as path:
             path.write_text(f'{json.dumps(found.as_dict(), indent=1)}\n', encoding='utf-8')
+    if options.report:
+        with files.protected('output', options.output, options.json, options.plot):
+            _write_page(options, found, scene)
+
+
+def _write_page(options: argparse.Namespace, found: Comparison, scene: Scene) -> None:
+    from rigid_body_ros.measurement.page import page
+    from rigid_body_ros.report.page import write
+    line = command_line(options, 'recording', 'scene', 'motion', 'output', 'json', 'plot',
+                        'report')
+    write(options.report, page(found, Path(options.recording).name, scene, line))
 
 
 def compare_parser() -> argparse.ArgumentParser:
@@ -132,6 +146,7 @@ def compare_parser() -> argparse.ArgumentParser:
     parser.add_argument('--json', metavar='OUT', help='write the result, with units, to this file')
     parser.add_argument('--plot', metavar='PNG', help='plot errors, torque, errors after the '
                         'horizons and residual torque over time')
+    add_report(parser, 'these plots, the moving body and the summary')
     add_overwrite(parser)
     return parser
 

@@ -14,7 +14,9 @@
 
 """Measured topics in recordings, and the command that compares them."""
 
+from html import escape
 import json
+import shutil
 
 from bags import Sent
 from conftest import EPOCH_NS, SECOND
@@ -29,6 +31,7 @@ from measurements import (
     write_scene,
 )
 import numpy as np
+from pages import array, data_of
 import pytest
 from rigid_body_ros import cli, messages, recording, so3
 from rigid_body_ros.common.errors import InputError
@@ -194,6 +197,33 @@ def test_the_command_writes_errors_and_a_plot(run, tmp_path):
     assert np.abs(torques.values[:, 3:]).max() < 2e-3
 
 
+def test_the_page_has_the_errors_the_summary_and_names_as_text(run, tmp_path, bag):
+    path, report = tmp_path / '<b>&.mcap', tmp_path / 'page.html'
+    shutil.copy(bag, path)
+    status, shown, _ = run('--report', report, '--horizon', 1, path=path)
+    assert status == 0
+    assert f'wrote            {report}' in shown
+    text = report.read_text(encoding='utf-8')
+    assert '<b>' not in text
+    assert '<h1>&lt;b&gt;&amp;.mcap: /imu</h1>' in text
+    assert str(tmp_path) not in text
+    for line in shown.splitlines()[:-1]:
+        assert f'<dd>{escape(line[17:])}</dd>' in text
+    data = data_of(text)
+    labels = [panel['label'] for panel in data['panels']]
+    assert labels == ['/imu: attitude error, body axes', '/imu: rate error, body axes',
+                      'torque, body axes', 'residual torque, body axes',
+                      'attitude error after a restart']
+    sizes, = data['panels'][0]['curves']
+    drawn = array(sizes['low'], '<f4').reshape(4, -1)
+    assert drawn.shape[1] == 2000
+    np.testing.assert_allclose(np.hypot(np.hypot(*drawn[:2]), drawn[2]), drawn[3], rtol=1e-5)
+    assert np.sqrt(np.mean(drawn[3] ** 2)) == pytest.approx(3 ** 0.5 * 1e-3, rel=0.05)
+    angles = data['panels'][-1]['texts'][0]
+    assert [text.split(' rad ')[1] for text in angles] == ['1 s after a restart, in 19 windows']
+    assert len(array(data['body']['times'])) == 2000
+
+
 def test_the_command_aligns(run, tmp_path):
     mount = Rotation.from_rotvec([0.1, 0.1, -0.1])
     sensor = truth().measured(1e-3, 2e-3, clock=0.035, mount=mount)
@@ -229,7 +259,7 @@ def test_a_recording_without_torques_is_a_free_body(run, tmp_path, measured):
 
 
 def test_an_input_is_never_an_output(run, bag, scene):
-    for option in ('-o', '--json', '--plot'):
+    for option in ('-o', '--json', '--plot', '--report'):
         for name in (bag, scene):
             before = name.read_bytes()
             status, _, error = run(option, name, '--overwrite')

@@ -28,7 +28,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.measurement.measured import Measured
-from rigid_body_ros.propagation import propagate
+from rigid_body_ros.propagation import propagate, Trajectory
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
 
@@ -81,17 +81,19 @@ class Model:
 
     def at(self, times_ns: NDArray[np.int64]) -> States:
         """Return the states at times, in any order, none before the start."""
-        motion = propagate(self.body, self.start, self.logs, at=times_ns, wheels=self.wheels,
-                           **self.options)
+        motion = self.trajectory(times_ns)
         return States(motion.attitude, motion.angular_velocity)
+
+    def trajectory(self, times_ns: NDArray[np.int64]) -> Trajectory:
+        """Return the motion at times, in any order, none before the start."""
+        return propagate(self.body, self.start, self.logs, at=times_ns, wheels=self.wheels,
+                         **self.options)
 
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the momenta of the rotors at times, N m s, body axes, shape (n, 3)."""
         if self.wheels is None:
             return np.broadcast_to(self.start.rotor_momentum, (len(times_ns), 3))
-        motion = propagate(self.body, self.start, self.logs, at=times_ns, wheels=self.wheels,
-                           **self.options)
-        return motion.rotor_momentum
+        return self.trajectory(times_ns).rotor_momentum
 
     def between(self, start: State, end_ns: int) -> Model:
         """Return the same model from another start on, with only the torques it needs."""

@@ -30,10 +30,11 @@ from rigid_body_ros.measurement.motion import Model
 
 def summary(found: Comparison) -> str:
     """Return a summary, one line per fact."""
-    return '\n'.join(f'{name:17}{text}' for name, text in _rows(found))
+    return '\n'.join(f'{name:17}{text}' for name, text in rows(found))
 
 
-def _rows(found: Comparison) -> Iterator[tuple[str, str]]:
+def rows(found: Comparison) -> Iterator[tuple[str, str]]:
+    """Generate the facts: names, which are empty if a fact continues, and texts."""
     topics = ', '.join(each.topic for each in found.errors)
     yield 'measured', f'{found.samples} samples of {topics}, over {found.span_s:.9g} s'
     rejected = sum(each.rejected for each in found.measured)

@@ -47,7 +47,7 @@ class Collector:
         self._scene = scene
         self._motion = Extremes(13 if scene.has_rotors else 10)
         self._keys = EveryNth(moving_body.MOST)
-        self._torques: list[_Torque] = []
+        self._torques: list[ThinnedTorque] = []
         self._start_ns: int | None = None
 
     def add(self, batch: Batch) -> None:
@@ -58,7 +58,7 @@ class Collector:
         logs = torque_logs(batch.log)
         if self._start_ns is None:
             self._start_ns = int(motion.times_ns[0])
-            self._torques = [_Torque(scene.timeout_ns) for _ in logs]
+            self._torques = [ThinnedTorque(scene.timeout_ns) for _ in logs]
         columns = [motion.euler_angles(scene.values['euler_sequence']), motion.attitude,
                    motion.angular_velocity]
         if scene.has_rotors:
@@ -68,9 +68,9 @@ class Collector:
             torque.add(log, motion.times_ns)
         chosen = self._keys.chosen(len(motion.times_ns))
         times, attitude = motion.times_ns[chosen], motion.attitude[chosen]
+        torques = total_torque(logs, times, attitude, scene.timeout_ns)
         self._keys.add(len(motion.times_ns), times, np.hstack([
-            attitude, motion.angular_velocity[chosen], self._total(logs, times, attitude),
-            motion.rotor_momentum[chosen]]))
+            attitude, motion.angular_velocity[chosen], torques, motion.rotor_momentum[chosen]]))
 
     def page(self, result: Replay, name: str, command: str) -> Page:
         """Return the page of a replay of the recording `name`."""
@@ -83,16 +83,6 @@ class Collector:
         return Page(f'{name}: {result.topic}', story, self._panels(),
                     moving_body.as_data(body, times, keys), result.scene.warnings,
                     scene=result.scene, command=command)
-
-    def _total(self, logs: Sequence[TorqueLog], times: NDArray[np.int64],
-               attitude: Floats) -> Floats:
-        """Return the sum of the torques, N m, body axes."""
-        total = np.zeros((len(times), 3))
-        for log in logs:
-            torque, in_space = log.at(times, self._scene.timeout_ns)
-            total += np.where(in_space[:, None], so3.rotate(so3.conjugate(attitude), torque),
-                              torque)
-        return total
 
     def _panels(self) -> list[Panel]:
         start_ns, sequence = self._start_ns or 0, self._scene.values['euler_sequence']
@@ -113,8 +103,16 @@ class Collector:
                          for number, torque in enumerate(self._torques, 1)]
 
 
-class _Torque:
-    """The torque of one log over the time of the motion."""
+class ThinnedTorque:
+    """
+    The torque of one log over the time of a motion, thinned while it is added.
+
+    Parameters
+    ----------
+    timeout_ns : int
+        As for `TorqueLog.segments`.
+
+    """
 
     def __init__(self, timeout_ns: int) -> None:
         self._timeout_ns, self._extremes = timeout_ns, Extremes(3)
@@ -136,8 +134,18 @@ class _Torque:
         self._frames |= set(np.unique(in_space).tolist())
         self._taken_ns, self._step = end_ns, log.interpolation == 'hold'
 
-    def panel(self, name: str, start_ns: int) -> Panel:
+    def panel(self, name: str, start_ns: int, x_label: str = Panel.x_label) -> Panel:
         """Return the panel."""
         axes = style.axes_name(np.array([*self._frames], np.bool_))
         return Panel(f'{name}, {axes}', 'N m', [Curves.of(
-            self._extremes, style.TORQUES, start_ns, self._step)])
+            self._extremes, style.TORQUES, start_ns, self._step)], x_label)
+
+
+def total_torque(logs: Sequence[TorqueLog], times: NDArray[np.int64], attitude: Floats,
+                 timeout_ns: int) -> Floats:
+    """Return the sum of the torques, N m, body axes, shape (n, 3)."""
+    total = np.zeros((len(times), 3))
+    for log in logs:
+        torque, in_space = log.at(times, timeout_ns)
+        total += np.where(in_space[:, None], so3.rotate(so3.conjugate(attitude), torque), torque)
+    return total

@@ -116,12 +116,12 @@ class Panel:
 
 
 def _offsets(low: Floats, high: Floats) -> Floats:
-    """Return the middle of each column, or 0 where it has zeros, which the page shows exactly."""
+    """Return the middle of each column whose values are close to each other, otherwise 0."""
     if not len(low):
         return np.zeros(low.shape[1])
     lowest, highest = low.min(axis=0), high.max(axis=0)
-    crosses = (lowest <= 0.0) & (highest >= 0.0)
-    return np.asarray(np.where(crosses, 0.0, 0.5 * lowest + 0.5 * highest), np.float64)
+    middle = 0.5 * lowest + 0.5 * highest
+    return np.asarray(np.where(highest - lowest < np.abs(middle), middle, 0.0), np.float64)
 
 
 def packed(values: ArrayLike, kind: type = np.float64) -> str:

@@ -312,7 +312,7 @@ class Player {
       (name) => document.getElementById(name));
     this.slider.max = this.end;
     this.addSpeeds();
-    this.group = groups['time from the start (s)'];
+    this.group = groups[page.panels[0].xLabel];
     this.follow = (time) => this.set(time);
     if (this.group) this.group.listeners.push(this.follow);
     this.slider.addEventListener('input', () => this.set(Number(this.slider.value)));

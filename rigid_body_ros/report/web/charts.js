@@ -146,6 +146,8 @@ class Panel {
 
   colour(k) { return `c${k % 6}`; }
 
+  dashes(k) { return this.data.kind === 'log' ? '' : DASHES[k % 4]; }  // errors are noisy
+
   legend(box) {
     const list = html('ul', box);
     list.className = 'legend';
@@ -153,7 +155,7 @@ class Panel {
       const item = html('li', list);
       const line = element('svg', {viewBox: '0 0 30 10', 'aria-hidden': 'true'}, item);
       element('line', {x1: 0, x2: 30, y1: 5, y2: 5, 'stroke-width': 2, class: this.colour(k),
-        'stroke-dasharray': DASHES[k % 4]}, line);
+        'stroke-dasharray': this.dashes(k)}, line);
       html('span', item, `${one.name} `);
       return html('output', item);
     });
@@ -240,7 +242,7 @@ class Panel {
       x2: this.toX(value), y1: MARGIN.top, y2: HEIGHT, class: 'c6',
       'stroke-dasharray': DASHES[k % 4]}, frame));
     this.series.forEach((one, k) => element('path', {d: this.path(one), class:
-      `curve ${this.colour(k)}`, 'stroke-dasharray': DASHES[k % 4]}, frame));
+      `curve ${this.colour(k)}`, 'stroke-dasharray': this.dashes(k)}, frame));
     if (this.data.texts.length) this.drawPoints(frame);
     this.chosen = element('rect', {class: 'chosen', y: 0, height: HEIGHT, width: 0}, frame);
     this.line = element('line', {class: 'cursor', y1: 0, y2: HEIGHT}, frame);
