@@ -193,11 +193,12 @@ def _verify(options: argparse.Namespace) -> int:
 
 def _tradeoff(options: argparse.Namespace) -> int:
     from rigid_body_ros.tradeoff import report
-    outputs = (options.json, '.json'), (options.plot, '.png')
+    outputs = (options.json, '.json'), (options.plot, '.png'), (options.report, '.html')
     with files.reading(options.recording), files.protected('scene', options.scene), \
             files.overwriting(options.overwrite):
         files.check(*(output for output in outputs if output[0]))
-        result, title = _measure(options)
+        scene = load_scene(options)
+        result, title = _measure(options, scene)
         if options.json:
             with files.atomic_output(options.json, '.json') as path:
                 text = json.dumps(report.as_data(result), indent=1)
@@ -205,27 +206,29 @@ def _tradeoff(options: argparse.Namespace) -> int:
         if options.plot:
             with files.protected('output', options.json):
                 _plot_tradeoff(options.plot, result, title)
+        if options.report:
+            with files.protected('output', options.json, options.plot):
+                _write_tradeoff_page(options, result, title, scene)
     show(report.summary(result, all_rows=options.all))
     return OK
 
 
-def _measure(options: argparse.Namespace) -> tuple[Tradeoff, str]:
+def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
     """Return the result and a title that names the recording and its topic, or the scene."""
     from rigid_body_ros import replay
     from rigid_body_ros.tradeoff import measure, TARGET
-    loaded = load_scene(options)
-    if not replay.topics_of(options.topic).is_plain(loaded):
+    if not replay.topics_of(options.topic).is_plain(scene):
         raise InputError(f'{options.scene}: expected one topic of torques, and neither rotors nor '
                          'damping, which attitude_tradeoff does not measure')
-    log, start, where = None, loaded.start, options.scene
+    log, start, where = None, scene.start, options.scene
     title = f'{Path(options.scene).name}: no torque'
     if options.recording:
-        recorded, log, start = replay.read(options.recording, loaded, options.topic)
+        recorded, log, start = replay.read(options.recording, scene, options.topic)
         where = f'{options.recording}: {recorded.topic}'
         title = f'{Path(options.recording).name}: {recorded.topic}'
     try:
-        return measure(loaded.body, start, log, targets=options.target or [TARGET],
-                       torque_timeout=loaded.values['torque_timeout'],
+        return measure(scene.body, start, log, targets=options.target or [TARGET],
+                       torque_timeout=scene.values['torque_timeout'],
                        track=replay.progress('measuring', ' runs')), title
     except ValueError as error:
         raise InputError(f'{where}: {error}') from error
@@ -237,6 +240,14 @@ def _plot_tradeoff(path: str, result: Tradeoff, title: str) -> None:
     with files.atomic_output(path, '.png') as temporary:
         figures.work_precision(temporary, report.curves(result), title,
                                report.reference_errors(result))
+
+
+def _write_tradeoff_page(options: argparse.Namespace, result: Tradeoff, title: str,
+                         scene: Scene) -> None:
+    from rigid_body_ros.report.page import write
+    from rigid_body_ros.tradeoff.page import page
+    line = command_line(options, 'recording', 'scene', 'json', 'plot', 'report')
+    write(options.report, page(result, title, scene, line))
 
 
 def replay_parser() -> argparse.ArgumentParser:
@@ -302,5 +313,6 @@ def tradeoff_parser() -> argparse.ArgumentParser:
     parser.add_argument('--json', metavar='OUT',
                         help='write all results, with units, to this file')
     parser.add_argument('--plot', metavar='PNG', help='plot cost over error, one curve per solver')
+    add_report(parser, 'this plot, the recommended lines to copy, and the limits of accuracy')
     add_overwrite(parser)
     return parser

@@ -28,7 +28,7 @@ from rigid_body_ros.scene import InputError
 
 #: By option, the command, and the suffix of what it writes.
 OUTPUTS = {'replay -o': '.mcap', 'replay --plot': '.png', 'many -o': '.mcap',
-           'tradeoff --json': '.json', 'tradeoff --plot': '.png',
+           'tradeoff --json': '.json', 'tradeoff --plot': '.png', 'tradeoff --report': '.html',
            'library replay': '.mcap', 'library many': '.mcap'}
 #: What is attacked: the recording that is given, and the file of it (or the scene).
 VICTIMS = {'mcap': ('in/log.mcap', 'in/log.mcap'), 'csv': ('in/log.csv', 'in/log.csv'),

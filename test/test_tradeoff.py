@@ -24,10 +24,23 @@ from conftest import at_night, chord, CONFIG, RECORDINGS, SECOND
 from conftest import Reference as Known
 import matplotlib.image
 import numpy as np
+from pages import array, data_of
 import pytest
-from rigid_body_ros import cli, messages, propagate, recording, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import (
+    cli,
+    messages,
+    propagate,
+    recording,
+    RigidBody,
+    scene,
+    so3,
+    State,
+    TorqueLog,
+)
 from rigid_body_ros.kernels import body_layout
+from rigid_body_ros.report.page import html
 from rigid_body_ros.tradeoff import Error, measure, Measurement, recommend, report, Setting
+from rigid_body_ros.tradeoff.page import page
 from rigid_body_ros.tradeoff.problem import Problem, Reference
 from test_reference import NAMES
 from test_replay import bad_input
@@ -207,13 +220,14 @@ def test_a_failed_setting_is_shown_as_failed():
 
 @pytest.mark.slow
 def test_the_table_the_figures_and_the_picture(tmp_path):
-    picture, figures = tmp_path / 'p.png', tmp_path / 'o.json'
+    picture, figures, web = (tmp_path / name for name in ('p.png', 'o.json', 'o.html'))
     environment = {name: value for name, value in os.environ.items() if name != 'DISPLAY'}
     script = ('import sys; from rigid_body_ros import cli; '
               'from rigid_body_ros.tradeoff import trade; trade._MOST_STEPS = 20000;'
               'sys.exit(cli.attitude_tradeoff())')
     done = subprocess.run([sys.executable, '-c', script, *TUMBLER, *TORQUES, '--target', '1e-9',
-                           '--json', figures, '--plot', picture], capture_output=True, text=True,
+                           '--json', figures, '--plot', picture, '--report', web],
+                          capture_output=True, text=True,
                           env=environment, check=True)
     assert done.stderr == ''
     for part in ('target            1e-09 rad\nrecommended ', 'limited by ', '\n* ',
@@ -226,6 +240,7 @@ def test_the_table_the_figures_and_the_picture(tmp_path):
     assert {run['solver'] for run in written['runs']} == {'auto', 'taylor', 'rk4', 'strang',
                                                           'explicit_euler'}
     assert matplotlib.image.imread(picture).shape[:2] == (1000, 1440)
+    assert '<h1>tumbler.mcap: /torque</h1>' in web.read_text(encoding='utf-8')
 
 
 @pytest.mark.slow
@@ -314,6 +329,30 @@ def test_curves_follow_the_settings_and_end_at_the_rounding_floor():
         if solver in ('auto', 'taylor'):
             turns = np.diff(np.log(errors))
             assert turns.max() <= math.log(2.0)
+
+
+def test_the_page_spells_out_every_setting_and_has_the_recommended_lines():
+    targets = [1e-6, 1e-20]
+    result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
+                     State(0, angular_velocity=(0.1, 1.0, 0.2)), targets=targets)
+    text = html(page(result, '</script><b>: /torque', scene.load(TUMBLER[1]), 'the command'))
+    assert '<b>' not in text
+    assert '<h1>&lt;/script&gt;&lt;b&gt;: /torque</h1>' in text
+    lines = '\n'.join(result.choices[1e-6].measurement.setting.parameters)
+    assert f'<pre># for attitude errors up to 1e-06 rad\n{lines}</pre>' in text
+    assert text.count('<pre>') == 1
+    assert '<dt>recommended</dt><dd>none: no setting is certain to meet it' in text
+    panel, = data_of(text)['panels']
+    assert {'target 1e-06 rad', 'target 1e-20 rad'} < panel['lines'].keys()
+    for each, texts, (solver, (errors, costs)) in zip(panel['curves'], panel['texts'],
+                                                      report.curves(result).items()):
+        assert each['names'] == [solver]
+        np.testing.assert_allclose(array(each['x']), np.maximum(errors, np.finfo(float).eps))
+        shown = array(each['low'], '<f4') + each['offsets'][0]
+        np.testing.assert_allclose(shown, costs, rtol=1e-6)
+        assert len(texts) == len(errors)
+        for spelled, cost in zip(texts, costs):
+            assert f'{cost:.2e} s per simulated second' in spelled
 
 
 def test_the_end_of_a_short_stretch_is_that_of_its_problem(monkeypatch):

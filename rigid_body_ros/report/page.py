@@ -61,10 +61,10 @@ class Page:
     body : dict, optional
         The motion to show, from `moving_body.as_data`.
     warnings : sequence of str
-    copied : str
-        Lines with a button to copy them, '' for none.
-    index : str
-        HTML with a row for each recording, '' for none.
+    copied : sequence of str
+        Texts, each with a button to copy it.
+    table : str
+        From `table`, '' for none.
 
     """
 
@@ -73,8 +73,8 @@ class Page:
     panels: Sequence[Panel] = ()
     body: Mapping[str, Any] | None = None
     warnings: Sequence[str] = ()
-    copied: str = ''
-    index: str = ''
+    copied: Sequence[str] = ()
+    table: str = ''
     scene: Scene | None = field(default=None, kw_only=True)
     command: str = field(default='', kw_only=True)
 
@@ -102,10 +102,19 @@ def html(page: Page) -> str:
         title=escape(page.title), style=style, style_hash=_hash(style),
         script_hashes=' '.join(map(_hash, (charts, body))), charts=charts, body=body,
         warnings=''.join(f'<p class="warning">{escape(text)}</p>' for text in page.warnings),
-        story=_facts(page.story), index=page.index,
-        copied=f'<pre id="copied">{escape(page.copied)}</pre><button id="copy" type="button">'
-               'Copy</button>' if page.copied else '',
+        story=_facts(page.story), table=page.table,
+        copied=''.join(f'<pre>{escape(text)}</pre><button class="copy" type="button">Copy</button>'
+                       for text in page.copied),
         made=_facts(_origin(page)), data=embedded(data))
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table of texts as HTML."""
+    head, *body = (''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in row)
+                   for tag, row in [('th', header), *(('td', row) for row in rows)])
+    lines = ''.join(f'<tr>{row}</tr>' for row in body)
+    return f'<div class="wide-table"><table><thead><tr>{head}</tr></thead><tbody>{lines}</tbody>' \
+           '</table></div>'
 
 
 def embedded(data: object) -> str:

@@ -22,7 +22,7 @@ import platform
 from typing import Any
 
 from rigid_body_ros.report.text import interpolation_row
-from rigid_body_ros.tradeoff.trade import Choice, Measurement, Tradeoff
+from rigid_body_ros.tradeoff.trade import Choice, Measurement, Setting, Tradeoff
 
 _WIDTH = 18
 _FLOOR = ('largest difference between runs that round differently: the series with other steps,',
@@ -48,6 +48,15 @@ def summary(result: Tradeoff, all_rows: bool = False) -> str:
     """
     recommended = [line for target in result.choices for line in _recommended(result, target)]
     return '\n'.join([*recommended, *_table(result, all_rows), '', *map(_pair, _facts(result))])
+
+
+def rows(result: Tradeoff) -> Iterator[tuple[str, str]]:
+    """Generate what was found for each target, and the limits of accuracy, without the table."""
+    for target, choice in result.choices.items():
+        aim, (name, text), limit = _found(result, target)
+        setting = f'{", ".join(choice.measurement.setting.parameters)}: ' if choice else ''
+        yield from (aim, (name, setting + text), limit)
+    yield from _facts(result)
 
 
 def as_data(result: Tradeoff) -> dict[str, Any]:
@@ -108,13 +117,19 @@ def reference_errors(result: Tradeoff) -> dict[str, float]:
 
 def _recommended(result: Tradeoff, target: float) -> Iterator[str]:
     choice = result.choices[target]
-    yield _pair(('target', f'{target:.3g} rad'))
-    if choice is None:
-        yield _pair(('recommended', f'none: no setting is certain to meet it, {_why(result)}'))
-    else:
-        yield _pair(('recommended', f'{_expected(result, choice)}:'))
+    aim, recommended, limit = map(_pair, _found(result, target))
+    yield from (aim, f'{recommended}:' if choice else recommended)
+    if choice:
         yield from (f'    {line}' for line in choice.measurement.setting.parameters)
-    yield from (_pair(('limited by', _dominant(result, target))), '')
+    yield from (limit, '')
+
+
+def _found(result: Tradeoff, target: float) -> list[tuple[str, str]]:
+    choice = result.choices[target]
+    recommended = _expected(result, choice) if choice else \
+        f'none: no setting is certain to meet it, {_why(result)}'
+    return [('target', f'{target:.3g} rad'), ('recommended', recommended),
+            ('limited by', _dominant(result, target))]
 
 
 def _expected(result: Tradeoff, choice: Choice) -> str:
@@ -182,6 +197,12 @@ def _interpolation(result: Tradeoff) -> list[tuple[str, str]]:
     return rows
 
 
+def value(setting: Setting) -> str:
+    """Return the tolerance or the step of a setting as text, '-' for the defaults."""
+    return f'step {setting.max_step:.6g} s' if setting.max_step else \
+        f'tolerance {setting.tolerance:.0e}' if setting.tolerance else '-'
+
+
 def _target_data(result: Tradeoff, target: float) -> dict[str, Any]:
     choice = result.choices[target]
     return {
@@ -228,11 +249,9 @@ def _drift(result: Tradeoff) -> str:
 
 
 def _line(one: Measurement, span: float) -> str:
-    setting = one.setting
-    value = f'step {setting.max_step:.6g} s' if setting.max_step else \
-        f'tolerance {setting.tolerance:.0e}' if setting.tolerance else '-'
+    solver, text = one.setting.solver, value(one.setting)
     if one.failure:
-        return f'  {setting.solver:14} {value:>17}   failed: {one.failure}'
-    return _ROW.format('*' if one.pareto_optimal else '', setting.solver, value,
+        return f'  {solver:14} {text:>17}   failed: {one.failure}'
+    return _ROW.format('*' if one.pareto_optimal else '', solver, text,
                        *(f'{error:.1e}' for error in one.error), f'{one.seconds / span:.2e}',
                        f'{span / one.seconds:.3g}')

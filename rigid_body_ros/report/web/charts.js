@@ -92,12 +92,13 @@ class Panel {
     this.group = group;
     this.logX = data.kind === 'loglog';
     this.logY = this.logX || data.kind === 'log';
+    this.height = this.logX ? 2 * HEIGHT : HEIGHT;
     this.series = data.curves.flatMap((curves) => this.read(curves));
     this.unit = this.withPrefix();
     const box = html('div', parent);
     box.className = 'panel';
     html('h3', box, data.label + (this.unit ? ` (${this.unit})` : ''));
-    this.svg = element('svg', {class: 'plot', role: 'img', 'aria-label':
+    this.svg = element('svg', {class: this.logX ? 'plot tall' : 'plot', role: 'img', 'aria-label':
       `${data.label} over ${data.xLabel}: ${this.series.map((one) => one.name).join(', ')}`}, box);
     this.legend(box);
     if (data.texts.length) {
@@ -199,7 +200,7 @@ class Panel {
     const f = this.logY ? (v) => Math.log10(Math.max(v, 1e-300)) : (v) => v;
     const [low, high] = this.limits.map(f);
     const part = Math.max(-10, Math.min(10, (f(value) - low) / (high - low)));
-    return HEIGHT - MARGIN.bottom - (HEIGHT - MARGIN.top - MARGIN.bottom) * part;
+    return this.height - MARGIN.bottom - (this.height - MARGIN.top - MARGIN.bottom) * part;
   }
 
   visible(one) {
@@ -231,21 +232,21 @@ class Panel {
   draw() {
     const full = this.svg.clientWidth || 600;
     this.width = full - MARGIN.left - MARGIN.right;
-    this.svg.setAttribute('viewBox', `0 0 ${full} ${HEIGHT}`);
+    this.svg.setAttribute('viewBox', `0 0 ${full} ${this.height}`);
     this.svg.replaceChildren();
     this.findLimits();
     this.drawAxes();
     const frame = element('svg', {x: MARGIN.left, y: 0, width: this.width, height:
-      HEIGHT - MARGIN.bottom, viewBox: `${MARGIN.left} 0 ${this.width} ${HEIGHT - MARGIN.bottom}`},
+      this.height - MARGIN.bottom, viewBox: `${MARGIN.left} 0 ${this.width} ${this.height - MARGIN.bottom}`},
     this.svg);
     Object.values(this.data.lines).forEach((value, k) => element('line', {x1: this.toX(value),
-      x2: this.toX(value), y1: MARGIN.top, y2: HEIGHT, class: 'c6',
+      x2: this.toX(value), y1: MARGIN.top, y2: this.height, class: 'c6',
       'stroke-dasharray': DASHES[k % 4]}, frame));
     this.series.forEach((one, k) => element('path', {d: this.path(one), class:
       `curve ${this.colour(k)}`, 'stroke-dasharray': this.dashes(k)}, frame));
     if (this.data.texts.length) this.drawPoints(frame);
-    this.chosen = element('rect', {class: 'chosen', y: 0, height: HEIGHT, width: 0}, frame);
-    this.line = element('line', {class: 'cursor', y1: 0, y2: HEIGHT}, frame);
+    this.chosen = element('rect', {class: 'chosen', y: 0, height: this.height, width: 0}, frame);
+    this.line = element('line', {class: 'cursor', y1: 0, y2: this.height}, frame);
     this.drawCursor();
   }
 
@@ -305,7 +306,7 @@ class Panel {
   }
 
   drawAxes() {
-    const bottom = HEIGHT - MARGIN.bottom, right = MARGIN.left + this.width;
+    const bottom = this.height - MARGIN.bottom, right = MARGIN.left + this.width;
     for (const [value, text] of this.yTicks()) {
       const y = this.toY(value);
       element('line', {x1: MARGIN.left, x2: right, y1: y, y2: y, class: 'grid'}, this.svg);
@@ -319,7 +320,7 @@ class Panel {
       element('text', {x: Math.min(room, right - 12), y: bottom + 14, 'text-anchor': 'middle'},
         this.svg).textContent = text;
     }
-    element('text', {x: MARGIN.left + this.width / 2, y: HEIGHT - 4, 'text-anchor': 'middle'},
+    element('text', {x: MARGIN.left + this.width / 2, y: this.height - 4, 'text-anchor': 'middle'},
       this.svg).textContent = this.data.xLabel;
   }
 
@@ -389,7 +390,7 @@ class Panel {
 
 const groups = {};
 
-function addButtons(parent, group) {
+function addButtons(parent, group, hasCursor) {
   const box = html('p', parent);
   const all = (['Zoom in', 'Zoom out', 'Whole']).map((text) => {
     const button = html('button', box, text);
@@ -400,8 +401,8 @@ function addButtons(parent, group) {
   all[0].addEventListener('click', () => group.zoom(0.5));
   all[1].addEventListener('click', () => group.zoom(2));
   all[2].addEventListener('click', () => group.show(...group.whole));
-  html('small', box, 'Drag across a chart to zoom, double-click for the whole, click to set ' +
-    'the cursor.');
+  html('small', box, 'Drag across a chart to zoom, double-click for the whole' +
+    (hasCursor ? ', click to set the cursor.' : '.'));
 }
 
 for (const data of page.panels) {
@@ -409,7 +410,7 @@ for (const data of page.panels) {
   const name = data.kind === 'loglog' ? data.label : data.xLabel;
   if (!groups[name]) {
     groups[name] = new Group();
-    addButtons(parent, groups[name]);
+    addButtons(parent, groups[name], data.kind !== 'loglog');
   }
   new Panel(data, groups[name], parent);
 }
@@ -424,8 +425,9 @@ addEventListener('resize', () => {
   if (innerWidth !== drawnWidth) drawCharts();
   drawnWidth = innerWidth;
 });
-const copy = document.getElementById('copy');
-if (copy) copy.addEventListener('click', () => {
-  getSelection().selectAllChildren(document.getElementById('copied'));
-  copy.textContent = document.execCommand('copy') ? 'Copied' : 'Press Ctrl+C';
-});
+for (const copy of document.querySelectorAll('.copy')) {
+  copy.addEventListener('click', () => {
+    getSelection().selectAllChildren(copy.previousElementSibling);
+    copy.textContent = document.execCommand('copy') ? 'Copied' : 'Press Ctrl+C';
+  });
+}

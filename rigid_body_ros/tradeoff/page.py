@@ -1,0 +1,81 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Put the page of a measured trade-off together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from rigid_body_ros.report.charts import Curves, Panel
+from rigid_body_ros.report.page import Page
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.tradeoff import report
+from rigid_body_ros.tradeoff.trade import Choice, Tradeoff
+
+#: Smaller errors are not meaningful.
+_LEAST = float(np.finfo(float).eps)
+
+
+def page(result: Tradeoff, title: str, scene: Scene, command: str) -> Page:
+    """
+    Return the page of a trade-off.
+
+    Parameters
+    ----------
+    result : Tradeoff
+        From `measure`.
+    title : str
+        Names the recording and its topic, or the scene.
+    scene : Scene
+        The scene of the body.
+    command : str
+        The command line.
+
+    """
+    copied = [_parameters(target, choice) for target, choice in result.choices.items() if choice]
+    return Page(title, [*report.rows(result)], [_work_precision(result)],
+                warnings=scene.warnings, copied=copied, scene=scene, command=command)
+
+
+def _parameters(target: float, choice: Choice) -> str:
+    return '\n'.join([f'# for attitude errors up to {target:.3g} rad',
+                      *choice.measurement.setting.parameters])
+
+
+def _work_precision(result: Tradeoff) -> Panel:
+    curves, texts = [], []
+    for solver, (errors, costs) in report.curves(result).items():
+        cost = np.array(costs)[:, None]
+        curves.append(Curves(np.maximum(errors, _LEAST), cost, cost, [solver]))
+        texts.append([*_texts(result, solver)])
+    return Panel('wall time per simulated second', 's/s', curves, 'largest attitude error (rad)',
+                 'loglog', dict(_lines(result)), texts)
+
+
+def _lines(result: Tradeoff) -> Iterator[tuple[str, float]]:
+    """Generate descriptions of errors to mark, and the errors, rad."""
+    for name, error in sorted(report.reference_errors(result).items(), key=lambda line: line[1]):
+        error = max(error, _LEAST)
+        yield name if name.endswith('rad') else f'{name} {error:.0e} rad', error
+
+
+def _texts(result: Tradeoff, solver: str) -> Iterator[str]:
+    span = result.stretch.seconds
+    for one in result.measurements:
+        if one.setting.solver == solver and not one.failure:
+            optimal = '; Pareto-optimal' if one.pareto_optimal else ''
+            yield f'{report.value(one.setting)}, attitude error {one.error.attitude:.1e} rad, ' \
+                  f'{one.seconds / span:.2e} s per simulated second, {span / one.seconds:.3g} ' \
+                  f'times real time{optimal}'
