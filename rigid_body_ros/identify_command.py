@@ -24,8 +24,10 @@ from typing import TYPE_CHECKING
 
 from rigid_body_ros.arguments import (
     add_overwrite,
+    add_report,
     add_scene,
     add_torques,
+    command_line,
     load_scene,
     parsed,
     Parser,
@@ -71,7 +73,7 @@ def _incomplete(options: argparse.Namespace, found: Identification) -> str:
 
 def _outputs(options: argparse.Namespace) -> Iterator[tuple[str, str]]:
     for name, suffix in ((options.output, '.yaml'), (options.json, '.json'),
-                         (options.plot, '.png')):
+                         (options.plot, '.png'), (options.report, '.html')):
         if name:
             yield name, suffix
 
@@ -117,7 +119,19 @@ def _write(options: argparse.Namespace, found: Identification, first: Experiment
                 files.atomic_output(options.plot, '.png') as path:
             plot.draw(path, found, first, Path(options.recording[0]).name)
         written.append(options.plot)
+    if options.report:
+        with files.protected('output', *written):
+            _write_page(options, found, first, scene)
+        written.append(options.report)
     return written
+
+
+def _write_page(options: argparse.Namespace, found: Identification, first: Experiment,
+                scene: Scene) -> None:
+    from rigid_body_ros.identification.page import page
+    from rigid_body_ros.report.page import write
+    line = command_line(options, 'recording', 'scene', 'output', 'json', 'plot', 'report')
+    write(options.report, page(found, first, Path(options.recording[0]).name, scene, line))
 
 
 def identify_parser() -> argparse.ArgumentParser:
@@ -163,6 +177,7 @@ def identify_parser() -> argparse.ArgumentParser:
     parser.add_argument('--json', metavar='OUT', help='write the result to this file')
     parser.add_argument('--plot', metavar='PNG', help='plot the errors of the first recording '
                         'over time, with its torques')
+    add_report(parser, 'the estimates, these plots and the summary')
     add_overwrite(parser)
     return parser
 

@@ -14,11 +14,13 @@
 
 """The command `attitude_identify`: from a recording to a fitted scene."""
 
+from html import escape
 import json
 
 import measurements
 from measurements import header, INERTIA, messages_of, torque_messages, Vector3, Vector3Stamped
 import numpy as np
+from pages import array, data_of
 import pytest
 from rigid_body_ros import cli, scene
 from tumbling import mounted, shifted, Truth
@@ -64,6 +66,31 @@ def test_from_a_recording_to_a_fitted_scene(tumble, capsys):
     assert cli.attitude_replay([str(tumble / 'in.mcap'), *replayed]) == 0
 
 
+def test_the_page_has_the_estimates_and_the_errors_that_are_left(tumble, capsys):
+    (tumble / 'in.mcap').rename(tumble / '<b>&.mcap')
+    report = tumble / 'page.html'
+    assert identify(tumble, '--validate', 0.3, '--report', report, recordings=('<b>&.mcap',)) == 0
+    text, shown = report.read_text(encoding='utf-8'), capsys.readouterr().out.splitlines()
+    assert '<b>' not in text
+    assert '<h1>&lt;b&gt;&amp;.mcap: estimated parameters</h1>' in text
+    assert str(tumble) not in text
+    for line in shown[1:13]:
+        name, *_, unit = line.split('  ')
+        assert f'<tr><td>{name.strip()}</td><td>' in text
+        assert f'<td>{unit}</td></tr>' in text
+    for line in shown[13:-1]:
+        assert f'<dd>{escape(line[17:])}</dd>' in text
+    panels = data_of(text)['panels']
+    assert [panel['label'] for panel in panels] == [
+        '/imu: attitude error, axes of the sensor', '/imu: rate error, axes of the sensor',
+        'torque, body axes']
+    for panel, noise in zip(panels, (2e-3, 5e-3)):
+        curves, = panel['curves']
+        drawn = array(curves['low'], '<f4').reshape(4, -1)
+        assert np.sqrt(np.mean(drawn[:3] ** 2)) == pytest.approx(noise, rel=0.05)
+        assert panel['lines'] == {'start of the validation': pytest.approx(14.0)}
+
+
 def test_a_late_clock_and_a_turned_sensor(tumble):
     truth, vector = measurements.truth(), np.array([0.12, -0.13, 0.09])
     sensor = mounted(shifted(truth.measured(2e-3, 5e-3), 0.035), vector)
@@ -88,9 +115,10 @@ def test_two_recordings(tumble):
 
 
 def test_an_incomplete_answer_has_exit_status_3_and_no_outputs(tumble, capsys):
-    outputs = [tumble / name for name in ('fitted.yaml', 'out.json', 'errors.png')]
+    names = 'fitted.yaml', 'out.json', 'errors.png', 'page.html'
+    outputs = [tumble / name for name in names]
     options = ['--estimate', 'inertia,start,torque_gain', '-o', outputs[0], '--json', outputs[1],
-               '--plot', outputs[2]]
+               '--plot', outputs[2], '--report', outputs[3]]
     assert identify(tumble, *options) == 3
     assert not any(path.exists() for path in outputs)
     captured = capsys.readouterr()
@@ -100,6 +128,7 @@ def test_an_incomplete_answer_has_exit_status_3_and_no_outputs(tumble, capsys):
     assert identify(tumble, *options, '--force') == 3
     assert all(path.exists() for path in outputs)
     assert '# torque_gain: ' in outputs[0].read_text()
+    assert '<td>not determined by the data</td>' in outputs[3].read_text(encoding='utf-8')
     data = json.loads(outputs[1].read_text())
     assert data['unidentifiable'][0]['reason'] == \
         'only the ratio of torque to inertia enters the motion'
@@ -138,6 +167,7 @@ def test_a_flywheel_weighs_a_thrown_drone(tmp_path):
     (['--measured', '/pose'], '/pose'),
     (['--measured', '/torque'], '/torque'),
     (['-o', 'SCENE'], 'guess.yaml'),
+    (['--report', 'SCENE'], 'guess.yaml'),
     (['--wheel-momentum', '/wheels'], 'wheels: true'),
 ])
 def test_bad_input_has_exit_status_2(tumble, capsys, arguments, message):

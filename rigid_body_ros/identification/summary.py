@@ -34,7 +34,7 @@ _LARGE = 2.0
 
 def summary(found: Identification) -> str:
     """Return a table of the estimates, and one line for each other fact."""
-    return '\n'.join([*_table(found), *(f'{name:17}{text}' for name, text in _rows(found))])
+    return '\n'.join([*_table(found), *(f'{name:17}{text}' for name, text in rows(found))])
 
 
 def _table(found: Identification) -> Iterator[str]:
@@ -52,7 +52,8 @@ def _spread(one: Estimate) -> str:
     return f'{one.sigma:9.2g}  {f"{low:.6g} to {high:.6g}":>27}'
 
 
-def _rows(found: Identification) -> Iterator[tuple[str, str]]:
+def rows(found: Identification) -> Iterator[tuple[str, str]]:
+    """Generate the facts other than the estimates: names and texts."""
     for direction in found.unidentifiable:
         yield 'not determined', f'{", ".join(direction.components)}: {direction.reason}'
     for first, second, value in _correlated(found):

@@ -1,0 +1,81 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Put the page of an identification together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import groupby
+
+import numpy as np
+from rigid_body_ros.identification.experiment import Experiment
+from rigid_body_ros.identification.result import Estimate, Identification
+from rigid_body_ros.identification.summary import rows
+from rigid_body_ros.measurement.page import error_panel, torque_panels
+from rigid_body_ros.report.charts import Panel
+from rigid_body_ros.report.page import Page, table
+from rigid_body_ros.scene import Scene
+
+_HEADER = 'parameter', 'value', 'sigma', '95 % interval', 'guess', 'unit'
+
+
+def page(found: Identification, first: Experiment, name: str, scene: Scene,
+         command: str) -> Page:
+    """
+    Return the page of an identification.
+
+    Parameters
+    ----------
+    found : Identification
+        Outliers are not drawn.
+    first : Experiment
+        The first recording, whose errors and torques are drawn.
+    name : str
+        Its name.
+    scene : Scene
+        The scene with the guess.
+    command : str
+        The command line.
+
+    """
+    estimates = table(_HEADER, [_cells(one) for one in found.estimates.values()])
+    return Page(f'{name}: estimated parameters', [('recording', name), *rows(found)],
+                [*_panels(found, first)], warnings=scene.warnings, table=estimates, scene=scene,
+                command=command)
+
+
+def _cells(one: Estimate) -> list[str]:
+    spread = [f'{one.sigma:.2g}', '{:.6g} to {:.6g}'.format(*one.interval_95)] \
+        if one.interval_95 else ['unknown', 'not determined by the data']
+    return [one.name, f'{one.value:.7g}', *spread, f'{one.start:.5g}', one.unit]
+
+
+def _panels(found: Identification, first: Experiment) -> Iterator[Panel]:
+    parts = [one for one in found.residuals if one.recording == 0 and one.inliers.any()]
+    if not parts:
+        return
+    start_ns = min(int(one.stamps[one.inliers].min()) for one in parts)
+    end_ns = max(int(one.stamps[one.inliers].max()) for one in parts)
+    parts.sort(key=lambda one: (one.topic, not one.is_attitude, not one.is_training))
+    for _, group in groupby(parts, key=lambda one: one.name):
+        pieces = [*group]
+        label, unit = ('attitude', 'rad') if pieces[0].is_attitude else ('rate', 'rad/s')
+        times = np.concatenate([one.stamps[one.inliers] for one in pieces])
+        panel = error_panel(f'{pieces[0].topic}: {label} error, axes of the sensor', unit, times,
+                            np.concatenate([one.kept for one in pieces]), start_ns)
+        lines = [('start of the validation', 1e-9 * float(one.stamps[0] - start_ns))
+                 for one in pieces if not one.is_training]
+        yield replace(panel, lines=dict(lines))
+    yield from torque_panels(first.logs, start_ns, end_ns)
