@@ -95,8 +95,9 @@ def write(path: str | Path, page: Page) -> None:
 
 def html(page: Page) -> str:
     """Return the text of a page."""
-    style, charts, body = (f'\n{(_WEB / name).read_text(encoding="utf-8")}'
-                           for name in ('page.css', 'charts.js', 'body.js'))
+    style, charts, body = (
+        ''.join(f'\n{(_WEB / name).read_text(encoding="utf-8")}' for name in names)
+        for names in (['page.css'], ['tools.js', 'charts.js'], ['body.js']))
     data = {'panels': [panel.as_data() for panel in page.panels], 'body': page.body}
     return Template((_WEB / 'page.html').read_text(encoding='utf-8')).substitute(
         title=escape(page.title), style=style, style_hash=_hash(style),
