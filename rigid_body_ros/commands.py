@@ -43,6 +43,8 @@ from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
     from rigid_body_ros.replay import Replay
+    from rigid_body_ros.replay.index import Picture
+    from rigid_body_ros.replay.many import Outcome
     from rigid_body_ros.replay.page import Collector
     from rigid_body_ros.scene import Scene
     from rigid_body_ros.tradeoff import Tradeoff
@@ -161,20 +163,39 @@ def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
 
 def _replay_many(options: argparse.Namespace) -> int:
     from rigid_body_ros.replay.many import outputs_in, replay_many, table
-    for name in ('plot', 'report'):
-        if getattr(options, name):
-            raise InputError(f'--{name}: expected one recording, found {len(options.input)}')
+    if options.plot:
+        raise InputError(f'--plot: expected one recording, found {len(options.input)}')
     if not options.output:
         raise InputError('-o: expected a folder for several recordings, found none')
-    outputs_in(options.output, options.input)
-    outcomes = replay_many(options.input, load_scene(options), options.output,
+    outputs, scene = outputs_in(options.output, options.input), load_scene(options)
+    if options.report:
+        with files.protected('output', *outputs):
+            files.check((options.report, '.html'))
+    outcomes = replay_many(options.input, scene, options.output,
+                           collect=_picture() if options.report else None,
                            **_replay_options(options))
+    if options.report:
+        with files.protected('output', *outputs):
+            _write_index(options, outcomes, scene)
     show(table(outcomes))
     failed = [outcome.path for outcome in outcomes if outcome.error]
     if failed:
         raise InputError(f'{len(failed)} of {len(outcomes)} recordings failed: '
                          f'{", ".join(failed)}')
     return OK
+
+
+def _picture() -> type[Picture]:
+    from rigid_body_ros.replay.index import Picture
+    return Picture
+
+
+def _write_index(options: argparse.Namespace, outcomes: Sequence[Outcome],
+                 scene: Scene) -> None:
+    from rigid_body_ros.replay.index import page
+    from rigid_body_ros.report.page import write
+    line = command_line(options, 'input', 'scene', 'output', 'report')
+    write(options.report, page(outcomes, scene, line))
 
 
 def _verify(options: argparse.Namespace) -> int:
@@ -288,7 +309,8 @@ def replay_parser() -> argparse.ArgumentParser:
                         'its message was logged or published (default: header)')
     parser.add_argument('--plot', metavar='PNG', help='plot Euler angles, quaternion, angular '
                         'velocity and torque over time')
-    add_report(parser, 'the moving body, these plots and the summary')
+    add_report(parser, 'the moving body, these plots and the summary; of several recordings, '
+               'a row and a small picture each')
     add_overwrite(parser)
     return parser
 

@@ -30,6 +30,7 @@ import threading
 from typing import Any
 
 from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.replay.batches import Collector
 from rigid_body_ros.replay.single import progress, replay
 from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.scene import Scene
@@ -48,12 +49,17 @@ Task = tuple[str, str]
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result for one recording: its output and a short summary, or the error."""
+    """
+    The result for one recording: its output and a short summary, or the error.
+
+    `collected` is what `collect` of the options of `replay` returned.
+    """
 
     path: str
     output: str
     summary: str = ''
     error: str = ''
+    collected: Collector | None = None
 
 
 def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
@@ -258,4 +264,4 @@ def _outcome(task: Task, scene: Scene, options: dict[str, Any]) -> Outcome:
     lost = f'; lost: {result.damage}' if result.damage else ''
     return Outcome(path, output, f'{result.messages} torques, '
                    f'{(result.last.time_ns - result.start.time_ns) * 1e-9:.9g} s -> {output}; '
-                   f'{result.check}{lost}')
+                   f'{result.check}{lost}', collected=result.collected)

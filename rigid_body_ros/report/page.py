@@ -79,6 +79,10 @@ class Page:
     command: str = field(default='', kw_only=True)
 
 
+class Markup(str):
+    """HTML in a cell of a `table`; other cells are texts."""
+
+
 def write(path: str | Path, page: Page) -> None:
     """
     Write a page.
@@ -110,12 +114,16 @@ def html(page: Page) -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table of texts as HTML."""
-    head, *body = (''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in row)
+    """Return a table of texts, and of `Markup`, as HTML."""
+    head, *body = (''.join(f'<{tag}>{_cell(cell)}</{tag}>' for cell in row)
                    for tag, row in [('th', header), *(('td', row) for row in rows)])
     lines = ''.join(f'<tr>{row}</tr>' for row in body)
     return f'<div class="wide-table"><table><thead><tr>{head}</tr></thead><tbody>{lines}</tbody>' \
            '</table></div>'
+
+
+def _cell(cell: str) -> str:
+    return cell if isinstance(cell, Markup) else escape(cell)
 
 
 def embedded(data: object) -> str:
