@@ -1,0 +1,158 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Dispersions: read which parameters vary from a file, and draw their values for a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+import math
+from pathlib import Path
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError, quoted
+from rigid_body_ros.runtime.parameters import resembled
+from rigid_body_ros.runtime.reading import read_yaml
+from rigid_body_ros.scene import PARAMETERS
+import yaml
+
+#: Groups of scene parameters of which each member can vary.
+_GROUPS = ('inertia', 'damping', 'initial_angular_velocity', 'initial_rotor_momentum')
+#: Units of all keys that vary by a normal or a uniform distribution.
+UNITS = {**{name: parameter.unit for name, parameter in PARAMETERS.items()
+            if name.split('.')[0] in _GROUPS},
+         'torque_gain': '', **{f'torque_bias.{axis}': 'N m' for axis in 'xyz'},
+         'clock_offset': 's'}
+#: The only distribution of the keys that stand for three numbers, or for one per sample.
+_SPECIAL = {'inertia': 'relative', 'initial_attitude': 'tilt', 'torque_noise': 'normal'}
+
+
+@dataclass(frozen=True)
+class Dispersion:
+    """
+    The distribution of a parameter.
+
+    Attributes
+    ----------
+    key : str
+        A key of `UNITS`, or 'inertia', 'initial_attitude' or 'torque_noise'.
+    kind : str
+        'normal', 'uniform', 'relative' (principal moments) or 'tilt' (rotation vector).
+    bounds : tuple of float
+        Lowest and highest value of 'uniform'; otherwise one standard deviation.
+    relative : bool
+        Whether the numbers are multiples of the nominal value.
+
+    """
+
+    key: str
+    kind: str
+    bounds: tuple[float, ...]
+    relative: bool = False
+
+    def draw(self, random: np.random.Generator) -> Floats:
+        """Return values: those of 'uniform', otherwise deviations from the nominal ones."""
+        if self.kind == 'uniform':
+            low, high = self.bounds
+            return random.uniform(low, high, 1)
+        return self.bounds[0] * random.standard_normal(3 if self.kind in ('relative', 'tilt')
+                                                       else 1)
+
+
+def draws(dispersions: Sequence[Dispersion], seed: int, run: int) -> dict[str, Floats]:
+    """
+    Return what a run draws, by key; it depends on the seed and the number of the run only.
+
+    The keys draw in alphabetical order. The noise of the torque is drawn per sample, elsewhere.
+    """
+    sequence = np.random.SeedSequence(seed, spawn_key=(run,))
+    random = np.random.Generator(np.random.PCG64(sequence))
+    return {one.key: one.draw(random) for one in sorted(dispersions, key=lambda one: one.key)
+            if one.key != 'torque_noise'}
+
+
+def load(path: str | Path) -> tuple[Dispersion, ...]:
+    """
+    Read dispersions from a YAML file.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a key is unknown or given twice, or a distribution is not
+        possible.
+
+    """
+    root = read_yaml(path, 'dispersions')
+    try:
+        found = tuple(_dispersion(key, value) for key, value in _entries(root, 'the file'))
+        keys = [one.key for one in found]
+        for key in keys:
+            if keys.count(key) > 1:
+                raise InputError(f'{key}: expected each key once, found it twice')
+    except InputError as error:
+        raise InputError(f'{path}: {error}') from error
+    return found
+
+
+def _entries(node: yaml.Node | None, where: str) -> Iterator[tuple[str, yaml.Node]]:
+    if not isinstance(node, yaml.MappingNode) or not node.value:
+        raise InputError(f'{where}: expected keys and values, such as '
+                         'torque_gain: {normal: 0.03}, found none')
+    for key, value in node.value:
+        yield str(key.value), value
+
+
+def _dispersion(key: str, node: yaml.Node) -> Dispersion:
+    known = (*UNITS, *_SPECIAL)
+    if key not in known:
+        close = resembled(key, known)
+        raise InputError(f'{key}: unknown key' + (f'; did you mean {close}?' if close else
+                                                  f'; expected one of {", ".join(known)}'))
+    given = [*_entries(node, key)]
+    values = dict(given)
+    kinds = [name for name, _ in given if name != 'relative' or key == 'inertia']
+    expected = (_SPECIAL[key],) if key in _SPECIAL else ('normal', 'uniform')
+    if len(kinds) != 1 or kinds[0] not in expected or len(values) != len(given):
+        raise InputError(f'{key}: expected {" or ".join(expected)}, found '
+                         f'{quoted([name for name, _ in given])}')
+    if key in _SPECIAL and len(given) > 1:
+        raise InputError(f'{key}: expected only {expected[0]}, found relative as well')
+    return Dispersion(key, kinds[0], _bounds(key, kinds[0], values[kinds[0]]),
+                      key not in _SPECIAL and _flag(key, values.get('relative')))
+
+
+def _bounds(key: str, kind: str, node: yaml.Node) -> tuple[float, ...]:
+    unit = {'initial_attitude': 'rad', 'torque_noise': 'N m'}.get(key, UNITS.get(key, ''))
+    nodes = node.value if isinstance(node, yaml.SequenceNode) else [node]
+    text = quoted([one.value for one in nodes])
+    try:
+        numbers = tuple(float(one.value) for one in nodes)
+    except (TypeError, ValueError):
+        numbers = ()
+    possible = all(map(math.isfinite, numbers)) and (
+        len(numbers) == 2 and numbers[0] < numbers[1] if kind == 'uniform' else
+        len(numbers) == 1 and numbers[0] > 0.0)
+    if not possible:
+        expected = 'two ascending numbers' if kind == 'uniform' else 'a number greater than 0'
+        raise InputError(f'{key}: {kind}: expected {expected}{unit and f" ({unit})"}, '
+                         f'found {text}')
+    return numbers
+
+
+def _flag(key: str, node: yaml.Node | None) -> bool:
+    if node is not None and node.value not in ('true', 'false'):
+        raise InputError(f'{key}: relative: expected true or false, found {quoted(node.value)}')
+    return node is not None and node.value == 'true'

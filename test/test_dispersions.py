@@ -1,0 +1,67 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Dispersions: what a file may say, and the statistics of what is drawn from it."""
+
+import numpy as np
+import pytest
+from rigid_body_ros.ensemble.dispersions import Dispersion, draws, load
+from rigid_body_ros.scene import InputError
+
+RUNS = 10_000
+VARY = (Dispersion('initial_attitude', 'tilt', (0.02,)),
+        Dispersion('initial_angular_velocity.y', 'uniform', (0.5, 0.7)),
+        Dispersion('torque_gain', 'normal', (0.03,)))
+SIGMAS = np.array([0.2 / np.sqrt(12.0), 0.02, 0.02, 0.02, 0.03])
+
+
+def test_draws_have_the_given_means_deviations_and_no_correlation():
+    rows = np.array([np.concatenate([*draws(VARY, 1, run).values()]) for run in range(RUNS)])
+    error = SIGMAS / np.sqrt(RUNS)
+    assert np.all(np.abs(rows.mean(0) - [0.6, 0, 0, 0, 0]) < 4 * error)
+    assert np.all(np.abs(rows.std(0) - SIGMAS) < 4 * error / np.sqrt(2))
+    correlation = np.corrcoef(rows.T)[np.triu_indices(5, 1)]
+    assert np.all(np.abs(correlation) < 4 / np.sqrt(RUNS))
+
+
+def test_a_run_depends_on_seed_and_number_only():
+    one, same, other = draws(VARY, 1, 7), draws(VARY[::-1], 1, 7), draws(VARY, 2, 7)
+    assert all(np.array_equal(one[key], same[key]) for key in one)
+    assert not any(np.array_equal(one[key], other[key]) for key in one)
+
+
+def test_a_file_is_read(tmp_path):
+    path = tmp_path / 'vary.yaml'
+    path.write_text('inertia.ixx: {normal: 0.05, relative: true}\ninertia: {relative: 0.05}\n')
+    assert load(path) == (Dispersion('inertia.ixx', 'normal', (0.05,), True),
+                          Dispersion('inertia', 'relative', (0.05,)))
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    ('', 'the file: expected keys and values'),
+    ('torque_gian: {normal: 1}', 'torque_gian: unknown key; did you mean torque_gain?'),
+    ('torque_gain: {normal: -1}', 'normal: expected a number greater than 0, found'),
+    ('clock_offset: {uniform: [2, 1]}', 'uniform: expected two ascending numbers (s), found'),
+    ('torque_noise: {normal: nan}', 'expected a number greater than 0 (N m), found'),
+    ('initial_attitude: {normal: 1}', 'initial_attitude: expected tilt, found'),
+    ('torque_gain: {normal: 1, relative: 2}', 'relative: expected true or false, found'),
+    ('torque_gain: {normal: 1}\ntorque_gain: {normal: 1}', 'expected each key once'),
+])
+def test_a_mistake_is_one_line(tmp_path, text, message):
+    path = tmp_path / 'vary.yaml'
+    path.write_text(text)
+    with pytest.raises(InputError) as error:
+        load(path)
+    assert message in str(error.value)
+    assert str(path) in str(error.value)
