@@ -19,17 +19,17 @@ import pytest
 from rigid_body_ros.ensemble.dispersions import Dispersion, draws, load
 from rigid_body_ros.scene import InputError
 
-RUNS = 10_000
+RUNS = 4_000
 VARY = (Dispersion('initial_attitude', 'tilt', (0.02,)),
         Dispersion('initial_angular_velocity.y', 'uniform', (0.5, 0.7)),
         Dispersion('torque_gain', 'normal', (0.03,)))
-SIGMAS = np.array([0.2 / np.sqrt(12.0), 0.02, 0.02, 0.02, 0.03])
+SIGMAS = np.array([0.02, 0.02, 0.02, 0.2 / np.sqrt(12.0), 0.03])
 
 
 def test_draws_have_the_given_means_deviations_and_no_correlation():
     rows = np.array([np.concatenate([*draws(VARY, 1, run).values()]) for run in range(RUNS)])
     error = SIGMAS / np.sqrt(RUNS)
-    assert np.all(np.abs(rows.mean(0) - [0.6, 0, 0, 0, 0]) < 4 * error)
+    assert np.all(np.abs(rows.mean(0) - [0, 0, 0, 0.6, 0]) < 4 * error)
     assert np.all(np.abs(rows.std(0) - SIGMAS) < 4 * error / np.sqrt(2))
     correlation = np.corrcoef(rows.T)[np.triu_indices(5, 1)]
     assert np.all(np.abs(correlation) < 4 / np.sqrt(RUNS))
@@ -41,10 +41,26 @@ def test_a_run_depends_on_seed_and_number_only():
     assert not any(np.array_equal(one[key], other[key]) for key in one)
 
 
+def test_a_key_draws_the_same_without_the_others():
+    every = draws(VARY, 1, 7)
+    for one in VARY:
+        assert np.array_equal(draws([one], 1, 7)[one.key], every[one.key])
+    assert len({float(value[0]) for value in every.values()}) == len(VARY)
+
+
+def test_the_axes_of_tilts_are_isotropic():
+    tilts = np.array([draws(VARY[:1], 1, run)['initial_attitude'] for run in range(RUNS)])
+    axes = tilts / np.linalg.norm(tilts, axis=1, keepdims=True)
+    # The components of isotropic unit vectors: mean 0, variance 1/3, fourth moment 1/5.
+    assert np.all(np.abs(axes.mean(0)) < 4 / np.sqrt(3 * RUNS))
+    error = np.sqrt((1 / 5 - 1 / 9) / RUNS)
+    assert np.all(np.abs((axes ** 2).mean(0) - 1 / 3) < 4 * error)
+
+
 def test_a_file_is_read(tmp_path):
     path = tmp_path / 'vary.yaml'
-    path.write_text('inertia.ixx: {normal: 0.05, relative: true}\ninertia: {relative: 0.05}\n')
-    assert load(path) == (Dispersion('inertia.ixx', 'normal', (0.05,), True),
+    path.write_text('torque_gain: {normal: 0.05, relative: true}\ninertia: {relative: 0.05}\n')
+    assert load(path) == (Dispersion('torque_gain', 'normal', (0.05,), True),
                           Dispersion('inertia', 'relative', (0.05,)))
 
 
@@ -57,6 +73,7 @@ def test_a_file_is_read(tmp_path):
     ('initial_attitude: {normal: 1}', 'initial_attitude: expected tilt, found'),
     ('torque_gain: {normal: 1, relative: 2}', 'relative: expected true or false, found'),
     ('torque_gain: {normal: 1}\ntorque_gain: {normal: 1}', 'expected each key once'),
+    ('inertia: {relative: 0.1}\ninertia.ixx: {normal: 1}', 'either inertia or its entries'),
 ])
 def test_a_mistake_is_one_line(tmp_path, text, message):
     path = tmp_path / 'vary.yaml'

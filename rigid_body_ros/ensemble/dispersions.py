@@ -20,6 +20,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 import math
 from pathlib import Path
+import zlib
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
@@ -36,8 +37,10 @@ UNITS = {**{name: parameter.unit for name, parameter in PARAMETERS.items()
             if name.split('.')[0] in _GROUPS},
          'torque_gain': '', **{f'torque_bias.{axis}': 'N m' for axis in 'xyz'},
          'clock_offset': 's'}
-#: The only distribution of the keys that stand for three numbers, or for one per sample.
-_SPECIAL = {'inertia': 'relative', 'initial_attitude': 'tilt', 'torque_noise': 'normal'}
+#: Keys that stand for three numbers, or for three per sample.
+INERTIA, ATTITUDE, NOISE = 'inertia', 'initial_attitude', 'torque_noise'
+#: Their only distribution.
+_SPECIAL = {INERTIA: 'relative', ATTITUDE: 'tilt', NOISE: 'normal'}
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ class Dispersion:
     bounds : tuple of float
         Lowest and highest value of 'uniform'; otherwise one standard deviation.
     relative : bool
-        Whether the numbers are multiples of the nominal value.
+        Whether the nominal value is multiplied by one plus what is drawn.
 
     """
 
@@ -76,12 +79,17 @@ def draws(dispersions: Sequence[Dispersion], seed: int, run: int) -> dict[str, F
     """
     Return what a run draws, by key; it depends on the seed and the number of the run only.
 
-    The keys draw in alphabetical order. The noise of the torque is drawn per sample, elsewhere.
+    A key draws the same whatever other keys there are. The noise of the torque is drawn per
+    sample, elsewhere.
     """
-    sequence = np.random.SeedSequence(seed, spawn_key=(run,))
-    random = np.random.Generator(np.random.PCG64(sequence))
-    return {one.key: one.draw(random) for one in sorted(dispersions, key=lambda one: one.key)
-            if one.key != 'torque_noise'}
+    return {one.key: one.draw(stream(seed, run, one.key)) for one in dispersions
+            if one.key != NOISE}
+
+
+def stream(seed: int, run: int, key: str) -> np.random.Generator:
+    """Return the random numbers of a key in a run."""
+    sequence = np.random.SeedSequence(seed, spawn_key=(run, zlib.crc32(key.encode())))
+    return np.random.Generator(np.random.PCG64(sequence))
 
 
 def load(path: str | Path) -> tuple[Dispersion, ...]:
@@ -102,6 +110,8 @@ def load(path: str | Path) -> tuple[Dispersion, ...]:
         for key in keys:
             if keys.count(key) > 1:
                 raise InputError(f'{key}: expected each key once, found it twice')
+            if INERTIA in keys and key.startswith(f'{INERTIA}.'):
+                raise InputError(f'{key}: expected either {INERTIA} or its entries, found both')
     except InputError as error:
         raise InputError(f'{path}: {error}') from error
     return found
@@ -123,7 +133,7 @@ def _dispersion(key: str, node: yaml.Node) -> Dispersion:
                                                   f'; expected one of {", ".join(known)}'))
     given = [*_entries(node, key)]
     values = dict(given)
-    kinds = [name for name, _ in given if name != 'relative' or key == 'inertia']
+    kinds = [name for name, _ in given if name != 'relative' or key == INERTIA]
     expected = (_SPECIAL[key],) if key in _SPECIAL else ('normal', 'uniform')
     if len(kinds) != 1 or kinds[0] not in expected or len(values) != len(given):
         raise InputError(f'{key}: expected {" or ".join(expected)}, found '
@@ -135,7 +145,7 @@ def _dispersion(key: str, node: yaml.Node) -> Dispersion:
 
 
 def _bounds(key: str, kind: str, node: yaml.Node) -> tuple[float, ...]:
-    unit = {'initial_attitude': 'rad', 'torque_noise': 'N m'}.get(key, UNITS.get(key, ''))
+    unit = {ATTITUDE: 'rad', NOISE: 'N m'}.get(key, UNITS.get(key, ''))
     nodes = node.value if isinstance(node, yaml.SequenceNode) else [node]
     text = quoted([one.value for one in nodes])
     try:
