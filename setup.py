@@ -49,6 +49,7 @@ setup(
     entry_points={'console_scripts': [
         f'attitude_compare = {NAME}.cli:attitude_compare',
         f'attitude_controller = {NAME}.cli:attitude_controller',
+        f'attitude_ensemble = {NAME}.cli:attitude_ensemble',
         f'attitude_identify = {NAME}.cli:attitude_identify',
         f'attitude_lifecycle_node = {NAME}.cli:attitude_lifecycle_node',
         f'attitude_node = {NAME}.cli:attitude_node',
@@ -63,10 +64,11 @@ setup(
         # ROS 2 with Fast DDS, as wheels: Kilted, or Jazzy in an environment of its own.
         'ros': [f'ros-{package}' for package in ROS_PACKAGES],
         'jazzy': [f'ros-jazzy-{package}' for package in ROS_PACKAGES],
+        'ensemble': ['pyarrow'],
         'test': ['colcon-bash', 'colcon-core', 'colcon-recursive-crawl', 'colcon-ros',
                  'colcon-test-result', 'hypothesis', 'import-linter', 'mcap-ros2-support',
-                 'mpmath', 'mypy', 'playwright', 'psutil', 'pytest', 'pytest-xdist', 'rosbags',
-                 'ruff', 'setuptools>=70', 'types-PyYAML', 'types-tqdm',
+                 'mpmath', 'mypy', 'playwright', 'psutil', 'pyarrow', 'pytest', 'pytest-xdist',
+                 'rosbags', 'ruff', 'setuptools>=70', 'types-PyYAML', 'types-tqdm',
                  # The linters of ROS that PyPI has, and what they run.
                  'ros-ament-flake8', 'ros-ament-pep257', 'flake8', 'flake8-blind-except',
                  'flake8-builtins', 'flake8-class-newline', 'flake8-comprehensions',

@@ -58,6 +58,11 @@ def attitude_identify(arguments: Sequence[str] | None = None) -> int:
     return _run('attitude_identify', arguments)
 
 
+def attitude_ensemble(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_ensemble` and return its exit status."""
+    return _run('attitude_ensemble', arguments)
+
+
 def attitude_node(arguments: Sequence[str] | None = None) -> int:
     """Run `attitude_node` and return its exit status."""
     return _run('attitude_node', arguments)

@@ -75,6 +75,12 @@ def attitude_identify(arguments: Sequence[str] | None) -> int:
     return identify_command.attitude_identify(arguments)
 
 
+def attitude_ensemble(arguments: Sequence[str] | None) -> int:
+    """Compute many runs with dispersed parameters."""
+    from rigid_body_ros import ensemble_command
+    return ensemble_command.attitude_ensemble(arguments)
+
+
 def attitude_node(arguments: Sequence[str] | None) -> int:
     """Run the node until a signal ends it."""
     with _needs_ros('attitude_node'):

@@ -30,8 +30,8 @@ from conftest import at_night, CONFIG, locked, NAME, RECORDINGS, ROOT
 import pytest
 
 NODES = ('attitude_controller', 'attitude_lifecycle_node', 'attitude_node')
-COMMANDS = (*NODES, 'attitude_compare', 'attitude_identify', 'attitude_replay',
-            'attitude_tradeoff')
+COMMANDS = (*NODES, 'attitude_compare', 'attitude_ensemble', 'attitude_identify',
+            'attitude_replay', 'attitude_tradeoff')
 
 
 @pytest.mark.slow

@@ -45,7 +45,7 @@ from rigid_body_ros.replay.batches import (
 )
 from rigid_body_ros.replay.check import Check, drift, last_digits, LastDigits
 from rigid_body_ros.replay.outputs import INPUT, suffix_of
-from rigid_body_ros.replay.sources import absolute, read_sources, Sources, Topics, topics_of
+from rigid_body_ros.replay.sources import absolute, read_sources, Topics, topics_of
 from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
@@ -205,33 +205,6 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         with Source(path, next(iter(given.torques), None), recording.TORQUES, time_source, start,
                     absolute(scene.torque_topics[0])) as source:
             return _in_pieces_or_whole(request, source, output, keep)
-
-
-def read_all(path: str | Path, scene: Scene, topics: Topics,
-             interpolation: str | None = None) -> Sources:
-    """Return the torques of a scene that is not plain, with the errors of `read`."""
-    return read_sources(path, scene, topics.found_in(path, scene),
-                        interpolation or scene.values['interpolation'],
-                        progress('reading', size=len))
-
-
-def read(path: str | Path, scene: Scene, topic: str | None = None,
-         interpolation: str | None = None) -> tuple[recording.Messages, TorqueLog, State]:
-    """
-    Return the torques of a recording, their log, and the initial state of the motion.
-
-    Raises
-    ------
-    InputError
-        The recording cannot be read or does not fit the scene.
-
-    """
-    recorded = recording.read(path, topic, track=progress('reading', size=len),
-                              preferred=absolute(scene.torque_topics[0]))
-    log = recording.torque_log(path, recorded, scene.body_frame, scene.space_frame,
-                               interpolation or scene.values['interpolation'], scene.links)
-    start = replace(scene.start, time_ns=scene.start.time_ns or int(log.times_ns[0]))
-    return recorded, log, start
 
 
 def progress(label: str, unit: str = ' stamps',

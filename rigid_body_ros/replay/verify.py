@@ -28,12 +28,11 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, shortened
 from rigid_body_ros.propagation import propagate
 from rigid_body_ros.recording import Source
-from rigid_body_ros.replay.single import read, read_all
-from rigid_body_ros.replay.sources import Topics, topics_of
+from rigid_body_ros.replay.reading import torques
+from rigid_body_ros.replay.sources import topics_of
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, PROCESSOR, processor
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
-from rigid_body_ros.torque import TorqueLog
 
 #: Message types of the states of a node and the attitude of a replay.
 _KINDS = (messages.ODOMETRY, messages.QUATERNION)
@@ -98,7 +97,7 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *,
         A recording cannot be read, does not match the scene, or has no states after the start.
 
     """
-    logs, wheels, torques_ns, start = _torques(
+    logs, wheels, torques_ns, start = torques(
         path, scene, topics_of(topic, wheel_torque, wheel_momentum), interpolation)
     with Source(motion_path, motion_topic, _KINDS) as source:
         recorded = recording.joined(source.topic, source.kind, list(source), source.damage)
@@ -123,16 +122,6 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *,
     same = np.all(np.ascontiguousarray(found).view(np.int64) == expected.view(np.int64), axis=1)
     angles = so3.angle_between(attitude, motion.attitude)
     return Verified(source.topic, stamps, same, angles, _different_versions(made_by))
-
-
-def _torques(path: str | Path, scene: Scene, topics: Topics, interpolation: str | None
-             ) -> tuple[Sequence[TorqueLog], TorqueLog | None, NDArray[np.int64], State]:
-    """Return the torques on body and rotors, the stamps of all, and the initial state."""
-    if topics.is_plain(scene):
-        _, log, start = read(path, scene, next(iter(topics.torques), None), interpolation)
-        return [log], None, log.times_ns, start
-    sources = read_all(path, scene, topics, interpolation)
-    return sources.logs, sources.wheels, sources.times_ns, sources.start
 
 
 def _check_begins(start: State, torques_ns: NDArray[np.int64],

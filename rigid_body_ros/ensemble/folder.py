@@ -1,0 +1,168 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The folder of an ensemble: which runs it has, and their rows as Parquet.
+
+Runs are computed and written in blocks, each to a file of its own, so that an interrupted ensemble
+goes on where it stopped. The blocks depend on the numbers of their runs only, and are put together
+in that order: `runs.parquet` has the same bytes however it came about.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+import json
+from pathlib import Path
+import re
+from typing import Any
+
+import numpy as np
+import pyarrow as arrow
+from pyarrow import parquet
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError, quoted, reason
+from rigid_body_ros.runtime import files
+
+#: Runs in a block, and in a row group of `runs.parquet`.
+BLOCK, GROUP = 256, 64 * 256
+#: Where the reason of a failure ends and the numbers of its run begin.
+_CAUSE = re.compile(r',? found |[ :]*[-+]?\d')
+
+
+class Folder:
+    """
+    The folder of an ensemble, new or to be continued.
+
+    Parameters
+    ----------
+    path : str or Path
+        Created if it does not exist.
+    identity : mapping
+        What the runs depend on, as JSON, by a name for error messages.
+    units : mapping
+        The unit of each column of numbers.
+    runs : int
+        Number of runs, at least that of the folder.
+
+    Raises
+    ------
+    InputError
+        The folder is something else, belongs to another ensemble or to one with more runs, or
+        cannot be written.
+
+    """
+
+    def __init__(self, path: str | Path, identity: Mapping[str, Any], units: Mapping[str, str],
+                 runs: int) -> None:
+        self.path, self.runs = Path(path), runs
+        self._schema = arrow.schema([
+            ('run', arrow.int64()), ('status', arrow.string()), ('message', arrow.string()),
+            *(arrow.field(name, arrow.float64(), metadata={'unit': unit})
+              for name, unit in units.items())])
+        self._blocks = self.path / 'blocks'
+        self._check(identity)
+        with files.reported(path):
+            self._blocks.mkdir(parents=True, exist_ok=True)
+        self.write('ensemble.json', {'runs': runs, **identity})
+
+    @property
+    def table(self) -> Path:
+        """Return the file of all rows."""
+        return self.path / 'runs.parquet'
+
+    def missing(self) -> list[tuple[int, int]]:
+        """Return the first run of each block that has to be computed, and the one after it."""
+        return [(first, stop) for first, stop in self._spans()
+                if not self._block(first, stop).exists()]
+
+    def add(self, first: int, stop: int, rows: list[dict[str, Any]]) -> None:
+        """Write the rows of a block; raise InputError if that fails."""
+        with files.atomic_output(self._block(first, stop), '.parquet') as path:
+            parquet.write_table(arrow.Table.from_pylist(rows, self._schema), path)
+
+    def write(self, name: str, data: Mapping[str, Any]) -> None:
+        """Write a JSON file into the folder; raise InputError if that fails."""
+        with files.atomic_output(self.path / name, '.json') as path:
+            path.write_text(f'{json.dumps(data, indent=1)}\n', encoding='utf-8')
+
+    def complete(self) -> None:
+        """Put the blocks together to `runs.parquet`; raise InputError if that fails."""
+        spans = [*self._spans()]
+        size = GROUP // BLOCK
+        with files.atomic_output(self.table, '.parquet') as path, \
+                parquet.ParquetWriter(path, self._schema) as writer:
+            for k in range(0, len(spans), size):
+                blocks = [self._read(*span) for span in spans[k:k + size]]
+                writer.write_table(arrow.concat_tables(blocks).combine_chunks(), GROUP)
+        kept = {self._block(*span) for span in spans}
+        for path in {*self._blocks.iterdir()} - kept:  # of fewer runs, or of a process that died
+            path.unlink()
+
+    def numbers(self, name: str, stop: int | None = None) -> Floats:
+        """Return a column of the first runs of `runs.parquet`, NaN for failed ones."""
+        file = parquet.ParquetFile(self.table)
+        wanted = self.runs if stop is None else min(stop, self.runs)
+        groups = range(-(-wanted // GROUP))
+        column = file.read_row_groups([*groups], columns=[name]).column(name)
+        return np.asarray(column.to_numpy()[:wanted], float)
+
+    def failures(self) -> dict[str, int]:
+        """Return how many runs failed for each reason, by the text before its numbers."""
+        counts: dict[str, int] = {}
+        for batch in parquet.ParquetFile(self.table).iter_batches(columns=['message']):
+            for message in filter(None, batch.column(0).to_pylist()):
+                cause = _CAUSE.split(message, maxsplit=1)[0]
+                counts[cause] = counts.get(cause, 0) + 1
+        return counts
+
+    def _check(self, identity: Mapping[str, Any]) -> None:
+        """Raise InputError if the folder is not that of this ensemble."""
+        files.check_apart(self.path)
+        if not self.path.exists():
+            return
+        record = self.path / 'ensemble.json'
+        if not record.exists():
+            if not self.path.is_dir() or any(self.path.iterdir()):
+                raise InputError(f'{self.path}: expected a new folder or that of an ensemble, '
+                                 'found something else; choose another folder')
+            return
+        try:
+            known = json.loads(record.read_text(encoding='utf-8'))
+            runs = int(known['runs'])
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            raise InputError(f'{record}: cannot read the ensemble: {reason(error)}') from error
+        for name, value in identity.items():
+            if known.get(name) != value:
+                raise InputError(f'{self.path}: expected the {name} of its runs, '
+                                 f'{quoted(known.get(name))}, found {quoted(value)}; choose '
+                                 'another folder')
+        if runs > self.runs:
+            raise InputError(f'{self.path}: expected at least the {runs} runs that it was begun '
+                             f'with, found {self.runs}; choose another folder')
+
+    def _spans(self) -> Iterator[tuple[int, int]]:
+        for first in range(0, self.runs, BLOCK):
+            yield first, min(first + BLOCK, self.runs)
+
+    def _block(self, first: int, stop: int) -> Path:
+        return self._blocks / f'{first:09d}-{stop:09d}.parquet'
+
+    def _read(self, first: int, stop: int) -> arrow.Table:
+        path = self._block(first, stop)
+        try:
+            return parquet.read_table(path, schema=self._schema)
+        except (OSError, arrow.ArrowException) as error:
+            raise InputError(f'{path}: cannot read the runs: {reason(error)}; remove the file to '
+                             'compute them again') from error

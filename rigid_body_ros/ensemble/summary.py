@@ -1,0 +1,88 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""How far the runs of an ensemble end from the nominal one, and which parameters matter."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from rigid_body_ros import so3
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.ensemble.folder import Folder
+from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
+
+_PERCENTILES = (5, 25, 50, 75, 95, 99, 100)
+#: Number of the first runs from which rank correlations are computed.
+_SAMPLE = 100_000
+
+
+def summarized(ensemble: Ensemble, folder: Folder) -> dict[str, Any]:
+    """
+    Return the results of a complete ensemble as JSON.
+
+    Returns
+    -------
+    dict
+        Counts of runs and the reasons of failures; percentiles of the angle from the nominal
+        final attitude, rad; and rank correlations of that angle with the distance of each
+        dispersed parameter from its nominal value.
+
+    """
+    angles = folder.numbers(ANGLE)
+    ended = angles[np.isfinite(angles)]
+    failures = folder.failures()
+    return {'runs': folder.runs, 'failed': sum(failures.values()), 'failures': failures,
+            'angle_from_nominal_rad': {f'p{k}': float(np.percentile(ended, k))
+                                       for k in _PERCENTILES} if ended.size else {},
+            'rank_correlation': _correlations(ensemble, folder, angles[:_SAMPLE])}
+
+
+def text_of(found: dict[str, Any]) -> str:
+    """Return the results as text for a terminal."""
+    lines = [f'{"runs":17}{found["runs"]}',
+             *(f'{"failed":17}{count}: {cause}' for cause, count in found['failures'].items())]
+    angles = found['angle_from_nominal_rad']
+    if angles:
+        lines.append(f'{"angle from the":17}median {angles["p50"]:.3g} rad, 95 % below '
+                     f'{angles["p95"]:.3g} rad,')
+        lines.append(f'{"nominal end":17}largest {angles["p100"]:.3g} rad')
+    ranked = sorted(found['rank_correlation'].items(), key=lambda item: -item[1])
+    lines += [f'{"" if k else "depends on":17}{name} (rank correlation {value:.2f})'
+              for k, (name, value) in enumerate(ranked[:5])]
+    return '\n'.join(lines)
+
+
+def _correlations(ensemble: Ensemble, folder: Folder, angles: Floats) -> dict[str, float]:
+    from scipy.stats import spearmanr  # takes long to import
+    result = {}
+    for name, distance in _distances(ensemble, folder):
+        known = np.isfinite(angles) & np.isfinite(distance)
+        varies = known.sum() > 2 and np.ptp(distance[known]) > 0.0 and np.ptp(angles[known]) > 0.0
+        if varies:
+            result[name] = float(spearmanr(distance[known], angles[known]).statistic)
+    return result
+
+
+def _distances(ensemble: Ensemble, folder: Folder) -> list[tuple[str, Floats]]:
+    """Return the distances of the parameters from their nominal values, in the first runs."""
+    nominal = ensemble.nominal.values()
+    attitude = [f'initial_attitude.{axis}' for axis in 'xyzw']
+    tilted = np.stack([folder.numbers(name, _SAMPLE) for name in attitude], axis=-1)
+    with np.errstate(invalid='ignore'):  # failed runs
+        tilt = np.asarray(so3.angle_between(tilted, ensemble.start.attitude))
+    return [('initial_attitude', tilt), *(
+        (name, np.abs(folder.numbers(name, _SAMPLE) - nominal[name]))
+        for name in ensemble.columns if name in nominal and name not in attitude)]

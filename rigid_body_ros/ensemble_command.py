@@ -1,0 +1,147 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The command `attitude_ensemble`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+import hashlib
+import json
+import os
+from typing import Any, TYPE_CHECKING
+
+from rigid_body_ros.arguments import add_scene, add_torques, load_scene, parsed, Parser, positive
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime.terminal import show
+
+if TYPE_CHECKING:
+    from rigid_body_ros.ensemble.runs import Ensemble
+    from rigid_body_ros.scene import Scene
+    from rigid_body_ros.state import State
+    from rigid_body_ros.torque import TorqueLog
+
+
+def attitude_ensemble(arguments: Sequence[str] | None) -> int:
+    """Compute many runs with dispersed parameters."""
+    options = parsed(ensemble_parser(), arguments)
+    from rigid_body_ros import replay
+    from rigid_body_ros.ensemble import driver, summary
+    from rigid_body_ros.ensemble.folder import Folder
+    with files.reading(options.recording), files.protected('input', options.scene, options.vary):
+        ensemble = _ensemble(options)
+        folder = Folder(options.output, _identity(ensemble), ensemble.columns, options.runs)
+        driver.compute(ensemble, folder, options.workers,
+                       replay.progress('runs', ' runs', driver.runs_of))
+        found = summary.summarized(ensemble, folder)
+        folder.write('summary.json', {**_identity(ensemble), **found})
+    show(f'{summary.text_of(found)}\n{"wrote":17}{options.output}')
+    return 0
+
+
+def _ensemble(options: argparse.Namespace) -> Ensemble:
+    from rigid_body_ros.ensemble.dispersions import load
+    from rigid_body_ros.ensemble.runs import Ensemble
+    dispersions = load(options.vary)
+    scene = load_scene(options)
+    logs, wheels, start, end_ns = _torques(options, scene)
+    try:
+        ensemble = Ensemble(scene, start, logs, wheels, end_ns, dispersions, options.seed)
+    except InputError as error:
+        raise InputError(f'{options.vary}: {error}') from error
+    try:
+        ensemble.nominal_attitude  # noqa: B018 (reports a motion that is not possible at all)
+    except ValueError as error:
+        raise InputError(f'{options.scene}: {error}') from error
+    return ensemble
+
+
+def _torques(options: argparse.Namespace, scene: Scene
+             ) -> tuple[tuple[TorqueLog, ...], TorqueLog | None, State, int]:
+    """Return the torques on body and rotors, the nominal initial state, and the end, ns."""
+    from rigid_body_ros import replay
+    until_ns = round(options.until * 1e9) if options.until else None
+    if options.recording is None:
+        if until_ns is None:
+            raise InputError('--until: expected the end of the motion, or a --recording, found '
+                             'neither')
+        return (), None, scene.start, scene.start.time_ns + until_ns
+    topics = replay.topics_of(options.topic, options.wheel_torque, options.wheel_momentum)
+    logs, wheels, stamps, start = replay.torques(options.recording, scene, topics)
+    end_ns = int(stamps[-1]) if until_ns is None else start.time_ns + until_ns
+    return tuple(logs), wheels, start, max(end_ns, start.time_ns)
+
+
+def _identity(ensemble: Ensemble) -> dict[str, Any]:
+    """Return what the runs depend on, as JSON: folders with the same have the same runs."""
+    from rigid_body_ros.runtime.fingerprint import fingerprint
+    torques = hashlib.sha256()
+    for log in (*ensemble.logs, *filter(None, [ensemble.wheels])):
+        for array in (log.times_ns, log.torques, log.in_space):
+            torques.update(array.tobytes())
+        torques.update(log.interpolation.encode())
+    values = json.dumps(dict(ensemble.scene.values), sort_keys=True)
+    # Through JSON, so that what is compared is what is read from a file.
+    return dict(json.loads(json.dumps({
+        'seed': ensemble.seed, 'vary': [asdict(one) for one in ensemble.dispersions],
+        'scene': f'sha256:{hashlib.sha256(values.encode()).hexdigest()}',
+        'recording': f'sha256:{torques.hexdigest()}',
+        'start_ns': ensemble.start.time_ns, 'end_ns': ensemble.end_ns,
+        'versions': fingerprint()})))
+
+
+def ensemble_parser() -> argparse.ArgumentParser:
+    """Return the argument parser of `attitude_ensemble`."""
+    parser = Parser(
+        prog='attitude_ensemble',
+        description='Compute many runs with dispersed parameters. Write a row for each run with '
+        'the values applied and the final state; print how far the runs end from the nominal one, '
+        'and which parameters matter. Started again, it goes on where it stopped; with more runs, '
+        'it adds them.')
+    add_scene(parser)
+    parser.add_argument('--vary', required=True, metavar='FILE',
+                        help='YAML file with the distribution of each dispersed parameter')
+    parser.add_argument('--runs', required=True, type=_integer(1, 10 ** 9), metavar='N',
+                        help='number of runs')
+    parser.add_argument('--recording', metavar='IN',
+                        help='recording of torques, as for attitude_replay (default: no torque)')
+    add_torques(parser)
+    parser.add_argument('--until', type=positive, metavar='SECONDS',
+                        help='end SECONDS after the start (default: at the last torque stamp); '
+                        'required without a recording')
+    parser.add_argument('--seed', type=_integer(0, 2 ** 63 - 1), default=0, metavar='S',
+                        help='seed of the random numbers (default: 0)')
+    parser.add_argument('--workers', type=_integer(1, 1024), default=os.cpu_count() or 1,
+                        metavar='K', help='number of threads; it does not change the results '
+                        '(default: one for each processor)')
+    parser.add_argument('-o', '--output', required=True, metavar='FOLDER',
+                        help='folder for runs.parquet and summary.json: a new one, or that of '
+                        'the same ensemble')
+    return parser
+
+
+def _integer(low: int, high: int) -> Callable[[str], int]:
+    def checked(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = low - 1
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f'expected an integer from {low} to {high}, found '
+                                             f'{text!r}')
+        return value
+    return checked

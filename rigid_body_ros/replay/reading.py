@@ -1,0 +1,75 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Read the torques of a recording, and the initial state of the motion under them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros import recording
+from rigid_body_ros.replay.single import progress
+from rigid_body_ros.replay.sources import absolute, read_sources, Sources, Topics
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.state import State
+from rigid_body_ros.torque import TorqueLog
+
+
+def torques(path: str | Path, scene: Scene, topics: Topics, interpolation: str | None = None
+            ) -> tuple[Sequence[TorqueLog], TorqueLog | None, NDArray[np.int64], State]:
+    """
+    Return the torques on body and rotors, the stamps of all, and the initial state.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read or does not fit the scene.
+
+    """
+    if topics.is_plain(scene):
+        _, log, start = read(path, scene, next(iter(topics.torques), None), interpolation)
+        return [log], None, log.times_ns, start
+    sources = _read_all(path, scene, topics, interpolation)
+    return sources.logs, sources.wheels, sources.times_ns, sources.start
+
+
+def read(path: str | Path, scene: Scene, topic: str | None = None,
+         interpolation: str | None = None) -> tuple[recording.Messages, TorqueLog, State]:
+    """
+    Return the torques of a recording, their log, and the initial state of the motion.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read or does not fit the scene.
+
+    """
+    recorded = recording.read(path, topic, track=progress('reading', size=len),
+                              preferred=absolute(scene.torque_topics[0]))
+    log = recording.torque_log(path, recorded, scene.body_frame, scene.space_frame,
+                               interpolation or scene.values['interpolation'], scene.links)
+    start = replace(scene.start, time_ns=scene.start.time_ns or int(log.times_ns[0]))
+    return recorded, log, start
+
+
+def _read_all(path: str | Path, scene: Scene, topics: Topics,
+              interpolation: str | None = None) -> Sources:
+    """Return the torques of a scene that is not plain, with the errors of `read`."""
+    return read_sources(path, scene, topics.found_in(path, scene),
+                        interpolation or scene.values['interpolation'],
+                        progress('reading', size=len))
