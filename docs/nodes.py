@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 from rigid_body_ros import commands, scene
 from rigid_body_ros.compare_command import compare_parser
+from rigid_body_ros.ensemble_command import ensemble_parser
 from rigid_body_ros.identify_command import identify_parser
 from rigid_body_ros.runtime.parameters import limits
 
@@ -433,6 +434,16 @@ attitude_identify RECORDING [RECORDING ...] --scene FILE [--measured TOPIC] [-o 
 
 [Which inertia does my vehicle have?](identify.md) is a tutorial, and describes the results.
 
+## attitude_ensemble
+
+```
+attitude_ensemble --scene FILE --vary FILE --runs N [--recording IN] -o FOLDER
+```
+
+{ensemble}
+
+[How sure is my motion?](ensemble.md) describes the file of dispersions and the results.
+
 ## Exit status
 
 {exits}
@@ -470,6 +481,7 @@ def main():
         compare=options(compare_parser()),
         tradeoff=options(commands.tradeoff_parser()),
         identify=options(identify_parser()),
+        ensemble=options(ensemble_parser()),
         exits=table(('status', 'meaning'), EXITS)), end='')
 
 

@@ -68,7 +68,7 @@ def run(*given):
 
 def contents(path):
     return {name: (path / name).read_bytes()
-            for name in ('runs.parquet', 'summary.json', 'ensemble.json')}
+            for name in ('runs.parquet', 'summary.json', 'identity.json')}
 
 
 def error_of(capsys, *given):
@@ -212,8 +212,8 @@ def test_without_a_recording_the_body_turns_freely(inputs):
     (lambda inputs: edit(inputs / 'in.csv', repr(TORQUES[0, 1].item()), '0.1'),
      'expected the recording'),
     (lambda inputs: ('--runs', 5), 'expected at least the 10 runs'),
-    (lambda inputs: edit(inputs / 'out' / 'ensemble.json', '{', '['), 'cannot read the ensemble'),
-    (lambda inputs: edit(inputs / 'out' / 'ensemble.json', None, ''), 'cannot read the ensemble'),
+    (lambda inputs: edit(inputs / 'out' / 'identity.json', '{', '['), 'cannot read the ensemble'),
+    (lambda inputs: edit(inputs / 'out' / 'identity.json', None, ''), 'cannot read the ensemble'),
 ], ids=['seed', 'until', 'scene', 'vary', 'recording', 'fewer', 'damaged', 'empty'])
 def test_another_ensemble_is_refused(inputs, capsys, change, message):
     run(inputs, 'out', 10)

@@ -75,7 +75,7 @@ class Folder:
         self._check(identity)
         with files.reported(path):
             self._blocks.mkdir(parents=True, exist_ok=True)
-        self.write('ensemble.json', {'runs': runs, **identity})
+        self.write('identity.json', {'runs': runs, **identity})
 
     @property
     def table(self) -> Path:
@@ -132,7 +132,7 @@ class Folder:
         files.check_apart(self.path)
         if not self.path.exists():
             return
-        record = self.path / 'ensemble.json'
+        record = self.path / 'identity.json'
         if not record.exists():
             if not self.path.is_dir() or any(self.path.iterdir()):
                 raise InputError(f'{self.path}: expected a new folder or that of an ensemble, '
