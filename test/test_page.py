@@ -48,6 +48,24 @@ def page(chromium, path):
         yield found
 
 
+@pytest.fixture(scope='module')
+def others(tmp_path_factory):
+    """Return the pages of the other commands, by name."""
+    folder = tmp_path_factory.mktemp('others')
+    motion, pages = str(folder / 'motion.mcap'), {}
+    assert cli.attitude_replay([*TUMBLER, '-o', motion, '--also', 'input']) == 0
+    for name, command, *arguments in (
+            ('compare', cli.attitude_compare, motion, '--measured', '/attitude', '--horizon', '2',
+             '--horizon', '10'),
+            ('tradeoff', cli.attitude_tradeoff, '--recording', TUMBLER[0]),
+            ('identify', cli.attitude_identify, motion, '--measured', '/attitude', '-o',
+             str(folder / 'fitted.yaml')),
+            ('index', cli.attitude_replay, TUMBLER[0], motion, '-o', str(folder / 'motions'))):
+        pages[name] = folder / f'{name}.html'
+        assert command([*arguments, *TUMBLER[1:], '--report', str(pages[name])]) == 0, name
+    return pages
+
+
 def reported(path, *arguments):
     assert cli.attitude_replay([*map(str, arguments), '--report', str(path)]) == 0
     return path
@@ -257,3 +275,22 @@ def test_a_spike_of_one_sample_is_visible(chromium, tmp_path, count):
         page.evaluate('time => motion.set(time)', seconds)
         reading = page.locator('.panel').last.locator('output').first.text_content()
         assert reading == '0.001000 to 1.000000'
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', ['compare', 'tradeoff', 'identify', 'index'])
+@pytest.mark.parametrize('width', [1280, 390])
+def test_the_pages_of_other_commands_open_alone_and_fit_the_window(chromium, others, name, width):
+    with browser.opened(chromium, others[name], width) as page:
+        assert page.evaluate('document.documentElement.scrollWidth') == width
+        assert page.locator('svg').count() > 0
+
+
+@pytest.mark.slow
+def test_a_point_of_the_trade_off_spells_out_its_setting(chromium, others):
+    with browser.opened(chromium, others['tradeoff']) as page:
+        point = page.locator('circle[tabindex="0"]').first
+        text = point.get_attribute('aria-label')
+        assert re.match(r'(auto|taylor|rk4|strang|explicit_euler): .*rad', text)
+        point.focus()
+        assert text in page.text_content('body')

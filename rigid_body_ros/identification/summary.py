@@ -28,6 +28,8 @@ _CORRELATED, _PAIRS = 0.95, 6
 _COLOURED = 0.2
 #: Autocorrelation from which on neighbouring errors have a cause in common, not noise.
 _ALIKE = 0.8
+#: Chi-square per degree of freedom below which the errors are smaller than any noise.
+_TINY = 0.1
 #: Chi-square per degree of freedom from which on the errors are larger than the noise.
 _LARGE = 2.0
 
@@ -68,7 +70,7 @@ def rows(found: Identification) -> Iterator[tuple[str, str]]:
         yield 'warning', 'the errors are larger than the given noise, so the model lacks ' \
                          'something, and the intervals are too short'
     alike = [name for name, value in found.autocorrelation.items() if value > _ALIKE]
-    if alike:
+    if alike and (found.training.chi2_per_dof or 0.0) > _TINY:
         yield 'warning', f'{", ".join(alike)}: neighbouring errors are almost the same, so the ' \
                          'model lacks something, and the intervals are much too short'
     state = 'converged' if found.converged else 'did not converge'
