@@ -272,9 +272,12 @@ def test_a_spike_of_one_sample_is_visible(chromium, tmp_path, count):
         assert np.count_nonzero(y < y.max() - 1.0) <= 4
         shown = (x[y.argmin()] - left) / (right - left) * 1e-3 * count
         assert shown == pytest.approx(seconds, abs=2e-3 * count / (right - left))
-        page.evaluate('time => motion.set(time)', seconds)
-        reading = page.locator('.panel').last.locator('output').first.text_content()
-        assert reading == '0.001000 to 1.000000'
+        output = page.locator('.panel').last.locator('output').first
+        readings = set()
+        for intervals in (-1, 0, 1):  # the cursor stands where the body is known
+            page.evaluate('time => motion.set(time)', seconds + intervals * 1e-3 * count / 8192)
+            readings.add(output.text_content())
+        assert '0.001000 to 1.000000' in readings
 
 
 @pytest.mark.slow
