@@ -74,8 +74,9 @@ def test_parameters_and_defaults_are_those_documented(function, parameters):
 
 def test_the_top_level_has_these_names():
     assert sorted(rigid_body_ros.__all__) == [
-        'Experiment', 'Measured', 'Propagator', 'RigidBody', 'State', 'TorqueLog', 'Trajectory',
-        'compare', 'identify', 'propagate', 'read_measured', 'warm_up']
+        'Experiment', 'Measured', 'Propagator', 'RigidBodies', 'RigidBody', 'State', 'States',
+        'TorqueLog', 'Trajectories', 'Trajectory', 'compare', 'identify', 'propagate',
+        'propagate_many', 'read_measured', 'warm_up']
     assert (rigid_body_ros.so3, rigid_body_ros.euler) == (so3, euler)
 
 

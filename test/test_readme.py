@@ -48,6 +48,7 @@ def place(tmp_path, monkeypatch):
     measurements.write(tmp_path / 'flight.mcap', imu=measured,
                        torque=measurements.torque_messages(flight))
     measurements.write_scene(tmp_path / 'guess.yaml', flight)
+    (tmp_path / 'vary.yaml').write_text(re.search(r'`vary.yaml`.*?`([^`]+)`', TEXT, re.DOTALL)[1])
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
