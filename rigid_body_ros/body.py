@@ -250,6 +250,19 @@ class RigidBody:
         return rate_in_space(change, angular_velocity, self.angular_momentum(angular_velocity))
 
 
+def uniform_box(body: RigidBody) -> Floats:
+    """
+    Return the edges of a uniform box with the body's ratios of moments, shape (3,).
+
+    The edges lie along the principal axes. The first edge of a box of mass m is
+    sqrt(6 (I2 + I3 - I1) / m), and so on. The moments do not determine the mass, so the longest
+    edge is 1. The axes of the equivalent ellipsoid have the same ratios.
+    """
+    moments = body.principal_moments
+    squares = np.maximum(moments.sum() - 2.0 * moments, 0.0)
+    return np.asarray(np.sqrt(squares / squares.max()))
+
+
 def _product(factors: Floats, rows: Floats) -> Floats:
     # Return factors @ rows, summed in a fixed order: in BLAS the order depends on the processor.
     total = factors[..., :1] * rows[0]

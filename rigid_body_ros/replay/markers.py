@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 from rigid_body_ros import messages, so3
-from rigid_body_ros.body import RigidBody
+from rigid_body_ros.body import RigidBody, uniform_box
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.propagation import Trajectory
 from rigid_body_ros.recording import Column
@@ -45,16 +45,8 @@ def columns(trajectory: Trajectory, frame: str) -> list[Column]:
 
 
 def box(body: RigidBody) -> Floats:
-    """
-    Return the edges, m, of a uniform box with the body's ratios of moments, shape (3,).
-
-    The edges lie along the principal axes. The first edge of a box of mass m is
-    sqrt(6 (I2 + I3 - I1) / m), and so on. The moments do not determine the mass, so the longest
-    edge is set to 1 m. The axes of the equivalent ellipsoid have the same ratios.
-    """
-    moments = body.principal_moments
-    squares = np.maximum(moments.sum() - 2.0 * moments, 0.0)
-    return np.maximum(np.sqrt(squares / squares.max()), _SMALLEST)
+    """Return the edges, m, of the box that stands for a body (see `uniform_box`), shape (3,)."""
+    return np.maximum(uniform_box(body), _SMALLEST)
 
 
 def _arrows(vectors: Floats) -> Floats:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import hermite, so3
-from rigid_body_ros.body import RigidBody
+from rigid_body_ros.body import RigidBody, uniform_box
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.report.charts import packed
 
@@ -32,6 +32,8 @@ COLUMNS = 13
 MOST = 2 ** 14
 #: rad; where an interpolated attitude would be worse, the page shows exact attitudes only.
 _WORST = 1e-7
+#: Shortest edge of the box, so that a thin plate stays visible.
+_THINNEST = 0.05
 #: Relative change of energy and momentum up to which a motion is nearly torque-free.
 _NEARLY = 0.05
 
@@ -56,15 +58,9 @@ def as_data(body: RigidBody, times_ns: NDArray[np.int64], rows: Floats) -> dict[
             'rotors': packed(rows[:, ROTORS], np.float32),
             'smooth': packed(_is_smooth(seconds, rows), np.uint8),
             'inertia': body.inertia.tolist(), 'axes': body.principal_axes.T.tolist(),
-            'moments': body.principal_moments.tolist(), 'sides': _sides(body).tolist(),
+            'moments': body.principal_moments.tolist(),
+            'sides': np.maximum(uniform_box(body), _THINNEST).tolist(),
             'poinsot': _is_nearly_free(body, rows)}
-
-
-def _sides(body: RigidBody) -> Floats:
-    """Return the sides of a uniform box with these principal moments, the longest one 1."""
-    squares = 0.5 * body.principal_moments.sum() - body.principal_moments
-    sides = np.sqrt(np.maximum(squares, 0.0025 * squares.max()))  # a thin plate stays visible
-    return sides / sides.max()
 
 
 def _is_smooth(seconds: Floats, rows: Floats) -> NDArray[np.bool_]:
