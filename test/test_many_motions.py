@@ -119,7 +119,8 @@ def test_states_and_bodies_are_those_of_their_rows():
 @pytest.mark.parametrize(('change', 'message'), [
     ({'starts': States(0, np.ones((3, 4)))}, 'starts: expected 2, one for each body, found 3'),
     ({'log': [None]}, 'log: expected 2, one for each body, found 1'),
-    ({'torque_gains': [1.0]}, 'torque_gains: expected 2'),
+    ({'torque_gains': [1.0]}, r'torque_gains: expected shape \(2,\), found \(1,\)'),
+    ({'torque_gains': 0.0}, r'torque_gains: expected shape \(2,\), found \(\)'),
     ({'at': [-1]}, 'at: expected no time before the start'),
     ({'bodies': RigidBodies(np.zeros((0, 3, 3)))}, 'starts: expected 0')])
 def test_input_that_does_not_fit_is_one_line(change, message):

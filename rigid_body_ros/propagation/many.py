@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 import time
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -115,9 +114,10 @@ def propagate_many(bodies: RigidBodies, starts: States,
 
     """
     runs = _Runs(bodies, starts, at, validated(solver, tolerance, max_step, torque_timeout))
-    logs = _one_for_each(log, len(bodies), 'log')
-    gains = None if torque_gains is None else _one_for_each(
-        np.asarray(torque_gains, float).tolist(), len(bodies), 'torque_gains')
+    logs = _log_for_each(log, len(bodies))
+    gains = None if torque_gains is None else np.array(torque_gains, float)
+    if gains is not None and gains.shape != (len(bodies),):
+        raise ValueError(f'torque_gains: expected shape ({len(bodies)},), found {gains.shape}')
     if gains is None and (log is None or isinstance(log, TorqueLog)):
         runs.advance(log or _NO_LOG, np.arange(len(bodies)))
         return runs.trajectories()
@@ -127,12 +127,13 @@ def propagate_many(bodies: RigidBodies, starts: States,
     return runs.trajectories()
 
 
-def _one_for_each(values: object, count: int, name: str) -> list[Any]:
-    """Return a value for each run, or raise ValueError."""
-    found = list(values) if isinstance(values, Sequence) else [values or _NO_LOG] * count
-    if len(found) != count:
-        raise ValueError(f'{name}: expected {count}, one for each body, found {len(found)}')
-    return found
+def _log_for_each(log: TorqueLog | Sequence[TorqueLog] | None, count: int) -> list[TorqueLog]:
+    """Return a log for each run, or raise ValueError."""
+    if log is None or isinstance(log, TorqueLog):
+        return [log or _NO_LOG] * count
+    if len(log) != count:
+        raise ValueError(f'log: expected {count}, one for each body, found {len(log)}')
+    return list(log)
 
 
 class _Runs:
