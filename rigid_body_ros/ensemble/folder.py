@@ -37,6 +37,8 @@ from rigid_body_ros.runtime import files
 
 #: Runs in a block, and in a row group of `runs.parquet`.
 BLOCK, GROUP = 256, 64 * 256
+#: Names of blocks and of their parts, which alone may be removed.
+_OURS = re.compile(r'\.?\d{9}-\d{9}\.parquet')
 #: Where the reason of a failure ends and the numbers of its run begin.
 _CAUSE = re.compile(r',? found |[ :]*[-+]?\d')
 
@@ -107,8 +109,9 @@ class Folder:
                 blocks = [self._read(*span) for span in spans[k:k + size]]
                 writer.write_table(arrow.concat_tables(blocks).combine_chunks(), GROUP)
         kept = {self._block(*span) for span in spans}
-        for path in {*self._blocks.iterdir()} - kept:  # of fewer runs, or of a process that died
-            path.unlink()
+        for path in self._blocks.iterdir():  # blocks of fewer runs, and parts of a dead process
+            if path not in kept and _OURS.match(path.name):
+                path.unlink()
 
     def numbers(self, name: str, stop: int | None = None) -> Floats:
         """Return a column of the first runs of `runs.parquet`, NaN for failed ones."""
