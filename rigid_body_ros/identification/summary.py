@@ -28,7 +28,7 @@ _CORRELATED, _PAIRS = 0.95, 6
 _COLOURED = 0.2
 #: Autocorrelation from which on neighbouring errors have a cause in common, not noise.
 _ALIKE = 0.8
-#: Chi-square per degree of freedom below which the errors are smaller than any noise.
+#: Chi-square per degree of freedom below which the errors are too small to matter.
 _TINY = 0.1
 #: Chi-square per degree of freedom from which on the errors are larger than the noise.
 _LARGE = 2.0

@@ -15,8 +15,8 @@
 """
 Charts of a page: panels with curves, as data for charts.js.
 
-A chart is drawn by some 300 lines of our own: with plotly, whose script has 4.6 MB, a page took
-5 s to open here, with this one 1 to 2 s.
+Our own script draws them, because that of a charting library has megabytes and takes seconds to
+load.
 """
 
 from __future__ import annotations

@@ -256,7 +256,8 @@ class Panel {
       const step = Math.max(1, Math.ceil((high - low) / count));
       for (let power = Math.ceil(low); power <= high; power += step)
         found.push([10 ** power, `1e${power}`.replace('-', '−')]);
-      return found.length > 1 ? found : limits.map((v) => [v, `${Number(v.toPrecision(2))}`.replace('-', '−')]);
+      if (found.length > 1) return found;
+      return limits.map((v) => [v, String(Number(v.toPrecision(2))).replace('-', '−')]);
     }
     const step = niceStep(limits[1] - limits[0], count), found = [];
     for (let n = Math.ceil(limits[0] / step); n * step <= limits[1]; n++)
