@@ -26,14 +26,17 @@ from pathlib import Path
 import sys
 from tempfile import TemporaryDirectory
 
+import numpy as np
+from rigid_body_ros.bodies import RigidBodies
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.messages import QUATERNION
-from rigid_body_ros.propagation import propagate, Propagator, warm_up
+from rigid_body_ros.propagation import propagate, propagate_many, Propagator, warm_up
 from rigid_body_ros.recording import read
 from rigid_body_ros.replay import replay
 from rigid_body_ros.runtime.terminal import show
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
+from rigid_body_ros.states import States
 from rigid_body_ros.torque import TorqueLog
 from rigid_body_ros.tradeoff import measure
 
@@ -46,6 +49,7 @@ def main() -> None:
     show('compiling the kernels: usually up to a minute, once after each installation')
     warm_up()
     _sum_torques()
+    _step_together()
     _replay()
     show('all kernels are compiled')
 
@@ -59,6 +63,11 @@ def _sum_torques() -> None:
         motion = propagate(body, start, logs, at=[0, 5], wheels=TorqueLog(stamps, torques))
     motion.euler_angles(continuous=True)
     motion.rotor_momentum  # noqa: B018
+
+
+def _step_together() -> None:
+    bodies = RigidBodies([np.eye(3)] * 2, [np.eye(3), np.zeros((3, 3))])
+    propagate_many(bodies, States(0, np.ones((2, 4))), at=[5])
 
 
 def _replay() -> None:

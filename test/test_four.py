@@ -15,12 +15,13 @@
 """Four doubles at a time: each is what it would be alone, to the last bit."""
 
 from fractions import Fraction
+import math
 
 import numba
 import numpy as np
 import pytest
 from rigid_body_ros import so3
-from rigid_body_ros.kernels import four, vector
+from rigid_body_ros.kernels import four, lanes, vector
 
 A, B, C = np.random.default_rng(4).normal(size=(3, 4))
 
@@ -73,3 +74,41 @@ def test_products_of_vectors_and_quaternions_are_those_of_arrays():
     assert abs(rest) < 1e-16
     np.testing.assert_allclose(applied(lambda a, b, c: four.broadcast(vector.dot(a, b))),
                                np.full(4, A @ B), rtol=0, atol=1e-15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('operation', [
+    lambda a, b, c: four.add(a, b), lambda a, b, c: four.subtract(a, b),
+    lambda a, b, c: four.multiply(a, b), lambda a, b, c: four.negative(a),
+    lambda a, b, c: four.absolute(a), lambda a, b, c: four.fma(a, b, c),
+    lambda a, b, c: four.times_i(a), lambda a, b, c: four.times_j(a),
+    lambda a, b, c: four.times_k(a), lambda a, b, c: vector.multiply(a, b),
+    lambda a, b, c: vector.cross(a, b), lambda a, b, c: vector.to_body(a, b),
+    lambda a, b, c: vector.scale(2.5, a),
+    lambda a, b, c: four.broadcast(lanes.fma(a[0], b[1], 3.0) / b[2]),
+    lambda a, b, c: four.of(-a[1], 1.0, math.sqrt(b[0] * b[0]), a[2] - b[3]),
+    lambda a, b, c: four.choose(a[0] > b[0], four.zero(a), c),
+    lambda a, b, c: four.choose(lanes.both(a[0] <= b[0], a[1] < c[1]), b, c)])
+def test_each_lane_is_worked_out_alone(operation):
+    compiled = numba.njit(error_model='numpy')(operation)
+
+    @numba.njit(error_model='numpy')
+    def kernel(values, out):
+        four.store(out, 0, compiled(four.load(values, 0), four.load(values, 4),
+                                    four.load(values, 8)))
+    values = np.random.default_rng(5).normal(size=(12, lanes.LANES))
+    found, expected = np.empty((4, lanes.LANES)), np.empty((lanes.LANES, 4))
+    kernel(values, found)
+    for column, row in zip(values.T.copy(), expected):
+        kernel(column, row)
+    np.testing.assert_array_equal(found, expected.T)
+
+
+@pytest.mark.slow
+def test_a_condition_holds_in_every_lane_or_in_some():
+    @numba.njit(error_model='numpy')
+    def kernel(values):
+        numbers = lanes.load(values, 0)
+        return [lanes.every(numbers > bound) for bound in (-1.0, 0.0, 9.0)] + [
+            lanes.some(numbers > bound) for bound in (-1.0, 0.0, 9.0)]
+    assert kernel(np.arange(float(lanes.LANES))[None]) == [True, False, False, True, True, False]

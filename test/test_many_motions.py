@@ -14,6 +14,7 @@
 
 """Many motions at once: each has the bits of `propagate`, and a bad one does not end the rest."""
 
+from kernels import callable_
 import numpy as np
 import pytest
 from rigid_body_ros import (
@@ -25,9 +26,15 @@ from rigid_body_ros import (
     States,
     TorqueLog,
 )
+from rigid_body_ros.kernels.lanes import LANES
+from rigid_body_ros.propagation import groups, layout, loop
+from rigid_body_ros.propagation.groups import Group
+from rigid_body_ros.propagation.layout import Log
+from rigid_body_ros.propagation.options import Options
 
 SECOND = 10 ** 9
 COUNT = 12
+STRAIGHT, TURN = np.eye(3), np.linalg.qr(np.random.default_rng(8).normal(size=(3, 3)))[0]
 AT = np.array([0, 7, 3 * SECOND, SECOND, SECOND // 3])
 
 
@@ -99,6 +106,67 @@ def test_damping_gains_and_logs_of_each_run_give_the_same_bits():
                 in zip(tensors, attitudes, rates, logs, damping)]
     assert rows(propagate_many(bodies, starts, log, at=AT, torque_gains=gains)) == expected
     assert rows(propagate_many(bodies, starts, logs, at=AT)) == expected
+
+
+def together(interval_ns, samples, moments=(1.0, 2.0, 2.5), turn=STRAIGHT):
+    """Return bodies, starts and a log for runs of which many steps are taken in lanes."""
+    random = np.random.default_rng(3)
+    scales = 1.0 + 0.02 * random.normal(size=(COUNT, 1))
+    tensors = turn @ (np.eye(3) * (np.array(moments) * scales)[:, None]) @ turn.T
+    rates = 0.3 + 0.2 * random.normal(size=(COUNT, 3))
+    rates[1], rates[2] = 30.0 * rates[1], 0.0
+    return (RigidBodies(0.5 * (tensors + tensors.transpose(0, 2, 1))),
+            States(0, random.normal(size=(COUNT, 4)), rates),
+            TorqueLog(np.arange(samples) * interval_ns, 0.1 * random.normal(size=(samples, 3))))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('tolerance', [1e-15, 1e-6, 1e-3])
+@pytest.mark.parametrize('moments', [(1.0, 2.0, 2.5), (1e-3, 1.0, 1.0)])
+@pytest.mark.parametrize('turn', [STRAIGHT, TURN], ids=['diagonal', 'full'])
+@pytest.mark.parametrize(('interval_ns', 'samples', 'at'), [
+    (60 * SECOND, 2, [90 * SECOND]), (7 * SECOND, 12, [0, 20 * SECOND, SECOND, 80 * SECOND]),
+    (SECOND // 100, 900, [9 * SECOND]), (SECOND // 1000, 3000, [SECOND, 2 * SECOND + 7]),
+    (SECOND // 10, 100, [10 * SECOND])])
+def test_runs_that_step_together_have_the_bits_of_each_alone(tolerance, moments, turn,
+                                                             interval_ns, samples, at):
+    bodies, starts, log = together(interval_ns, samples, moments, turn)
+    found = propagate_many(bodies, starts, log, at=at, tolerance=tolerance)
+    for k in range(COUNT):
+        alone = propagate(bodies[k], starts[k], log, at=at, tolerance=tolerance)
+        assert found.attitude[k].tobytes() == alone.attitude.tobytes()
+        assert found.angular_velocity[k].tobytes() == alone.angular_velocity.tobytes()
+
+
+@pytest.mark.slow
+def test_a_run_that_becomes_too_fast_does_not_disturb_those_beside_it():
+    bodies, starts, _ = together(SECOND, 1)
+    tensors = bodies.inertia.copy()
+    tensors[0] *= 1e-6
+    bodies, log = RigidBodies(tensors), TorqueLog([0], [[0.0, 0.0, 1e9]])
+    options = {'at': [SECOND // 200_000]}
+    found = propagate_many(bodies, starts, log, **options)
+    assert np.flatnonzero(found.failed).tolist() == [0]
+    with pytest.raises(ValueError, match='faster than') as error:
+        propagate(bodies[0], starts[0], log, **options)
+    assert found.messages[0] == str(error.value)
+    alone = propagate(bodies[1], starts[1], log, **options)
+    assert found.attitude[1].tobytes() == alone.attitude.tobytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('interval_ns', 'samples'), [(100 * SECOND, 2), (SECOND // 1000, 3000)])
+def test_runs_like_each_other_step_together(interval_ns, samples):
+    bodies, starts, log = together(interval_ns, samples)
+    progress, end_ns = np.zeros((COUNT, layout.DONE + 1), np.int64), int(log.times_ns[-1])
+    group = Group(np.arange(LANES) + 3, np.concatenate([starts._packed] * 3, axis=1), progress,
+                  bodies._constants, callable_(groups.workspace)(), *np.zeros((2, LANES), int))
+    piece = Log(log.times_ns, log.torques[:, None], log.in_space, 0, samples, 0)
+    steps = callable_(groups.advance)(group, np.array([end_ns]), loop.IN_ORDER, piece,
+                                      Options().settings)
+    left = end_ns - progress[group.rows, layout.GRID_NS]
+    assert steps > 50
+    assert (left.min() >= 0) & (left.max() < 0.1 * end_ns)
 
 
 def test_states_and_bodies_are_those_of_their_rows():

@@ -18,6 +18,9 @@ Four doubles in one SIMD register, for the compiled kernels: a quaternion, or a 
 Operations act on each element and round as operations on single doubles do, so results do not
 depend on the size of a machine's registers. Kernels read the elements as a[0] to a[3]. Without
 numba, four doubles are a tuple.
+
+All operations also take the quaternions or vectors of several bodies, four registers with a lane
+for each body, see `lanes`. If one argument has lanes, so has the result.
 """
 
 from __future__ import annotations
@@ -28,12 +31,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.kernels import jit
+from rigid_body_ros.kernels import jit, lanes
 
 if jit.COMPILES:
     from llvmlite import ir
     from numba.core import types
-    from numba.core.cgutils import get_or_insert_function
     from numba.core.typing.templates import AbstractTemplate, infer_global, signature
     from numba.extending import intrinsic, lower_builtin, models, register_model
 
@@ -42,9 +44,15 @@ if jit.COMPILES:
         def __init__(self) -> None:
             super().__init__('Four')
 
+    class _Lanes(types.Type):
+
+        def __init__(self) -> None:
+            super().__init__('FourLanes')
+
     _REGISTER = ir.VectorType(ir.DoubleType(), 4)
+    _REGISTERS = ir.ArrayType(lanes.REGISTER, 4)
     _BITS = ir.VectorType(ir.IntType(64), 4)
-    _TYPES = {'four': _Type(), 'float': types.float64}
+    _FOUR, _LANES = _Type(), _Lanes()
 
     @register_model(_Type)
     class _Model(models.PrimitiveModel):
@@ -52,42 +60,75 @@ if jit.COMPILES:
         def __init__(self, manager: Any, kind: Any) -> None:
             super().__init__(manager, kind, _REGISTER)
 
+    @register_model(_Lanes)
+    class _LanesModel(models.PrimitiveModel):
+
+        def __init__(self, manager: Any, kind: Any) -> None:
+            super().__init__(manager, kind, _REGISTERS)
+
     @infer_global(operator.getitem)
     class _Element(AbstractTemplate):
 
         def generic(self, arguments: Any, _: Any) -> Any:
             if isinstance(arguments[0], _Type):
                 return signature(types.float64, *arguments)
+            if isinstance(arguments[0], _Lanes) and isinstance(arguments[1], types.IntegerLiteral):
+                return signature(lanes.NUMBERS, *arguments)
             return None
 
     @lower_builtin(operator.getitem, _Type, types.Integer)
     def _element(_: Any, builder: Any, __: Any, values: Any) -> Any:
         return builder.extract_element(*values)
 
+    @lower_builtin(operator.getitem, _Lanes, types.IntegerLiteral)
+    def _lanes_of_element(_: Any, builder: Any, kinds: Any, values: Any) -> Any:
+        return builder.extract_value(values[0], kinds.args[1].literal_value)
+
 Four = tuple[float, float, float, float]
 
 
-def _operation(plain: Callable[..., Any], kinds: str,
-               generate: Callable[..., Any]) -> Callable[..., Four]:
-    # Return an operation for the kernels. It is given by its Python form, the types of its
-    # arguments, and a function that generates its LLVM instructions.
+def _operation(plain: Callable[..., Any], count: int, generate: Callable[..., Any],
+               for_lanes: Callable[..., Any]) -> Callable[..., Any]:
+    # Return an operation for the kernels. It is given by its Python form, the number of its
+    # arguments, and functions that generate its LLVM instructions: for registers, and for lanes
+    # from the four registers of each argument.
     if not jit.COMPILES:
         return plain
-    arguments = [_TYPES[kind] for kind in kinds.split()]
-    typed = (_TYPES['four'](*arguments),
-             lambda _, builder, __, values: generate(builder, *values))
-    by_count = (lambda _, a: typed, lambda _, a, b: typed, lambda _, a, b, c: typed,
-                lambda _, a, b, c, d: typed)
-    return intrinsic(by_count[len(arguments) - 1])
+
+    def typed(*arguments: Any) -> Any:
+        if _LANES not in arguments and lanes.NUMBERS not in arguments:
+            return (_FOUR(*(kind if kind == _FOUR else types.float64 for kind in arguments)),
+                    lambda _, builder, __, values: generate(builder, *values))
+        return _LANES(*arguments), lambda _, builder, __, values: _collect(builder, for_lanes(
+            builder, *(_spread(builder, *each) for each in zip(arguments, values))))
+    by_count = (lambda _, a: typed(a), lambda _, a, b: typed(a, b),
+                lambda _, a, b, c: typed(a, b, c), lambda _, a, b, c, d: typed(a, b, c, d))
+    return intrinsic(by_count[count - 1])
 
 
-def _elementwise(operation: Callable[..., float]) -> Callable[..., tuple[float, ...]]:
-    return lambda *operands: tuple(map(operation, *operands))
+def _spread(builder: Any, kind: Any, value: Any) -> list[Any]:
+    # Return the four registers of an argument. What has no lanes is the same in each lane.
+    if kind == _LANES:
+        return [builder.extract_value(value, place) for place in range(4)]
+    if kind == _FOUR:
+        return [lanes.splat(builder, builder.extract_element(value, ir.Constant(
+            ir.IntType(32), place))) for place in range(4)]
+    return [lanes.splat(builder, value)] * 4
 
 
-def _call_intrinsic(builder: Any, name: str, *values: Any) -> Any:
-    kind = ir.FunctionType(_REGISTER, [_REGISTER] * len(values))
-    return builder.call(get_or_insert_function(builder.module, kind, f'{name}.v4f64'), values)
+def _collect(builder: Any, registers: list[Any]) -> Any:
+    result = ir.Constant(_REGISTERS, ir.Undefined)
+    for place, register in enumerate(registers):
+        result = builder.insert_value(result, register, place)
+    return result
+
+
+def _elementwise(operation: Callable[..., float], count: int,
+                 generate: Callable[..., Any]) -> Callable[..., Any]:
+    # Return an operation on each element.
+    return _operation(
+        lambda *operands: tuple(map(operation, *operands)), count, generate,
+        lambda builder, *operands: [generate(builder, *values) for values in zip(*operands)])
 
 
 def _build_register(builder: Any, *values: Any) -> Any:
@@ -108,26 +149,25 @@ def _permutation(order: str, signs: str = '++++') -> Callable[[Four], Four]:
         flips = ir.Constant(_BITS, [int(factor < 0.0) << 63 for factor in factors])
         return builder.bitcast(builder.xor(bits, flips), _REGISTER)
     return _operation(
-        lambda a: tuple(factor * a[place] for factor, place in zip(factors, places)), 'four',
-        generate)
+        lambda a: tuple(factor * a[place] for factor, place in zip(factors, places)), 1, generate,
+        lambda builder, a: [builder.fneg(a[place]) if factor < 0.0 else a[place]
+                            for factor, place in zip(factors, places)])
 
 
 #: Build four doubles from four floats, or from one float four times.
-of = _operation(lambda *values: values, 'float float float float', _build_register)
-broadcast = _operation(lambda value: (value,) * 4, 'float',
-                       lambda builder, value: _build_register(builder, *[value] * 4))
-add = _operation(_elementwise(operator.add), 'four four',
-                 lambda builder, a, b: builder.fadd(a, b))
-subtract = _operation(_elementwise(operator.sub), 'four four',
-                      lambda builder, a, b: builder.fsub(a, b))
-multiply = _operation(_elementwise(operator.mul), 'four four',
-                      lambda builder, a, b: builder.fmul(a, b))
-negative = _operation(_elementwise(operator.neg), 'four', lambda builder, a: builder.fneg(a))
-absolute = _operation(_elementwise(abs), 'four',
-                      lambda builder, a: _call_intrinsic(builder, 'llvm.fabs', a))
+of = _operation(lambda *values: values, 4, _build_register,
+                lambda builder, *values: [registers[0] for registers in values])
+broadcast = _operation(lambda value: (value,) * 4, 1,
+                       lambda builder, value: _build_register(builder, *[value] * 4),
+                       lambda builder, value: value)
+add = _elementwise(operator.add, 2, lambda builder, a, b: builder.fadd(a, b))
+subtract = _elementwise(operator.sub, 2, lambda builder, a, b: builder.fsub(a, b))
+multiply = _elementwise(operator.mul, 2, lambda builder, a, b: builder.fmul(a, b))
+negative = _elementwise(operator.neg, 1, lambda builder, a: builder.fneg(a))
+absolute = _elementwise(abs, 1, lambda builder, a: lanes.call(builder, 'llvm.fabs', a))
 #: a b + c of each element, rounded once.
-fma = _operation(_elementwise(jit.fma), 'four four four',
-                 lambda builder, *values: _call_intrinsic(builder, 'llvm.fma', *values))
+fma = _elementwise(jit.fma, 3,
+                   lambda builder, *values: lanes.call(builder, 'llvm.fma', *values))
 #: The components of a vector in the order y, z, x and z, x, y.
 yzx, zxy = _permutation('yzxw'), _permutation('zxyw')
 #: Hamilton's product q i, q j and q k of a quaternion q.
@@ -145,25 +185,84 @@ def _plain_store(values: NDArray[np.float64], start: int, four: Four) -> None:
 
 
 if jit.COMPILES:
+    def _kind_in(array: Any) -> Any:
+        # Return the type of what is in an array.
+        return _FOUR if array.ndim == 1 else _LANES
+
     def _pointer(context: Any, builder: Any, kind: Any, array: Any, start: Any) -> Any:
+        # A row of lanes has as many doubles as there are lanes.
+        width = 1 if kind.ndim == 1 else lanes.LANES
         data = context.make_array(kind)(context, builder, array).data
-        return builder.bitcast(builder.gep(data, [start]), _REGISTER.as_pointer())
+        place = builder.mul(start, ir.Constant(start.type, width))
+        register = _REGISTER if kind.ndim == 1 else _REGISTERS
+        return builder.bitcast(builder.gep(data, [place]), register.as_pointer())
+
+    def _read(builder: Any, pointer: Any) -> Any:
+        if pointer.type.pointee == _REGISTER:
+            return builder.load(pointer, align=8)
+        return _collect(builder, [
+            builder.load(_register_at(builder, pointer, place), align=8) for place in range(4)])
+
+    def _write(builder: Any, value: Any, pointer: Any) -> None:
+        if pointer.type.pointee == _REGISTER:
+            builder.store(value, pointer, align=8)
+            return
+        for place in range(4):
+            builder.store(builder.extract_value(value, place),
+                          _register_at(builder, pointer, place), align=8)
+
+    def _register_at(builder: Any, pointer: Any, place: int) -> Any:
+        return builder.gep(pointer, [ir.Constant(ir.IntType(32), k) for k in (0, place)])
 
     @intrinsic
     def _load(_context: Any, values: Any, start: Any) -> Any:
         def generate(context: Any, builder: Any, _: Any, operands: Any) -> Any:
-            return builder.load(_pointer(context, builder, values, *operands), align=8)
-        return _TYPES['four'](values, types.intp), generate
+            return _read(builder, _pointer(context, builder, values, *operands))
+        return _kind_in(values)(values, types.intp), generate
 
     @intrinsic
     def _store(_context: Any, values: Any, start: Any, four: Any) -> Any:
         def generate(context: Any, builder: Any, _: Any, operands: Any) -> Any:
             array, start, value = operands
-            builder.store(value, _pointer(context, builder, values, array, start), align=8)
+            _write(builder, value, _pointer(context, builder, values, array, start))
             return context.get_dummy_value()
         return types.void(values, types.intp, four), generate
 
-#: Read or write four successive elements of a contiguous array, shape (n,), from an index on.
+    @intrinsic
+    def zero(_context: Any, like: Any) -> Any:
+        """Return four zeros, with lanes if another four has."""
+        return like(like), lambda context, _, __, ___: ir.Constant(
+            context.get_value_type(like), None)
+
+    @intrinsic
+    def choose(_context: Any, condition: Any, one: Any, other: Any) -> Any:
+        """Return one of two fours, in each lane: the first where a condition holds."""
+        def generate(_: Any, builder: Any, __: Any, values: Any) -> Any:
+            if one == _FOUR:
+                return builder.select(*values)
+            return _collect(builder, [builder.select(values[0], *pair) for pair in zip(
+                _spread(builder, one, values[1]), _spread(builder, other, values[2]))])
+        return one(condition, one, other), generate
+
+    @intrinsic
+    def has_lanes(_context: Any, values: Any) -> Any:
+        """Return whether an array has lanes; the compiler leaves out code for the other case."""
+        return types.boolean(values), lambda *_: ir.Constant(ir.IntType(1), values.ndim == 2)
+else:
+    def zero(like: Four) -> Four:
+        """Return four zeros."""
+        return 0.0, 0.0, 0.0, 0.0
+
+    def choose(condition: bool, one: Four, other: Four) -> Four:
+        """Return one of two fours: the first if a condition holds."""
+        return one if condition else other
+
+    def has_lanes(values: NDArray[np.float64]) -> bool:
+        """Return whether an array has lanes."""
+        return values.ndim == 2
+
+#: Read or write four successive elements of a contiguous array, shape (n,), from an index on; in
+#: lanes four rows of an array, shape (n, LANES).
 load: Callable[[NDArray[np.float64], int], Four] = _load if jit.COMPILES else _plain_load
 store: Callable[[NDArray[np.float64], int, Four], None] = \
     _store if jit.COMPILES else _plain_store

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from rigid_body_ros.kernels import four, linear_terms
+from rigid_body_ros.kernels import four, lanes, linear_terms
 from rigid_body_ros.kernels.euler_equations import (
     acceleration_from_torque,
     add_symmetric_products,
@@ -37,7 +37,8 @@ from rigid_body_ros.kernels.euler_equations import (
     products,
     symmetric_products,
 )
-from rigid_body_ros.kernels.jit import fma, inlined
+from rigid_body_ros.kernels.jit import inlined
+from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.linear_terms import add_product, product
 from rigid_body_ros.kernels.vector import (
     add,
@@ -106,7 +107,7 @@ def is_accurate(state: KernelState, seconds: float, torque_acceleration: Vector,
 
     """
     size, error_bound = _size_and_bound(state, seconds, torque_acceleration, tolerance, extras)
-    return size < _LARGEST and _SQUARE_5 * (size * (size * size)) <= error_bound
+    return lanes.both(size < _LARGEST, _SQUARE_5 * (size * (size * size)) <= error_bound)
 
 
 @inlined
@@ -185,7 +186,8 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     a = cross(u0, u1)
     delta_omega = add(add(w1, w2), w3)
     rotation = add_scaled(add_scaled(scale(1 / 2, u1), 1 / 3, u2), 1 / 12, a)
-    if _SQUARE_3 * (size * size) > error_bound:
+    fourth = _SQUARE_3 * (size * size) > error_bound
+    if lanes.some(fourth):
         w4 = gyroscopic_acceleration(coefficients, form, add_symmetric_products(
             symmetric_products(scale(1 / 4, u1), w2), scale(1 / 4, u0), w3))
         u3, b, t3 = scale(seconds, w3), cross(u0, u2), four.broadcast(0.0)
@@ -194,9 +196,12 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
             if extras.has_space_torque:
                 t3 = scale(1 / 3, add(cross(t2, u0), add(cross(t1, u1), cross(t0, u2))))
                 w4 = add_scaled(w4, 1 / 4, acceleration_from_torque(coefficients, form, t3))
-        delta_omega = add(delta_omega, w4)
-        rotation = add(rotation, add_scaled(scale(1 / 4, u3), 1 / 12, b))
-        if _FOURTH_4 * (size * ((size * size) * (size * size))) > error_bound * error_bound:
+        delta_omega = four.choose(fourth, add(delta_omega, w4), delta_omega)
+        rotation = four.choose(
+            fourth, add(rotation, add_scaled(scale(1 / 4, u3), 1 / 12, b)), rotation)
+        fifth = lanes.both(fourth, _FOURTH_4 * (
+            size * ((size * size) * (size * size))) > error_bound * error_bound)
+        if lanes.some(fifth):
             w5 = gyroscopic_acceleration(coefficients, form,
                                          _order_4_products(u0, u1, u2, w2, w3, w4))
             if extras is not None:
@@ -204,9 +209,9 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
                 if extras.has_space_torque:
                     t4 = add(add(cross(t3, u0), cross(t2, u1)), add(cross(t1, u2), cross(t0, u3)))
                     w5 = add_scaled(w5, 1 / 20, acceleration_from_torque(coefficients, form, t4))
-            delta_omega = add(delta_omega, w5)
-            rotation = add(rotation, add_scaled(_order_5_rotation(u0, u1, u2, u3, a, b),
-                                                1 / 5 * seconds, w4))
+            delta_omega = four.choose(fifth, add(delta_omega, w5), delta_omega)
+            rotation = four.choose(fifth, add(rotation, add_scaled(
+                _order_5_rotation(u0, u1, u2, u3, a, b), 1 / 5 * seconds, w4)), rotation)
     return advance(state, delta_omega, _delta_q(add(u0, rotation)))
 
 

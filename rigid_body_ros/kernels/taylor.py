@@ -37,9 +37,10 @@ import math
 from typing import NamedTuple
 
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import elementary, euler_equations, four, linear_terms
+from rigid_body_ros.kernels import elementary, euler_equations, four, lanes, linear_terms
 from rigid_body_ros.kernels.euler_equations import DIAGONAL, Products
-from rigid_body_ros.kernels.jit import fma, inlined, internal
+from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.linear_terms import add_product, Matrix, product
 from rigid_body_ros.kernels.vector import (
     add,
@@ -48,6 +49,7 @@ from rigid_body_ros.kernels.vector import (
     Coefficients,
     dot,
     KernelState,
+    of,
     Polynomial,
     Quaternion,
     scale,
@@ -105,8 +107,14 @@ def step_seconds(square: float, acceleration: float, angle: float) -> float:
 
     The square is |w|^2, rad^2/s^2. The acceleration, rad/s^2, is a bound on |J^-1 tau|.
     """
-    rate = math.sqrt(square) + math.sqrt(fma(2.0 * angle, acceleration, square))
+    rate = turning_rate(square, acceleration, angle)
     return 2.0 * angle / rate if rate > 0.0 else math.inf
+
+
+@inlined
+def turning_rate(square: float, acceleration: float, angle: float) -> float:
+    """Return the sum of the rates, rad/s, before and after a turn; see `step_seconds`."""
+    return math.sqrt(square) + math.sqrt(fma(2.0 * angle, acceleration, square))
 
 
 @inlined
@@ -152,7 +160,7 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     error_bound = tolerance * angle
     order = _expand(state, seconds, coefficients, form, drive, degree, in_space, error_bound,
                     table, extras)
-    delta_u = delta_q = four.broadcast(0.0)
+    delta_u = delta_q = four.zero(state[0])
     for k in range(order, 0, -1):  # the small terms first
         delta_u = add(delta_u, four.load(table, _TERM * k + _U))
         delta_q = add(delta_q, four.load(table, _TERM * k + _ROTATION))
@@ -167,7 +175,9 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
             drive: Polynomial, degree: int, in_space: bool, error_bound: float,
             table: Floats, extras: Extras | None) -> int:
     # Fill the table with the terms of u and of the rotation, and return the order needed.
-    first = latest = _store_term(table, 0, scale(seconds, state[0]), four.of(0.0, 0.0, 0.0, 1.0))
+    zero = four.zero(state[0])
+    one = add(zero, four.of(0.0, 0.0, 0.0, 1.0))
+    first = latest = _store_term(table, 0, scale(seconds, state[0]), one)
     if in_space:
         for i in range(degree + 1):
             _store_permuted(table, _TORQUES + _TORQUE * i, to_body(state[1], drive[i]))
@@ -177,10 +187,9 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
                             to_body(state[1], extras.space_torque[i]))
     # The series of a body at rest under a torque ~ t^degree has a non-zero term only every
     # degree + 2 orders, so the sum has converged only after that many small terms.
-    small, powers = 0, degree
+    small, powers = lanes.no_count(error_bound), degree
     if extras is not None:
         powers = max(degree, extras.space_degree, extras.linear_degree)
-    zero = four.broadcast(0.0)
     past = (zero, zero, zero, zero)  # the terms of u before the latest
     for k in range(MAX_ORDER):
         products, rotation = _cauchy(table, k, first, latest, form)
@@ -204,20 +213,22 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
         u = scale(1.0 / (k + 1), u)
         factor = 0.5 / (k + 1)
         rotation = scale(factor, rotation)
+        converged = small >= powers + 2
+        u, rotation = lanes.unless(converged, u), lanes.unless(converged, rotation)
         latest = _store_term(table, k + 1, u, rotation)
         # The bound on errors of w is tighter, because the errors of attitude they cause add up.
-        if total(add_scaled(four.absolute(rotation), 4.0, four.absolute(u))) > error_bound:
-            small = 0
-        else:
-            small += 1
-            if small == powers + 2:
-                return k + 1
+        size = total(add_scaled(four.absolute(rotation), 4.0, four.absolute(u)))
+        small = lanes.counted(size > error_bound, small)
+        if lanes.every(small >= powers + 2):
+            return k + 1
     return MAX_ORDER
 
 
 @inlined
 def _store_term(table: Floats, k: int, u: Vector, rotation: Quaternion) -> Term:
     row = _TERM * k
+    if four.has_lanes(table):
+        u = of(u[0], u[1], u[2])  # the compiler leaves out the products of the zeros
     _store_permuted(table, row + _U, u)
     four.store(table, row + _ROTATION, rotation)
     return u, four.yzx(u), four.zxy(u), rotation
@@ -226,14 +237,24 @@ def _store_term(table: Floats, k: int, u: Vector, rotation: Quaternion) -> Term:
 @inlined
 def _store_permuted(table: Floats, row: int, vector: Vector) -> None:
     four.store(table, row, vector)
-    four.store(table, row + 4, four.yzx(vector))
-    four.store(table, row + 8, four.zxy(vector))
+    if not four.has_lanes(table):  # lanes are permuted for nothing
+        four.store(table, row + 4, four.yzx(vector))
+        four.store(table, row + 8, four.zxy(vector))
 
 
 @inlined
 def _load_term(table: Floats, row: int) -> Term:
-    return (four.load(table, row + _U), four.load(table, row + _U_YZX),
-            four.load(table, row + _U_ZXY), four.load(table, row + _ROTATION))
+    u, yzx, zxy = _load_permuted(table, row + _U)
+    return u, yzx, zxy, four.load(table, row + _ROTATION)
+
+
+@inlined
+def _load_permuted(table: Floats, row: int) -> tuple[Vector, Vector, Vector]:
+    u = four.load(table, row)
+    if four.has_lanes(table):
+        u = of(u[0], u[1], u[2])
+        return u, four.yzx(u), four.zxy(u)
+    return u, four.load(table, row + 4), four.load(table, row + 8)
 
 
 @inlined
@@ -241,7 +262,7 @@ def _cauchy(table: Floats, k: int, first: Term, latest: Term,
             form: int) -> tuple[Products, Quaternion]:
     # Return the terms of order k of the products of u, and of the rotation times (u, 0). Products
     # with the latest term come last, and from registers, so that the others do not wait for it.
-    zero = four.broadcast(0.0)
+    zero = four.zero(first[0])
     sums = (zero, zero, zero, zero, zero)
     row = _TERM * k
     for j in range(_TERM, row, _TERM):
@@ -269,7 +290,7 @@ def _linear_term(k: int, latest: Term, past: tuple[Vector, Vector, Vector, Vecto
                  extras: Extras) -> Vector:
     # Return the linear terms of order k.
     u, yzx, zxy, _ = latest
-    rest = four.broadcast(0.0)
+    rest = four.zero(u)
     if extras.linear_degree > 0:
         rest = product(extras.changes[0], past[0])
     if extras.linear_degree > 1:
@@ -283,7 +304,7 @@ def _linear_term(k: int, latest: Term, past: tuple[Vector, Vector, Vector, Vecto
 @inlined
 def _torque_term(table: Floats, k: int, degree: int) -> Vector:
     # Return the term of order k, in body axes, of a torque in space axes.
-    term = four.broadcast(0.0)
+    term = four.zero(four.load(table, _U))
     for i in range(degree + 1):
         if i <= k:
             term = add(term, four.load(table, _TERM * (k - i) + _TORQUES + _TORQUE * i))
@@ -294,10 +315,10 @@ def _torque_term(table: Floats, k: int, degree: int) -> Vector:
 @internal
 def _expand_torque(table: Floats, k: int, place: int) -> None:
     # dv/dt = v x w for the body components of a vector v that is fixed in space.
-    one = other = four.broadcast(0.0)
+    one = other = four.zero(four.load(table, _U))
     for j in range(k + 1):
-        row, i = _TERM * j + place, _TERM * (k - j)
-        one = four.fma(four.load(table, row + 4), four.load(table, i + _U_ZXY), one)
-        other = four.fma(four.load(table, row + 8), four.load(table, i + _U_YZX), other)
+        _, yzx, zxy = _load_permuted(table, _TERM * j + place)
+        _, u_yzx, u_zxy = _load_permuted(table, _TERM * (k - j) + _U)
+        one, other = four.fma(yzx, u_zxy, one), four.fma(zxy, u_yzx, other)
     _store_permuted(table, _TERM * (k + 1) + place,
                     scale(1.0 / (k + 1), four.subtract(one, other)))

@@ -158,7 +158,7 @@ def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, bod
                     budget += sample
                     grid, grid_ns, sample, done = _run_short_steps(
                         grid, Place(grid_ns, begin_ns, sample, timed_out, done),
-                        min(budget, len(stamps_ns) - 1), outputs, log, body, method, terms,
+                        min(budget, stop, len(stamps_ns) - 1), outputs, log, body, method, terms,
                         linear)
                     begin, latest, begin_ns, prepared = grid, grid, grid_ns, False
                     budget -= sample

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.bodies import RigidBodies
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import motion_layout
+from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.propagation import layout, loop, many_loop
 from rigid_body_ros.propagation.integration import check_solver
 from rigid_body_ros.propagation.options import Options, validated
@@ -182,7 +183,7 @@ class _Runs:
              piece: tuple[Floats, NDArray[np.bool_], int, int], terms: Floats | None) -> None:
         """Run the loop over some runs, in chunks."""
         polynomials, in_space, first, stop = piece
-        done, chunk = 0, 1
+        done, chunk = 0, LANES
         while done < len(which):
             began = time.monotonic()
             done += many_loop.run_each(

@@ -19,8 +19,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels.jit import njit
-from rigid_body_ros.propagation import loop
+from rigid_body_ros.kernels.jit import COMPILES, njit
+from rigid_body_ros.kernels.lanes import LANES
+from rigid_body_ros.propagation import groups, layout, loop
+from rigid_body_ros.propagation.groups import Group
+from rigid_body_ros.propagation.layout import Log
+
+#: Samples after which runs that could not step together are tried again.
+_PIECE = 1024
 
 
 @njit
@@ -30,7 +36,7 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
              first: int, stop: int, constants: Floats, settings: Floats, budget: int,
              terms: Floats | None, too_fast: NDArray[np.bool_]) -> int:
     """
-    Call `loop.run` for one run after the other.
+    Run the loop for many runs, some of them in lanes.
 
     Parameters
     ----------
@@ -51,14 +57,30 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
 
     """
     closed = np.empty(len(stamps_ns) + 1, np.bool_)
-    for k in range(len(which)):
-        i = which[k]
-        if too_fast[i]:
-            continue
-        result = loop.run(states[i], progress[i], times_ns, rows, motions[i], closed, stamps_ns,
-                          polynomials, in_space, first, stop, constants[i], settings, budget,
-                          terms)
-        if result == loop.UNFINISHED:
-            return k
-        too_fast[i] = result == loop.TOO_FAST
+    log = Log(stamps_ns, polynomials, in_space, first, stop, layout.unpack_timeout(settings))
+    group = Group(np.empty(LANES, np.intp), states, progress, constants, groups.workspace(),
+                  np.empty(LANES, np.int64), np.empty(LANES, np.int64))
+    for k in range(0, len(which), LANES):
+        last = min(k + LANES, len(which)) - 1
+        for lane in range(LANES):
+            group.rows[lane] = which[min(k + lane, last)]
+        until = layout.IN_FORCE
+        while until < stop:
+            steps = 0
+            if COMPILES and terms is None and last > k:  # the compiler leaves it out otherwise
+                steps = groups.advance(group, times_ns, rows, log, settings)
+                if steps >= groups.BUDGET:
+                    return k
+            # The others finish the segment in which they were together; after that, try again.
+            sample = progress[which[k], layout.SAMPLE]
+            until = min(stop, sample + (1 if steps > 0 else _PIECE))
+            for j in range(k, last + 1):
+                i = which[j]
+                if not too_fast[i]:
+                    result = loop.run(states[i], progress[i], times_ns, rows, motions[i], closed,
+                                      stamps_ns, polynomials, in_space, first, until,
+                                      constants[i], settings, budget, terms)
+                    if result == loop.UNFINISHED:
+                        return j
+                    too_fast[i] = result == loop.TOO_FAST
     return len(which)

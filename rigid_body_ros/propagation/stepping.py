@@ -139,12 +139,24 @@ def _natural_ns(state: vector.KernelState, rest_ns: int, bound: float, method: M
     # would be longer than that.
     if method.fixed_step:
         return method.max_step_ns
-    square, rest = vector.dot(state[0], state[0]), rest_ns / 1e9
+    square = vector.dot(state[0], state[0])
     if now is not None:  # linear terms change the motion as fast as a rotation at that rate
         square, bound = square + now.square_rate, bound + now.growth
-    if rest_ns <= method.max_step_ns and rest * rest * (square + bound) < 0.01:
-        return rest_ns  # turns by about 0.1 rad at most
-    seconds = taylor.step_seconds(square, bound, method.angle)
+    if is_one_step(rest_ns, square, bound, method):
+        return rest_ns
+    return full_step_ns(taylor.step_seconds(square, bound, method.angle), method)
+
+
+@inlined
+def is_one_step(rest_ns: int, square: float, bound: float, method: Method) -> bool:
+    """Return whether the time left is one step, in which a body turns by about 0.1 rad at most."""
+    rest = rest_ns / 1e9
+    return rest_ns <= method.max_step_ns and rest * rest * (square + bound) < 0.01
+
+
+@inlined
+def full_step_ns(seconds: float, method: Method) -> int:
+    """Return the length of a step on the grid, ns."""
     return max(1, int(min(seconds * 1e9, float(method.max_step_ns))))
 
 

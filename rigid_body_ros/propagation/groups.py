@@ -1,0 +1,287 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Steps of a group of runs, one in each lane.
+
+A group takes the common part of the loop, in the bits of `loop.run`: steps of the series on the
+grid of a segment, and short steps from stamp to stamp, under a torque in body axes. It leaves each
+run at a place from which `loop.run` continues, and that takes all other cases.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.kernels import (
+    body_layout,
+    euler_equations,
+    four,
+    lanes,
+    short_step,
+    state_layout,
+    taylor,
+    vector,
+)
+from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.kernels.lanes import LANES
+from rigid_body_ros.propagation import intervals, layout, stepping
+from rigid_body_ros.propagation.layout import Body, Log, Method, Place
+from rigid_body_ros.propagation.options import FASTEST
+
+#: Steps in a segment, or stamps before the next output, from which it pays to gather a group.
+_FEWEST = 4
+#: Steps after which to return, so that Python handles signals.
+BUDGET = 20_000
+#: Rows of a workspace: the states, the constants of the bodies, numbers of each lane, and the
+#: table of the series. The numbers are the length of a step, s, whether a run moves (1.0 or 0.0),
+#: |w|^2, and the bound on the acceleration.
+_STATE, _CONSTANTS = 0, state_layout.SIZE
+_SECONDS = _CONSTANTS + body_layout.SIZE
+_MOVES, _SQUARE, _BOUND, _TABLE = range(_SECONDS + 1, _SECONDS + 5)
+_ROWS = _TABLE + taylor.WORKSPACE
+
+
+class Group(NamedTuple):
+    """The arrays of all runs, and which of them are in the group."""
+
+    #: intp (LANES,); a run may fill several lanes.
+    rows: NDArray[np.intp]
+    #: See `loop.run`; a row for each run.
+    states: Floats
+    progress: NDArray[np.int64]
+    constants: Floats
+    #: See `workspace`.
+    work: Floats
+    #: int64 (LANES,): time on the grid, and the next step, of each lane.
+    grid_ns: NDArray[np.int64]
+    steps_ns: NDArray[np.int64]
+
+
+@internal
+def workspace() -> Floats:
+    """Return an array, shape (n, LANES), with each row in one cache line."""
+    line = 64 // 8
+    buffer = np.empty(_ROWS * LANES + line)
+    start = -(buffer.ctypes.data // 8) % line
+    return buffer[start:start + _ROWS * LANES].reshape(_ROWS, LANES)
+
+
+@internal
+def advance(group: Group, times_ns: NDArray[np.int64], order: NDArray[np.intp], log: Log,
+            settings: Floats) -> int:
+    """
+    Advance the runs of a group as far as they can step together.
+
+    Parameters
+    ----------
+    group : Group
+        States and progress are changed.
+    times_ns, order : array
+        As for `loop.run`, where `order` is `rows`.
+    log : Log
+        Of all runs.
+    settings : float64 (6,)
+        See `layout.pack_settings`.
+
+    Returns
+    -------
+    int
+        The number of steps taken. After `BUDGET` of them there may be more.
+
+    """
+    method = layout.unpack_method(settings)
+    body = layout.unpack_body(group.constants[group.rows[0]])
+    place = layout.load_place(group.progress[group.rows[0]])
+    if (method.fixed_step or log.polynomials.shape[1] > 1 or place.done == len(times_ns)
+            or not _are_alike(group, place, log, body.form)):
+        return 0
+    limit_ns = times_ns[place.done if len(order) == 0 else order[place.done]]
+    steps = _advance_short_steps(group, place, limit_ns, log, body, method)
+    sample = place.sample + steps
+    if sample >= log.stop or log.in_space[sample]:
+        return steps
+    next_ns = log.stamps_ns[sample + 1] if sample + 1 < len(log.stamps_ns) else NEVER_NS
+    if log.timeout_ns > 0:
+        next_ns = min(next_ns, log.stamps_ns[sample] + log.timeout_ns)
+    return steps + _advance_grids(group, min(limit_ns, next_ns), _torque(log, sample), body,
+                                  method)
+
+
+@inlined
+def _torque(log: Log, sample: int) -> vector.Vector:
+    return intervals.coefficient(log.polynomials, sample - log.first, 0)
+
+
+@internal
+def _are_alike(group: Group, place: Place, log: Log, form: int) -> bool:
+    # Return whether the runs have bodies of one form, the same next output, and the same sample
+    # in force.
+    if not 0 <= place.sample < log.stop:
+        return False
+    for row in group.rows:
+        other = layout.load_place(group.progress[row])
+        if (other.sample != place.sample or other.timed_out or other.done != place.done
+                or layout.unpack_body(group.constants[row]).form != form):
+            return False
+    return True
+
+
+@internal
+def _advance_short_steps(group: Group, place: Place, limit_ns: int, log: Log, body: Body,
+                         method: Method) -> int:
+    # Take short steps from stamp to stamp, as `loop.run` does, up to a time. Return their number.
+    stamps_ns, sample, grid_ns = log.stamps_ns, place.sample, place.grid_ns
+    if (sample + _FEWEST >= len(stamps_ns) or stamps_ns[sample + _FEWEST] > limit_ns
+            or not _begin_together(group, grid_ns)):
+        return 0
+    acceleration = euler_equations.acceleration_from_torque(
+        body.coefficients, body.form, _torque(log, sample))
+    if not short_step.is_accurate(
+            state_layout.load(group.states[group.rows[0]], 0),
+            (stamps_ns[sample + 1] - grid_ns) / 1e9, acceleration, method.tolerance, None):
+        return 0
+    _load(group)
+    coefficients = body_layout.coefficients(group.work[_CONSTANTS:])
+    state = state_layout.load(group.work, _STATE)
+    while sample < min(log.stop, len(stamps_ns) - 1, place.sample + BUDGET):
+        next_ns, torque = stamps_ns[sample + 1], _torque(log, sample)
+        lanes_acceleration = euler_equations.acceleration_from_torque(
+            coefficients, body.form, torque)
+        span_ns = next_ns - grid_ns
+        seconds = span_ns / 1e9
+        if (limit_ns < next_ns or span_ns >= method.max_step_ns or log.in_space[sample]
+                or layout.is_zero_vector(torque)
+                or 0 < log.timeout_ns < next_ns - stamps_ns[sample]
+                or not lanes.every(short_step.is_accurate(
+                    state, seconds, lanes_acceleration, method.tolerance, None))):
+            break
+        state = short_step.step(state, seconds, coefficients, body.form, lanes_acceleration,
+                                method.tolerance, None)
+        grid_ns = next_ns
+        sample += 1
+    state_layout.store(state, group.work, _STATE)
+    _store(group)
+    for row in group.rows:
+        group.states[row, state_layout.SIZE:2 * state_layout.SIZE] = \
+            group.states[row, :state_layout.SIZE]
+        layout.store_place(Place(grid_ns, grid_ns, sample, False, place.done),
+                           group.progress[row])
+    return sample - place.sample
+
+
+@inlined
+def _begin_together(group: Group, time_ns: int) -> bool:
+    # Return whether all runs are at the beginning of a segment, at the same time.
+    for row in group.rows:
+        if (group.progress[row, layout.GRID_NS] != time_ns
+                or group.progress[row, layout.BEGIN_NS] != time_ns):
+            return False
+    return True
+
+
+@internal
+def _advance_grids(group: Group, limit_ns: int, torque: vector.Vector, body: Body,
+                   method: Method) -> int:
+    # Take all steps on the grid but the last before a time within the segment. Return how many.
+    if layout.is_zero_vector(torque) or not _are_many(group, limit_ns, torque, body, method):
+        return 0
+    _load(group)
+    work = group.work
+    coefficients = body_layout.coefficients(work[_CONSTANTS:])
+    acceleration = euler_equations.acceleration_from_torque(coefficients, body.form, torque)
+    none = four.zero(acceleration)
+    drive = acceleration, none, none, none
+    bound = euler_equations.acceleration_bound(drive, False, coefficients)
+    lanes.store(work, _BOUND, bound)
+    state, steps = state_layout.load(work, _STATE), 0
+    square = vector.dot(state[0], state[0])
+    while steps < BUDGET:
+        lanes.store(work, _SQUARE, square)
+        lanes.store(work, _SECONDS, 2.0 * method.angle / taylor.turning_rate(
+            square, bound, method.angle))
+        if not _choose_steps(group, limit_ns, method):
+            break
+        latest = taylor.step(state, lanes.load(work, _SECONDS), coefficients, body.form, drive, 0,
+                             False, bound, method.tolerance, work[_TABLE:], None)
+        square = vector.dot(latest[0], latest[0])
+        if not lanes.every(square <= FASTEST * FASTEST):
+            break  # `loop.run` reports it
+        moves = lanes.load(work, _MOVES) > 0.0
+        state = (four.choose(moves, latest[0], state[0]), four.choose(moves, latest[1], state[1]),
+                 four.choose(moves, latest[2], state[2]), four.choose(moves, latest[3], state[3]))
+        square = vector.dot(state[0], state[0])
+        for lane in range(LANES):
+            group.grid_ns[lane] += group.steps_ns[lane]
+        steps += 1
+    state_layout.store(state, work, _STATE)
+    _store(group)
+    for lane in range(LANES):
+        group.progress[group.rows[lane], layout.GRID_NS] = group.grid_ns[lane]
+    return steps
+
+
+@internal
+def _are_many(group: Group, limit_ns: int, torque: vector.Vector, body: Body,
+              method: Method) -> bool:
+    # Return whether so many steps are left that it pays to gather the group.
+    row = group.rows[0]
+    acceleration = euler_equations.acceleration_from_torque(body.coefficients, body.form, torque)
+    w = state_layout.load(group.states[row], 0)[0]
+    seconds = taylor.step_seconds(
+        vector.dot(w, w), math.sqrt(vector.dot(acceleration, acceleration)), method.angle)
+    rest_ns = limit_ns - group.progress[row, layout.GRID_NS]
+    return _FEWEST * stepping.full_step_ns(seconds, method) < rest_ns
+
+
+@internal
+def _choose_steps(group: Group, limit_ns: int, method: Method) -> bool:
+    # Choose the next step of each run, and return whether there is any. A run whose next step is
+    # its last stays where it is: a step of a nanosecond is computed for nothing.
+    work, moving = group.work, False
+    for lane in range(LANES):
+        rest_ns = limit_ns - group.grid_ns[lane]
+        step_ns = stepping.full_step_ns(work[_SECONDS, lane], method)
+        moves = step_ns < rest_ns and not stepping.is_one_step(
+            rest_ns, work[_SQUARE, lane], work[_BOUND, lane], method)
+        moving |= moves
+        group.steps_ns[lane] = step_ns if moves else 0
+        work[_MOVES, lane] = 1.0 if moves else 0.0
+        work[_SECONDS, lane] = (step_ns if moves else 1) / 1e9
+    return moving
+
+
+@internal
+def _load(group: Group) -> None:
+    # Gather the states on the grid, their times, and the constants of the bodies.
+    for lane in range(LANES):
+        row = group.rows[lane]
+        group.grid_ns[lane] = group.progress[row, layout.GRID_NS]
+        for k in range(state_layout.SIZE):
+            group.work[_STATE + k, lane] = group.states[row, k]
+        for k in range(body_layout.SIZE):
+            group.work[_CONSTANTS + k, lane] = group.constants[row, k]
+
+
+@internal
+def _store(group: Group) -> None:
+    # Put the states on the grid back.
+    for lane in range(LANES):
+        for k in range(state_layout.SIZE):
+            group.states[group.rows[lane], k] = group.work[_STATE + k, lane]
