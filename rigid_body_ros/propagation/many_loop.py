@@ -64,16 +64,16 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
         last = min(k + LANES, len(which)) - 1
         for lane in range(LANES):
             group.rows[lane] = which[min(k + lane, last)]
-        until = layout.IN_FORCE
-        while until < stop:
+        until, going = layout.IN_FORCE, True
+        while going and until < stop:
             steps = 0
             if COMPILES and terms is None and last > k:  # the compiler leaves it out otherwise
                 steps = groups.advance(group, times_ns, rows, log, settings)
                 if steps >= groups.BUDGET:
                     return k
-            # The others finish the segment in which they were together; after that, try again.
-            sample = progress[which[k], layout.SAMPLE]
-            until = min(stop, sample + (1 if steps > 0 else _PIECE))
+            # They finish the segment in which they were together one by one.
+            sample = max(until, progress[which[k], layout.SAMPLE])
+            until, going = min(stop, sample + (1 if steps > 0 else _PIECE)), False
             for j in range(k, last + 1):
                 i = which[j]
                 if not too_fast[i]:
@@ -83,4 +83,5 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
                     if result == loop.UNFINISHED:
                         return j
                     too_fast[i] = result == loop.TOO_FAST
+                    going |= not too_fast[i] and progress[i, layout.DONE] < len(times_ns)
     return len(which)
