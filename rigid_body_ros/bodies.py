@@ -18,9 +18,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros.body import RigidBody
+from rigid_body_ros.body import FASTEST_DAMPING, RigidBody, ROUNDING, TRIANGLE_EXCESS
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import body_layout
+from rigid_body_ros.kernels.tensors import fill_constants
 
 
 class RigidBodies:
@@ -76,14 +77,46 @@ class RigidBodies:
 
     def _computed(self) -> tuple[Floats, tuple[str, ...]]:
         """Return the constants for the kernels, shape (n, body_layout.SIZE), and the messages."""
-        constants, messages = np.zeros((len(self), body_layout.SIZE)), []
-        for row in range(len(self)):
+        inertia, damping = _symmetric_part(self.inertia), _symmetric_part(self.damping)
+        constants: Floats = np.zeros((len(self), body_layout.SIZE))
+        certain = np.empty(len(self), np.bool_)
+        fill_constants(inertia, damping, constants, certain)
+        certain &= _almost_symmetric(self.inertia) & _almost_symmetric(self.damping)
+        certain[certain] = _is_possible(constants[certain])
+        rows = np.flatnonzero(certain & self.is_damped)
+        certain[rows] = _is_semidefinite(damping[rows])
+        messages = [''] * len(self)
+        for row in np.flatnonzero(~certain).tolist():
             try:
                 constants[row] = self[row]._constants
-                messages.append('')
             except ValueError as error:
-                messages.append(str(error))
+                constants[row], messages[row] = 0.0, str(error)
         return constants, tuple(messages)
+
+
+def _symmetric_part(tensors: Floats) -> Floats:
+    with np.errstate(invalid='ignore'):  # infinities, which are errors of their rows
+        return np.ascontiguousarray(0.5 * tensors + 0.5 * tensors.transpose(0, 2, 1))
+
+
+def _almost_symmetric(tensors: Floats) -> NDArray[np.bool_]:
+    with np.errstate(invalid='ignore', over='ignore'):
+        differences = np.abs(tensors - tensors.transpose(0, 2, 1)).max(axis=(1, 2))
+    return np.asarray(differences <= ROUNDING * np.abs(tensors).max(axis=(1, 2)))
+
+
+def _is_possible(constants: Floats) -> NDArray[np.bool_]:
+    """Return whether moments and damping are in the range that `RigidBody` accepts."""
+    smallest, middle, largest = constants[:, body_layout.MOMENTS:body_layout.MOMENTS + 3].T
+    damping = constants[:, body_layout.DAMPING:body_layout.LOST_DAMPING]
+    return np.asarray((largest / (smallest + middle) - 1.0 <= TRIANGLE_EXCESS)
+                      & (np.abs(damping).max(axis=1) <= FASTEST_DAMPING))
+
+
+def _is_semidefinite(damping: Floats) -> NDArray[np.bool_]:
+    # Half the accepted rounding error: nothing that `RigidBody` might reject.
+    largest = np.abs(damping).max(axis=(1, 2))
+    return np.asarray(np.linalg.eigvalsh(damping)[:, 0] >= -0.5 * ROUNDING * largest)
 
 
 def _rows_of_tensors(values: ArrayLike, name: str) -> Floats:

@@ -30,12 +30,12 @@ from rigid_body_ros.kernels.jit import internal
 from rigid_body_ros.kernels.linear_terms import Constants, from_columns, Linear, Matrix
 from rigid_body_ros.kernels.vector import Coefficients, Columns, of, PrincipalFrame, Vector
 
-#: Offsets.
-_EQUATIONS, _LOST_EQUATIONS, _MOMENTS, _LOST_MOMENTS, _AXES, _LOST_AXES = 0, 36, 72, 76, 80, 92
-_DAMPING, _LOST_DAMPING = 104, 116
+#: Offsets of the parts; a vector or column takes four doubles.
+EQUATIONS, LOST_EQUATIONS, MOMENTS, LOST_MOMENTS, AXES, LOST_AXES = 0, 36, 72, 76, 80, 92
+DAMPING, LOST_DAMPING = 104, 116
 SIZE = 128
 #: Low-order parts of J^-1, the last three columns of coefficients of Euler's equations.
-LOST_INVERSE = slice(_LOST_EQUATIONS + 24, _MOMENTS)
+LOST_INVERSE = slice(LOST_EQUATIONS + 24, MOMENTS)
 
 
 def pack(coefficients: Floats, moments: Floats, axes: Floats, damping: Floats) -> Floats:
@@ -60,8 +60,8 @@ def pack(coefficients: Floats, moments: Floats, axes: Floats, damping: Floats) -
 @internal
 def coefficients(constants: Floats) -> Coefficients:
     """Return the coefficients of Euler's equations."""
-    columns = _columns(constants, _EQUATIONS)
-    return (columns, _columns(constants, _LOST_EQUATIONS),
+    columns = _columns(constants, EQUATIONS)
+    return (columns, _columns(constants, LOST_EQUATIONS),
             of(columns[0][0], columns[1][1], columns[2][2]),
             of(columns[6][0], columns[7][1], columns[8][2]))
 
@@ -69,16 +69,16 @@ def coefficients(constants: Floats) -> Coefficients:
 @internal
 def principal_frame(constants: Floats) -> PrincipalFrame:
     """Return the principal moments and axes."""
-    return (four.load(constants, _MOMENTS), four.load(constants, _LOST_MOMENTS),
-            _three(constants, _AXES), _three(constants, _LOST_AXES))
+    return (four.load(constants, MOMENTS), four.load(constants, LOST_MOMENTS),
+            _three(constants, AXES), _three(constants, LOST_AXES))
 
 
 @internal
 def linear_constants(constants: Floats) -> Constants:
     """Return the matrices of the terms of Euler's equations that are linear in w."""
     return Constants(
-        Linear(_matrix(constants, _EQUATIONS + 24), _matrix(constants, _LOST_EQUATIONS + 24)),
-        Linear(_matrix(constants, _DAMPING), _matrix(constants, _LOST_DAMPING)))
+        Linear(_matrix(constants, EQUATIONS + 24), _matrix(constants, LOST_EQUATIONS + 24)),
+        Linear(_matrix(constants, DAMPING), _matrix(constants, LOST_DAMPING)))
 
 
 @internal

@@ -1,0 +1,115 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Triple-double arithmetic for the compiled kernels: a number is the sum of three doubles.
+
+Such a number has about 47 digits: enough to round a result of many operations to a double-double
+number as exact arithmetic would, unless the result is very close to a tie. `store` detects that.
+
+The algorithms are those of `double_double` with one more part. The error of a sum or product is
+less than 2^-150 of the absolute values of its terms, provided that nothing underflows.
+"""
+
+from __future__ import annotations
+
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels.double_double import two_product, two_sum
+from rigid_body_ros.kernels.jit import fma, internal
+
+#: Parts in descending order of magnitude.
+TripleDouble = tuple[float, float, float]
+
+#: More than one, by more than the rounding error of a double.
+_ABOVE_ONE = 1.0 + 2.0 ** -40
+
+
+@internal
+def normalized(a: TripleDouble) -> TripleDouble:
+    """Return the same sum in parts that do not overlap: the first is the sum, rounded."""
+    middle, low = two_sum(a[1], a[2])
+    high, middle = two_sum(a[0], middle)
+    middle, low = two_sum(middle, low)
+    high, rest = two_sum(high, middle)
+    middle, low = two_sum(rest, low)
+    return high, middle, low
+
+
+@internal
+def add_product(total: TripleDouble, a: float, b: float) -> TripleDouble:
+    """Return total + a b, not normalized."""
+    product, error = two_product(a, b)
+    high, one = two_sum(total[0], product)
+    middle, two = two_sum(total[1], one)
+    middle, three = two_sum(middle, error)
+    return high, middle, total[2] + (two + three)
+
+
+@internal
+def add_scaled(total: TripleDouble, a: TripleDouble, factor: float) -> TripleDouble:
+    """Return total + factor a, not normalized."""
+    high, middle, low = add_product(total, a[0], factor)
+    product, error = two_product(a[1], factor)
+    middle, one = two_sum(middle, product)
+    return high, middle, low + (one + fma(a[2], factor, error))
+
+
+@internal
+def multiply(a: TripleDouble, b: TripleDouble) -> TripleDouble:
+    """Return a b."""
+    high, rest = two_product(a[0], b[0])
+    one, one_error = two_product(a[0], b[1])
+    two, two_error = two_product(a[1], b[0])
+    middle, left = two_sum(one, two)
+    middle, more = two_sum(middle, rest)
+    low = fma(a[0], b[2], fma(a[1], b[1], a[2] * b[0]))
+    return normalized((high, middle, low + ((left + more) + (one_error + two_error))))
+
+
+@internal
+def reciprocal(a: TripleDouble) -> TripleDouble:
+    """Return 1 / a by long division."""
+    first = 1.0 / a[0]
+    rest = normalized(add_scaled((1.0, 0.0, 0.0), a, -first))
+    second = rest[0] / a[0]
+    rest = normalized(add_scaled(rest, a, -second))
+    return normalized((first, second, rest[0] / a[0]))
+
+
+@internal
+def store(number: TripleDouble, error: float, into: Floats, high_at: int, low_at: int) -> bool:
+    """
+    Round a number to a double, and the rest to another.
+
+    Parameters
+    ----------
+    number : TripleDouble
+        Normalized.
+    error : float
+        Its error bound; 0 if it is exact.
+    into : float64 (n,)
+        Output: the two doubles. No zero is negative.
+    high_at, low_at : int
+        Their places.
+
+    Returns
+    -------
+    bool
+        Whether these are the doubles of every number within the error bound.
+
+    """
+    high, middle, low = number
+    rest, other = middle + (low - error), middle + (low + error)
+    into[high_at], into[low_at] = high + 0.0, rest + 0.0
+    return rest == other and high + _ABOVE_ONE * rest == high
