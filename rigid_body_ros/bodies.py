@@ -85,13 +85,19 @@ class RigidBodies:
         certain[certain] = _is_possible(constants[certain])
         rows = np.flatnonzero(certain & self.is_damped)
         certain[rows] = _is_semidefinite(damping[rows])
-        messages = [''] * len(self)
+        messages, known = [''] * len(self), dict[bytes, tuple[Floats | float, str]]()
         for row in np.flatnonzero(~certain).tolist():
-            try:
-                constants[row] = self[row]._constants
-            except ValueError as error:
-                constants[row], messages[row] = 0.0, str(error)
+            key = self.inertia[row].tobytes() + self.damping[row].tobytes()
+            if key not in known:
+                known[key] = self._computed_alone(row)
+            constants[row], messages[row] = known[key]
         return constants, tuple(messages)
+
+    def _computed_alone(self, row: int) -> tuple[Floats | float, str]:
+        try:
+            return self[row]._constants, ''
+        except ValueError as error:
+            return 0.0, str(error)
 
 
 def _symmetric_part(tensors: Floats) -> Floats:

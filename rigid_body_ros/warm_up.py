@@ -48,6 +48,7 @@ def main() -> None:
     """Use every kernel once."""
     show('compiling the kernels: usually up to a minute, once after each installation')
     warm_up()
+    RigidBodies([np.eye(3)])
     _sum_torques()
     _step_together()
     _replay()

@@ -15,51 +15,52 @@
 """
 Principal moments and axes of many tensors, with the bits of `tensor.principal`.
 
-Jacobi rotations in doubles give moments m_i and axes v_i. The exact axes are the sums of v_k x_ki
-with x_ii = 1, where x solves
+Jacobi rotations in doubles give moments m_k and axes v_k. The exact axis i, but for its length, is
+the sum of v_k z_k with z_i = 1, and the exact moment is m_i + d, where
 
-    sum over k of (r_jk + (m_k - m_i - d_i) g_jk) x_ki = 0  for each j,
+    sum over k of (r_jk + (m_k - m_i - d) g_jk) z_k = 0  for each j,
+    r_jk = v_j . (J v_k - m_k v_k),  g_jk = v_j . v_k.
 
-the moments are m_i + d_i, r_jk = v_j . (J v_k - m_k v_k), and g_jk = v_j . v_k. All residuals are
-as small as rounding errors, so doubles suffice for their products, and only what is linear in them
-needs more. This is the refinement of Ogita and Aishima, "Iterative refinement for symmetric
-eigenvalue decomposition", 2018, carried on until it converges.
+The residuals r_jk, and g_jk less 1 if j = k, are as small as rounding errors. Only they are
+computed beyond double precision: it suffices for their products. This is the iterative refinement
+of Ogita and Aishima, "Iterative refinement for symmetric eigenvalue decomposition", 2018, carried
+on to convergence.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import body_layout
 from rigid_body_ros.kernels import double_double as dd
-from rigid_body_ros.kernels.double_double import DoubleDouble
 from rigid_body_ros.kernels.jit import internal
 from rigid_body_ros.kernels.triple_double import (
     add_product,
     add_scaled,
+    ERROR,
     normalized,
     store,
     TripleDouble,
 )
 
-#: Bound on the error of a residual, relative to the sum of the absolute entries of the tensor.
-#: The error is less than 2^-148 of it.
-_ERROR = 2.0 ** -145
-#: Bound on the relative error of a product of residuals.
-_SECOND_ORDER = 2.0 ** -46
-#: Difference of moments, relative to the same sum, below which axes cannot be certain.
+#: Bounds on the relative errors of a product of residuals and of double-double arithmetic.
+_PRODUCT_ERROR, _PAIR_ERROR = 2.0 ** -48, 2.0 ** -100
+#: Of `tensor.principal`, which neglects off-diagonal entries below 1e-54, in units of ERROR.
+_EXACT_ERROR = 2.0 ** -178 / ERROR
+#: Difference of moments, relative to the sum of the absolute entries of the tensor, below which
+#: the iteration may not converge.
 _CLOSE = 2.0 ** -30
 #: More than the relative error of a rotation in doubles.
 _ROUNDING = 2.0 ** -49
-_SWEEPS, _ITERATIONS = 10, 4
+_SWEEPS, _ITERATIONS = 10, 3
 _AMBIGUOUS = math.inf
 _ZERO = (0.0, 0.0, 0.0)
 
 
 @internal
-def fill_principal(tensor: Floats, size: float, matrix: Floats, axes: Floats, residuals: Floats,
-                   products: Floats, constants: Floats) -> bool:
+def fill_principal(tensor: Floats, constants: Floats) -> bool:
     """
     Compute the principal moments and axes of a tensor that is not diagonal.
 
@@ -67,12 +68,6 @@ def fill_principal(tensor: Floats, size: float, matrix: Floats, axes: Floats, re
     ----------
     tensor : float64 (3, 3), kg m^2
         Symmetric.
-    size : float, kg m^2
-        Sum of the absolute values of its entries.
-    matrix, axes : float64 (3, 3)
-        Working memory.
-    residuals, products : float64 (3, 3, 2)
-        Working memory.
     constants : float64 (body_layout.SIZE,)
         Output: the moments and axes.
 
@@ -82,55 +77,24 @@ def fill_principal(tensor: Floats, size: float, matrix: Floats, axes: Floats, re
         Whether all bits are certain to be those of `tensor.principal`.
 
     """
+    matrix, axes, moments = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    size = 0.0
+    for a in range(3):
+        for b in range(3):
+            size += abs(tensor[a, b])
     if not _diagonalized(tensor, size, matrix, axes):
         return False
-    first, second, third = _ascending(matrix)
-    gap = min(matrix[second, second] - matrix[first, first],
-              matrix[third, third] - matrix[second, second])
-    if gap <= _CLOSE * size:
+    _sort(matrix, axes, moments)
+    if min(moments[1] - moments[0], moments[2] - moments[1]) <= _CLOSE * size:
         return False
-    x_bound = _fill_residuals(tensor, matrix, axes, residuals, products, gap)
-    lost = _SECOND_ORDER * x_bound * x_bound
-    axis_error = _ERROR * size / gap + lost
-    moment_error = _ERROR * size + lost * (matrix[third, third] - matrix[first, first])
-    lone = _lone_axis(tensor)
-    odd = (second - first) % 3 != 1
-    certain = True
-    for place, i in enumerate((first, second, third)):
-        exact = i == lone
-        sign = -1.0 if odd and place == 2 else 1.0
-        moment, x, y, length = _refined(i, matrix, residuals, products)
-        certain &= store(moment, 0.0 if exact else moment_error, constants,
-                         body_layout.MOMENTS + place, body_layout.LOST_MOMENTS + place)
-        for k in range(3):
-            a, b, c = _component(axes, k, i, x, y, length)
-            certain &= store((sign * a, sign * b, sign * c),
-                             0.0 if exact or k == lone else axis_error, constants,
-                             body_layout.AXES + 4 * place + k,
-                             body_layout.LOST_AXES + 4 * place + k)
-    return certain
-
-
-@internal
-def _lone_axis(tensor: Floats) -> int:
-    # Return the body axis that is a principal axis, whose moment and components are exact; or -1.
-    for k in range(3):
-        if tensor[k, (k + 1) % 3] == 0.0 and tensor[k, (k + 2) % 3] == 0.0:
-            return k
-    return -1
-
-
-@internal
-def _ascending(matrix: Floats) -> tuple[int, int, int]:
-    # Return the order of the moments.
-    first, second, third = 0, 1, 2
-    if matrix[second, second] < matrix[first, first]:
-        first, second = second, first
-    if matrix[third, third] < matrix[second, second]:
-        second, third = third, second
-    if matrix[second, second] < matrix[first, first]:
-        first, second = second, first
-    return first, second, third
+    if _refined(tensor, size, moments, axes, constants):
+        return True
+    # Close moments leave the axes of Jacobi rotations inaccurate. The refined ones are not.
+    for i in range(3):
+        moments[i] = constants[body_layout.MOMENTS + i]
+        for c in range(3):
+            axes[c, i] = constants[body_layout.AXES + 4 * i + c]
+    return _refined(tensor, size, moments, axes, constants)
 
 
 @internal
@@ -180,71 +144,172 @@ def _rotated(matrix: Floats, axes: Floats, p: int, q: int, size: float, error: f
 
 
 @internal
-def _fill_residuals(tensor: Floats, matrix: Floats, axes: Floats, residuals: Floats,
-                    products: Floats, gap: float) -> float:
-    # Fill r and g - 1 with their low-order parts; return a bound on the size of x.
-    bound = 0.0
+def _sort(matrix: Floats, axes: Floats, moments: Floats) -> None:
+    # Fill the moments in ascending order, and sort the axes. An odd permutation turns the last.
+    odd = False
+    for i in range(3):
+        moments[i] = matrix[i, i]
+    for p, q in ((0, 1), (1, 2), (0, 1)):
+        if moments[q] < moments[p]:
+            odd = not odd
+            moments[p], moments[q] = moments[q], moments[p]
+            for c in range(3):
+                axes[c, p], axes[c, q] = axes[c, q], axes[c, p]
+    if odd:
+        for c in range(3):
+            axes[c, 2] = -axes[c, 2]
+
+
+@internal
+def _refined(tensor: Floats, size: float, moments: Floats, axes: Floats,
+             constants: Floats) -> bool:
+    # Store refined moments and axes; return whether their bits are certain.
+    r, g, shares = np.empty((3, 3, 3)), np.empty((3, 3, 3)), np.empty((3, 3))
+    _fill_residuals(tensor, size, moments, axes, r, g)
+    certain = True
+    for i in range(3):
+        moment, error = _refine(i, moments, r, g, shares)
+        certain &= store(moment, error, constants, body_layout.MOMENTS + i,
+                         body_layout.LOST_MOMENTS + i)
+        for c in range(3):
+            total, error = (axes[c, i], 0.0, 0.0), 0.0
+            for k in range(3):
+                total = add_scaled(total, (shares[k, 0], shares[k, 1], 0.0), axes[c, k])
+                error += shares[k, 2] * abs(axes[c, k])
+            certain &= store(normalized(total), error, constants,
+                             body_layout.AXES + 4 * i + c, body_layout.LOST_AXES + 4 * i + c)
+    return certain
+
+
+@internal
+def _fill_residuals(tensor: Floats, size: float, moments: Floats, axes: Floats, r: Floats,
+                    g: Floats) -> None:
+    # Fill r and g, the latter less 1 if j = k: high-order part, low-order part, and error bound in
+    # units of ERROR. An axis that is a body axis and its moment are exact in `tensor.principal`.
     for k in range(3):
-        moment = matrix[k, k]
-        a, b, c = (_rest(tensor, moment, axes, 0, k), _rest(tensor, moment, axes, 1, k),
-                   _rest(tensor, moment, axes, 2, k))
+        a, a_size = _rest(tensor, moments[k], axes, 0, k)
+        b, b_size = _rest(tensor, moments[k], axes, 1, k)
+        c, c_size = _rest(tensor, moments[k], axes, 2, k)
         for j in range(3):
-            total = add_scaled(_ZERO, a, axes[0, j])
-            total = add_scaled(add_scaled(total, b, axes[1, j]), c, axes[2, j])
-            residuals[j, k, 0], residuals[j, k, 1], _ = normalized(total)
-            total = add_product((-1.0 if j == k else 0.0, 0.0, 0.0), axes[0, j], axes[0, k])
-            total = add_product(add_product(total, axes[1, j], axes[1, k]), axes[2, j], axes[2, k])
-            products[j, k, 0], products[j, k, 1], _ = normalized(total)
-            bound += abs(residuals[j, k, 0]) / gap + abs(products[j, k, 0])
-    return bound
+            total = add_scaled(add_scaled(_ZERO, a, axes[0, j]), b, axes[1, j])
+            r[j, k, 0], r[j, k, 1], _ = normalized(add_scaled(total, c, axes[2, j]))
+            r[j, k, 2] = (a_size * abs(axes[0, j]) + b_size * abs(axes[1, j])
+                          + c_size * abs(axes[2, j]))
+            if r[j, k, 2] > 0.0:
+                r[j, k, 2] += _EXACT_ERROR * size
+            total, g[j, k, 2] = _square_less_one(axes, k) if j == k else _product(axes, j, k)
+            g[j, k, 0], g[j, k, 1], _ = normalized(total)
+            if g[j, k, 2] > 0.0:
+                g[j, k, 2] += _EXACT_ERROR
 
 
 @internal
-def _rest(tensor: Floats, moment: float, axes: Floats, row: int, k: int) -> TripleDouble:
-    # Return a component of J v - m v.
-    total = add_product(_ZERO, tensor[row, 0], axes[0, k])
-    total = add_product(total, tensor[row, 1], axes[1, k])
-    total = add_product(total, tensor[row, 2], axes[2, k])
-    return normalized(add_product(total, -moment, axes[row, k]))
+def _rest(tensor: Floats, moment: float, axes: Floats, row: int, k: int) \
+        -> tuple[TripleDouble, float]:
+    # Return a component of J v - m v, and the sum of the absolute values of its terms.
+    a, b = (row + 1) % 3, (row + 2) % 3
+    high, low = dd.two_sum(tensor[row, row], -moment)
+    total = add_product(add_product(_ZERO, high, axes[row, k]), low, axes[row, k])
+    total = add_product(total, tensor[row, a], axes[a, k])
+    total = add_product(total, tensor[row, b], axes[b, k])
+    return normalized(total), (abs(high * axes[row, k]) + abs(tensor[row, a] * axes[a, k])
+                               + abs(tensor[row, b] * axes[b, k]))
 
 
 @internal
-def _refined(i: int, matrix: Floats, r: Floats, g: Floats) \
-        -> tuple[TripleDouble, DoubleDouble, DoubleDouble, DoubleDouble]:
-    # Return a moment; the components of its axis along the next two; and the length of v_i in the
-    # axis of unit length, less 1.
-    p, q = (i + 1) % 3, (i + 2) % 3
-    to_p, to_q = matrix[p, p] - matrix[i, i], matrix[q, q] - matrix[i, i]
-    d = x = y = 0.0
-    in_i = in_p = in_q = 0.0  # the sums over products of residuals
+def _square_less_one(axes: Floats, k: int) -> tuple[TripleDouble, float]:
+    # Return v . v - 1, and the sum of the absolute values of its terms. One term is x^2 - 1, with
+    # the largest component x, computed as (x - 1) (x + 1).
+    total, size, largest = _ZERO, 0.0, 0
+    for c in range(1, 3):
+        if abs(axes[c, k]) > abs(axes[largest, k]):
+            largest = c
+    for c in range(3):
+        x = abs(axes[c, k])
+        if c == largest:
+            high, low = dd.two_sum(x, 1.0)
+            total = add_product(add_product(total, x - 1.0, high), x - 1.0, low)
+            size += abs((x - 1.0) * high)
+        else:
+            total = add_product(total, x, x)
+            size += x * x
+    return total, size
+
+
+@internal
+def _product(axes: Floats, j: int, k: int) -> tuple[TripleDouble, float]:
+    # Return v_j . v_k, and the sum of the absolute values of its terms.
+    total, size = _ZERO, 0.0
+    for c in range(3):
+        total = add_product(total, axes[c, j], axes[c, k])
+        size += abs(axes[c, j] * axes[c, k])
+    return total, size
+
+
+@internal
+def _refine(i: int, moments: Floats, r: Floats, g: Floats, shares: Floats) \
+        -> tuple[TripleDouble, float]:
+    # Return moment i and its error bound. Fill the shares of the v_k in its axis of unit length,
+    # less 1 for v_i: high-order part, low-order part and error bound.
+    z, sums = np.zeros(3), np.zeros(3)
+    d = _iterate(i, moments, r, g, z, sums)
+    for k in ((i + 1) % 3, (i + 2) % 3):
+        products, size = _products(k, i, d, moments, r, g, z)
+        error = ERROR * r[k, i, 2] + _PRODUCT_ERROR * size + abs(products - sums[k])
+        dividend = dd.add((r[k, i, 0], r[k, i, 1]), (products, 0.0))
+        divisor = dd.two_sum(moments[i], -moments[k])
+        shares[k, 0], shares[k, 1] = dd.divide(dividend, divisor)
+        shares[k, 2] = error / abs(divisor[0]) + _PAIR_ERROR * abs(shares[k, 0])
+    _normalize(i, g, z, shares)
+    products, size = _products(i, i, d, moments, r, g, z)
+    high, low = dd.add((r[i, i, 0], r[i, i, 1]), (products, 0.0))
+    error = ERROR * r[i, i, 2] + _PRODUCT_ERROR * size + abs(products - sums[i])
+    return normalized((moments[i], high, low)), error + _PAIR_ERROR * abs(high)
+
+
+@internal
+def _iterate(i: int, moments: Floats, r: Floats, g: Floats, z: Floats, sums: Floats) -> float:
+    # Return d. Fill z, with 0 for z_i, and the sums of products of residuals for each row.
+    d = 0.0
     for _ in range(_ITERATIONS):
-        in_i = ((r[i, p, 0] + (to_p - d) * g[i, p, 0]) * x
-                + (r[i, q, 0] + (to_q - d) * g[i, q, 0]) * y - d * g[i, i, 0])
-        d = r[i, i, 0] + in_i
-        in_p = ((r[p, p, 0] + (to_p - d) * g[p, p, 0] - d) * x
-                + (r[p, q, 0] + (to_q - d) * g[p, q, 0]) * y - d * g[p, i, 0])
-        in_q = ((r[q, p, 0] + (to_p - d) * g[q, p, 0]) * x
-                + (r[q, q, 0] + (to_q - d) * g[q, q, 0] - d) * y - d * g[q, i, 0])
-        x, y = -(r[p, i, 0] + in_p) / to_p, -(r[q, i, 0] + in_q) / to_q
-    high, low = dd.add((r[i, i, 0], r[i, i, 1]), (in_i, 0.0))
-    along_p = dd.divide(dd.add((r[p, i, 0], r[p, i, 1]), (in_p, 0.0)),
-                        dd.two_sum(matrix[i, i], -matrix[p, p]))
-    along_q = dd.divide(dd.add((r[q, i, 0], r[q, i, 1]), (in_q, 0.0)),
-                        dd.two_sum(matrix[i, i], -matrix[q, q]))
-    squares = (2.0 * (g[i, p, 0] * x + g[i, q, 0] * y + g[p, q, 0] * x * y)
-               + (1.0 + g[p, p, 0]) * x * x + (1.0 + g[q, q, 0]) * y * y)
-    more, rest = dd.add((g[i, i, 0], g[i, i, 1]), (squares, 0.0))  # the square of the length, - 1
-    length = dd.add((-0.5 * more, -0.5 * rest),
-                    (more * more * (0.375 + more * (-0.3125 + more * 0.2734375)), 0.0))
-    return normalized((matrix[i, i], high, low)), along_p, along_q, length
+        for k in (i, (i + 1) % 3, (i + 2) % 3):
+            sums[k], _ = _products(k, i, d, moments, r, g, z)
+            if k == i:
+                d = r[i, i, 0] + sums[i]
+            else:
+                z[k] = (r[k, i, 0] + sums[k]) / (moments[i] - moments[k])
+    return d
 
 
 @internal
-def _component(axes: Floats, k: int, i: int, x: DoubleDouble, y: DoubleDouble,
-               length: DoubleDouble) -> TripleDouble:
-    # Return a component of the axis of unit length.
-    p, q = (i + 1) % 3, (i + 2) % 3
-    x, y = dd.add(x, (x[0] * length[0], 0.0)), dd.add(y, (y[0] * length[0], 0.0))
-    total = add_scaled((axes[k, i], 0.0, 0.0), (length[0], length[1], 0.0), axes[k, i])
-    total = add_scaled(total, (x[0], x[1], 0.0), axes[k, p])
-    return normalized(add_scaled(total, (y[0], y[1], 0.0), axes[k, q]))
+def _products(row: int, i: int, d: float, moments: Floats, r: Floats, g: Floats, z: Floats) \
+        -> tuple[float, float]:
+    # Return the products of residuals in a row, and the sum of their absolute values.
+    total = -d * (g[row, i, 0] + z[row])
+    size = abs(d) * (abs(g[row, i, 0]) + abs(z[row]))
+    for k in range(3):
+        by_product = (moments[k] - moments[i] - d) * g[row, k, 0]
+        total += (r[row, k, 0] + by_product) * z[k]
+        size += (abs(r[row, k, 0]) + abs(by_product)) * abs(z[k])
+    return total, size
+
+
+@internal
+def _normalize(i: int, g: Floats, z: Floats, shares: Floats) -> None:
+    # Fill the share of v_i, less 1, and scale the others so that the axis has unit length.
+    squares = size = 0.0
+    for k in range(3):
+        more = 2.0 * g[i, k, 0] + z[k]
+        for j in range(3):
+            more += g[k, j, 0] * z[j]
+        squares += z[k] * more
+        size += abs(z[k]) * (2.0 * abs(g[i, k, 0]) + abs(z[k]))
+    high, low = dd.add((g[i, i, 0], g[i, i, 1]), (squares, 0.0))  # the square of the length, - 1
+    series = high * high * (0.375 + high * (-0.3125 + high * 0.2734375))
+    shares[i, 0], shares[i, 1] = dd.add((-0.5 * high, -0.5 * low), (series, 0.0))
+    shares[i, 2] = (ERROR * g[i, i, 2] + _PRODUCT_ERROR * (size + high * high)
+                    + _PAIR_ERROR * abs(high))
+    for k in ((i + 1) % 3, (i + 2) % 3):
+        shares[k, 0], shares[k, 1] = dd.add((shares[k, 0], shares[k, 1]),
+                                            (shares[k, 0] * shares[i, 0], 0.0))
+        shares[k, 2] += _PRODUCT_ERROR * abs(shares[k, 0] * shares[i, 0])

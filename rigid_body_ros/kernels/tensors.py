@@ -31,6 +31,7 @@ from rigid_body_ros.kernels.principal_axes import fill_principal
 from rigid_body_ros.kernels.triple_double import (
     add_product,
     add_scaled,
+    ERROR,
     multiply,
     normalized,
     reciprocal,
@@ -38,9 +39,6 @@ from rigid_body_ros.kernels.triple_double import (
     TripleDouble,
 )
 
-#: Bound on the error of a sum of products, relative to the sum of their absolute values.
-#: The error is less than 2^-148 of it.
-_ERROR = 2.0 ** -145
 #: Between these, and for entries of a tensor that are at least _LEAST times the largest, products
 #: of three entries neither overflow nor underflow.
 _SMALL, _LARGE = 2.0 ** -100, 2.0 ** 100
@@ -64,22 +62,13 @@ def fill_constants(tensors: Floats, damping: Floats, constants: Floats,
         Output: whether the tensor is positive definite and all bits are those of `tensor`.
 
     """
-    matrix, axes = np.empty((3, 3)), np.empty((3, 3))
-    residuals, products = np.empty((3, 3, 2)), np.empty((3, 3, 2))
-    cofactors, right = np.empty((3, 3, 4)), np.empty((3, 9, 2))
+    cofactors, right = np.empty((3, 3, 4)), np.empty((3, 12, 2))
     for row in range(len(tensors)):
-        tensor, out = tensors[row], constants[row]
-        certain[row] = _in_range(tensor, damping[row])
-        if not certain[row]:
-            continue
-        if tensor[0, 1] == 0.0 and tensor[0, 2] == 0.0 and tensor[1, 2] == 0.0:
-            certain[row] = _fill_diagonal(tensor, damping[row], out)
-        else:
-            size = np.abs(tensor).sum()
-            certain[row] = (
-                fill_principal(tensor, size, matrix, axes, residuals, products, out)
-                and out[body_layout.MOMENTS] > 0.0
-                and _fill_coefficients(tensor, damping[row], cofactors, right, out))
+        certain[row] = (_in_range(tensors[row], damping[row])
+                        and _fill_principal(tensors[row], constants[row])
+                        and constants[row, body_layout.MOMENTS] > 0.0
+                        and _fill_coefficients(tensors[row], damping[row], cofactors, right,
+                                               constants[row]))
 
 
 @internal
@@ -98,104 +87,75 @@ def _in_range(tensor: Floats, damping: Floats) -> bool:
 
 
 @internal
-def _fill_diagonal(tensor: Floats, damping: Floats, constants: Floats) -> bool:
-    # Compute the constants of a body whose principal axes are its body axes.
-    certain = min(tensor[0, 0], tensor[1, 1], tensor[2, 2]) > 0.0
-    if not certain:
-        return False
-    for a in range(3):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        moment = tensor[a, a]
-        certain &= _store_quotient(two_sum(tensor[b, b], -tensor[c, c]), moment, constants,
-                                   body_layout.EQUATIONS + 5 * a,
-                                   body_layout.LOST_EQUATIONS + 5 * a)
-        certain &= _store_quotient((1.0, 0.0), moment, constants,
-                                   body_layout.EQUATIONS + 24 + 5 * a,
-                                   body_layout.LOST_EQUATIONS + 24 + 5 * a)
-        for column in range(3):
-            certain &= _store_quotient((damping[a, column], 0.0), moment, constants,
-                                       body_layout.DAMPING + 4 * column + a,
-                                       body_layout.LOST_DAMPING + 4 * column + a)
-        # The sort is stable: equal moments keep the order of their axes.
-        place = int(tensor[b, b] < moment or (tensor[b, b] == moment and b < a)) \
-            + int(tensor[c, c] < moment or (tensor[c, c] == moment and c < a))
-        constants[body_layout.MOMENTS + place] = moment
-        constants[body_layout.AXES + 4 * place + a] = 1.0
-    _make_right_handed(constants)
-    return certain
+def _fill_principal(tensor: Floats, constants: Floats) -> bool:
+    if _is_alone(tensor, 0) and _is_alone(tensor, 1):
+        _sort_diagonal(tensor, constants)
+        return True
+    return fill_principal(tensor, constants)
 
 
 @internal
-def _make_right_handed(constants: Floats) -> None:
-    # Turn the axis of the largest moment around if the axes are an odd permutation.
-    first = second = 0
-    for a in range(3):
-        if constants[body_layout.AXES + a] == 1.0:
-            first = a
-        if constants[body_layout.AXES + 4 + a] == 1.0:
-            second = a
+def _is_alone(tensor: Floats, row: int) -> bool:
+    # Return whether the body axis is a principal axis.
+    return tensor[row, (row + 1) % 3] == 0.0 and tensor[row, (row + 2) % 3] == 0.0
+
+
+@internal
+def _sort_diagonal(tensor: Floats, constants: Floats) -> None:
+    # Store the moments of a diagonal tensor and their axes, right-handed, as `tensor.principal`.
+    first, second, third = 0, 1, 2
+    if tensor[second, second] < tensor[first, first]:
+        first, second = second, first
+    if tensor[third, third] < tensor[second, second]:
+        second, third = third, second
+    if tensor[second, second] < tensor[first, first]:
+        first, second = second, first
+    for place, a in enumerate((first, second, third)):
+        constants[body_layout.MOMENTS + place] = tensor[a, a]
+        constants[body_layout.AXES + 4 * place + a] = 1.0
     if (second - first) % 3 != 1:
-        third = 3 - first - second
         constants[body_layout.AXES + 8 + third] = -1.0
 
 
 @internal
-def _store_quotient(dividend: DoubleDouble, divisor: float, constants: Floats, high_at: int,
-                    low_at: int) -> bool:
-    # Long division. The remainders are exact, so a quotient that ends is exact, too.
-    first = dividend[0] / divisor
-    rest, lost = two_sum(fma(-first, divisor, dividend[0]), dividend[1])
-    second = rest / divisor
-    rest, lost = two_sum(fma(-second, divisor, rest), lost)
-    third = rest / divisor
-    error = 2.0 * abs(fma(-third, divisor, rest) + lost) / divisor
-    return store(normalized((first, second, third)), error, constants, high_at, low_at)
-
-
-@internal
-def _fill_coefficients(j: Floats, damping: Floats, cofactors: Floats, right: Floats,
+def _fill_coefficients(tensor: Floats, damping: Floats, cofactors: Floats, right: Floats,
                        constants: Floats) -> bool:
     # Solve Euler's equations by Cramer's rule, as `tensor.euler_coefficients` does.
-    _fill_cofactors(j, cofactors)
-    determinant, size = _ZERO, 0.0
+    certain, determinant, size = True, _ZERO, 0.0
+    columns = _fill_right_hand_sides(tensor, damping, right)
+    _fill_cofactors(tensor, cofactors)
     for b in range(3):
-        determinant = add_scaled(determinant, _cofactor(cofactors, 0, b), j[0, b])
-        size += abs(j[0, b]) * cofactors[0, b, 3]
+        determinant = add_scaled(determinant, _cofactor(cofactors, 0, b), tensor[0, b])
+        size += abs(tensor[0, b]) * cofactors[0, b, 3]
     determinant = normalized(determinant)
-    if determinant[0] <= _ERROR * size:
+    if determinant[0] <= ERROR * size:
         return False
     inverse = reciprocal(determinant)
-    share = size / determinant[0]  # relative error of the determinant, in units of _ERROR
-    certain = True
-    _fill_right_hand_sides(j, damping, right)
     for row in range(3):
-        for column in range(3):
-            number = multiply(_cofactor(cofactors, row, column), inverse)
-            error = cofactors[row, column, 3] * inverse[0] + abs(number[0]) * share
-            certain &= store(number, _ERROR * error, constants,
-                             body_layout.EQUATIONS + 4 * (6 + column) + row,
-                             body_layout.LOST_EQUATIONS + 4 * (6 + column) + row)
-        for column in range(9):
-            total, size = _ZERO, 0.0
-            for k in range(3):
-                cofactor = _cofactor(cofactors, row, k)
-                for part in range(2):
-                    if right[k, column, part] != 0.0:
-                        total = add_scaled(total, cofactor, right[k, column, part])
-                size += cofactors[row, k, 3] * abs(right[k, column, 0])
-            number = multiply(normalized(total), inverse)
-            error = size * inverse[0] + abs(number[0]) * share
-            high_at, low_at = _place(column)
-            certain &= store(number, _ERROR * error, constants, high_at + row, low_at + row)
+        if _is_alone(tensor, row):
+            certain &= _store_quotients(row, columns, right, tensor[row, row], constants)
+        else:
+            certain &= _store_row(row, columns, cofactors, right, inverse, size, constants)
     return certain
 
 
 @internal
-def _place(column: int) -> tuple[int, int]:
-    # Return where a solution is stored: six columns of products of w, then those of the damping.
-    if column < 6:
-        return body_layout.EQUATIONS + 4 * column, body_layout.LOST_EQUATIONS + 4 * column
-    return (body_layout.DAMPING + 4 * (column - 6), body_layout.LOST_DAMPING + 4 * (column - 6))
+def _fill_right_hand_sides(j: Floats, damping: Floats, right: Floats) -> int:
+    # The gyroscopic terms, in columns (w2 w3, w3 w1, w1 w2, w1^2, w2^2, w3^2), the torque and the
+    # damping: high-order and low-order parts. Return how many columns are not zero.
+    right[:] = 0.0
+    columns = 9
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        right[a, a, 0], right[a, a, 1] = two_sum(j[b, b], -j[c, c])
+        right[a, b, 0], right[a, c, 0] = j[a, b], -j[a, c]
+        right[a, 3 + b, 0], right[a, 3 + c, 0] = -j[b, c], j[b, c]
+        right[a, 6 + a, 0] = 1.0
+        for column in range(3):
+            right[a, 9 + column, 0] = damping[a, column]
+            if damping[a, column] != 0.0:
+                columns = 12
+    return columns
 
 
 @internal
@@ -218,15 +178,57 @@ def _cofactor(cofactors: Floats, a: int, b: int) -> TripleDouble:
 
 
 @internal
-def _fill_right_hand_sides(j: Floats, damping: Floats, right: Floats) -> None:
-    # The gyroscopic terms, in columns (w2 w3, w3 w1, w1 w2, w1^2, w2^2, w3^2), and the damping.
-    for a in range(3):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        right[a, a, 0], right[a, a, 1] = two_sum(j[b, b], -j[c, c])
-        right[a, b, 0], right[a, c, 0] = j[a, b], -j[a, c]
-        right[a, 3 + a, 0], right[a, 3 + b, 0], right[a, 3 + c, 0] = 0.0, -j[b, c], j[b, c]
-        for column in range(3):
-            right[a, 6 + column, 0] = damping[a, column]
-        for column in range(9):
-            if column != a:
-                right[a, column, 1] = 0.0
+def _places(column: int) -> tuple[int, int]:
+    # Return where the solutions for a column of right-hand sides are stored.
+    if column < 9:
+        return body_layout.EQUATIONS + 4 * column, body_layout.LOST_EQUATIONS + 4 * column
+    return body_layout.DAMPING + 4 * (column - 9), body_layout.LOST_DAMPING + 4 * (column - 9)
+
+
+@internal
+def _store_row(row: int, columns: int, cofactors: Floats, right: Floats, inverse: TripleDouble,
+               determinant_size: float, constants: Floats) -> bool:
+    certain = True
+    for column in range(columns):
+        total, size = _ZERO, 0.0
+        for k in range(3):
+            for part in range(2):
+                if right[k, column, part] != 0.0:
+                    total = add_scaled(total, _cofactor(cofactors, row, k),
+                                       right[k, column, part])
+                    size += cofactors[row, k, 3] * abs(right[k, column, part])
+        number = multiply(normalized(total), inverse)
+        error = ERROR * inverse[0] * (size + abs(number[0]) * determinant_size)
+        high_at, low_at = _places(column)
+        certain &= store(number, error, constants, high_at + row, low_at + row)
+    return certain
+
+
+@internal
+def _store_quotients(row: int, columns: int, right: Floats, moment: float,
+                     constants: Floats) -> bool:
+    # The remainder of a division is a double, so quotients of doubles are always certain.
+    certain = True
+    for column in range(columns):
+        dividend = right[row, column, 0], right[row, column, 1]
+        high_at, low_at = _places(column)
+        if dividend[1] == 0.0:
+            high = dividend[0] / moment
+            constants[high_at + row] = high + 0.0
+            constants[low_at + row] = fma(-high, moment, dividend[0]) / moment + 0.0
+        else:
+            number, error = _quotient(dividend, moment)
+            certain &= store(number, error, constants, high_at + row, low_at + row)
+    return certain
+
+
+@internal
+def _quotient(dividend: DoubleDouble, divisor: float) -> tuple[TripleDouble, float]:
+    # Long division. The remainders are exact, so a quotient that ends is exact, too.
+    first = dividend[0] / divisor
+    rest, lost = two_sum(fma(-first, divisor, dividend[0]), dividend[1])
+    second = rest / divisor
+    rest, lost = two_sum(fma(-second, divisor, rest), lost)
+    third = rest / divisor
+    error = 2.0 * abs(fma(-third, divisor, rest) + lost) / divisor
+    return normalized((first, second, third)), error

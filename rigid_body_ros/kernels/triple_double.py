@@ -18,8 +18,7 @@ Triple-double arithmetic for the compiled kernels: a number is the sum of three 
 Such a number has about 47 digits: enough to round a result of many operations to a double-double
 number as exact arithmetic would, unless the result is very close to a tie. `store` detects that.
 
-The algorithms are those of `double_double` with one more part. The error of a sum or product is
-less than 2^-150 of the absolute values of its terms, provided that nothing underflows.
+The algorithms are those of `double_double` with one more part.
 """
 
 from __future__ import annotations
@@ -31,6 +30,9 @@ from rigid_body_ros.kernels.jit import fma, internal
 #: Parts in descending order of magnitude.
 TripleDouble = tuple[float, float, float]
 
+#: Bound on the error of a sum of up to ten products, relative to the sum of their absolute values,
+#: provided that nothing underflows. The error is less than 2^-148 of it.
+ERROR = 2.0 ** -145
 #: More than one, by more than the rounding error of a double.
 _ABOVE_ONE = 1.0 + 2.0 ** -40
 
@@ -110,6 +112,8 @@ def store(number: TripleDouble, error: float, into: Floats, high_at: int, low_at
 
     """
     high, middle, low = number
+    if error > 0.0:
+        error += abs(low) * 2.0 ** -51  # low + error is rounded, too
     rest, other = middle + (low - error), middle + (low + error)
     into[high_at], into[low_at] = high + 0.0, rest + 0.0
     return rest == other and high + _ABOVE_ONE * rest == high
