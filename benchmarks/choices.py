@@ -13,13 +13,14 @@
 # limitations under the License.
 
 """
-Measure the cost of calls, and compare elliptic functions and rotations with SciPy.
+Measure the cost of calls and of bodies, and compare elliptic functions and rotations with SciPy.
 
     python benchmarks/choices.py [SECTION ...]
 
-The sections are `calls` (how arguments are passed from Python to a kernel), `elliptic` and `so3`
-(this package and SciPy). Times are processor times, the shortest of several. Errors are the
-largest differences from mpmath: relative for `elliptic`, of components for `so3`.
+The sections are `calls` (how arguments are passed from Python to a kernel), `bodies` (the
+constants of many bodies, and of one), `elliptic` and `so3` (this package and SciPy). Times are
+processor times, the shortest of several. Errors are the largest differences from mpmath: relative
+for `elliptic`, of components for `so3`.
 """
 
 import argparse
@@ -65,6 +66,21 @@ def calls():
                             ('4 of them, no vectors', records),
                             ('their 21 fields', fields), ('11 arrays', arrays)):
         print(f'calls: {name:24} {1e6 * seconds(partial(empty, *arguments)):.1f} us')
+
+
+def bodies():
+    """Print the time of the constants of a body, in 10 000 bodies and alone."""
+    from rigid_body_ros import RigidBodies, RigidBody
+    squares = RANDOM.uniform(0.02, 1.0, (10_000, 3))
+    moments = squares.sum(axis=1, keepdims=True) - squares
+    axes = np.linalg.qr(RANDOM.normal(size=(len(moments), 3, 3)))[0]
+    full = (axes * moments[:, None]) @ axes.transpose(0, 2, 1)
+    drag = np.diag([0.1, 0.2, 0.3])
+    for name, tensors, damping in (('diagonal', moments[:, None] * np.eye(3), None),
+                                   ('full', full, None), ('full, damped', full, drag)):
+        many = seconds(partial(RigidBodies, tensors, damping)) / len(tensors)
+        one = sum(seconds(partial(RigidBody, tensor, damping)) for tensor in tensors[:20]) / 20
+        print(f'bodies: {name:12} {1e6 * many:.1f} us of many, {1e6 * one:.0f} us alone')
 
 
 def elliptic():
@@ -140,7 +156,7 @@ def largest(found, exact):
     return float(np.max(np.abs(np.asarray(found) / exact - 1)))
 
 
-SECTIONS = {'calls': calls, 'elliptic': elliptic, 'so3': rotations}
+SECTIONS = {'calls': calls, 'bodies': bodies, 'elliptic': elliptic, 'so3': rotations}
 
 
 def main():

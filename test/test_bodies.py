@@ -81,6 +81,12 @@ BODIES = {
     + diagonal(RANDOM.integers(6, 12, (COUNT, 3)).astype(float)),
     'signed zeros': np.array([np.diag([1.0, 2.0, 2.5]) * sign for sign in np.where(
         RANDOM.integers(0, 2, (COUNT, 3, 3)) | np.eye(3, dtype=int), 1.0, -1.0)]),
+    'exact quotients': np.array([[[5.0, 2.0, 0.0], [2.0, 4.0, 0.0], [0.0, 0.0, moment]]
+                                 for moment in RANDOM.uniform(4.2, 8.9, COUNT)]),
+    # After the first rotation the difference of two moments is zero, or a rounding error.
+    'ambiguous rotations': np.array([
+        [[3.0 + a, 0.5 + b, x], [0.5 + b, 3.0 + a, -y], [x, -y, 2.5 + a - b]]
+        for a, b, x, y in RANDOM.integers(1, 32, (COUNT, 4)) / 64.0]),
     'half components': np.array([[[3.0, 1.0, x], [1.0, 3.0, x], [x, x, 4.0]]
                                  for x in RANDOM.uniform(0.1, 0.9, COUNT)]),
     'extreme': turned(ordinary()) * 10.0 ** RANDOM.uniform(-300, 290, (COUNT, 1, 1)),
