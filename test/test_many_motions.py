@@ -161,7 +161,7 @@ def test_runs_like_each_other_step_together(interval_ns, samples):
     bodies, starts, log = together(interval_ns, samples)
     progress, end_ns = np.zeros((COUNT, layout.DONE + 1), np.int64), int(log.times_ns[-1])
     group = Group(np.arange(LANES) + 3, np.concatenate([starts._packed] * 3, axis=1), progress,
-                  bodies._constants, callable_(groups.workspace)(), *np.zeros((2, LANES), int))
+                  bodies._constants, callable_(groups.workspace)())
     piece = Log(log.times_ns, log.torques[:, None], log.in_space, 0, samples, 0)
     steps = callable_(groups.advance)(group, np.array([end_ns]), loop.IN_ORDER, piece,
                                       Options().settings)

@@ -176,16 +176,16 @@ if jit.COMPILES:
         return count(condition, count), generate
 
     @intrinsic
-    def unless(_context: Any, condition: Any, four: Any) -> Any:
-        """Return four doubles, and zeros in the lanes where a condition holds."""
-        def generate(_: Any, builder: Any, __: Any, values: Any) -> Any:
-            found = values[1]
-            for place in range(4 if condition == _MASK else 0):
-                register = builder.select(values[0], ir.Constant(REGISTER, None),
-                                          builder.extract_value(found, place))
-                found = builder.insert_value(found, register, place)
-            return found
-        return four(condition, four), generate
+    def where(_context: Any, condition: Any, one: Any, other: Any) -> Any:
+        """Return one of two numbers, in each lane: the first where a condition holds."""
+        return NUMBERS(condition, one, other), lambda _, builder, __, values: builder.select(
+            values[0], *(splat(builder, value) for value in values[1:]))
+
+    @intrinsic
+    def truncated(_context: Any, numbers: Any) -> Any:
+        """Return numbers without their fractions."""
+        return NUMBERS(numbers), lambda _, builder, __, values: call(
+            builder, 'llvm.trunc', *values)
 
     def _bits(builder: Any, condition: Any, value: Any) -> Any:
         # Return a condition as an integer, a bit for each lane.
@@ -225,10 +225,6 @@ else:
     def counted(condition: bool, count: int) -> int:
         """Return zero if a condition holds, and otherwise one more than the count."""
         return 0 if condition else count + 1
-
-    def unless(condition: bool, four: Any) -> Any:
-        """Return four doubles."""
-        return four
 
     every = some = bool
     both = operator.and_

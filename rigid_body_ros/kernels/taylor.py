@@ -70,8 +70,12 @@ MAX_ORDER = 40
 _U, _U_YZX, _U_ZXY, _ROTATION, _TORQUES = range(0, 20, 4)
 _TORQUE = 3 * 4
 _TERM = _TORQUES + 4 * _TORQUE
+#: The same in lanes, where a number takes a cache line: without copies and torques the table fits
+#: the first cache.
+_TERM_IN_LANES = _TORQUES
 #: Size of the table.
 WORKSPACE = _TERM * (MAX_ORDER + 1)
+WORKSPACE_OF_LANES = _TERM_IN_LANES * (MAX_ORDER + 1)
 
 
 class Extras(NamedTuple):
@@ -145,8 +149,8 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
         Bound on |J^-1 tau|, rad/s^2.
     tolerance : float
         Bound on the truncation error of the attitude per radian turned.
-    table : float64 (WORKSPACE,)
-        Workspace.
+    table : float64 (WORKSPACE,) or (WORKSPACE_OF_LANES, LANES)
+        Workspace. With lanes, the torque cannot be in space axes.
     extras : Extras or None
         Linear terms, and a torque in space axes beside a drive in body axes. For None, which
         most scenes have, the compiler leaves this code out.
@@ -162,8 +166,8 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
                     table, extras)
     delta_u = delta_q = four.zero(state[0])
     for k in range(order, 0, -1):  # the small terms first
-        delta_u = add(delta_u, four.load(table, _TERM * k + _U))
-        delta_q = add(delta_q, four.load(table, _TERM * k + _ROTATION))
+        delta_u = add(delta_u, four.load(table, _row(table, k) + _U))
+        delta_q = add(delta_q, four.load(table, _row(table, k) + _ROTATION))
     excess = fma(0.5, dot(delta_q, delta_q), delta_q[3])
     norm = math.sqrt(1.0 + 2.0 * excess)  # a truncated series is not of unit norm
     rest = four.of(0.0, 0.0, 0.0, -2.0 * excess / (1.0 + norm))
@@ -177,7 +181,8 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
     # Fill the table with the terms of u and of the rotation, and return the order needed.
     zero = four.zero(state[0])
     one = add(zero, four.of(0.0, 0.0, 0.0, 1.0))
-    first = latest = _store_term(table, 0, scale(seconds, state[0]), one)
+    first = latest = _store_term(
+        table, 0, _without_fourth(table, scale(seconds, state[0])), one)
     if in_space:
         for i in range(degree + 1):
             _store_permuted(table, _TORQUES + _TORQUE * i, to_body(state[1], drive[i]))
@@ -213,8 +218,10 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
         u = scale(1.0 / (k + 1), u)
         factor = 0.5 / (k + 1)
         rotation = scale(factor, rotation)
-        converged = small >= powers + 2
-        u, rotation = lanes.unless(converged, u), lanes.unless(converged, rotation)
+        u = _without_fourth(table, u)
+        if four.has_lanes(table) and lanes.some(small >= powers + 2):  # of bodies that converged
+            u = four.choose(small >= powers + 2, zero, u)
+            rotation = four.choose(small >= powers + 2, zero, rotation)
         latest = _store_term(table, k + 1, u, rotation)
         # The bound on errors of w is tighter, because the errors of attitude they cause add up.
         size = total(add_scaled(four.absolute(rotation), 4.0, four.absolute(u)))
@@ -225,10 +232,20 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
 
 
 @inlined
+def _without_fourth(table: Floats, u: Vector) -> Vector:
+    # In lanes, the fourth component of a vector has a register of its own. The compiler leaves
+    # out the products of a constant zero.
+    return of(u[0], u[1], u[2]) if four.has_lanes(table) else u
+
+
+@inlined
+def _row(table: Floats, k: int) -> int:
+    return k * (_TERM_IN_LANES if four.has_lanes(table) else _TERM)
+
+
+@inlined
 def _store_term(table: Floats, k: int, u: Vector, rotation: Quaternion) -> Term:
-    row = _TERM * k
-    if four.has_lanes(table):
-        u = of(u[0], u[1], u[2])  # the compiler leaves out the products of the zeros
+    row = _row(table, k)
     _store_permuted(table, row + _U, u)
     four.store(table, row + _ROTATION, rotation)
     return u, four.yzx(u), four.zxy(u), rotation
@@ -250,9 +267,8 @@ def _load_term(table: Floats, row: int) -> Term:
 
 @inlined
 def _load_permuted(table: Floats, row: int) -> tuple[Vector, Vector, Vector]:
-    u = four.load(table, row)
+    u = _without_fourth(table, four.load(table, row))
     if four.has_lanes(table):
-        u = of(u[0], u[1], u[2])
         return u, four.yzx(u), four.zxy(u)
     return u, four.load(table, row + 4), four.load(table, row + 8)
 
@@ -264,8 +280,8 @@ def _cauchy(table: Floats, k: int, first: Term, latest: Term,
     # with the latest term come last, and from registers, so that the others do not wait for it.
     zero = four.zero(first[0])
     sums = (zero, zero, zero, zero, zero)
-    row = _TERM * k
-    for j in range(_TERM, row, _TERM):
+    row = _row(table, k)
+    for j in range(_row(table, 1), row, _row(table, 1)):
         sums = _add_term(sums, _load_term(table, row - j), _load_term(table, j), form)
     if k > 0:
         sums = _add_term(sums, first, latest, form)
@@ -307,7 +323,7 @@ def _torque_term(table: Floats, k: int, degree: int) -> Vector:
     term = four.zero(four.load(table, _U))
     for i in range(degree + 1):
         if i <= k:
-            term = add(term, four.load(table, _TERM * (k - i) + _TORQUES + _TORQUE * i))
+            term = add(term, four.load(table, _row(table, k - i) + _TORQUES + _TORQUE * i))
         _expand_torque(table, k, _TORQUES + _TORQUE * i)
     return term
 
@@ -317,8 +333,8 @@ def _expand_torque(table: Floats, k: int, place: int) -> None:
     # dv/dt = v x w for the body components of a vector v that is fixed in space.
     one = other = four.zero(four.load(table, _U))
     for j in range(k + 1):
-        _, yzx, zxy = _load_permuted(table, _TERM * j + place)
-        _, u_yzx, u_zxy = _load_permuted(table, _TERM * (k - j) + _U)
+        _, yzx, zxy = _load_permuted(table, _row(table, j) + place)
+        _, u_yzx, u_zxy = _load_permuted(table, _row(table, k - j) + _U)
         one, other = four.fma(yzx, u_zxy, one), four.fma(zxy, u_yzx, other)
-    _store_permuted(table, _TERM * (k + 1) + place,
+    _store_permuted(table, _row(table, k + 1) + place,
                     scale(1.0 / (k + 1), four.subtract(one, other)))

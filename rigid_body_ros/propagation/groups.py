@@ -49,13 +49,14 @@ from rigid_body_ros.propagation.options import FASTEST
 _FEWEST = 4
 #: Steps after which to return, so that Python handles signals.
 BUDGET = 20_000
-#: Rows of a workspace: the states, the constants of the bodies, numbers of each lane, and the
-#: table of the series. The numbers are the length of a step, s, whether a run moves (1.0 or 0.0),
-#: |w|^2, and the bound on the acceleration.
+#: ns; the group steps no further at once, so that doubles count the time left.
+_FARTHEST = 2 ** 52
+#: Rows of a workspace: the states, the constants of the bodies, the time left, ns, and the table
+#: of the series.
 _STATE, _CONSTANTS = 0, state_layout.SIZE
-_SECONDS = _CONSTANTS + body_layout.SIZE
-_MOVES, _SQUARE, _BOUND, _TABLE = range(_SECONDS + 1, _SECONDS + 5)
-_ROWS = _TABLE + taylor.WORKSPACE
+_REST = _CONSTANTS + body_layout.SIZE
+_TABLE = _REST + 1
+_ROWS = _TABLE + taylor.WORKSPACE_OF_LANES
 
 
 class Group(NamedTuple):
@@ -69,9 +70,6 @@ class Group(NamedTuple):
     constants: Floats
     #: See `workspace`.
     work: Floats
-    #: int64 (LANES,): time on the grid, and the next step, of each lane.
-    grid_ns: NDArray[np.int64]
-    steps_ns: NDArray[np.int64]
 
 
 @internal
@@ -202,39 +200,58 @@ def _advance_grids(group: Group, limit_ns: int, torque: vector.Vector, body: Bod
     # Take all steps on the grid but the last before a time within the segment. Return how many.
     if layout.is_zero_vector(torque) or not _are_many(group, limit_ns, torque, body, method):
         return 0
+    limit_ns = min(limit_ns, group.progress[group.rows[0], layout.GRID_NS] + _FARTHEST)
     _load(group)
-    work = group.work
-    coefficients = body_layout.coefficients(work[_CONSTANTS:])
+    for lane in range(LANES):
+        group.work[_REST, lane] = limit_ns - group.progress[group.rows[lane], layout.GRID_NS]
+    coefficients = body_layout.coefficients(group.work[_CONSTANTS:])
     acceleration = euler_equations.acceleration_from_torque(coefficients, body.form, torque)
     none = four.zero(acceleration)
     drive = acceleration, none, none, none
     bound = euler_equations.acceleration_bound(drive, False, coefficients)
-    lanes.store(work, _BOUND, bound)
-    state, steps = state_layout.load(work, _STATE), 0
-    square = vector.dot(state[0], state[0])
+    state, rest = state_layout.load(group.work, _STATE), lanes.load(group.work, _REST)
+    square, steps = vector.dot(state[0], state[0]), 0
     while steps < BUDGET:
-        lanes.store(work, _SQUARE, square)
-        lanes.store(work, _SECONDS, 2.0 * method.angle / taylor.turning_rate(
-            square, bound, method.angle))
-        if not _choose_steps(group, limit_ns, method):
+        step_ns = _full_steps_ns(square, bound, method)
+        moves = step_ns < lanes.where(_is_one_step(rest, square, bound, method), 0.0, rest)
+        if not lanes.some(moves):
             break
-        latest = taylor.step(state, lanes.load(work, _SECONDS), coefficients, body.form, drive, 0,
-                             False, bound, method.tolerance, work[_TABLE:], None)
+        # For a run whose next step is its last, a step of a nanosecond is computed in vain.
+        latest = taylor.step(state, lanes.where(moves, step_ns, 1.0) / 1e9, coefficients,
+                             body.form, drive, 0, False, bound, method.tolerance,
+                             group.work[_TABLE:], None)
         square = vector.dot(latest[0], latest[0])
         if not lanes.every(square <= FASTEST * FASTEST):
             break  # `loop.run` reports it
-        moves = lanes.load(work, _MOVES) > 0.0
         state = (four.choose(moves, latest[0], state[0]), four.choose(moves, latest[1], state[1]),
                  four.choose(moves, latest[2], state[2]), four.choose(moves, latest[3], state[3]))
+        rest = lanes.where(moves, rest - step_ns, rest)
         square = vector.dot(state[0], state[0])
-        for lane in range(LANES):
-            group.grid_ns[lane] += group.steps_ns[lane]
         steps += 1
-    state_layout.store(state, work, _STATE)
+    state_layout.store(state, group.work, _STATE)
+    lanes.store(group.work, _REST, rest)
     _store(group)
     for lane in range(LANES):
-        group.progress[group.rows[lane], layout.GRID_NS] = group.grid_ns[lane]
+        group.progress[group.rows[lane], layout.GRID_NS] = limit_ns - int(
+            group.work[_REST, lane])
     return steps
+
+
+@inlined
+def _full_steps_ns(square: float, bound: float, method: Method) -> float:
+    # `stepping.full_step_ns` in lanes.
+    seconds = 2.0 * method.angle / taylor.turning_rate(square, bound, method.angle)
+    longest, step_ns = float(method.max_step_ns), seconds * 1e9
+    step_ns = lanes.truncated(lanes.where(step_ns < longest, step_ns, longest))
+    return lanes.where(step_ns < 1.0, 1.0, step_ns)
+
+
+@inlined
+def _is_one_step(rest_ns: float, square: float, bound: float, method: Method) -> bool:
+    # `stepping.is_one_step` in lanes.
+    rest = rest_ns / 1e9
+    return lanes.both(rest_ns <= float(method.max_step_ns),
+                      rest * rest * (square + bound) < 0.01)
 
 
 @internal
@@ -251,28 +268,10 @@ def _are_many(group: Group, limit_ns: int, torque: vector.Vector, body: Body,
 
 
 @internal
-def _choose_steps(group: Group, limit_ns: int, method: Method) -> bool:
-    # Choose the next step of each run, and return whether there is any. A run whose next step is
-    # its last stays where it is: a step of a nanosecond is computed for nothing.
-    work, moving = group.work, False
-    for lane in range(LANES):
-        rest_ns = limit_ns - group.grid_ns[lane]
-        step_ns = stepping.full_step_ns(work[_SECONDS, lane], method)
-        moves = step_ns < rest_ns and not stepping.is_one_step(
-            rest_ns, work[_SQUARE, lane], work[_BOUND, lane], method)
-        moving |= moves
-        group.steps_ns[lane] = step_ns if moves else 0
-        work[_MOVES, lane] = 1.0 if moves else 0.0
-        work[_SECONDS, lane] = (step_ns if moves else 1) / 1e9
-    return moving
-
-
-@internal
 def _load(group: Group) -> None:
-    # Gather the states on the grid, their times, and the constants of the bodies.
+    # Gather the states on the grid and the constants of the bodies.
     for lane in range(LANES):
         row = group.rows[lane]
-        group.grid_ns[lane] = group.progress[row, layout.GRID_NS]
         for k in range(state_layout.SIZE):
             group.work[_STATE + k, lane] = group.states[row, k]
         for k in range(body_layout.SIZE):

@@ -158,24 +158,24 @@ class _Runs:
         self._states: Floats = np.concatenate([packed] * 3, axis=1)
         self._progress = np.zeros((len(bodies), layout.DONE + 1), np.int64)
         self._motions: Floats = np.empty((len(bodies), motion_layout.SIZE * self._times.size))
-        self._too_fast = np.zeros(len(bodies), np.bool_)
+        self._failed = np.array([bool(message) for message in self._messages])
 
     def advance(self, log: TorqueLog, which: NDArray[np.intp]) -> None:
         """Compute some of the runs, those that share a log."""
         check_solver(self._options, log)
-        which = which[[not self._messages[row] for row in which]]
+        which = which[~self._failed[which]]
         if not (which.size and self._times.size):
             return
-        for row in which.tolist():
-            begin_ns = int(self._begin_ns[row])
-            self._progress[row] = layout.pack_place(
+        begins = self._begin_ns[which]
+        for begin_ns in np.unique(begins).tolist():
+            self._progress[which[begins == begin_ns]] = layout.pack_place(
                 begin_ns, begin_ns, *log.in_force(begin_ns, self._options.timeout_ns))
         damped = self._bodies.is_damped[which]
         first = int(self._progress[which, layout.SAMPLE].min())
         for begin, stop, polynomials in log.polynomials(first):
             for rows, terms in ((which[~damped], None), (which[damped], np.zeros((1, 4, 3)))):
                 self._run(rows, log, (polynomials, log.in_space, begin, stop), terms)
-        for row in which[self._too_fast[which]].tolist():
+        for row in which[self._failed[which]].tolist():  # too fast
             self._messages[row] = str(self._options.too_fast(
                 int(self._progress[row, layout.GRID_NS])))
 
@@ -190,14 +190,14 @@ class _Runs:
                 which[done:done + chunk], self._states, self._progress, self._times, self._rows,
                 self._motions, log.times_ns, polynomials, in_space, first, stop,
                 self._bodies._constants, self._options.settings, loop.BUDGET, terms,
-                self._too_fast)
+                self._failed)
             if time.monotonic() - began < _PATIENCE:
                 chunk *= 2
 
     def trajectories(self) -> Trajectories:
         """Return the motions, with NaN for the failed runs."""
         count, size = len(self._messages), self._times.size
-        self._motions[[bool(message) for message in self._messages]] = np.nan
+        self._motions[self._failed] = np.nan
         attitude, rates = np.split(self._motions, [4 * size], axis=1)
         return Trajectories(self._times, attitude.reshape(count, size, 4),
                             rates.reshape(count, size, 3), tuple(self._messages))

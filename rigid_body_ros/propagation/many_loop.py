@@ -58,8 +58,7 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
     """
     closed = np.empty(len(stamps_ns) + 1, np.bool_)
     log = Log(stamps_ns, polynomials, in_space, first, stop, layout.unpack_timeout(settings))
-    group = Group(np.empty(LANES, np.intp), states, progress, constants, groups.workspace(),
-                  np.empty(LANES, np.int64), np.empty(LANES, np.int64))
+    group = Group(np.empty(LANES, np.intp), states, progress, constants, groups.workspace())
     for k in range(0, len(which), LANES):
         last = min(k + LANES, len(which)) - 1
         for lane in range(LANES):
