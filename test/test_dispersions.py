@@ -14,12 +14,15 @@
 
 """Dispersions: what a file may say, and the statistics of what is drawn from it."""
 
+import zlib
+
 import numpy as np
 import pytest
+from rigid_body_ros.ensemble import streams
 from rigid_body_ros.ensemble.dispersions import Dispersion, draws, load
 from rigid_body_ros.scene import InputError
 
-RUNS = 4_000
+RUNS = np.arange(100_000)
 VARY = (Dispersion('initial_attitude', 'tilt', (0.02,)),
         Dispersion('initial_angular_velocity.y', 'uniform', (0.5, 0.7)),
         Dispersion('torque_gain', 'normal', (0.03,)))
@@ -27,34 +30,59 @@ SIGMAS = np.array([0.02, 0.02, 0.02, 0.2 / np.sqrt(12.0), 0.03])
 
 
 def test_draws_have_the_given_means_deviations_and_no_correlation():
-    rows = np.array([np.concatenate([*draws(VARY, 1, run).values()]) for run in range(RUNS)])
-    error = SIGMAS / np.sqrt(RUNS)
+    rows = np.concatenate([*draws(VARY, 1, RUNS).values()], axis=1)
+    error = SIGMAS / np.sqrt(RUNS.size)
     assert np.all(np.abs(rows.mean(0) - [0, 0, 0, 0.6, 0]) < 4 * error)
-    assert np.all(np.abs(rows.std(0) - SIGMAS) < 4 * error / np.sqrt(2))
+    # The fourth moment of a uniform number is 9/5 of the squared variance, of a normal one 3.
+    fourth = np.array([3.0, 3.0, 3.0, 1.8, 3.0])
+    assert np.all(np.abs(rows.std(0) - SIGMAS) < 4 * error * np.sqrt((fourth - 1.0) / 4.0))
     correlation = np.corrcoef(rows.T)[np.triu_indices(5, 1)]
-    assert np.all(np.abs(correlation) < 4 / np.sqrt(RUNS))
-
-
-def test_a_run_depends_on_seed_and_number_only():
-    one, same, other = draws(VARY, 1, 7), draws(VARY[::-1], 1, 7), draws(VARY, 2, 7)
-    assert all(np.array_equal(one[key], same[key]) for key in one)
-    assert not any(np.array_equal(one[key], other[key]) for key in one)
-
-
-def test_a_key_draws_the_same_without_the_others():
-    every = draws(VARY, 1, 7)
-    for one in VARY:
-        assert np.array_equal(draws([one], 1, 7)[one.key], every[one.key])
-    assert len({float(value[0]) for value in every.values()}) == len(VARY)
+    assert np.all(np.abs(correlation) < 4 / np.sqrt(RUNS.size))
 
 
 def test_the_axes_of_tilts_are_isotropic():
-    tilts = np.array([draws(VARY[:1], 1, run)['initial_attitude'] for run in range(RUNS)])
+    tilts = draws(VARY[:1], 1, RUNS)['initial_attitude']
     axes = tilts / np.linalg.norm(tilts, axis=1, keepdims=True)
-    # The components of isotropic unit vectors: mean 0, variance 1/3, fourth moment 1/5.
-    assert np.all(np.abs(axes.mean(0)) < 4 / np.sqrt(3 * RUNS))
-    error = np.sqrt((1 / 5 - 1 / 9) / RUNS)
+    # The components of isotropic unit vectors: mean 0, variance 1/3, fourth moment 1/5; products
+    # of two: mean 0, variance 1/15.
+    assert np.all(np.abs(axes.mean(0)) < 4 / np.sqrt(3 * RUNS.size))
+    error = np.sqrt((1 / 5 - 1 / 9) / RUNS.size)
     assert np.all(np.abs((axes ** 2).mean(0) - 1 / 3) < 4 * error)
+    products = (axes * np.roll(axes, 1, axis=1)).mean(0)
+    assert np.all(np.abs(products) < 4 / np.sqrt(15 * RUNS.size))
+
+
+def test_a_run_depends_on_seed_and_number_only():
+    one, other = draws(VARY, 1, RUNS[:100]), draws(VARY, 2, RUNS[:100])
+    same = draws(VARY[::-1], 1, RUNS[99:4:-1])
+    for key, values in one.items():
+        assert np.array_equal(values[:4:-1], same[key])
+        assert not np.intersect1d(values, other[key]).size
+
+
+def test_a_key_draws_the_same_without_the_others():
+    every = draws(VARY, 1, RUNS[:100])
+    for one in VARY:
+        assert np.array_equal(draws([one], 1, RUNS[:100])[one.key], every[one.key])
+    assert np.unique(np.concatenate([*every.values()], axis=1)).size == 500
+
+
+@pytest.mark.parametrize('seed', [0, 1, 2 ** 32, 2 ** 63 - 1])
+def test_streams_have_the_bits_of_numpy(seed):
+    runs = np.random.default_rng(seed).integers(0, 2 ** 32, 2000)
+    runs[:2] = 0, 2 ** 32 - 1
+    alone = [streams.stream(seed, run, 'inertia') for run in runs.tolist()]
+    expected = [random.standard_normal(3) for random in alone]
+    assert np.array_equal(streams.normals(seed, runs, 'inertia', 3), expected)
+    alone = [streams.stream(seed, run, 'inertia') for run in runs.tolist()]
+    assert np.array_equal(streams.uniforms(seed, runs, 'inertia'),
+                          [random.random() for random in alone])
+
+
+def test_a_stream_is_that_of_the_design():
+    sequence = np.random.SeedSequence(3, spawn_key=(7, zlib.crc32(b'torque_gain')))
+    expected = np.random.Generator(np.random.PCG64(sequence)).standard_normal(4)
+    assert np.array_equal(streams.stream(3, 7, 'torque_gain').standard_normal(4), expected)
 
 
 def test_a_file_is_read(tmp_path):

@@ -28,6 +28,7 @@ LOGS = (TorqueLog(TIMES, TORQUES),)
 SCENE = {'inertia.ixx': 0.045, 'inertia.iyy': 0.12, 'inertia.izz': 0.14, 'inertia.ixy': 0.002,
          'initial_attitude.x': 0.1, 'initial_angular_velocity.y': 0.6,
          'initial_rotor_momentum.z': 0.003, 'damping.dxx': 1e-4}
+NOISE = Dispersion('torque_noise', 'normal', (1e-4,))
 TILT = Dispersion('initial_attitude', 'tilt', (0.02,))
 VARY = (Dispersion('inertia', 'relative', (0.05,)), TILT,
         Dispersion('initial_angular_velocity.y', 'uniform', (0.5, 0.7)),
@@ -43,56 +44,79 @@ def ensemble(*dispersions, logs=LOGS, **values):
     return Ensemble(scene, scene.start, logs, None, 2 * SECOND, dispersions, 1)
 
 
+def rows(found, first, stop):
+    """Return runs as dicts by column."""
+    columns = found.rows(first, stop)
+    return [dict(zip(columns, values)) for values in zip(*(column.tolist() for column
+                                                           in columns.values()))]
+
+
 def numbers(row, prefix, axes='xyz'):
     return [row[f'{prefix}{axis}'] for axis in axes]
 
 
-def test_a_row_has_the_bits_of_propagate_for_its_values():
-    found = ensemble(*VARY, torque_timeout=0.5)
-    for run in np.random.default_rng(1).integers(0, 10 ** 9, 100).tolist():
-        row = found.row(run)
-        body = RigidBody.from_moments(*numbers(row, 'inertia.i', (
-            'xx', 'yy', 'zz', 'xy', 'xz', 'yz')))
-        body = RigidBody(body.inertia, np.diag([row['damping.dxx'], 0.0, 0.0]))
-        start = State(0, numbers(row, 'initial_attitude.', 'xyzw'),
-                      numbers(row, 'initial_angular_velocity.'),
-                      (0.0, 0.0, row['initial_rotor_momentum.z']))
-        times = TIMES + round(row['clock_offset'] * SECOND)
-        bias_times = np.arange(0, 2 * SECOND + 1, SECOND // 4)
-        bias = np.outer(np.ones(len(bias_times)), [row['torque_bias.x'], 0.0, 0.0])
-        motion = propagate(body, start, [TorqueLog(times, row['torque_gain'] * TORQUES),
-                                         TorqueLog(bias_times, bias)],
-                           at=[2 * SECOND], torque_timeout=0.5)
+@pytest.mark.parametrize('vary', [
+    VARY, VARY[:1] + VARY[-3:], (*VARY[:3], VARY[-1]), VARY[:3] + VARY[4:6], VARY[1:3]],
+    ids=['all', 'bias', 'offset', 'gain', 'start'])
+def test_a_row_has_the_bits_of_propagate_for_its_values(vary):
+    found = ensemble(*vary, torque_timeout=0.5,
+                     **{} if VARY[3] in vary else {'initial_rotor_momentum.z': 0.0})
+    nominal = propagate(found.scene.body, found.start, LOGS, at=[2 * SECOND],
+                        torque_timeout=0.5).attitude[0]
+    for row in rows(found, 123_456_700, 123_456_800):
+        row = {'initial_rotor_momentum.z': 0.0, 'damping.dxx': 1e-4, 'torque_gain': 1.0,
+               'torque_bias.x': 0.0, 'clock_offset': 0.0, **row}
+        motion = motion_of(row)
         assert row['status'] == 'ok'
         assert numbers(row, 'attitude.', 'xyzw') == motion.attitude[0].tolist()
         assert numbers(row, 'angular_velocity.') == motion.angular_velocity[0].tolist()
-        nominal = propagate(found.scene.body, found.start, TorqueLog(TIMES, TORQUES),
-                            at=[2 * SECOND], torque_timeout=0.5).attitude[0]
         assert row['angle_from_nominal'] == so3.angle_between(motion.attitude[0], nominal)
+
+
+def motion_of(row):
+    """Return the motion with the values of a row."""
+    body = RigidBody.from_moments(*numbers(row, 'inertia.i', ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')))
+    body = RigidBody(body.inertia, np.diag([row['damping.dxx'], 0.0, 0.0]))
+    start = State(0, numbers(row, 'initial_attitude.', 'xyzw'),
+                  numbers(row, 'initial_angular_velocity.'),
+                  (0.0, 0.0, row['initial_rotor_momentum.z']))
+    logs = [TorqueLog(TIMES + round(row['clock_offset'] * SECOND), row['torque_gain'] * TORQUES)]
+    if row['torque_bias.x']:
+        times = np.arange(0, 2 * SECOND + 1, SECOND // 4)
+        logs.append(TorqueLog(times, np.outer(np.ones(len(times)), [row['torque_bias.x'], 0, 0])))
+    return propagate(body, start, logs, at=[2 * SECOND], torque_timeout=0.5)
+
+
+@pytest.mark.parametrize('vary', [VARY, (*VARY[:2], NOISE)], ids=['all', 'noise'])
+def test_a_run_does_not_depend_on_the_others(vary):
+    found = ensemble(*vary)
+    whole = found.rows(5, 25)
+    parts = [found.rows(*span) for span in ((5, 6), (6, 16), (16, 25))]
+    for name, column in whole.items():
+        assert np.array_equal(column, np.concatenate([part[name] for part in parts]))
 
 
 def test_values_are_those_drawn():
     found = ensemble(*VARY)
-    rows = [found.row(run) for run in range(200)]
-    assert all(0.5 <= row['initial_angular_velocity.y'] <= 0.7 for row in rows)
-    assert all(0.5e-4 <= row['damping.dxx'] <= 1.5e-4 for row in rows)
+    columns = found.rows(0, 200)
+    assert columns['initial_angular_velocity.y'].min() >= 0.5
+    assert columns['initial_angular_velocity.y'].max() <= 0.7
+    assert 0.5e-4 <= columns['damping.dxx'].min() < columns['damping.dxx'].max() <= 1.5e-4
     for name, mean, sigma in (('initial_rotor_momentum.z', 0.003, 0.0003),
                               ('torque_gain', 1.0, 0.03), ('torque_bias.x', 0.0, 1e-4),
                               ('clock_offset', 0.0, 0.01)):
-        values = np.array([row[name] for row in rows])
+        values = columns[name]
         assert abs(values.mean() - mean) < 4 * sigma / np.sqrt(200)
         assert abs(values.std() - sigma) < 4 * sigma / np.sqrt(400)
-    tilts = np.array([so3.angle_between(numbers(row, 'initial_attitude.', 'xyzw'),
-                                        found.start.attitude) for row in rows])
+    attitudes = np.stack([columns[f'initial_attitude.{axis}'] for axis in 'xyzw'], axis=-1)
+    tilts = so3.angle_between(attitudes, found.start.attitude)
     assert abs(np.mean(tilts ** 2) - 3 * 0.02 ** 2) < 4 * np.sqrt(6 / 200) * 0.02 ** 2
 
 
 def test_a_relative_inertia_is_always_that_of_a_body_and_keeps_its_axes():
     found = ensemble(Dispersion('inertia', 'relative', (0.5,)))
     axes = found.scene.body.principal_axes
-    for run in range(200):
-        tensor = found.applied(run).body.inertia
-        moments = axes.T @ tensor @ axes
+    for moments in axes.T @ found.applied(np.arange(200)).bodies.inertia @ axes:
         np.testing.assert_allclose(moments, np.diag(np.diag(moments)), atol=1e-15)
         assert 2.0 * np.diag(moments).max() < np.trace(moments)
 
@@ -100,22 +124,41 @@ def test_a_relative_inertia_is_always_that_of_a_body_and_keeps_its_axes():
 def test_the_moments_vary_by_at_most_the_given_fraction():
     found = ensemble(Dispersion('inertia', 'relative', (0.05,)))
     axes = found.scene.body.principal_axes
-    moments = [np.diag(axes.T @ found.applied(run).body.inertia @ axes) for run in range(1000)]
-    spread = np.std(moments, axis=0) / found.scene.body.principal_moments
+    tensors = axes.T @ found.applied(np.arange(1000)).bodies.inertia @ axes
+    spread = np.std(np.diagonal(tensors, axis1=1, axis2=2), axis=0)
+    spread /= found.scene.body.principal_moments
     assert np.all((spread > 0.05 * 0.64) & (spread < 0.05 * 1.1))
 
 
-def test_an_impossible_body_is_a_row_with_its_reason():
-    rows = ensemble(Dispersion('inertia.izz', 'normal', (0.1,))).rows(0, 50)
-    failed = [row for row in rows if row['status'] == 'failed']
-    assert 5 < len(failed) < 45
-    assert all(row['message'].startswith('inertia: ') for row in failed)
-    assert all(row['message'] == '' for row in rows if row['status'] == 'ok')
+@pytest.mark.parametrize(('one', 'values', 'message'), [
+    (Dispersion('inertia.izz', 'normal', (0.1,)), {}, 'inertia'),
+    (Dispersion('damping.dxx', 'normal', (1e-4,)), {}, 'damping'),
+    (Dispersion('initial_angular_velocity.x', 'normal', (1e308,)), {}, 'angular at'),
+    (Dispersion('initial_rotor_momentum.z', 'normal', (1e308,)), {}, 'rotor at'),
+    (Dispersion('initial_angular_velocity.x', 'uniform', (2e9, 3e9)), {}, 'at'),
+    (Dispersion('torque_gain', 'normal', (1e309 / 2,)), {}, 'torque'),
+    (Dispersion('torque_gain', 'normal', (1e40,)), {}, 'at'),
+    (Dispersion('torque_bias.x', 'normal', (1e308,)), {}, 'torque at'),
+    (Dispersion('torque_noise', 'normal', (1e308,)), {}, 'torque at'),
+    (Dispersion('clock_offset', 'normal', (1e10,)), {}, 'clock_offset'),
+    (Dispersion('clock_offset', 'normal', (1e308,)), {}, 'clock_offset'),
+    (Dispersion('damping.dyy', 'uniform', (0.0, 1.0)), {'solver': 'strang', 'max_step': 0.1,
+                                                        'damping.dxx': 0.0}, 'solver'),
+])
+def test_a_run_that_is_not_possible_is_a_row_with_its_reason(one, values, message):
+    found = rows(ensemble(one, **{'initial_rotor_momentum.z': 0.0, **values}), 0, 50)
+    failed = [row for row in found if row['status'] == 'failed']
+    words = {row['message'].split(maxsplit=1)[0].rstrip(':') for row in failed}
+    assert words == set(message.split())
+    assert all(np.isnan(row['attitude.x']) for row in failed)
+    assert all(row['message'] == '' for row in found if row['status'] == 'ok')
 
 
 def test_noise_differs_from_sample_to_sample_and_from_run_to_run():
-    found = ensemble(Dispersion('torque_noise', 'normal', (1e-4,)), TILT)
-    noise = np.concatenate([found.applied(run).logs[0].torques - TORQUES for run in range(100)])
+    found = ensemble(NOISE, TILT)
+    applied = found.applied(np.arange(100))
+    noise = np.concatenate([found.torques(applied, row)[0][0].torques - TORQUES
+                            for row in range(100)])
     assert abs(noise.mean()) < 4 * 1e-4 / np.sqrt(noise.size)
     assert abs(noise.std() - 1e-4) < 4 * 1e-4 / np.sqrt(2 * noise.size)
     assert len(np.unique(noise)) == noise.size
@@ -123,7 +166,7 @@ def test_noise_differs_from_sample_to_sample_and_from_run_to_run():
 
 def test_without_dispersion_a_run_ends_where_the_nominal_one_does():
     found = ensemble(Dispersion('initial_angular_velocity.x', 'normal', (1e-300,)))
-    assert found.row(0)['angle_from_nominal'] == 0.0
+    assert found.rows(0, 1)['angle_from_nominal'] == 0.0
 
 
 @pytest.mark.parametrize(('one', 'logs', 'message'), [

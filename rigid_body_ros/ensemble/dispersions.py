@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Dispersions: read which parameters vary from a file, and draw their values for a run."""
+"""Dispersions: read which parameters vary from a file, and draw their values."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 import math
 from pathlib import Path
-import zlib
 
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted
+from rigid_body_ros.ensemble.streams import normals, uniforms
 from rigid_body_ros.runtime.parameters import resembled
 from rigid_body_ros.runtime.reading import read_yaml
 from rigid_body_ros.scene import PARAMETERS
@@ -66,30 +67,32 @@ class Dispersion:
     bounds: tuple[float, ...]
     relative: bool = False
 
-    def draw(self, random: np.random.Generator) -> Floats:
-        """Return values: those of 'uniform', otherwise deviations from the nominal ones."""
+    def draw(self, seed: int, runs: NDArray[np.int64]) -> Floats:
+        """
+        Return values of some runs.
+
+        Returns
+        -------
+        array, shape (n, 3) for 'relative' and 'tilt', otherwise (n, 1)
+            Values of 'uniform', otherwise deviations from the nominal ones.
+
+        """
         if self.kind == 'uniform':
             low, high = self.bounds
-            return random.uniform(low, high, 1)
-        return self.bounds[0] * random.standard_normal(3 if self.kind in ('relative', 'tilt')
-                                                       else 1)
+            return (low + (high - low) * uniforms(seed, runs, self.key))[:, None]
+        count = 3 if self.kind in ('relative', 'tilt') else 1
+        return self.bounds[0] * normals(seed, runs, self.key, count)
 
 
-def draws(dispersions: Sequence[Dispersion], seed: int, run: int) -> dict[str, Floats]:
+def draws(dispersions: Sequence[Dispersion], seed: int,
+          runs: NDArray[np.int64]) -> dict[str, Floats]:
     """
-    Return what a run draws, by key; it depends on the seed and the number of the run only.
+    Return what some runs draw, by key; it depends on the seed and on their numbers only.
 
     A key draws the same whatever other keys there are. The noise of the torque is drawn per
     sample, elsewhere.
     """
-    return {one.key: one.draw(stream(seed, run, one.key)) for one in dispersions
-            if one.key != NOISE}
-
-
-def stream(seed: int, run: int, key: str) -> np.random.Generator:
-    """Return the random numbers of a key in a run."""
-    sequence = np.random.SeedSequence(seed, spawn_key=(run, zlib.crc32(key.encode())))
-    return np.random.Generator(np.random.PCG64(sequence))
+    return {one.key: one.draw(seed, runs) for one in dispersions if one.key != NOISE}
 
 
 def load(path: str | Path) -> tuple[Dispersion, ...]:

@@ -22,12 +22,12 @@ from itertools import islice
 from typing import Any
 
 from rigid_body_ros.ensemble.folder import Folder
-from rigid_body_ros.ensemble.runs import Ensemble
+from rigid_body_ros.ensemble.runs import Columns, Ensemble
 
 #: Wraps an iteration over blocks with a total number of runs, to show progress.
 Track = Callable[[Iterable[Any], int], Iterable[Any]]
 #: The first run of a block, the one after its last, and its rows.
-Block = tuple[int, int, list[dict[str, Any]]]
+Block = tuple[int, int, Columns]
 
 
 def compute(ensemble: Ensemble, folder: Folder, workers: int, track: Track) -> None:

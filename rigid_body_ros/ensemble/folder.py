@@ -29,6 +29,7 @@ import re
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 import pyarrow as arrow
 from pyarrow import parquet
 from rigid_body_ros.common.arrays import Floats
@@ -89,10 +90,28 @@ class Folder:
         return [(first, stop) for first, stop in self._spans()
                 if not self._block(first, stop).exists()]
 
-    def add(self, first: int, stop: int, rows: list[dict[str, Any]]) -> None:
-        """Write the rows of a block; raise InputError if that fails."""
+    def add(self, first: int, stop: int, rows: Mapping[str, NDArray[Any]]) -> None:
+        """
+        Write the rows of a block.
+
+        Parameters
+        ----------
+        first, stop : int
+            The first run, and the one after the last.
+        rows : mapping
+            Arrays of equal length by column; NaN stands for a number that is missing.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+
+        """
+        table = arrow.Table.from_arrays(
+            [arrow.array(rows[field.name], field.type, from_pandas=True)
+             for field in self._schema], schema=self._schema)
         with files.atomic_output(self._block(first, stop), '.parquet') as path:
-            parquet.write_table(arrow.Table.from_pylist(rows, self._schema), path)
+            parquet.write_table(table, path)
 
     def write(self, name: str, data: Mapping[str, Any]) -> None:
         """Write a JSON file into the folder; raise InputError if that fails."""

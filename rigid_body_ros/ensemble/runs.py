@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Run i of an ensemble: what is drawn, applied and propagated, and what is read back from it."""
+"""Runs of an ensemble: what is drawn is applied and propagated, and read back as columns."""
 
 from __future__ import annotations
 
@@ -22,72 +22,50 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros import so3
-from rigid_body_ros.body import RigidBody
+from rigid_body_ros.bodies import RigidBodies
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, reason
+from rigid_body_ros.ensemble.applied import (
+    Applied,
+    components,
+    ENTRIES,
+    later,
+    relative_inertia,
+    tensors,
+    vectors,
+)
 from rigid_body_ros.ensemble.dispersions import (
     ATTITUDE,
     Dispersion,
     draws,
     INERTIA,
     NOISE,
-    stream,
     UNITS,
 )
-from rigid_body_ros.propagation import propagate, Trajectory
+from rigid_body_ros.ensemble.streams import stream
+from rigid_body_ros.propagation import propagate, propagate_many
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
+from rigid_body_ros.states import States
 from rigid_body_ros.torque import TorqueLog
 
-#: The entries of a symmetric tensor, in the order of the columns.
-_ENTRIES = {'xx': (0, 0), 'yy': (1, 1), 'zz': (2, 2), 'xy': (0, 1), 'xz': (0, 2), 'yz': (1, 2)}
-_START = {**{f'inertia.i{entry}': 'kg m^2' for entry in _ENTRIES},
+_START = {**{f'inertia.i{entry}': 'kg m^2' for entry in ENTRIES},
           **{f'initial_attitude.{axis}': '' for axis in 'xyzw'},
           **{f'initial_angular_velocity.{axis}': 'rad/s' for axis in 'xyz'}}
 ANGLE = 'angle_from_nominal'
 _END = {**{f'attitude.{axis}': '' for axis in 'xyzw'},
         **{f'angular_velocity.{axis}': 'rad/s' for axis in 'xyz'}, ANGLE: 'rad'}
+#: Largest number of runs computed at once, and of their torque samples and fixed steps: enough for
+#: the time in Python not to matter, and few enough for an interrupt not to wait.
+_AT_ONCE, _STEPS = 4096, 2 ** 20
 
-
-@dataclass(frozen=True, eq=False)
-class Applied:
-    """
-    What acts in a run.
-
-    Attributes
-    ----------
-    body : RigidBody
-    start : State
-    logs : tuple of TorqueLog
-        The recorded torques times the gain, plus noise, later by the clock offset.
-    bias : TorqueLog, optional
-        The constant torque that adds to them.
-    wheels : TorqueLog, optional
-    torque_gain : float
-    clock_offset_ns : int
-
-    """
-
-    body: RigidBody
-    start: State
-    logs: tuple[TorqueLog, ...]
-    bias: TorqueLog | None
-    wheels: TorqueLog | None
-    torque_gain: float = 1.0
-    clock_offset_ns: int = 0
-
-    def values(self) -> dict[str, float]:
-        """Return the values of all columns that describe the run, and of `UNITS`."""
-        bias = np.zeros(3) if self.bias is None else self.bias.torques[0]
-        return {**_entries('inertia.i', self.body.inertia),
-                **_entries('damping.d', self.body.damping),
-                **_components('initial_attitude', self.start.attitude),
-                **_components('initial_angular_velocity', self.start.angular_velocity),
-                **_components('initial_rotor_momentum', self.start.rotor_momentum),
-                **_components('torque_bias', bias), 'torque_gain': self.torque_gain,
-                'clock_offset': self.clock_offset_ns / 1e9}
+#: Numbers of runs, 'ok' or 'failed', messages, and numbers (NaN in failed runs), by column.
+Columns = dict[str, NDArray[Any]]
+#: Attitudes, shape (n, 4), angular velocities, shape (n, 3), and messages of failed runs.
+_Ends = tuple[Floats, Floats, list[str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,22 +104,26 @@ class Ensemble:
     seed: int
 
     def __post_init__(self) -> None:
-        nominal = self.nominal.values()
         for one in self.dispersions:
-            if one.relative and nominal[one.key] == 0.0:
+            if one.relative and self.nominal[one.key] == 0.0:
                 raise InputError(f'{one.key}: relative: expected a nominal value other than 0')
             if one.key in ('torque_gain', 'clock_offset', NOISE) and not self.logs:
                 raise InputError(f'{one.key}: expected a recording of torques, found none')
 
     @cached_property
-    def nominal(self) -> Applied:
-        """Return what acts without any dispersion."""
-        return Applied(self.scene.body, self.start, self.logs, None, self.wheels)
+    def nominal(self) -> dict[str, float]:
+        """Return the values that act without any dispersion, by key."""
+        body, start = self.scene.body, self.start
+        applied = Applied(np.zeros(1, np.int64), RigidBodies([body.inertia], body.damping),
+                          States(start.time_ns, start.attitude, start.angular_velocity),
+                          start.rotor_momentum[None], np.ones(1), np.zeros((1, 3)), np.zeros(1))
+        return {name: float(column[0]) for name, column in applied.columns().items()}
 
     @cached_property
     def nominal_attitude(self) -> Floats:
-        """Return the final attitude without any dispersion."""
-        return self.motion(self.nominal).attitude[0]
+        """Return the final attitude without any dispersion, with the errors of `propagate`."""
+        return propagate(self.scene.body, self.start, self.logs, at=[self.end_ns],
+                         wheels=self.wheels, **self.scene.options).attitude[0]
 
     @cached_property
     def columns(self) -> dict[str, str]:
@@ -150,125 +132,145 @@ class Ensemble:
         more = {key: unit for key, unit in UNITS.items() if key in keys and key not in _START}
         return {**_START, **more, **_END}
 
-    def applied(self, run: int) -> Applied:
+    def rows(self, first: int, stop: int) -> Columns:
         """
-        Draw what acts in a run.
+        Compute some runs.
+
+        Returns
+        -------
+        dict
+            The columns 'run', 'status' ('ok' or 'failed'), 'message', and those of `columns`, each
+            shape (stop - first,). The numbers of a failed run are NaN.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            A signal was received.
+
+        """
+        pieces = []
+        for begin in range(first, stop, self._at_once):
+            interrupts.check()
+            pieces.append(self._rows(np.arange(begin, min(begin + self._at_once, stop))))
+        return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+
+    def applied(self, runs: NDArray[np.int64]) -> Applied:
+        """Return what acts in some runs; bodies and starts that are not possible say why."""
+        drawn = draws(self.dispersions, self.seed, runs)
+        values = self._values(drawn, len(runs))
+        inertia = relative_inertia(self.scene.body, drawn[INERTIA]) if INERTIA in drawn \
+            else tensors('inertia.i', values)
+        attitude = self.start.attitude
+        if ATTITUDE in drawn:
+            attitude = so3.multiply(attitude, so3.exp(drawn[ATTITUDE]))
+        starts = States(np.full(len(runs), self.start.time_ns), attitude,
+                        vectors('initial_angular_velocity', values))
+        return Applied(runs, RigidBodies(inertia, tensors('damping.d', values)), starts,
+                       vectors('initial_rotor_momentum', values), values['torque_gain'],
+                       vectors('torque_bias', values),
+                       np.rint(values['clock_offset'] * 1e9) / 1e9)
+
+    def torques(self, applied: Applied, row: int) -> tuple[list[TorqueLog], TorqueLog | None]:
+        """
+        Return the torques on body and rotors in a run.
 
         Raises
         ------
         ValueError
-            It is not possible, such as an inertia whose largest moment is too large.
+            A torque is not finite, or a stamp does not fit 64 bits.
 
         """
-        drawn = draws(self.dispersions, self.seed, run)
-        values = self._values(drawn)
-        inertia = _relative(self.scene.body, drawn[INERTIA]) if INERTIA in drawn \
-            else _tensor('inertia.i', values)
-        attitude = self.start.attitude
-        if ATTITUDE in drawn:
-            attitude = so3.multiply(attitude, so3.exp(drawn[ATTITUDE]))
-        start = State(self.start.time_ns, attitude, _vector('initial_angular_velocity', values),
-                      _vector('initial_rotor_momentum', values))
-        gain, offset_ns = values['torque_gain'], round(values['clock_offset'] * 1e9)
-        return Applied(RigidBody(inertia, _tensor('damping.d', values)), start,
-                       self._torques(run, gain, offset_ns), self._bias(values),
-                       self.wheels and _later(self.wheels, offset_ns), gain, offset_ns)
+        gain, offset = applied.torque_gain[row], float(applied.clock_offset[row])
+        torques = [gain * log.torques for log in self.logs]
+        for one in self.dispersions:
+            if one.key == NOISE:
+                random = stream(self.seed, int(applied.runs[row]), NOISE)
+                torques = [torque + one.bounds[0] * random.standard_normal(torque.shape)
+                           for torque in torques]
+        logs = [later(log, offset, torque) for log, torque in zip(self.logs, torques)]
+        bias = applied.torque_bias[row]
+        if bias.any():
+            logs.append(self._bias(bias))
+        return logs, later(self.wheels, offset) if self.wheels else None
 
-    def motion(self, applied: Applied) -> Trajectory:
-        """Return the final state of a run, with the errors of `propagate`."""
-        bias = (applied.bias,) if applied.bias else ()
-        return propagate(applied.body, applied.start, (*applied.logs, *bias), at=[self.end_ns],
-                         wheels=applied.wheels, **self.scene.options)
+    @cached_property
+    def _at_once(self) -> int:
+        """Return how many runs are computed at once."""
+        longest = self.scene.options['max_step']
+        steps = (self.end_ns - self.start.time_ns) / 1e9 / longest if longest else 0.0
+        steps += sum(map(len, self.logs))
+        return int(min(max(_STEPS / (1.0 + steps), 1.0), _AT_ONCE))
 
-    def row(self, run: int) -> dict[str, Any]:
-        """Return a run as a row by column; that of a run that fails has no numbers."""
-        try:
-            applied = self.applied(run)
-            motion = self.motion(applied)
-        except ValueError as error:
-            return {'run': run, 'status': 'failed', 'message': reason(error)}
-        angle = float(so3.angle_between(motion.attitude[0], self.nominal_attitude))
-        found = {**applied.values(), **_components('attitude', motion.attitude[0]),
-                 **_components('angular_velocity', motion.angular_velocity[0]), ANGLE: angle}
-        return {'run': run, 'status': 'ok', 'message': '',
-                **{name: found[name] for name in self.columns}}
+    def _rows(self, runs: NDArray[np.int64]) -> Columns:
+        with np.errstate(over='ignore', invalid='ignore'):  # messages say what is not finite
+            applied = self.applied(runs)
+            attitude, rates, messages = self._ends(applied)
+        failed = np.array([bool(message) for message in messages])
+        angle = np.full(len(runs), np.nan)
+        angle[~failed] = so3.angle_between(attitude[~failed], self.nominal_attitude)
+        found = {**applied.columns(), **components('attitude', attitude),
+                 **components('angular_velocity', rates), ANGLE: angle}
+        return {'run': runs, 'status': np.where(failed, 'failed', 'ok'),
+                'message': np.array(messages),
+                **{name: np.where(failed, np.nan, found[name]) for name in self.columns}}
 
-    def rows(self, first: int, stop: int) -> list[dict[str, Any]]:
-        """Return some runs as rows; raise KeyboardInterrupt if a signal was received."""
-        rows = []
-        for run in range(first, stop):
+    def _ends(self, applied: Applied) -> _Ends:
+        """Return the final states of some runs: of all at once, if `propagate_many` does it."""
+        if not (len(self.logs) > 1 or self.wheels or applied.rotor_momentum.any()
+                or applied.torque_bias.any()):
+            try:
+                return self._together(applied)
+            except ValueError:
+                pass  # rejected for all runs; one by one, each has its message
+        return self._one_by_one(applied)
+
+    def _together(self, applied: Applied) -> _Ends:
+        gains: Floats | None = None
+        logs: TorqueLog | list[TorqueLog] | None = None
+        if applied.clock_offset.any() or NOISE in {one.key for one in self.dispersions}:
+            logs = [self.torques(applied, row)[0][0] for row in range(len(applied.runs))]
+        elif self.logs:
+            gains, logs = applied.torque_gain, self.logs[0]
+        motions = propagate_many(applied.bodies, applied.starts, logs, at=[self.end_ns],
+                                 torque_gains=gains, **self.scene.options)
+        return motions.attitude[:, 0], motions.angular_velocity[:, 0], [
+            message and reason(ValueError(message)) for message in motions.messages]
+
+    def _one_by_one(self, applied: Applied) -> _Ends:
+        count = len(applied.runs)
+        attitude, rates, messages = np.full((count, 4), np.nan), np.full((count, 3), np.nan), []
+        for row in range(count):
             interrupts.check()
-            rows.append(self.row(run))
-        return rows
+            try:
+                start = applied.starts[row]
+                start = State(start.time_ns, start.attitude, start.angular_velocity,
+                              applied.rotor_momentum[row])
+                logs, wheels = self.torques(applied, row)
+                motion = propagate(applied.bodies[row], start, logs, at=[self.end_ns],
+                                   wheels=wheels, **self.scene.options)
+            except ValueError as error:
+                messages.append(reason(error))
+                continue
+            messages.append('')
+            attitude[row], rates[row] = motion.attitude[0], motion.angular_velocity[0]
+        return attitude, rates, messages
 
-    def _values(self, drawn: Mapping[str, Floats]) -> dict[str, float]:
-        """Return the nominal values, changed as drawn."""
-        values = self.nominal.values()
+    def _values(self, drawn: Mapping[str, Floats], count: int) -> dict[str, Floats]:
+        """Return the nominal values of all runs, changed as drawn."""
+        values = {name: np.full(count, value) for name, value in self.nominal.items()}
         for one in self.dispersions:
             if one.key in values:
-                draw = float(drawn[one.key][0])
+                draw = drawn[one.key][:, 0]
                 if one.relative:
                     values[one.key] *= 1.0 + draw
                 else:
                     values[one.key] = draw + (one.kind == 'normal') * values[one.key]
         return values
 
-    def _torques(self, run: int, gain: float, offset_ns: int) -> tuple[TorqueLog, ...]:
-        logs = self.logs
-        if gain != 1.0:
-            logs = tuple(log.with_torques(gain * log.torques) for log in logs)
-        for one in self.dispersions:
-            if one.key == NOISE:
-                random, sigma = stream(self.seed, run, NOISE), one.bounds[0]
-                logs = tuple(log.with_torques(
-                    log.torques + sigma * random.standard_normal(log.torques.shape))
-                    for log in logs)
-        return tuple(_later(log, offset_ns) for log in logs)
-
-    def _bias(self, values: Mapping[str, float]) -> TorqueLog | None:
-        torque = _vector('torque_bias', values)
-        if not torque.any():
-            return None
+    def _bias(self, torque: Floats) -> TorqueLog:
+        """Return the log of a constant torque."""
         times = np.array([self.start.time_ns])
         if self.scene.timeout_ns:  # a bias does not time out
             times = np.arange(self.start.time_ns, self.end_ns + 1,
                               max(1, self.scene.timeout_ns // 2))
         return TorqueLog(times, np.broadcast_to(torque, (len(times), 3)))
-
-
-def _later(log: TorqueLog, offset_ns: int) -> TorqueLog:
-    return TorqueLog(log.times_ns + offset_ns, log.torques, log.in_space, log.interpolation) \
-        if offset_ns else log
-
-
-def _relative(body: RigidBody, drawn: Floats) -> Floats:
-    """
-    Return a tensor with the same principal axes and other moments, which some body has.
-
-    What is multiplied are the second moments of the mass along the axes, by the exponentials of
-    the numbers drawn. They stay positive, so the moments satisfy the triangle inequality.
-    """
-    moments = body.principal_moments
-    second = np.maximum(0.5 * moments.sum() - moments, 0.0) * np.exp(drawn)
-    axes = body.principal_axes
-    # Summed in a fixed order: in BLAS the order depends on the processor.
-    return (axes[:, None] * axes * (second.sum() - second)).sum(axis=-1)
-
-
-def _entries(prefix: str, tensor: Floats) -> dict[str, float]:
-    return {prefix + entry: float(tensor[place]) for entry, place in _ENTRIES.items()}
-
-
-def _tensor(prefix: str, values: Mapping[str, float]) -> Floats:
-    tensor = np.empty((3, 3))
-    for entry, (row, column) in _ENTRIES.items():
-        tensor[row, column] = tensor[column, row] = values[prefix + entry]
-    return tensor
-
-
-def _components(prefix: str, vector: Floats) -> dict[str, float]:
-    return {f'{prefix}.{axis}': float(value) for axis, value in zip('xyzw', vector)}
-
-
-def _vector(prefix: str, values: Mapping[str, float]) -> Floats:
-    return np.array([values[f'{prefix}.{axis}'] for axis in 'xyz'])

@@ -78,7 +78,7 @@ def _correlations(ensemble: Ensemble, folder: Folder, angles: Floats) -> dict[st
 
 def _distances(ensemble: Ensemble, folder: Folder) -> list[tuple[str, Floats]]:
     """Return the distances of the parameters from their nominal values, in the first runs."""
-    nominal = ensemble.nominal.values()
+    nominal = ensemble.nominal
     attitude = [f'initial_attitude.{axis}' for axis in 'xyzw']
     tilted = np.stack([folder.numbers(name, _SAMPLE) for name in attitude], axis=-1)
     with np.errstate(invalid='ignore'):  # failed runs

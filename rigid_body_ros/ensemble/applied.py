@@ -1,0 +1,141 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What acts in some runs of an ensemble, and the columns that report it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.bodies import RigidBodies
+from rigid_body_ros.body import RigidBody
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.states import States
+from rigid_body_ros.torque import TorqueLog
+
+#: The entries of a symmetric tensor, in the order of the columns.
+ENTRIES = {'xx': (0, 0), 'yy': (1, 1), 'zz': (2, 2), 'xy': (0, 1), 'xz': (0, 2), 'yz': (1, 2)}
+
+
+@dataclass(frozen=True, eq=False)
+class Applied:
+    """
+    What acts in n runs.
+
+    Attributes
+    ----------
+    runs : array of int, shape (n,)
+        Their numbers.
+    bodies : RigidBodies
+        n of them.
+    starts : States
+        n of them.
+    rotor_momentum : array, shape (n, 3), N m s, body axes
+        At the start.
+    torque_gain : array, shape (n,)
+    torque_bias : array, shape (n, 3), N m, body axes
+    clock_offset : array, shape (n,), s
+        A whole number of nanoseconds.
+
+    """
+
+    runs: NDArray[np.int64]
+    bodies: RigidBodies
+    starts: States
+    rotor_momentum: Floats
+    torque_gain: Floats
+    torque_bias: Floats
+    clock_offset: Floats
+
+    def columns(self) -> dict[str, Floats]:
+        """Return the values by key, each shape (n,)."""
+        return {**_entries('inertia.i', self.bodies.inertia),
+                **_entries('damping.d', self.bodies.damping),
+                **components('initial_attitude', self.starts.attitude),
+                **components('initial_angular_velocity', self.starts.angular_velocity),
+                **components('initial_rotor_momentum', self.rotor_momentum),
+                **components('torque_bias', self.torque_bias),
+                'torque_gain': self.torque_gain, 'clock_offset': self.clock_offset}
+
+
+def components(prefix: str, vectors: Floats) -> dict[str, Floats]:
+    """Return the components of vectors, shape (n, 3 or 4), by key."""
+    return {f'{prefix}.{axis}': column for axis, column in zip('xyzw', vectors.T)}
+
+
+def vectors(prefix: str, values: Mapping[str, Floats]) -> Floats:
+    """Return the vectors, shape (n, 3), with the components of these keys."""
+    return np.stack([values[f'{prefix}.{axis}'] for axis in 'xyz'], axis=-1)
+
+
+def tensors(prefix: str, values: Mapping[str, Floats]) -> Floats:
+    """Return the symmetric tensors, shape (n, 3, 3), with the entries of these keys."""
+    result = np.empty((len(values[f'{prefix}xx']), 3, 3))
+    for entry, (row, column) in ENTRIES.items():
+        result[:, row, column] = result[:, column, row] = values[prefix + entry]
+    return result
+
+
+def relative_inertia(body: RigidBody, drawn: Floats) -> Floats:
+    """
+    Return tensors with the same principal axes and other moments, which some body has.
+
+    What is multiplied are the second moments of the mass along the axes, by the exponentials of
+    the numbers drawn, shape (n, 3). They stay positive, so the moments satisfy the triangle
+    inequality.
+    """
+    moments = body.principal_moments
+    second = np.maximum(0.5 * moments.sum() - moments, 0.0) * np.exp(drawn)
+    varied = second.sum(axis=-1, keepdims=True) - second
+    axes = body.principal_axes
+    # Summed in a fixed order: in BLAS the order depends on the processor.
+    return (axes[:, None] * axes * varied[:, None, None]).sum(axis=-1)
+
+
+def later(log: TorqueLog, offset: float, torques: Floats | None = None) -> TorqueLog:
+    """
+    Return a log with later stamps and, if given, other torques.
+
+    Parameters
+    ----------
+    log : TorqueLog
+        A log of n samples.
+    offset : float, s
+        Added to the stamps; a whole number of nanoseconds.
+    torques : array, shape (n, 3), N m, optional
+        In the same axes.
+
+    Raises
+    ------
+    ValueError
+        A stamp does not fit 64 bits, or a torque is not finite.
+
+    """
+    if torques is None:
+        torques = log.torques
+    if not abs(offset) < NEVER_NS / 1e9:
+        raise ValueError(f'clock_offset: expected less than 292 years, found {offset:g} s')
+    offset_ns = round(offset * 1e9)
+    ends = [int(stamp) + offset_ns for stamp in log.times_ns[[0, -1]]] if len(log) else []
+    if any(abs(end) >= NEVER_NS for end in ends):
+        raise ValueError(f'clock_offset: expected stamps that fit 64 bits, found {offset:g} s')
+    return TorqueLog(log.times_ns + offset_ns, torques, log.in_space, log.interpolation)
+
+
+def _entries(prefix: str, tensors: Floats) -> dict[str, Floats]:
+    return {prefix + name: tensors[:, row, column] for name, (row, column) in ENTRIES.items()}
