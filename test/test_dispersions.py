@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Dispersions: what a file may say, and the statistics of what is drawn from it."""
+"""Dispersions: what a file may say, the statistics of what is drawn, and percentiles."""
 
 import zlib
 
@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from rigid_body_ros.ensemble import streams
 from rigid_body_ros.ensemble.dispersions import Dispersion, draws, load
+from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.scene import InputError
 
 RUNS = np.arange(100_000)
@@ -83,6 +84,19 @@ def test_a_stream_is_that_of_the_design():
     sequence = np.random.SeedSequence(3, spawn_key=(7, zlib.crc32(b'torque_gain')))
     expected = np.random.Generator(np.random.PCG64(sequence)).standard_normal(4)
     assert np.array_equal(streams.stream(3, 7, 'torque_gain').standard_normal(4), expected)
+
+
+@pytest.mark.parametrize('numbers', [
+    np.random.default_rng(1).exponential(size=10_007), np.zeros(5), np.array([3.0]),
+    np.array([5e-324, 0.0, 1e308, 1.0, np.nan, 1.0 + 2.0 ** -52, 1e-300])])
+def test_percentiles_are_those_of_numpy(numbers):
+    def chunks():
+        return np.array_split(numbers, 3)
+    wanted = [1, 5, 25, 50, 75, 95, 99, 100]
+    finite = numbers[np.isfinite(numbers)]
+    assert percentiles(chunks, wanted) \
+        == np.percentile(finite, wanted, method='inverted_cdf').tolist()
+    assert percentiles(lambda: [np.array([np.nan])], wanted) == []
 
 
 def test_a_file_is_read(tmp_path):

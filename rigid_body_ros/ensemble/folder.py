@@ -16,8 +16,8 @@
 The folder of an ensemble: which runs it has, and their rows as Parquet.
 
 Runs are computed and written in blocks, each to a file of its own, so that an interrupted ensemble
-goes on where it stopped. The blocks depend on the numbers of their runs only, and are put together
-in that order: `runs.parquet` has the same bytes however it came about.
+goes on where it stopped. A row depends on the number of its run only, and the rows are put
+together in that order: `runs.parquet` has the same bytes whatever the blocks were.
 """
 
 from __future__ import annotations
@@ -36,10 +36,14 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.runtime import files
 
-#: Runs in a block, and in a row group of `runs.parquet`.
-BLOCK, GROUP = 256, 64 * 256
-#: Names of blocks and of their parts, which alone may be removed.
-_OURS = re.compile(r'\.?\d{9}-\d{9}\.parquet')
+#: Number of blocks that the missing runs are divided into, so that all workers have some; but a
+#: block has at most so many runs, so that an interrupt does not lose many.
+BLOCKS, LONGEST = 32, 2048
+#: Rows in a row group of `runs.parquet`.
+GROUP = 2 ** 16
+#: Names of blocks, and of the parts of them that a dead process left; no other file is removed.
+_BLOCK = re.compile(r'(\d{9})-(\d{9,10})\.parquet')
+_PART = re.compile(r'\.\d{9}-\d{9,10}\.parquet\.[0-9a-f]{16}\.\d+\.part')
 #: Where the reason of a failure ends and the numbers of its run begin.
 _CAUSE = re.compile(r',? found |[ :]*[-+]?\d')
 
@@ -87,8 +91,13 @@ class Folder:
 
     def missing(self) -> list[tuple[int, int]]:
         """Return the first run of each block that has to be computed, and the one after it."""
-        return [(first, stop) for first, stop in self._spans()
-                if not self._block(first, stop).exists()]
+        present = self._present()
+        begins, ends = [0, *(stop for _, stop in present)], [first for first, _ in present]
+        gaps = [*zip(begins, [*ends, self.runs])]
+        runs = sum(end - begin for begin, end in gaps)
+        longest = min(max(runs // BLOCKS, 1), LONGEST)
+        return [(first, min(first + longest, end)) for begin, end in gaps
+                for first in range(begin, end, longest)]
 
     def add(self, first: int, stop: int, rows: Mapping[str, NDArray[Any]]) -> None:
         """
@@ -120,25 +129,26 @@ class Folder:
 
     def complete(self) -> None:
         """Put the blocks together to `runs.parquet`; raise InputError if that fails."""
-        spans = [*self._spans()]
-        size = GROUP // BLOCK
         with files.atomic_output(self.table, '.parquet') as path, \
                 parquet.ParquetWriter(path, self._schema) as writer:
-            for k in range(0, len(spans), size):
-                blocks = [self._read(*span) for span in spans[k:k + size]]
-                writer.write_table(arrow.concat_tables(blocks).combine_chunks(), GROUP)
-        kept = {self._block(*span) for span in spans}
-        for path in self._blocks.iterdir():  # blocks of fewer runs, and parts of a dead process
-            if path not in kept and _OURS.match(path.name):
+            for group in self._groups():
+                writer.write_table(group, GROUP)
+        kept = {self._block(*span) for span in self._present()}
+        for path in self._blocks.iterdir():
+            if path not in kept and (_BLOCK.fullmatch(path.name) or _PART.fullmatch(path.name)):
                 path.unlink()
 
-    def numbers(self, name: str, stop: int | None = None) -> Floats:
+    def numbers(self, name: str, stop: int) -> Floats:
         """Return a column of the first runs of `runs.parquet`, NaN for failed ones."""
-        file = parquet.ParquetFile(self.table)
-        wanted = self.runs if stop is None else min(stop, self.runs)
+        wanted = min(stop, self.runs)
         groups = range(-(-wanted // GROUP))
-        column = file.read_row_groups([*groups], columns=[name]).column(name)
-        return np.asarray(column.to_numpy()[:wanted], float)
+        column = parquet.ParquetFile(self.table).read_row_groups([*groups], columns=[name])
+        return _floats(column.column(name))[:wanted]
+
+    def chunks(self, name: str) -> Iterator[Floats]:
+        """Generate a column of `runs.parquet`, NaN for failed runs."""
+        for batch in parquet.ParquetFile(self.table).iter_batches(columns=[name]):
+            yield _floats(batch.column(name))
 
     def failures(self) -> dict[str, int]:
         """Return how many runs failed for each reason, by the text before its numbers."""
@@ -174,9 +184,27 @@ class Folder:
             raise InputError(f'{self.path}: expected at least the {runs} runs that it was begun '
                              f'with, found {self.runs}; choose another folder')
 
-    def _spans(self) -> Iterator[tuple[int, int]]:
-        for first in range(0, self.runs, BLOCK):
-            yield first, min(first + BLOCK, self.runs)
+    def _present(self) -> list[tuple[int, int]]:
+        """Return the first run of each block that is complete, and the one after it, in order."""
+        names = (_BLOCK.fullmatch(path.name) for path in self._blocks.iterdir())
+        spans = sorted((int(name[1]), int(name[2])) for name in names if name)
+        present, end = [], 0
+        for first, stop in spans:
+            if end <= first < stop <= self.runs:
+                present.append((first, stop))
+                end = stop
+        return present
+
+    def _groups(self) -> Iterator[arrow.Table]:
+        """Generate all rows, in tables of as many rows as a row group has."""
+        waiting = self._schema.empty_table()
+        for span in self._present():
+            waiting = arrow.concat_tables([waiting, self._read(*span)])
+            while waiting.num_rows >= GROUP:
+                yield waiting.slice(0, GROUP).combine_chunks()
+                waiting = waiting.slice(GROUP)
+        if waiting.num_rows:
+            yield waiting.combine_chunks()
 
     def _block(self, first: int, stop: int) -> Path:
         return self._blocks / f'{first:09d}-{stop:09d}.parquet'
@@ -184,7 +212,15 @@ class Folder:
     def _read(self, first: int, stop: int) -> arrow.Table:
         path = self._block(first, stop)
         try:
-            return parquet.read_table(path, schema=self._schema)
-        except (OSError, arrow.ArrowException) as error:
+            table = parquet.ParquetFile(path).read().cast(self._schema)
+        except (OSError, ValueError, arrow.ArrowException) as error:
             raise InputError(f'{path}: cannot read the runs: {reason(error)}; remove the file to '
                              'compute them again') from error
+        if table.num_rows != stop - first:
+            raise InputError(f'{path}: expected {stop - first} runs, found {table.num_rows}; '
+                             'remove the file to compute them again')
+        return table
+
+
+def _floats(column: arrow.Array) -> Floats:
+    return np.asarray(column.to_numpy(zero_copy_only=False), float)

@@ -16,12 +16,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.ensemble.folder import Folder
+from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
 
 _PERCENTILES = (5, 25, 50, 75, 95, 99, 100)
@@ -41,13 +43,11 @@ def summarized(ensemble: Ensemble, folder: Folder) -> dict[str, Any]:
         dispersed parameter from its nominal value.
 
     """
-    angles = folder.numbers(ANGLE)
-    ended = angles[np.isfinite(angles)]
     failures = folder.failures()
+    angles = percentiles(partial(folder.chunks, ANGLE), _PERCENTILES)
     return {'runs': folder.runs, 'failed': sum(failures.values()), 'failures': failures,
-            'angle_from_nominal_rad': {f'p{k}': float(np.percentile(ended, k))
-                                       for k in _PERCENTILES} if ended.size else {},
-            'rank_correlation': _correlations(ensemble, folder, angles[:_SAMPLE])}
+            'angle_from_nominal_rad': dict(zip((f'p{k}' for k in _PERCENTILES), angles)),
+            'rank_correlation': _correlations(ensemble, folder)}
 
 
 def text_of(found: dict[str, Any]) -> str:
@@ -65,9 +65,9 @@ def text_of(found: dict[str, Any]) -> str:
     return '\n'.join(lines)
 
 
-def _correlations(ensemble: Ensemble, folder: Folder, angles: Floats) -> dict[str, float]:
+def _correlations(ensemble: Ensemble, folder: Folder) -> dict[str, float]:
     from scipy.stats import spearmanr  # takes long to import
-    result = {}
+    result, angles = {}, folder.numbers(ANGLE, _SAMPLE)
     for name, distance in _distances(ensemble, folder):
         known = np.isfinite(angles) & np.isfinite(distance)
         varies = known.sum() > 2 and np.ptp(distance[known]) > 0.0 and np.ptp(angles[known]) > 0.0
