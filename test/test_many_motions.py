@@ -170,6 +170,28 @@ def test_runs_like_each_other_step_together(interval_ns, samples):
     assert (left.min() >= 0) & (left.max() < 0.1 * end_ns)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize('timeout', [0.0, 0.05])
+def test_several_logs_of_each_run_add_up_in_the_same_bits(timeout):
+    tensors, rates, attitudes = scattered(2)
+    tensors[5:7] = np.diag([1.0, 2.0, 3.0])
+    damping = np.zeros_like(tensors)
+    damping[::2] = 0.01 * np.eye(3)
+    one, empty = random_log(), TorqueLog([], [])
+    logs = [[one, one], [one, random_log('hold', 'space')], [one, random_log('cubic')],
+            [random_log('linear', 'space'), one], [one, TorqueLog([0], [[0.1, 0.0, 0.2]])],
+            [one, empty], [], [empty], one, [one, one, one], [one, one], [one, one]]
+    found = propagate_many(RigidBodies(tensors, damping), States(0, attitudes, rates), logs, at=AT,
+                           torque_timeout=timeout)
+    assert rows(found) == [
+        alone(tensor, (0, q, w), each, damping=drag, torque_timeout=timeout)
+        for tensor, q, w, each, drag in zip(tensors, attitudes, rates, logs, damping)]
+    gained = propagate_many(RigidBodies(tensors, damping), States(0, attitudes, rates), logs,
+                            at=AT, torque_gains=np.full(COUNT, 0.5))
+    half = one.with_torques(0.5 * one.torques)
+    assert rows(gained)[9] == alone(tensors[9], (0, attitudes[9], rates[9]), [half] * 3)
+
+
 def test_states_and_bodies_are_those_of_their_rows():
     attitudes = np.random.default_rng(2).normal(size=(5, 4))
     attitudes[3] = 0.0

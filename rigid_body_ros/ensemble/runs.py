@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -58,9 +58,11 @@ _START = {**{f'inertia.i{entry}': 'kg m^2' for entry in ENTRIES},
 ANGLE = 'angle_from_nominal'
 _END = {**{f'attitude.{axis}': '' for axis in 'xyzw'},
         **{f'angular_velocity.{axis}': 'rad/s' for axis in 'xyz'}, ANGLE: 'rad'}
+
 #: Largest number of runs computed at once, and of their torque samples and fixed steps: enough for
-#: the time in Python not to matter, and few enough for an interrupt not to wait.
-_AT_ONCE, _STEPS = 4096, 2 ** 20
+#: the time in Python not to matter, and few enough for an interrupt not to wait. Samples in logs
+#: of their own take 33 bytes each, so they are fewer.
+_AT_ONCE, _STEPS, _SAMPLES = 4096, 2 ** 22, 2 ** 20
 
 #: Numbers of runs, 'ok' or 'failed', messages, and numbers (NaN in failed runs), by column.
 Columns = dict[str, NDArray[Any]]
@@ -193,13 +195,21 @@ class Ensemble:
             logs.append(self._bias(bias))
         return logs, later(self.wheels, offset) if self.wheels else None
 
+    @property
+    def _have_own_logs(self) -> bool:
+        """Return whether the runs have several logs, or logs that differ by more than a gain."""
+        varied = {name.split('.')[0] for name in self.columns}
+        return (len(self.logs) > 1 or bool(varied & {'torque_bias', 'clock_offset'})
+                or NOISE in {one.key for one in self.dispersions})
+
     @cached_property
     def _at_once(self) -> int:
         """Return how many runs are computed at once."""
         longest = self.scene.options['max_step']
         steps = (self.end_ns - self.start.time_ns) / 1e9 / longest if longest else 0.0
         steps += sum(map(len, self.logs))
-        return int(min(max(_STEPS / (1.0 + steps), 1.0), _AT_ONCE))
+        limit = _SAMPLES if self._have_own_logs else _STEPS
+        return int(min(max(limit / (1.0 + steps), 1.0), _AT_ONCE))
 
     def _rows(self, runs: NDArray[np.int64]) -> Columns:
         with np.errstate(over='ignore', invalid='ignore'):  # messages say what is not finite
@@ -216,8 +226,7 @@ class Ensemble:
 
     def _ends(self, applied: Applied) -> _Ends:
         """Return the final states of some runs: of all at once, if `propagate_many` does it."""
-        if not (len(self.logs) > 1 or self.wheels or applied.rotor_momentum.any()
-                or applied.torque_bias.any()):
+        if not (self.wheels or applied.rotor_momentum.any()):
             try:
                 return self._together(applied)
             except ValueError:
@@ -225,12 +234,13 @@ class Ensemble:
         return self._one_by_one(applied)
 
     def _together(self, applied: Applied) -> _Ends:
+        logs: Sequence[Sequence[TorqueLog]] | TorqueLog | None = None
         gains: Floats | None = None
-        logs: TorqueLog | list[TorqueLog] | None = None
-        if applied.clock_offset.any() or NOISE in {one.key for one in self.dispersions}:
-            logs = [self.torques(applied, row)[0][0] for row in range(len(applied.runs))]
+        if self._have_own_logs:
+            logs = [self.torques(applied, row)[0] for row in range(len(applied.runs))]
         elif self.logs:
-            gains, logs = applied.torque_gain, self.logs[0]
+            logs = self.logs[0]
+            gains = applied.torque_gain if 'torque_gain' in self.columns else None
         motions = propagate_many(applied.bodies, applied.starts, logs, at=[self.end_ns],
                                  torque_gains=gains, **self.scene.options)
         return motions.attitude[:, 0], motions.angular_velocity[:, 0], [

@@ -26,7 +26,7 @@ from rigid_body_ros.bodies import RigidBodies
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import motion_layout
 from rigid_body_ros.kernels.lanes import LANES
-from rigid_body_ros.propagation import layout, loop, many_loop
+from rigid_body_ros.propagation import layout, loop, many_loop, summation
 from rigid_body_ros.propagation.integration import check_solver
 from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.requested import checked_times
@@ -37,6 +37,8 @@ _NO_LOG = TorqueLog([], [])
 #: s; a call of the kernel that takes less is followed by one for twice as many runs. In between
 #: Python handles signals.
 _PATIENCE = 0.05
+#: Stamps, polynomials and frames of a log, and the samples for which there are polynomials.
+_Piece = tuple[NDArray[np.int64], Floats, NDArray[np.bool_], int, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +77,8 @@ class Trajectories:
 
 
 def propagate_many(bodies: RigidBodies, starts: States,
-                   log: TorqueLog | Sequence[TorqueLog] | None = None, *, at: ArrayLike,
+                   log: TorqueLog | Sequence[TorqueLog | Sequence[TorqueLog]] | None = None, *,
+                   at: ArrayLike,
                    torque_gains: ArrayLike | None = None, solver: str = Options.solver,
                    tolerance: float = Options.tolerance,
                    max_step: float | None = Options.max_step,
@@ -93,12 +96,12 @@ def propagate_many(bodies: RigidBodies, starts: States,
         n of them.
     starts : States
         n of them.
-    log : TorqueLog or sequence of n TorqueLog, optional
-        The log of all runs, or of each. None for torque-free motion.
+    log : TorqueLog, or sequence of n TorqueLog or of n sequences of TorqueLog, optional
+        The log of all runs, or of each; several logs of a run add up. None for torque-free motion.
     at : array of int, shape (m,), ns
         As for `propagate`, the same for all runs.
     torque_gains : array, shape (n,), optional
-        The log of run i is `log.with_torques(torque_gains[i] * log.torques)`.
+        Each log of run i is `log.with_torques(torque_gains[i] * log.torques)`.
     solver, tolerance, max_step, torque_timeout
         As for `propagate`.
 
@@ -115,7 +118,7 @@ def propagate_many(bodies: RigidBodies, starts: States,
 
     """
     runs = _Runs(bodies, starts, at, validated(solver, tolerance, max_step, torque_timeout))
-    logs = _log_for_each(log, len(bodies))
+    logs = _logs_of_each(log, len(bodies))
     gains = None if torque_gains is None else np.array(torque_gains, float)
     if gains is not None and gains.shape != (len(bodies),):
         raise ValueError(f'torque_gains: expected shape ({len(bodies)},), found {gains.shape}')
@@ -123,18 +126,24 @@ def propagate_many(bodies: RigidBodies, starts: States,
         runs.advance(log or _NO_LOG, np.arange(len(bodies)))
         return runs.trajectories()
     for row, each in enumerate(logs):
-        scaled = each if gains is None else each.with_torques(gains[row] * each.torques)
-        runs.advance(scaled, np.array([row]))
+        if gains is not None:
+            each = [one.with_torques(gains[row] * one.torques) for one in each]
+        if len(each) < 2:
+            runs.advance(each[0] if each else _NO_LOG, np.array([row]))
+        else:
+            runs.advance_summed(each, row)
     return runs.trajectories()
 
 
-def _log_for_each(log: TorqueLog | Sequence[TorqueLog] | None, count: int) -> list[TorqueLog]:
-    """Return a log for each run, or raise ValueError."""
+def _logs_of_each(log: TorqueLog | Sequence[TorqueLog | Sequence[TorqueLog]] | None,
+                  count: int) -> list[list[TorqueLog]]:
+    """Return the logs of each run that are not empty, or raise ValueError."""
     if log is None or isinstance(log, TorqueLog):
-        return [log or _NO_LOG] * count
+        return [[log] if log else []] * count
     if len(log) != count:
         raise ValueError(f'log: expected {count}, one for each body, found {len(log)}')
-    return list(log)
+    return [[one for one in ([each] if isinstance(each, TorqueLog) else each) if len(one)]
+            for each in log]
 
 
 class _Runs:
@@ -173,23 +182,44 @@ class _Runs:
         damped = self._bodies.is_damped[which]
         first = int(self._progress[which, layout.SAMPLE].min())
         for begin, stop, polynomials in log.polynomials(first):
+            piece = log.times_ns, polynomials, log.in_space, begin, stop
             for rows, terms in ((which[~damped], None), (which[damped], np.zeros((1, 4, 3)))):
-                self._run(rows, log, (polynomials, log.in_space, begin, stop), terms)
-        for row in which[self._failed[which]].tolist():  # too fast
+                self._run(rows, piece, self._options.settings, terms)
+        self._report(which)
+
+    def advance_summed(self, logs: Sequence[TorqueLog], row: int) -> None:
+        """Compute a run under several logs, as `CombinedMotion` does."""
+        for log in logs:
+            check_solver(self._options, log)
+        if self._messages[row] or not self._times.size:
+            return
+        begin_ns, which = int(self._begin_ns[row]), np.array([row])
+        total = summation.summed(logs, _NO_LOG, begin_ns, np.zeros((2, 3)),
+                                 self._options.timeout_ns)
+        in_two_frames = (any(log.in_space.any() for log in logs)
+                         and not all(log.in_space.all() for log in logs))
+        total.times_ns.flags.writeable = False  # one type for the kernels
+        self._progress[row] = layout.pack_place(begin_ns, begin_ns, 0)
+        self._run(which, (total.times_ns, total.polynomials, total.in_space, 0,
+                          len(total.times_ns)), self._options.held_settings,
+                  total.terms if self._bodies.is_damped[row] or in_two_frames else None)
+        self._report(which)
+
+    def _report(self, which: NDArray[np.intp]) -> None:
+        """Set the messages of the runs whose body became too fast."""
+        for row in which[self._failed[which]].tolist():
             self._messages[row] = str(self._options.too_fast(
                 int(self._progress[row, layout.GRID_NS])))
 
-    def _run(self, which: NDArray[np.intp], log: TorqueLog,
-             piece: tuple[Floats, NDArray[np.bool_], int, int], terms: Floats | None) -> None:
+    def _run(self, which: NDArray[np.intp], piece: _Piece, settings: Floats,
+             terms: Floats | None) -> None:
         """Run the loop over some runs, in chunks."""
-        polynomials, in_space, first, stop = piece
         done, chunk = 0, LANES
         while done < len(which):
             began = time.monotonic()
             done += many_loop.run_each(
                 which[done:done + chunk], self._states, self._progress, self._times, self._rows,
-                self._motions, log.times_ns, polynomials, in_space, first, stop,
-                self._bodies._constants, self._options.settings, loop.BUDGET, terms,
+                self._motions, *piece, self._bodies._constants, settings, loop.BUDGET, terms,
                 self._failed)
             if time.monotonic() - began < _PATIENCE:
                 chunk *= 2
