@@ -1,0 +1,116 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Measure attitude_ensemble: runs per second with one worker and with two, and the peak memory.
+
+    python benchmarks/ensemble.py [--runs 20000] [--free 200000] [--pairs 5]
+    python benchmarks/ensemble.py --once [--free] --runs 1000000 --workers 2
+
+The scene is the CubeSat of the demo, for a minute: under its recording (3001 torques), and without
+torque. One worker and two take turns, each in a process of its own that has loaded the kernels
+before; the ratio is the median of the pairs. The time is that of the whole command with its files,
+without the start of Python. Other load on the machine counts, so its average is printed. With
+--once, a single measurement is printed as JSON. Linux only.
+"""
+
+import argparse
+import json
+import os
+from pathlib import Path
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+
+from rigid_body_ros import cli
+
+ROOT = Path(__file__).resolve().parent.parent
+SCENE = ROOT / 'config' / 'tumbler.yaml'
+RECORDING = ROOT / 'test' / 'recordings' / 'tumbler.mcap'
+VARY = """inertia: {relative: 0.05}
+initial_attitude: {tilt: 0.02}
+initial_angular_velocity.y: {uniform: [0.5, 0.7]}
+"""
+GAIN = 'torque_gain: {normal: 0.03}\n'
+
+
+def once(free, runs, workers):
+    """Return rate, 1/s, processor time per run, us, and peak memory, MB, of this process."""
+    with tempfile.TemporaryDirectory() as folder:
+        vary = Path(folder) / 'vary.yaml'
+        vary.write_text(VARY if free else VARY + GAIN)
+        given = ['--scene', SCENE, '--vary', vary, '--workers', workers,
+                 *(['--until', 60] if free else ['--recording', RECORDING])]
+        compute([*given, '--runs', 10, '-o', Path(folder) / 'first'])
+        began, used = time.perf_counter(), time.process_time()
+        compute([*given, '--runs', runs, '-o', Path(folder) / 'runs'])
+        taken, used = time.perf_counter() - began, time.process_time() - used
+    lines = Path('/proc/self/status').read_text().splitlines()
+    peak = next(int(line.split()[1]) for line in lines if line.startswith('VmHWM'))
+    return {'rate': runs / taken, 'seconds': taken, 'processor_us': 1e6 * used / runs,
+            'peak_mb': peak * 1024 / 1e6}
+
+
+def compute(given):
+    """Run the command, without its text."""
+    text = os.dup(1)
+    os.dup2(2, 1)
+    status = cli.attitude_ensemble([*map(str, given)])
+    os.dup2(text, 1)
+    os.close(text)
+    if status:
+        sys.exit(status)
+
+
+def alone(free, runs, workers):
+    """Return `once` of a new process."""
+    command = [sys.executable, __file__, '--once', '--runs', str(runs), '--workers', str(workers)]
+    done = subprocess.run([*command, *(['--free'] if free else [])], check=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    return json.loads(done.stdout)
+
+
+def main():
+    """Measure in pairs, and print a line for each scene."""
+    parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
+    parser.add_argument('--runs', type=int, default=20_000, help='runs under the recording')
+    parser.add_argument('--free', type=int, nargs='?', default=200_000, const=1,
+                        help='runs without torque; with --once, whether there is no torque')
+    parser.add_argument('--pairs', type=int, default=5)
+    parser.add_argument('--workers', type=int, default=1, help='with --once')
+    parser.add_argument('--once', action='store_true', help='measure once, in this process')
+    options = parser.parse_args()
+    if options.once:
+        print(json.dumps(once(options.free == 1, options.runs, options.workers)))
+        return
+    print(f'{"":10}{"runs":>8}{"1 worker":>14}{"2 workers":>14}{"ratio":>7}{"memory":>10}'
+          f'{"load":>6}')
+    compare('recording', False, options.runs, options.pairs)
+    compare('no torque', True, options.free, options.pairs)
+
+
+def compare(name, free, runs, count):
+    """Measure one worker and two in turns, and print their rates."""
+    pairs = [(alone(free, runs, 1), alone(free, runs, 2)) for _ in range(count)]
+    one, two = (statistics.median(pair[k]['rate'] for pair in pairs) for k in (0, 1))
+    ratio = statistics.median(pair[1]['rate'] / pair[0]['rate'] for pair in pairs)
+    peak = max(found['peak_mb'] for pair in pairs for found in pair)
+    print(f'{name:10}{runs:8}{one:10.0f} / s{two:10.0f} / s{ratio:7.2f}{peak:7.0f} MB'
+          f'{os.getloadavg()[0]:6.1f}', flush=True)
+
+
+if __name__ == '__main__':
+    main()
