@@ -155,6 +155,16 @@ def test_hyperbolic_tangent_and_secant_are_correctly_rounded():
 
 
 @pytest.mark.slow
+def test_exponentials_are_correctly_rounded():
+    given = [*RANDOM.uniform(-1, 1, 500), *RANDOM.uniform(-709, 709, 500),
+             *(10.0 ** RANDOM.uniform(-300, 0, 200)), 0.0, -0.0, 709.0, -708.0]
+    assert np.array_equal(arrays.exponentials([given]),
+                          [[float(mpmath.exp(mpf(x))) for x in given]])
+    ends = arrays.exponentials([710.0, math.inf, -710.0, -math.inf, math.nan])
+    np.testing.assert_array_equal(ends, [math.inf, math.inf, 0.0, 0.0, math.nan])
+
+
+@pytest.mark.slow
 def test_the_careful_evaluations_have_a_hundred_bits_and_the_quick_ones_their_bounds():
     careful, quick = (callable_(part) for part in (elementary._careful_sine_cosine,
                                                    elementary.sine_cosine_pairs))
@@ -246,13 +256,14 @@ def test_elementary_functions_have_the_same_bits_on_an_old_processor(tmp_path):
     script = ('import numpy as np\n'
               'from rigid_body_ros.kernels import elementary_arrays as arrays\n'
               'x = np.random.default_rng(3).normal(size=60) * 2.0 ** np.linspace(-40, 1000, 60)\n'
-              'for values in (*arrays.sines_cosines(x), arrays.arctangents(x, x[::-1])):\n'
+              'for values in (*arrays.sines_cosines(x), arrays.arctangents(x, x[::-1]),\n'
+              '               arrays.exponentials(x % 9.0)):\n'
               '    print(values.tobytes().hex())')
     here, there = (subprocess.run([sys.executable, '-c', script], check=True, text=True,
                                   capture_output=True, env={**os.environ, **processor}).stdout
                    for processor in ({}, {**OLD, 'NUMBA_CACHE_DIR': str(tmp_path)}))
     assert here.split() == there.split()
-    assert len(here.split()) == 3
+    assert len(here.split()) == 4
 
 
 @pytest.mark.parametrize(('before', 'environment'), [

@@ -25,6 +25,7 @@ from rigid_body_ros.bodies import RigidBodies
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.kernels.elementary_arrays import exponentials
 from rigid_body_ros.states import States
 from rigid_body_ros.torque import TorqueLog
 
@@ -100,7 +101,7 @@ def relative_inertia(body: RigidBody, drawn: Floats) -> Floats:
     inequality.
     """
     moments = body.principal_moments
-    second = np.maximum(0.5 * moments.sum() - moments, 0.0) * np.exp(drawn)
+    second = np.maximum(0.5 * moments.sum() - moments, 0.0) * exponentials(drawn)
     varied = second.sum(axis=-1, keepdims=True) - second
     axes = body.principal_axes
     # Summed in a fixed order: in BLAS the order depends on the processor.

@@ -158,6 +158,19 @@ def log10(x: float) -> float:
 
 
 @internal
+def exponential(x: float) -> float:
+    """
+    Return e^x, correctly rounded.
+
+    For |x| > 709, near the ends of the normal doubles, infinity or zero is returned; NaN for NaN.
+    """
+    if not abs(x) <= 709.0:
+        return 0.0 if x < 0.0 else x * math.inf
+    total = add(_ONE, _expm1(abs(x)))
+    return divide(_ONE, total)[0] if x < 0.0 else total[0]
+
+
+@internal
 def tanh_sech(x: float) -> tuple[float, float]:
     """
     Return hyperbolic tangent and secant, correctly rounded.

@@ -63,6 +63,14 @@ def arctangents(y: ArrayLike, x: ArrayLike) -> Floats:
     return angles
 
 
+def exponentials(x: ArrayLike) -> Floats:
+    """Return e^x of an array of any shape, correctly rounded; see `elementary.exponential`."""
+    flat = np.array(x, float, order='C')
+    results = np.empty(flat.shape)
+    _fill_exponentials(flat.reshape(-1), results.reshape(-1))
+    return results
+
+
 @njit
 def _fill_sines_cosines(angles: Floats, sines: Floats, cosines: Floats) -> None:
     for row in range(len(angles)):
@@ -73,3 +81,9 @@ def _fill_sines_cosines(angles: Floats, sines: Floats, cosines: Floats) -> None:
 def _fill_arctangents(points: Floats, angles: Floats) -> None:
     for row in range(len(angles)):
         angles[row] = elementary.arctangent(float(points[0, row]), float(points[1, row]))
+
+
+@njit
+def _fill_exponentials(x: Floats, results: Floats) -> None:
+    for row in range(len(x)):
+        results[row] = elementary.exponential(float(x[row]))
