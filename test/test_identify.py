@@ -312,8 +312,19 @@ def test_the_result_as_json():
                       estimate=['inertia', 'start', 'torque_gain'], validate=0.2)
     data = json.loads(json.dumps(result.as_dict(), allow_nan=False))
     assert data['estimates']['torque_gain'] == {
-        'value': result.estimates['torque_gain'].value, 'start': 1.0, 'sigma': None,
+        'value': result.estimates['torque_gain'].value, 'unit': '', 'start': 1.0, 'sigma': None,
         'interval_95': None, 'identifiable': False}
+    assert data['guess_attitude_xyzw'] == tumble().start.attitude.tolist()
+    names, units, matrix = (data['covariance'][key] for key in ('names', 'units', 'matrix'))
+    assert names == [*data['estimates']]
+    assert dict(zip(names, units))['inertia.ixy'] == 'kg m^2'
+    for name, row in zip(names, matrix):
+        sigma = data['estimates'][name]['sigma']
+        assert (sigma is None) == (row.count(None) == len(names))
+        assert sigma is None or row[names.index(name)] == pytest.approx(sigma ** 2, rel=1e-12)
+    known = [k for k, row in enumerate(matrix) if row.count(None) < len(names)]
+    known = np.array(matrix, float)[np.ix_(known, known)]
+    assert np.array_equal(known, known.T)
     assert data['training'].keys() == data['validation'].keys() == {
         'samples', 'outliers', 'attitude_rms_rad', 'rate_rms_rad_s', 'chi2_per_dof'}
 
@@ -355,7 +366,7 @@ def test_a_chaotic_tumble_of_five_minutes():
 
 @pytest.mark.slow
 def test_intervals_cover_the_truth_and_are_as_short_as_possible():
-    truth, covered, errors, sigmas, chi2 = tumble(), [], [], [], []
+    truth, covered, errors, sigmas, chi2, distances = tumble(), [], [], [], [], []
     for seed in range(20):
         result = identify(GUESS, truth.experiment(truth.measured(ATTITUDE, RATE, seed)),
                           attitude_noise=ATTITUDE, rate_noise=RATE)
@@ -365,6 +376,9 @@ def test_intervals_cover_the_truth_and_are_as_short_as_possible():
             errors.append((result.estimates[name].value - value) / result.estimates[name].sigma)
         sigmas.append([result.estimates[name].sigma for name in INERTIA_NAMES])
         chi2.append(result.training.chi2_per_dof)
+        error = [result.estimates[name].value - value for name, value in inertia_truth().items()]
+        distances.append(error @ np.linalg.solve(result.covariance[:6, :6], error))
+    assert abs(np.mean(distances) - 6) < 4 * np.sqrt(2 * 6 / 20)  # of chi-square, 6 degrees
     assert 0.88 <= np.mean(covered) <= 1.0  # 120 intervals that are correlated
     assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.2
     assert min(chi2) > 0.9

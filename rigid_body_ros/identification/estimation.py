@@ -173,7 +173,8 @@ def _result(setup: Setup, solution: Solution,
                  for i, name in enumerate(names)}
     fitted = residuals.of_training(setup, solution)
     return Identification(
-        physics.body, starts, estimates, _correlation(known), known.directions, [*fitted, *ahead],
+        physics.body, starts, estimates, _covariance(known, scale),
+        setup.experiments[0].start.attitude, known.directions, [*fitted, *ahead],
         residuals.Misfit.of(fitted, solution.problem.size),
         residuals.Misfit.of(ahead, 0) if ahead else None, solution.length_ns * 1e-9,
         solution.evaluations, solution.converged)
@@ -233,9 +234,8 @@ def _block_diagonal(blocks: Sequence[Floats]) -> Floats:
     return result
 
 
-def _correlation(known: Certainty) -> Floats:
-    sigma = np.sqrt(np.diag(known.covariance))
-    with np.errstate(invalid='ignore', divide='ignore'):
-        result = known.covariance / np.outer(sigma, sigma)
+def _covariance(known: Certainty, scale: Floats) -> Floats:
+    """Return the covariance of the estimates in their units, symmetric in all bits."""
+    result = 0.5 * (known.covariance + known.covariance.T) * np.outer(scale, scale)
     result[~known.identifiable] = result[:, ~known.identifiable] = np.nan
     return result

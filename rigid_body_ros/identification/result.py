@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
+import numpy as np
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.identifiability import Direction
@@ -73,8 +74,11 @@ class Identification:
         The initial state of each recording.
     estimates : dict of str to Estimate
         By component name.
-    correlation : array, shape (n, n)
-        Of the estimates, NaN for those that are not identifiable.
+    covariance : array, shape (n, n)
+        Of the estimates, in the products of their units; NaN for those that are not identifiable.
+    guess_attitude : array, shape (4,)
+        Quaternion x y z w that the rotation vector `initial_attitude` turns, in body axes: the
+        initial attitude that was given for the first recording.
     unidentifiable : list of Direction
         Combinations of parameters that the data does not determine.
     residuals : list of Residuals
@@ -91,7 +95,8 @@ class Identification:
     body: RigidBody
     starts: list[State]
     estimates: dict[str, Estimate]
-    correlation: Floats
+    covariance: Floats
+    guess_attitude: Floats
     unidentifiable: list[Direction]
     residuals: list[Residuals]
     training: Misfit
@@ -107,6 +112,13 @@ class Identification:
             one.identifiable for one in self.estimates.values())
 
     @property
+    def correlation(self) -> Floats:
+        """Return the correlations of the estimates, NaN for those that are not identifiable."""
+        sigma = np.sqrt(np.diag(self.covariance))
+        with np.errstate(invalid='ignore'):  # without any error, 0 / 0
+            return self.covariance / np.outer(sigma, sigma)
+
+    @property
     def noise(self) -> dict[str, float]:
         """Return the standard deviation of each quantity of each topic, given or estimated."""
         return {one.name: one.noise for one in self.residuals if one.is_training}
@@ -120,16 +132,24 @@ class Identification:
         """Return the result as JSON data; numbers that are not finite are None."""
         return {
             'estimates': {name: {
-                'value': one.value, 'start': one.start,
+                'value': one.value, 'unit': one.unit, 'start': one.start,
                 'sigma': one.sigma if one.identifiable else None,
                 'interval_95': list(one.interval_95) if one.interval_95 else None,
                 'identifiable': one.identifiable} for name, one in self.estimates.items()},
             'unidentifiable': [{'direction': one.components, 'reason': one.reason}
                                for one in self.unidentifiable],
-            'correlation': [[None if math.isnan(value) else value for value in row]
-                            for row in self.correlation.tolist()],
+            'guess_attitude_xyzw': self.guess_attitude.tolist(),
+            'covariance': {'names': [*self.estimates],
+                           'units': [one.unit for one in self.estimates.values()],
+                           'matrix': _rows(self.covariance)},
+            'correlation': _rows(self.correlation),
             'noise': self.noise, 'autocorrelation': self.autocorrelation,
             'window_s': self.window_s,
             'training': self.training.as_dict(),
             'validation': self.validation.as_dict() if self.validation else None,
             'evaluations': self.evaluations, 'converged': self.converged}
+
+
+def _rows(matrix: Floats) -> list[list[float | None]]:
+    return [[value if math.isfinite(value) else None for value in row]
+            for row in matrix.tolist()]
