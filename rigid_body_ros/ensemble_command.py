@@ -22,12 +22,13 @@ from dataclasses import asdict
 import hashlib
 import json
 import os
+from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros.arguments import add_scene, add_torques, load_scene, parsed, Parser, positive
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime import files
-from rigid_body_ros.runtime.terminal import show
+from rigid_body_ros.runtime.terminal import report, show
 
 if TYPE_CHECKING:
     from rigid_body_ros.ensemble.runs import Ensemble
@@ -54,19 +55,24 @@ def attitude_ensemble(arguments: Sequence[str] | None) -> int:
 
 
 def _ensemble(options: argparse.Namespace) -> Ensemble:
-    from rigid_body_ros.ensemble.dispersions import load
+    from rigid_body_ros.ensemble import dispersions, fitted
     from rigid_body_ros.ensemble.runs import Ensemble
-    dispersions = load(options.vary)
+    is_fitted = Path(options.vary).suffix == '.json'
+    varied = () if is_fitted else dispersions.load(options.vary)
+    estimates = fitted.load(options.vary) if is_fitted else None
+    if estimates and estimates.ignored:
+        report(f'{options.command}: note: {options.vary}: {listed(estimates.ignored)}: no effect '
+               'on the motion')
     scene = load_scene(options)
     logs, wheels, start, end_ns = _torques(options, scene)
     try:
-        ensemble = Ensemble(scene, start, logs, wheels, end_ns, dispersions, options.seed)
+        ensemble = Ensemble(scene, start, logs, wheels, end_ns, varied, options.seed, estimates)
     except InputError as error:
         raise InputError(f'{options.vary}: {error}') from error
     try:
         ensemble.nominal_attitude  # noqa: B018 (reports a motion that is not possible at all)
     except ValueError as error:
-        raise InputError(f'{options.scene}: {error}') from error
+        raise InputError(f'{options.vary if estimates else options.scene}: {error}') from error
     return ensemble
 
 
@@ -97,11 +103,20 @@ def _identity(ensemble: Ensemble) -> dict[str, Any]:
     values = json.dumps(dict(ensemble.scene.values), sort_keys=True)
     # Through JSON, so that what is compared is what is read from a file.
     return dict(json.loads(json.dumps({
-        'seed': ensemble.seed, 'vary': [asdict(one) for one in ensemble.dispersions],
+        'seed': ensemble.seed, **_varied(ensemble),
         'scene': f'sha256:{hashlib.sha256(values.encode()).hexdigest()}',
         'recording': f'sha256:{torques.hexdigest()}',
         'start_ns': ensemble.start.time_ns, 'end_ns': ensemble.end_ns,
         'versions': fingerprint()})))
+
+
+def _varied(ensemble: Ensemble) -> dict[str, Any]:
+    fitted = ensemble.fitted
+    if fitted is None:
+        return {'vary': [asdict(one) for one in ensemble.dispersions]}
+    distribution = fitted.covariance.tobytes() + fitted.guess_attitude.tobytes()
+    return {'vary': dict(fitted.estimates),
+            'covariance': f'sha256:{hashlib.sha256(distribution).hexdigest()}'}
 
 
 def ensemble_parser() -> argparse.ArgumentParser:
@@ -114,7 +129,8 @@ def ensemble_parser() -> argparse.ArgumentParser:
         'it adds them.')
     add_scene(parser)
     parser.add_argument('--vary', required=True, metavar='FILE',
-                        help='YAML file with the distribution of each dispersed parameter')
+                        help='YAML file with the distribution of each dispersed parameter, or '
+                        'the JSON file of attitude_identify: its estimates then vary jointly')
     parser.add_argument('--runs', required=True, type=_integer(1, 10 ** 9), metavar='N',
                         help='number of runs')
     parser.add_argument('--recording', metavar='IN',

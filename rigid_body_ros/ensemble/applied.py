@@ -79,9 +79,9 @@ def components(prefix: str, vectors: Floats) -> dict[str, Floats]:
     return {f'{prefix}.{axis}': column for axis, column in zip('xyzw', vectors.T)}
 
 
-def vectors(prefix: str, values: Mapping[str, Floats]) -> Floats:
+def vectors(prefix: str, values: Mapping[str, Floats], axes: str = 'xyz') -> Floats:
     """Return the vectors, shape (n, 3), with the components of these keys."""
-    return np.stack([values[f'{prefix}.{axis}'] for axis in 'xyz'], axis=-1)
+    return np.stack([values[f'{prefix}.{axis}'] for axis in axes], axis=-1)
 
 
 def tensors(prefix: str, values: Mapping[str, Floats]) -> Floats:

@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -44,8 +44,9 @@ from rigid_body_ros.ensemble.dispersions import (
     NOISE,
     UNITS,
 )
+from rigid_body_ros.ensemble.fitted import Fitted
 from rigid_body_ros.ensemble.streams import stream
-from rigid_body_ros.propagation import propagate, propagate_many
+from rigid_body_ros.propagation import propagate, propagate_many, Trajectory
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
@@ -79,7 +80,7 @@ class Ensemble:
     ----------
     scene : Scene
     start : State
-        The nominal initial state, with its time.
+        The initial state of the scene, with its time.
     logs : tuple of TorqueLog
         The recorded torques, which add up.
     wheels : TorqueLog or None
@@ -88,6 +89,8 @@ class Ensemble:
         End of every run.
     dispersions : tuple of Dispersion
     seed : int
+    fitted : Fitted, optional
+        Estimates that take the place of values of the scene, and vary jointly.
 
     Raises
     ------
@@ -104,13 +107,21 @@ class Ensemble:
     end_ns: int
     dispersions: tuple[Dispersion, ...]
     seed: int
+    fitted: Fitted | None = None
 
     def __post_init__(self) -> None:
         for one in self.dispersions:
             if one.relative and self.nominal[one.key] == 0.0:
                 raise InputError(f'{one.key}: relative: expected a nominal value other than 0')
-            if one.key in ('torque_gain', 'clock_offset', NOISE) and not self.logs:
-                raise InputError(f'{one.key}: expected a recording of torques, found none')
+        for key in self.keys:
+            if key in ('torque_gain', 'clock_offset', NOISE) and not self.logs:
+                raise InputError(f'{key}: expected a recording of torques, found none')
+
+    @property
+    def keys(self) -> list[str]:
+        """Return what varies."""
+        estimates = self.fitted.estimates if self.fitted else ()
+        return [*(one.key for one in self.dispersions), *estimates]
 
     @cached_property
     def nominal(self) -> dict[str, float]:
@@ -119,19 +130,21 @@ class Ensemble:
         applied = Applied(np.zeros(1, np.int64), RigidBodies([body.inertia], body.damping),
                           States(start.time_ns, start.attitude, start.angular_velocity),
                           start.rotor_momentum[None], np.ones(1), np.zeros((1, 3)), np.zeros(1))
-        return {name: float(column[0]) for name, column in applied.columns().items()}
+        values = {name: float(column[0]) for name, column in applied.columns().items()}
+        return {**values, **self.fitted.nominal} if self.fitted else values
 
     @cached_property
     def nominal_attitude(self) -> Floats:
         """Return the final attitude without any dispersion, with the errors of `propagate`."""
-        return propagate(self.scene.body, self.start, self.logs, at=[self.end_ns],
-                         wheels=self.wheels, **self.scene.options).attitude[0]
+        values = {name: np.array([value]) for name, value in self.nominal.items()}
+        without = replace(self, dispersions=())
+        return without._motion(without._acting(np.zeros(1, np.int64), values, {}), 0).attitude[0]
 
     @cached_property
     def columns(self) -> dict[str, str]:
         """Return the unit of each column of numbers: values applied, then the final state."""
-        keys = {one.key for one in self.dispersions}
-        more = {key: unit for key, unit in UNITS.items() if key in keys and key not in _START}
+        more = {key: unit for key, unit in UNITS.items()
+                if key in self.keys and key not in _START}
         return {**_START, **more, **_END}
 
     def rows(self, first: int, stop: int) -> Columns:
@@ -160,9 +173,16 @@ class Ensemble:
         """Return what acts in some runs; bodies and starts that are not possible say why."""
         drawn = draws(self.dispersions, self.seed, runs)
         values = self._values(drawn, len(runs))
+        if self.fitted:
+            values.update(self.fitted.draw(self.seed, runs))
+        return self._acting(runs, values, drawn)
+
+    def _acting(self, runs: NDArray[np.int64], values: Mapping[str, Floats],
+                drawn: Mapping[str, Floats]) -> Applied:
+        """Return what acts with some values; `drawn` has more than numbers by key."""
         inertia = relative_inertia(self.scene.body, drawn[INERTIA]) if INERTIA in drawn \
             else tensors('inertia.i', values)
-        attitude = self.start.attitude
+        attitude = vectors(ATTITUDE, values, 'xyzw')
         if ATTITUDE in drawn:
             attitude = so3.multiply(attitude, so3.exp(drawn[ATTITUDE]))
         starts = States(np.full(len(runs), self.start.time_ns), attitude,
@@ -252,18 +272,22 @@ class Ensemble:
         for row in range(count):
             interrupts.check()
             try:
-                start = applied.starts[row]
-                start = State(start.time_ns, start.attitude, start.angular_velocity,
-                              applied.rotor_momentum[row])
-                logs, wheels = self.torques(applied, row)
-                motion = propagate(applied.bodies[row], start, logs, at=[self.end_ns],
-                                   wheels=wheels, **self.scene.options)
+                motion = self._motion(applied, row)
             except ValueError as error:
                 messages.append(reason(error))
                 continue
             messages.append('')
             attitude[row], rates[row] = motion.attitude[0], motion.angular_velocity[0]
         return attitude, rates, messages
+
+    def _motion(self, applied: Applied, row: int) -> Trajectory:
+        """Return the final state of a run, with the errors of `propagate`."""
+        start = applied.starts[row]
+        start = State(start.time_ns, start.attitude, start.angular_velocity,
+                      applied.rotor_momentum[row])
+        logs, wheels = self.torques(applied, row)
+        return propagate(applied.bodies[row], start, logs, at=[self.end_ns], wheels=wheels,
+                         **self.scene.options)
 
     def _values(self, drawn: Mapping[str, Floats], count: int) -> dict[str, Floats]:
         """Return the nominal values of all runs, changed as drawn."""

@@ -82,7 +82,7 @@ def _distances(ensemble: Ensemble, folder: Folder) -> list[tuple[str, Floats]]:
     attitude = [f'initial_attitude.{axis}' for axis in 'xyzw']
     tilted = np.stack([folder.numbers(name, _SAMPLE) for name in attitude], axis=-1)
     with np.errstate(invalid='ignore'):  # failed runs
-        tilt = np.asarray(so3.angle_between(tilted, ensemble.start.attitude))
+        tilt = np.asarray(so3.angle_between(tilted, [nominal[name] for name in attitude]))
     return [('initial_attitude', tilt), *(
         (name, np.abs(folder.numbers(name, _SAMPLE) - nominal[name]))
         for name in ensemble.columns if name in nominal and name not in attitude)]

@@ -12,15 +12,16 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Open input files only if they are regular files, and read YAML only within limits."""
+"""Open input files only if they are regular files, and read YAML and JSON only within limits."""
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 import re
 import stat
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from rigid_body_ros.common.errors import InputError, reason
 import yaml
@@ -40,7 +41,8 @@ else:
             Composer.__init__(self)
             BaseResolver.__init__(self)
 
-#: Limits of a YAML file: bytes, values and levels. A bag of 2000 files has 0.5 MB, 30 000 values.
+#: Limits of a file: bytes, and of YAML, values and levels. A bag of 2000 files has 0.5 MB and
+#: 30 000 values.
 _MAX_BYTES, _MAX_VALUES, _MAX_LEVELS = 2 ** 22, 100_000, 50
 _TAGS = re.compile('^%TAG', re.MULTILINE)
 
@@ -98,24 +100,53 @@ def read_yaml(path: str | Path, what: str, aliases: bool = False) -> yaml.Node |
         exceeds a limit on bytes, values or levels.
 
     """
-    with open_file(path, what) as stream:
-        try:
-            content = stream.read(_MAX_BYTES + 1)
-        except OSError as error:
-            raise InputError(f'{path}: cannot read the {what}: {reason(error)}') from error
+    text = _text(path, what, 'YAML')
     try:
-        if len(content) > _MAX_BYTES:
-            raise InputError(f'expected at most {_MAX_BYTES} bytes of YAML, found more')
-        text = content.decode('utf-8')
         if _TAGS.search(text):
             raise InputError('expected YAML without %TAG directives, found one')
         return _Loader(text, aliases).get_single_node()
     except InputError as error:
         raise InputError(f'{path}: {error}') from error
-    except UnicodeDecodeError as error:
-        raise InputError(f'{path}: expected YAML in UTF-8 ({reason(error)})') from error
     except yaml.YAMLError as error:
         raise InputError(f'{path}: expected YAML, found an error: {_problem(error)}') from error
+
+
+def read_json(path: str | Path, what: str) -> Any:
+    """
+    Return the data of a JSON file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, or a link to it.
+    what : str
+        What the file contains, for the error message.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is not JSON in UTF-8, or is too long.
+
+    """
+    text = _text(path, what, 'JSON')
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f'{path}: expected JSON, found an error: {reason(error)}') from error
+
+
+def _text(path: str | Path, what: str, syntax: str) -> str:
+    with open_file(path, what) as stream:
+        try:
+            content = stream.read(_MAX_BYTES + 1)
+        except OSError as error:
+            raise InputError(f'{path}: cannot read the {what}: {reason(error)}') from error
+    if len(content) > _MAX_BYTES:
+        raise InputError(f'{path}: expected at most {_MAX_BYTES} bytes of {syntax}, found more')
+    try:
+        return content.decode('utf-8')
+    except UnicodeDecodeError as error:
+        raise InputError(f'{path}: expected {syntax} in UTF-8 ({reason(error)})') from error
 
 
 class _Loader(_EventLoader):

@@ -1,0 +1,189 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Draw the parameters that `attitude_identify` estimated from their joint distribution."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+import math
+from pathlib import Path
+import re
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros import so3
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError, quoted, reason
+from rigid_body_ros.ensemble.applied import components
+from rigid_body_ros.ensemble.dispersions import ATTITUDE, UNITS
+from rigid_body_ros.ensemble.streams import normals
+from rigid_body_ros.runtime.parameters import resembled
+from rigid_body_ros.runtime.reading import read_json
+from rigid_body_ros.state import State
+
+#: The rotation vector of the initial attitude.
+_ROTATION = tuple(f'{ATTITUDE}.{axis}' for axis in 'xyz')
+#: Estimates without effect on the motion: those of sensors, and starts of later recordings.
+_NOT_IN_MOTION = re.compile(r'(mount|gyro_bias)\.[xyz]|clock_offset|.*\[\d+\]')
+#: Eigenvalues and pivots of a correlation matrix that are rounding errors.
+_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """
+    Estimated parameters and their joint normal distribution.
+
+    Attributes
+    ----------
+    estimates : dict of str to float
+        By key of `UNITS`, in its unit; `initial_attitude.x`, `.y` and `.z` are a rotation vector
+        in body axes, rad.
+    guess_attitude : array, shape (4,)
+        Quaternion x y z w that this vector turns.
+    covariance : array, shape (n, n)
+        Of the estimates, in their order; positive semidefinite.
+    ignored : tuple of str
+        Names of other estimates, which have no effect on the motion.
+
+    """
+
+    estimates: Mapping[str, float]
+    guess_attitude: Floats
+    covariance: Floats
+    ignored: tuple[str, ...] = ()
+
+    @cached_property
+    def nominal(self) -> dict[str, float]:
+        """Return the estimates by key of a scene, with the attitude as a quaternion."""
+        return {key: float(column[0]) for key, column in self._values(self._mean[None]).items()}
+
+    def draw(self, seed: int, runs: NDArray[np.int64]) -> dict[str, Floats]:
+        """Return values of some runs, shape (n,), by the keys of `nominal`."""
+        numbers = normals(seed, runs, 'fitted', len(self._mean))
+        changes = np.zeros_like(numbers)
+        # One term after the other: BLAS sums in an order that depends on the processor.
+        for number, column in zip(numbers.T, self._factor.T):
+            changes += np.multiply.outer(number, column)
+        return self._values(self._mean + changes)
+
+    @cached_property
+    def _mean(self) -> Floats:
+        return np.array([*self.estimates.values()])
+
+    @cached_property
+    def _factor(self) -> Floats:
+        """Return the Cholesky factor of the covariance, without BLAS as well."""
+        scale, rest = _scaled(self.covariance)
+        factor = np.zeros_like(rest)
+        for k in range(len(rest)):
+            if rest[k, k] > _ROUNDING:
+                factor[k:, k] = rest[k:, k] / math.sqrt(rest[k, k])
+                rest = rest - np.multiply.outer(factor[:, k], factor[:, k])
+        return scale[:, None] * factor
+
+    def _values(self, numbers: Floats) -> dict[str, Floats]:
+        values = dict(zip(self.estimates, numbers.T))
+        if _ROTATION[0] in values:
+            rotation = np.stack([values[name] for name in _ROTATION], axis=-1)
+            values.update(components(ATTITUDE, so3.multiply(self.guess_attitude,
+                                                            so3.exp(rotation))))
+        return values
+
+
+def load(path: str | Path) -> Fitted:
+    """
+    Read the estimates and the covariance from a JSON file of `attitude_identify`.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or is something else, the fit did not converge, an estimate is
+        not determined or cannot vary, or the covariance is not one.
+
+    """
+    data = read_json(path, 'estimates')
+    try:
+        return _fitted(data)
+    except InputError as error:
+        raise InputError(f'{path}: {error}') from error
+
+
+def _fitted(data: Any) -> Fitted:
+    try:
+        values = {str(name): float(one['value']) for name, one in data['estimates'].items()}
+        names = [str(name) for name in data['covariance']['names']]
+        matrix = np.array(data['covariance']['matrix'], float)  # None becomes NaN
+        guess = State(attitude=data['guess_attitude_xyzw']).attitude
+        converged = data['converged']
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+        raise InputError('expected a JSON file of attitude_identify with estimates, covariance '
+                         f'and guess_attitude_xyzw, found another: {reason(error)}') from error
+    if converged is not True:
+        raise InputError('expected a fit that converged, found one that did not')
+    if names != [*values] or matrix.shape != (len(names), len(names)):
+        raise InputError(f'covariance: expected a row and a column for each of {len(values)} '
+                         f'estimates, found {len(names)} names and the shape {matrix.shape}')
+    varied = [name for name in names if not _NOT_IN_MOTION.fullmatch(name)]
+    _check_names(varied, values)
+    rows = [names.index(name) for name in varied]
+    covariance = matrix[np.ix_(rows, rows)]
+    _check_covariance(varied, covariance)
+    return Fitted({name: values[name] for name in varied}, guess, covariance,
+                  tuple(name for name in names if name not in varied))
+
+
+def _check_names(names: Sequence[str], values: Mapping[str, float]) -> None:
+    if not names:
+        raise InputError('expected estimates of inertia, start, torque or damping, found none')
+    for name in names:
+        if name not in (*UNITS, *_ROTATION):
+            close = resembled(name, (*UNITS, *_ROTATION))
+            raise InputError(f'{name}: expected an estimate that can vary, found another'
+                             + (f'; did you mean {close}?' if close else ''))
+        if not math.isfinite(values[name]):
+            raise InputError(f'{name}: expected a finite value, found {values[name]}')
+    if 0 < len({*_ROTATION} & {*names}) < 3:
+        raise InputError(f'{ATTITUDE}: expected three components, found fewer')
+
+
+def _check_covariance(names: Sequence[str], covariance: Floats) -> None:
+    for name, row in zip(names, covariance):
+        if np.isnan(row).all():
+            raise InputError(f'{name}: expected an estimate that the recording determines, found '
+                             'one that it does not')
+    if not np.isfinite(covariance).all():
+        raise InputError('covariance: expected finite numbers, found others')
+    for name, variance in zip(names, np.diag(covariance).tolist()):
+        if variance < 0.0:
+            raise InputError(f'covariance: {name}: expected a variance of at least 0, found '
+                             f'{quoted(variance)}')
+    _, correlation = _scaled(covariance)
+    if np.abs(correlation - correlation.T).max() > _ROUNDING:
+        raise InputError('covariance: expected a symmetric matrix, found another')
+    least = float(np.linalg.eigvalsh(correlation)[0])
+    if least < -_ROUNDING:
+        raise InputError('covariance: expected a positive semidefinite matrix, found correlations '
+                         f'with the eigenvalue {least:.3g}')
+
+
+def _scaled(covariance: Floats) -> tuple[Floats, Floats]:
+    """Return standard deviations, 1 instead of 0, and the correlations."""
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    return scale, covariance / np.multiply.outer(scale, scale)

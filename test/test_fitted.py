@@ -1,0 +1,233 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Ensembles of what was fitted: the joint distribution, and from a bag to a spread."""
+
+import json
+
+import measurements
+from measurements import messages_of, torque_messages
+import numpy as np
+from pyarrow import parquet
+import pytest
+from rigid_body_ros import cli, propagate, RigidBody, so3, State
+from rigid_body_ros.ensemble import fitted
+from rigid_body_ros.ensemble.runs import Ensemble
+from rigid_body_ros.replay import torques
+from rigid_body_ros.replay.sources import Topics
+from rigid_body_ros.scene import load, Scene
+
+NAMES = ('inertia.ixx', 'initial_angular_velocity.y', 'torque_gain', 'torque_bias.z')
+MEAN, SIGMA = np.array([0.02, -0.7, 1.01, 2e-5]), np.array([3e-5, 1e-3, 2e-2, 4e-7])
+CORRELATION = np.array([[1.0, 0.3, 0.99, 0.0], [0.3, 1.0, 0.25, -0.5], [0.99, 0.25, 1.0, 0.0],
+                        [0.0, -0.5, 0.0, 1.0]])
+COVARIANCE = CORRELATION * np.outer(SIGMA, SIGMA)
+ATTITUDE = tuple(f'initial_attitude.{axis}' for axis in 'xyz')
+GUESS = np.array([0.5, -0.5, 0.5, 0.5])
+
+
+def written(path, names=NAMES, values=MEAN, matrix=COVARIANCE, **more):
+    data = {'estimates': {name: {'value': float(value)} for name, value in zip(names, values)},
+            'covariance': {'names': [*names], 'matrix': [
+                [None if np.isnan(value) else value for value in row] for row in matrix]},
+            'guess_attitude_xyzw': GUESS.tolist(), 'converged': True, **more}
+    path.write_text(json.dumps(data))
+    return path
+
+
+def rows_of(fit, count, seed=1):
+    return np.stack([*fit.draw(seed, np.arange(count)).values()], axis=1)
+
+
+def test_draws_have_the_means_deviations_and_correlations_of_the_fit(tmp_path):
+    rows, runs = rows_of(fitted.load(written(tmp_path / 'fitted.json')), 100_000), 100_000
+    assert np.all(np.abs(rows.mean(0) - MEAN) < 4 * SIGMA / np.sqrt(runs))
+    assert np.all(np.abs(rows.std(0) - SIGMA) < 4 * SIGMA / np.sqrt(2 * runs))
+    error = (1.0 - CORRELATION ** 2) / np.sqrt(runs)
+    assert np.all(np.abs(np.corrcoef(rows.T) - CORRELATION) <= 4 * error + 1e-12)
+
+
+def test_a_run_depends_on_seed_and_number_only(tmp_path):
+    names = (*ATTITUDE, 'inertia.ixx')
+    fit = fitted.load(written(tmp_path / 'fitted.json', names, np.full(4, 0.1), CORRELATION))
+    rows = rows_of(fit, 100)
+    assert np.array_equal(rows[::-1], np.stack([*fit.draw(1, np.arange(99, -1, -1)).values()], 1))
+    assert np.array_equal(rows[7:8], np.stack([*fit.draw(1, np.array([7])).values()], 1))
+    assert np.unique(np.append(rows, rows_of(fit, 100, seed=2))).size == 2 * rows.size
+
+
+def test_sensors_and_later_recordings_do_not_change_the_distribution_of_the_others(tmp_path):
+    names = ('mount.x', *NAMES, 'clock_offset', 'gyro_bias.z', 'initial_attitude.x[2]')
+    matrix = np.full((8, 8), np.nan)  # of what the recording does not determine
+    matrix[1:5, 1:5] = COVARIANCE
+    fit = fitted.load(written(tmp_path / 'more.json', names, [9, *MEAN, 9, 9, 9], matrix))
+    assert fit.ignored == ('mount.x', 'clock_offset', 'gyro_bias.z', 'initial_attitude.x[2]')
+    alone = fitted.load(written(tmp_path / 'fitted.json'))
+    assert np.array_equal(rows_of(fit, 9), rows_of(alone, 9))
+
+
+def test_estimates_that_depend_on_each_other_exactly_stay_so(tmp_path):
+    matrix = np.outer(SIGMA, SIGMA) * [[1, 0, 1, 0], [0, 0, 0, 0], [1, 0, 1, 0], [0, 0, 0, 1]]
+    fit = fitted.load(written(tmp_path / 'fitted.json', matrix=matrix))
+    drawn = (rows_of(fit, 50) - MEAN) / SIGMA
+    np.testing.assert_allclose(drawn[:, 0], drawn[:, 2], atol=1e-9)
+    assert np.ptp(drawn[:, 1]) == 0.0
+
+
+def test_the_attitude_is_the_guess_turned_by_the_rotation_vector(tmp_path):
+    vector, sigma = np.array([0.3, -0.2, 0.1]), np.array([1e-3, 2e-3, 3e-3])
+    fit = fitted.load(written(tmp_path / 'fitted.json', ATTITUDE, vector, np.diag(sigma ** 2)))
+    drawn = fit.draw(1, np.arange(2000))
+    rows = np.stack([drawn[f'initial_attitude.{axis}'] for axis in 'xyzw'], axis=1)
+    vectors = so3.log(so3.multiply(so3.conjugate(GUESS), rows))
+    assert np.all(np.abs(vectors.mean(0) - vector) < 4 * sigma / np.sqrt(2000))
+    assert np.all(np.abs(vectors.std(0) - sigma) < 4 * sigma / np.sqrt(4000))
+    nominal = [fit.nominal[f'initial_attitude.{axis}'] for axis in 'xyzw']
+    assert so3.angle_between(nominal, so3.multiply(GUESS, so3.exp(vector))) < 1e-15
+
+
+def test_an_impossible_body_is_a_row_with_its_reason(tmp_path):
+    names, moments = ('inertia.ixx', 'inertia.iyy', 'inertia.izz'), [0.02, 0.03, 0.045]
+    fit = fitted.load(written(tmp_path / 'fitted.json', names, moments, np.eye(3) * 0.01 ** 2))
+    scene = Scene.from_values({'inertia.ixx': 1, 'inertia.iyy': 1, 'inertia.izz': 1,
+                               'initial_angular_velocity.x': 1.0})
+    rows = Ensemble(scene, scene.start, (), None, 10 ** 9, (), 1, fit).rows(0, 50)
+    failed = rows['message'][rows['status'] == 'failed']
+    assert 5 < len(failed) < 45
+    assert all(message.startswith('inertia: ') for message in failed)
+
+
+@pytest.mark.parametrize(('change', 'message'), [
+    ({'estimates': {}}, 'covariance: expected a row and a column for each of 0 estimates'),
+    ({'covariance': None}, 'expected a JSON file of attitude_identify'),
+    ({'guess_attitude_xyzw': [0, 0, 0, 0]}, 'expected a JSON file of attitude_identify'),
+    ({'converged': False}, 'expected a fit that converged'),
+    ({'names': ('mass', *NAMES[1:])}, 'mass: expected an estimate that can vary'),
+    ({'names': ('torque_bais.x', *NAMES[1:])}, 'did you mean torque_bias.x?'),
+    ({'names': ('initial_attitude.x', *NAMES[1:])}, 'initial_attitude: expected three components'),
+    ({'names': ('mount.x', 'mount.y', 'mount.z', 'clock_offset')}, 'found none'),
+    ({'values': [np.inf, 1, 1, 1]}, 'inertia.ixx: expected a finite value, found inf'),
+    ({'names': (NAMES[0], *ATTITUDE), 'values': [3.0, 0, 0, 0]}, 'inertia: not physical'),
+    ({'matrix': COVARIANCE[:3]}, 'found 4 names and the shape (3, 4)'),
+    ({'matrix': np.where(np.eye(4)[0], np.nan, COVARIANCE)}, 'expected finite numbers'),
+    ({'matrix': np.where(np.eye(4)[:1].T, np.nan, COVARIANCE)},
+     'inertia.ixx: expected an estimate that the recording determines'),
+    ({'matrix': -COVARIANCE}, 'covariance: inertia.ixx: expected a variance of at least 0'),
+    ({'matrix': np.triu(COVARIANCE)}, 'expected a symmetric matrix'),
+    ({'matrix': COVARIANCE + np.outer(SIGMA, SIGMA) * (np.eye(4)[::-1])}, 'semidefinite'),
+])
+def test_a_file_that_is_no_fit_is_one_line(tmp_path, capsys, change, message):
+    path = written(tmp_path / 'fitted.json', **change)
+    scene = tmp_path / 'scene.yaml'
+    scene.write_text('/**:\n  ros__parameters:\n    inertia: {ixx: 1.0, iyy: 1.0, izz: 1.0}\n')
+    assert cli.attitude_ensemble(['--scene', str(scene), '--vary', str(path), '--runs', '3',
+                                  '--until', '1', '-o', str(tmp_path / 'out')]) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert line.startswith(f'attitude_ensemble: error: {path}: ')
+    assert message in line
+    assert not (tmp_path / 'out').exists()
+
+
+@pytest.mark.parametrize('text', ['', '{', '[' * 100_000, '[1]', '{"estimates": {"x": 1}}',
+                                  '\udcff'])
+def test_a_file_that_is_not_json_is_one_line(tmp_path, text):
+    path = tmp_path / 'fitted.json'
+    path.write_bytes(text.encode('utf-8', 'surrogateescape'))
+    with pytest.raises(ValueError, match=r'fitted\.json: expected (a )?JSON'):
+        fitted.load(path)
+
+
+@pytest.fixture(scope='module')
+def fit(tmp_path_factory):
+    """Return a folder with a recording, the guess, and what the first command writes."""
+    folder, truth = tmp_path_factory.mktemp('fit'), measurements.truth()
+    guess = measurements.Truth(*(getattr(truth, name) for name in (
+        'stamps', 'attitude', 'rates', 'torque_times', 'torques')), inertia=0.03 * np.eye(3))
+    measurements.write_scene(folder / 'guess.yaml', guess)
+    sensor = truth.measured(2e-3, 5e-3, clock=0.01)
+    measurements.write(folder / 'in.mcap', torque=torque_messages(truth),
+                       imu=messages_of('Imu', sensor))
+    assert cli.attitude_identify([
+        str(folder / 'in.mcap'), '--scene', str(folder / 'guess.yaml'), '--estimate',
+        'inertia,start,torque_bias,clock_offset', '-o', str(folder / 'fitted.yaml'), '--json',
+        str(folder / 'fitted.json')]) == 0
+    return folder
+
+
+def ensemble(folder, scene, out):
+    return cli.attitude_ensemble([
+        '--scene', str(folder / scene), '--vary', str(folder / 'fitted.json'), '--recording',
+        str(folder / 'in.mcap'), '--runs', '200', '--seed', '4', '-o', str(out)])
+
+
+def test_from_a_bag_to_a_spread_in_two_commands(fit, tmp_path, capsys):
+    assert ensemble(fit, 'fitted.yaml', tmp_path / 'out') == 0
+    assert 'clock_offset: no effect on the motion' in capsys.readouterr().err
+    table = parquet.read_table(tmp_path / 'out' / 'runs.parquet')
+    assert set(table['status'].to_pylist()) == {'ok'}
+    data = json.loads((fit / 'fitted.json').read_text())
+    assert {name: table.schema.field(name).metadata[b'unit'].decode() for name in (
+        'inertia.ixy', 'torque_bias.x')} == {'inertia.ixy': 'kg m^2', 'torque_bias.x': 'N m'}
+    for name, one in data['estimates'].items():
+        if name in table.column_names and name not in ATTITUDE:
+            spread = table[name].to_numpy() - one['value']
+            assert abs(spread.mean()) < 4 * one['sigma'] / np.sqrt(200), name
+            assert abs(spread.std() - one['sigma']) < 4 * one['sigma'] / np.sqrt(400), name
+
+
+def test_the_true_motion_ends_within_the_spread(fit, tmp_path):
+    assert ensemble(fit, 'fitted.yaml', tmp_path / 'out') == 0
+    table, truth = parquet.read_table(tmp_path / 'out' / 'runs.parquet'), measurements.truth()
+    ends = np.stack([table[f'attitude.{axis}'].to_numpy() for axis in 'xyzw'], axis=1)
+    # From the truth of a solver that is not the package's: its last state is later.
+    row = np.flatnonzero(truth.stamps == truth.torque_times[-1]).item()
+    errors = so3.log(so3.multiply(so3.conjugate(truth.attitude.as_quat()[row]), ends))
+    distance = errors.mean(0) @ np.linalg.solve(np.cov(errors.T), errors.mean(0))
+    assert 0.0 < distance < 16.3  # 99.9 % of chi-square with three degrees of freedom
+    assert np.sqrt(np.trace(np.cov(errors.T))) < 0.01
+
+
+def test_a_row_has_the_bits_of_propagate_for_its_values(fit, tmp_path):
+    assert ensemble(fit, 'fitted.yaml', tmp_path / 'out') == 0
+    scene = load(fit / 'fitted.yaml')
+    (log,), _, _, start = torques(fit / 'in.mcap', scene, Topics())
+    for row in parquet.read_table(tmp_path / 'out' / 'runs.parquet').to_pylist()[::40]:
+        def numbers(prefix, axes='xyz', row=row):
+            return [row[f'{prefix}{axis}'] for axis in axes]
+        body = RigidBody.from_moments(*numbers('inertia.i', ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')))
+        begin = State(start.time_ns, numbers('initial_attitude.', 'xyzw'),
+                      numbers('initial_angular_velocity.'))
+        bias = type(log)([start.time_ns], [numbers('torque_bias.')])
+        motion = propagate(body, begin, [log, bias], at=log.times_ns[-1:], **scene.options)
+        assert numbers('attitude.', 'xyzw') == motion.attitude[0].tolist()
+        assert numbers('angular_velocity.') == motion.angular_velocity[0].tolist()
+
+
+def test_the_runs_are_centred_on_the_fit_whatever_the_scene_says(fit, tmp_path):
+    assert ensemble(fit, 'fitted.yaml', tmp_path / 'fitted') == 0
+    assert ensemble(fit, 'guess.yaml', tmp_path / 'guess') == 0
+    assert (tmp_path / 'fitted' / 'runs.parquet').read_bytes() \
+        == (tmp_path / 'guess' / 'runs.parquet').read_bytes()
+
+
+def test_another_covariance_is_refused(fit, tmp_path, capsys):
+    assert ensemble(fit, 'fitted.yaml', tmp_path / 'out') == 0
+    data = json.loads((fit / 'fitted.json').read_text())
+    data['covariance']['matrix'][0][0] *= 1.5
+    (tmp_path / 'fitted.json').write_text(json.dumps(data))
+    (tmp_path / 'in.mcap').write_bytes((fit / 'in.mcap').read_bytes())
+    (tmp_path / 'fitted.yaml').write_bytes((fit / 'fitted.yaml').read_bytes())
+    capsys.readouterr()
+    assert ensemble(tmp_path, 'fitted.yaml', tmp_path / 'out') == 2
+    assert 'expected the covariance of its runs' in capsys.readouterr().err
