@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 import json
 from pathlib import Path
@@ -47,7 +48,10 @@ if TYPE_CHECKING:
     from rigid_body_ros.replay.many import Outcome
     from rigid_body_ros.replay.page import Collector
     from rigid_body_ros.scene import Scene
+    from rigid_body_ros.state import State
+    from rigid_body_ros.torque import TorqueLog
     from rigid_body_ros.tradeoff import Tradeoff
+    from rigid_body_ros.tradeoff.ensemble import Spread
 
 #: Exit statuses; docs/nodes.md has their meaning.
 OK, DIFFERENT = 0, 1
@@ -222,7 +226,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
     from rigid_body_ros.tradeoff import report
     outputs = (options.json, '.json'), (options.plot, '.png'), (options.report, '.html')
     with files.reading(options.recording), files.protected('scene', options.scene), \
-            files.overwriting(options.overwrite):
+            files.protected('ensemble', options.ensemble), files.overwriting(options.overwrite):
         files.check(*(output for output in outputs if output[0]))
         scene = load_scene(options)
         result, title = _measure(options, scene)
@@ -243,7 +247,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
 def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
     """Return the result and a title that names the recording and its topic, or the scene."""
     from rigid_body_ros import replay
-    from rigid_body_ros.tradeoff import measure, TARGET
+    from rigid_body_ros.tradeoff import DEFAULT, ensemble, measure, TARGET
     if not replay.topics_of(options.topic).is_plain(scene):
         raise InputError(f'{options.scene}: expected one topic of torques, and neither rotors nor '
                          'damping, which attitude_tradeoff does not measure')
@@ -253,12 +257,32 @@ def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
         recorded, log, start = replay.read(options.recording, scene, options.topic)
         where = f'{options.recording}: {recorded.topic}'
         title = f'{Path(options.recording).name}: {recorded.topic}'
+    spread = _spread(options, start, log) if options.ensemble else None
+    targets = [*(options.target or []), *([spread.target] if spread else [])] or [TARGET]
     try:
-        return measure(scene.body, start, log, targets=options.target or [TARGET],
-                       torque_timeout=scene.values['torque_timeout'],
-                       track=replay.progress('measuring', ' runs')), title
+        result = measure(scene.body, start, log, targets=targets,
+                         end_ns=spread.end_ns if spread else None,
+                         torque_timeout=scene.values['torque_timeout'],
+                         track=replay.progress('measuring', ' runs'))
     except ValueError as error:
         raise InputError(f'{where}: {error}') from error
+    if spread:
+        result = replace(result, ensemble=ensemble.advise(result, spread, DEFAULT))
+    return result, title
+
+
+def _spread(options: argparse.Namespace, start: State, log: TorqueLog | None) -> Spread:
+    """Return the spread of the ensemble, which must be one of the motion to measure."""
+    from rigid_body_ros.ensemble_command import recording_hash
+    from rigid_body_ros.tradeoff import ensemble
+    spread = ensemble.read(options.ensemble)
+    if spread.recording != recording_hash([log] if log else []):
+        expected = f'under the torques of {options.recording}' if log else 'without torques'
+        raise InputError(f'{options.ensemble}: expected an ensemble {expected}, found another')
+    if spread.start_ns != start.time_ns:
+        raise InputError(f'{options.ensemble}: expected an ensemble that starts at '
+                         f'{start.time_ns} ns, found {spread.start_ns} ns')
+    return spread
 
 
 def _plot_tradeoff(path: str, result: Tradeoff, title: str) -> None:
@@ -273,7 +297,7 @@ def _write_tradeoff_page(options: argparse.Namespace, result: Tradeoff, title: s
                          scene: Scene) -> None:
     from rigid_body_ros.report.page import write
     from rigid_body_ros.tradeoff.page import page
-    line = command_line(options, 'recording', 'scene', 'json', 'plot', 'report')
+    line = command_line(options, 'recording', 'scene', 'ensemble', 'json', 'plot', 'report')
     write(options.report, page(result, title, scene, line))
 
 
@@ -335,7 +359,11 @@ def tradeoff_parser() -> argparse.ArgumentParser:
     parser.add_argument('--target', type=angle, action='append', metavar='RAD',
                         help='largest attitude error of the solver that is allowed anywhere in '
                         'the recording; the error of the interpolation between torque samples is '
-                        f'reported separately; may be repeated (default: {TARGET:g})')
+                        f'reported separately; may be repeated (default: {TARGET:g}, or that '
+                        'of --ensemble)')
+    parser.add_argument('--ensemble', metavar='FOLDER', help='folder of attitude_ensemble with '
+                        'the same motion: adds a tenth of the spread of its runs as a target, '
+                        'measures up to their end, and reports the time that the setting saves')
     parser.add_argument('--all', action='store_true', help='print all settings, not only the '
                         'Pareto-optimal ones')
     parser.add_argument('--json', metavar='OUT',

@@ -95,19 +95,24 @@ def _torques(options: argparse.Namespace, scene: Scene
 def _identity(ensemble: Ensemble) -> dict[str, Any]:
     """Return what the runs depend on, as JSON: folders with the same have the same runs."""
     from rigid_body_ros.runtime.fingerprint import fingerprint
-    torques = hashlib.sha256()
-    for log in (*ensemble.logs, *filter(None, [ensemble.wheels])):
-        for array in (log.times_ns, log.torques, log.in_space):
-            torques.update(array.tobytes())
-        torques.update(log.interpolation.encode())
     values = json.dumps(dict(ensemble.scene.values), sort_keys=True)
     # Through JSON, so that what is compared is what is read from a file.
     return dict(json.loads(json.dumps({
         'seed': ensemble.seed, **_varied(ensemble),
         'scene': f'sha256:{hashlib.sha256(values.encode()).hexdigest()}',
-        'recording': f'sha256:{torques.hexdigest()}',
+        'recording': recording_hash([*ensemble.logs, *filter(None, [ensemble.wheels])]),
         'start_ns': ensemble.start.time_ns, 'end_ns': ensemble.end_ns,
         'versions': fingerprint()})))
+
+
+def recording_hash(logs: Sequence[TorqueLog]) -> str:
+    """Return a hash of the torques of a recording, those on rotors last."""
+    torques = hashlib.sha256()
+    for log in logs:
+        for array in (log.times_ns, log.torques, log.in_space):
+            torques.update(array.tobytes())
+        torques.update(log.interpolation.encode())
+    return f'sha256:{torques.hexdigest()}'
 
 
 def _varied(ensemble: Ensemble) -> dict[str, Any]:

@@ -22,6 +22,7 @@ import platform
 from typing import Any
 
 from rigid_body_ros.report.text import interpolation_row
+from rigid_body_ros.tradeoff.ensemble import Advice
 from rigid_body_ros.tradeoff.trade import Choice, Measurement, Setting, Tradeoff
 
 _WIDTH = 18
@@ -74,7 +75,7 @@ def as_data(result: Tradeoff) -> dict[str, Any]:
         'load_or_compile_s': result.load_seconds, 'rounding_floor_rad': result.reference.floor,
         'rounding_floor_is': ' '.join(_FLOOR),
         'last_digit_effect_rad': result.reference.last_digits,
-        **targets[0], 'targets': targets,
+        **targets[0], 'targets': targets, 'ensemble': _ensemble_data(result.ensemble),
         'readings': [{'interpolation': error.interpolation, 'thinned_by_two_rad': error.thinned,
                       'estimated_error_rad': error.estimate}
                      for error in result.interpolation_errors],
@@ -172,7 +173,7 @@ def _table(result: Tradeoff, all_rows: bool) -> list[str]:
 
 def _facts(result: Tradeoff) -> list[tuple[str, str]]:
     reference = result.reference
-    return [('motion', _motion(result)),
+    return [*_ensemble(result), ('motion', _motion(result)),
             ('errors', 'difference from the Taylor series at its tightest tolerance with shorter '
                        'steps'),
             ('drift', f'momentum and energy: {_drift(result)}'),
@@ -182,6 +183,20 @@ def _facts(result: Tradeoff) -> list[tuple[str, str]]:
             ('rounding floor', f'{reference.floor:.1e} rad, {_FLOOR[0]}'), ('', _FLOOR[1]),
             ('last digits', _DIGITS.format(reference.last_digits)),
             *_interpolation(result)]
+
+
+def _ensemble(result: Tradeoff) -> list[tuple[str, str]]:
+    advice = result.ensemble
+    if advice is None:
+        return []
+    spread = advice.spread
+    rows = [('ensemble', f'{spread.runs} runs end {spread.median:.3g} rad from the nominal one '
+                         f'(median); a tenth of it is the target {spread.target:.3g} rad')]
+    if advice.seconds is not None:
+        rows.append(('', f'with its setting a run takes {advice.seconds:.3g} s, with the default '
+                         f'{advice.default_seconds:.3g} s; all runs save '
+                         f'{advice.saved_seconds:.3g} s on one core'))
+    return rows
 
 
 def _interpolation(result: Tradeoff) -> list[tuple[str, str]]:
@@ -211,6 +226,13 @@ def _target_data(result: Tradeoff, target: float) -> dict[str, Any]:
             **_measurement_data(choice.measurement, result.stretch.seconds),
             'parameters': [*choice.measurement.setting.parameters],
             'whole_attitude_error_rad': choice.error, 'measured_on_whole': choice.measured}}
+
+
+def _ensemble_data(advice: Advice | None) -> dict[str, Any] | None:
+    return None if advice is None else {
+        'runs': advice.spread.runs, 'median_angle_rad': advice.spread.median,
+        'target_rad': advice.spread.target, 'run_s': advice.seconds,
+        'run_default_s': advice.default_seconds, 'saved_s': advice.saved_seconds}
 
 
 def _measurement_data(one: Measurement, span: float) -> dict[str, Any]:

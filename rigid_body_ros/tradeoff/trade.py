@@ -26,10 +26,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody
-from rigid_body_ros.propagation import Trajectory, warm_up
+from rigid_body_ros.propagation import Options, Trajectory, warm_up
 from rigid_body_ros.propagation.solvers import RECORDS
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
+from rigid_body_ros.tradeoff.ensemble import Advice
 from rigid_body_ros.tradeoff.interpolation import (
     better_interpolation,
     final_differences,
@@ -73,6 +74,10 @@ class Setting(NamedTuple):
             return f'solver: {self.solver}', f'max_step: {self.max_step!r}'
         return (f'solver: {self.solver}', f'tolerance: {self.tolerance or TIGHTEST!r}',
                 'max_step: 0.0')
+
+
+#: That of a scene that has none.
+DEFAULT = Setting(Options.solver, Options.tolerance)
 
 
 class Error(NamedTuple):
@@ -153,6 +158,8 @@ class Tradeoff:
         By target, rad, the recommended setting, or None if no setting meets the target.
     load_seconds : float
         Time to load the kernels, or to compile them the first time.
+    ensemble : Advice, optional
+        For the ensemble that sets one of the targets.
 
     """
 
@@ -165,6 +172,7 @@ class Tradeoff:
     interpolation_differences: Mapping[str, float | None]
     choices: Mapping[float, Choice | None]
     load_seconds: float
+    ensemble: Advice | None = None
 
     @property
     def interpolation_error(self) -> InterpolationError | None:

@@ -1,0 +1,127 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The target that the spread of an ensemble sets, and the time that its setting saves."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+import time
+from typing import NamedTuple, TYPE_CHECKING
+
+import numpy as np
+from rigid_body_ros.bodies import RigidBodies
+from rigid_body_ros.common.errors import InputError, quoted, reason
+from rigid_body_ros.propagation import propagate_many
+from rigid_body_ros.runtime.reading import read_json
+from rigid_body_ros.states import States
+
+if TYPE_CHECKING:
+    from rigid_body_ros.tradeoff.trade import Setting, Tradeoff
+
+#: Part of the spread that the error of the integration may be.
+_PART = 0.1
+#: s; about how long runs are timed, in how many rounds, and how many runs at most.
+_TIMED, _ROUNDS, _MOST_RUNS = 0.01, 5, 256
+
+
+class Spread(NamedTuple):
+    """How far the runs of an ensemble end from the nominal motion, and which motion it is."""
+
+    runs: int
+    #: Median angle, rad.
+    median: float
+    start_ns: int
+    end_ns: int
+    #: Hash of the torques.
+    recording: str
+
+    @property
+    def target(self) -> float:
+        """Return the largest error that does not matter beside the spread, rad."""
+        return _PART * self.median
+
+
+class Advice(NamedTuple):
+    """
+    What the recommended setting costs in an ensemble.
+
+    The times are wall times, s, of one run among many on one core, up to its final state.
+    """
+
+    spread: Spread
+    #: None if no setting is recommended.
+    seconds: float | None
+    #: With the default setting.
+    default_seconds: float
+
+    @property
+    def saved_seconds(self) -> float:
+        """Return the time that the setting saves in all runs, at least 0."""
+        per_run = 0.0 if self.seconds is None else self.default_seconds - self.seconds
+        return self.spread.runs * max(per_run, 0.0)
+
+
+def read(folder: str | Path) -> Spread:
+    """
+    Return the spread of an ensemble from its folder.
+
+    Raises
+    ------
+    InputError
+        The folder is not that of a complete ensemble, or no run of it ended elsewhere.
+
+    """
+    path = Path(folder) / 'summary.json'
+    data = read_json(path, 'summary of the ensemble')
+    try:
+        median = data['angle_from_nominal_rad'].get('p50')
+        spread = Spread(int(data['runs']), float(median or 0.0), int(data['start_ns']),
+                        int(data['end_ns']), str(data['recording']))
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+        raise InputError(f'{path}: expected the summary of an ensemble, found another file: '
+                         f'{reason(error)}') from error
+    if not 0.0 < spread.median < math.inf:
+        raise InputError(f'{path}: angle_from_nominal_rad: p50: expected an angle greater than 0, '
+                         f'found {quoted(median)}')
+    return spread
+
+
+def advise(result: Tradeoff, spread: Spread, default: Setting) -> Advice:
+    """Return what the setting recommended for the target of an ensemble costs in its runs."""
+    choice = result.choices[spread.target]
+    settings = [default, *([choice.measurement.setting] if choice else [])]
+    seconds = _seconds_per_run(result, settings)
+    return Advice(spread, seconds[1] if choice else None, seconds[0])
+
+
+def _seconds_per_run(result: Tradeoff, settings: list[Setting]) -> list[float]:
+    """Time many copies of the motion with each setting in turns; the fastest round counts."""
+    problem, cheapest = result.stretch, min(one.seconds for one in result.measurements
+                                            if not one.failure)
+    runs = min(_MOST_RUNS, math.ceil(_TIMED / cheapest))
+    bodies = RigidBodies(np.tile(problem.body.inertia, (runs, 1, 1)))
+    starts = States(problem.start.time_ns, np.tile(problem.start.attitude, (runs, 1)),
+                    problem.start.angular_velocity)
+    rounds = []
+    for _ in range(_ROUNDS):
+        times = [time.perf_counter()]
+        for setting in settings:
+            propagate_many(bodies, starts, problem.log, at=problem.times_ns[-1:],
+                           torque_timeout=problem.torque_timeout, **setting.options)
+            times.append(time.perf_counter())
+        rounds.append(np.diff(times))
+    growth = result.whole.seconds / problem.seconds
+    return [float(fastest) * growth / runs for fastest in np.min(rounds, axis=0)]
