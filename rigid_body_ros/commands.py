@@ -19,7 +19,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 import json
 from pathlib import Path
@@ -247,7 +246,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
 def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
     """Return the result and a title that names the recording and its topic, or the scene."""
     from rigid_body_ros import replay
-    from rigid_body_ros.tradeoff import DEFAULT, ensemble, measure, TARGET
+    from rigid_body_ros.tradeoff import ensemble, measure, TARGET
     if not replay.topics_of(options.topic).is_plain(scene):
         raise InputError(f'{options.scene}: expected one topic of torques, and neither rotors nor '
                          'damping, which attitude_tradeoff does not measure')
@@ -267,7 +266,7 @@ def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
     except ValueError as error:
         raise InputError(f'{where}: {error}') from error
     if spread:
-        result = replace(result, ensemble=ensemble.advise(result, spread, DEFAULT))
+        result = ensemble.advise(result, spread)
     return result, title
 
 

@@ -21,7 +21,8 @@ from conftest import CONFIG, RECORDINGS
 import numpy as np
 from pyarrow import parquet
 import pytest
-from rigid_body_ros import cli, so3
+from rigid_body_ros import cli, RigidBody, so3, State
+from rigid_body_ros.tradeoff import ensemble, measure
 from rigid_body_ros.tradeoff.ensemble import Advice, read, Spread
 
 SCENE = CONFIG / 'tumbler.yaml'
@@ -91,6 +92,23 @@ def test_the_measured_motion_ends_where_the_runs_do(spread, tmp_path):
     assert data['whole_s'] == 3.0
     assert [each['target_rad'] for each in data['targets']] \
         == [1e-6, data['ensemble']['target_rad']]
+
+
+def test_the_recommended_setting_is_the_cheapest_for_many_runs(monkeypatch):
+    spread = Spread(10, 1e-5, 0, 20 * 10 ** 9, '')
+    single = measure(RigidBody.from_moments(1.0, 2.0, 2.5), State(angular_velocity=(0.1, 1, 0.2)),
+                     targets=[spread.target, 1e-3], end_ns=spread.end_ns)
+    for solver in ('taylor', 'rk4'):
+        monkeypatch.setattr(ensemble, '_seconds_per_run', lambda _, settings, solver=solver: [
+            1e-9 if one.solver == solver else 1.0 for one in settings])
+        result = ensemble.advise(single, spread)
+        choice, others = result.choices[spread.target], [
+            one for one in single.measurements if one.setting.solver == solver
+            and one.error.attitude + single.reference.guaranteed_error <= spread.target]
+        assert choice.measurement == min(others, key=lambda one: one.seconds)
+        assert choice.error <= spread.target
+        assert result.choices[1e-3] == single.choices[1e-3]
+        assert result.ensemble == Advice(spread, 1e-9, 1.0)
 
 
 def test_a_setting_that_is_not_faster_saves_nothing():

@@ -26,7 +26,6 @@ the stretch is recommended only if it also meets the target on the whole motion.
 
 from rigid_body_ros.tradeoff.trade import (
     Choice,
-    DEFAULT,
     Error,
     measure,
     Measurement,
@@ -36,5 +35,5 @@ from rigid_body_ros.tradeoff.trade import (
     Tradeoff,
 )
 
-__all__ = ['DEFAULT', 'TARGET', 'Choice', 'Error', 'Measurement', 'Setting', 'Tradeoff', 'measure',
+__all__ = ['TARGET', 'Choice', 'Error', 'Measurement', 'Setting', 'Tradeoff', 'measure',
            'recommend']

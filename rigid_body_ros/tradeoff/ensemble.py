@@ -16,10 +16,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 import math
 from pathlib import Path
 import time
-from typing import NamedTuple, TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 from rigid_body_ros.bodies import RigidBodies
@@ -27,9 +28,7 @@ from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.propagation import propagate_many
 from rigid_body_ros.runtime.reading import read_json
 from rigid_body_ros.states import States
-
-if TYPE_CHECKING:
-    from rigid_body_ros.tradeoff.trade import Setting, Tradeoff
+from rigid_body_ros.tradeoff.trade import Choice, DEFAULT, recommend, Setting, Tradeoff
 
 #: Part of the spread that the error of the integration may be.
 _PART = 0.1
@@ -99,18 +98,49 @@ def read(folder: str | Path) -> Spread:
     return spread
 
 
-def advise(result: Tradeoff, spread: Spread, default: Setting) -> Advice:
-    """Return what the setting recommended for the target of an ensemble costs in its runs."""
-    choice = result.choices[spread.target]
-    settings = [default, *([choice.measurement.setting] if choice else [])]
+def advise(result: Tradeoff, spread: Spread) -> Tradeoff:
+    """
+    Return the result with the setting that is the cheapest for many runs, and what it costs.
+
+    Parameters
+    ----------
+    result : Tradeoff
+        Measured with the target of the spread.
+    spread : Spread
+        Of an ensemble of the same motion.
+
+    """
+    choice = _recommended_for_many(result, spread.target)
+    settings = [DEFAULT, *([choice.measurement.setting] if choice else [])]
     seconds = _seconds_per_run(result, settings)
-    return Advice(spread, seconds[1] if choice else None, seconds[0])
+    return replace(result, choices={**result.choices, spread.target: choice},
+                   ensemble=Advice(spread, seconds[1] if choice else None, seconds[0]))
+
+
+def _recommended_for_many(result: Tradeoff, target: float) -> Choice | None:
+    """
+    Return the cheapest setting for many runs.
+
+    One setting of each solver is timed. The costs of its other settings are scaled alike.
+    """
+    single = {one.setting: one for one in result.measurements if not one.failure}
+    best: dict[str, Setting] = {}
+    for one in sorted(single.values(), key=lambda one: one.seconds):
+        if one.error.attitude <= target:
+            best.setdefault(one.setting.solver, one.setting)
+    many = dict(zip(best, _seconds_per_run(result, [*best.values()])))
+    scaled = [replace(one, seconds=one.seconds * many[one.setting.solver]
+                      / single[best[one.setting.solver]].seconds)
+              for one in single.values() if one.setting.solver in best]
+    choice = recommend(scaled, target, result.reference.guaranteed_error, result.growth,
+                       lambda one: result.error_on_whole(single[one.setting]))
+    return choice and choice._replace(measurement=single[choice.measurement.setting])
 
 
 def _seconds_per_run(result: Tradeoff, settings: list[Setting]) -> list[float]:
     """Time many copies of the motion with each setting in turns; the fastest round counts."""
-    problem, cheapest = result.stretch, min(one.seconds for one in result.measurements
-                                            if not one.failure)
+    problem = result.stretch
+    cheapest = min(one.seconds for one in result.measurements if not one.failure)
     runs = min(_MOST_RUNS, math.ceil(_TIMED / cheapest))
     bodies = RigidBodies(np.tile(problem.body.inertia, (runs, 1, 1)))
     starts = States(problem.start.time_ns, np.tile(problem.start.attitude, (runs, 1)),
@@ -123,5 +153,4 @@ def _seconds_per_run(result: Tradeoff, settings: list[Setting]) -> list[float]:
                            torque_timeout=problem.torque_timeout, **setting.options)
             times.append(time.perf_counter())
         rounds.append(np.diff(times))
-    growth = result.whole.seconds / problem.seconds
-    return [float(fastest) * growth / runs for fastest in np.min(rounds, axis=0)]
+    return [float(fastest) * result.growth / runs for fastest in np.min(rounds, axis=0)]

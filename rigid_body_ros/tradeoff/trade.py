@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 import math
 import time
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from rigid_body_ros import so3
@@ -30,7 +30,6 @@ from rigid_body_ros.propagation import Options, Trajectory, warm_up
 from rigid_body_ros.propagation.solvers import RECORDS
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
-from rigid_body_ros.tradeoff.ensemble import Advice
 from rigid_body_ros.tradeoff.interpolation import (
     better_interpolation,
     final_differences,
@@ -38,6 +37,9 @@ from rigid_body_ros.tradeoff.interpolation import (
     InterpolationError,
 )
 from rigid_body_ros.tradeoff.problem import Problem, Reference, TIGHTEST, turned_angle, whole
+
+if TYPE_CHECKING:
+    from rigid_body_ros.tradeoff.ensemble import Advice
 
 #: Wraps an iterable of a given length to show progress.
 Track = Callable[[Iterable[Any], int], Iterable[Any]]
@@ -156,6 +158,8 @@ class Tradeoff:
         `final_differences`.
     choices : dict
         By target, rad, the recommended setting, or None if no setting meets the target.
+    error_on_whole : callable
+        Returns the attitude error of a measurement on the whole log; see `recommend`.
     load_seconds : float
         Time to load the kernels, or to compile them the first time.
     ensemble : Advice, optional
@@ -171,8 +175,14 @@ class Tradeoff:
     interpolation_errors: tuple[InterpolationError, ...]
     interpolation_differences: Mapping[str, float | None]
     choices: Mapping[float, Choice | None]
+    error_on_whole: Callable[[Measurement], float | None]
     load_seconds: float
     ensemble: Advice | None = None
+
+    @property
+    def growth(self) -> float:
+        """Return the length of the whole log relative to the stretch."""
+        return self.whole.seconds / self.stretch.seconds
 
     @property
     def interpolation_error(self) -> InterpolationError | None:
@@ -251,7 +261,7 @@ def measure(body: RigidBody, start: State, log: TorqueLog | None = None, *,
                for target in targets}
     return Tradeoff(stretch, problem, turned_angle(reference.trajectory), measurements, reference,
                     interpolation_errors(stretch), final_differences(problem), choices,
-                    load_seconds)
+                    error_on_whole, load_seconds)
 
 
 def recommend(measurements: Sequence[Measurement], target: float, floor: float, growth: float,
