@@ -51,7 +51,7 @@ TORQUES = ('--recording', str(RECORDINGS / 'tumbler.mcap'))
 
 @pytest.fixture(autouse=True)
 def _short_runs(monkeypatch):
-    monkeypatch.setattr('rigid_body_ros.tradeoff.trade._MOST_STEPS', 20_000)
+    monkeypatch.setattr('rigid_body_ros.tradeoff.settings._MOST_STEPS', 20_000)
     monkeypatch.setattr('rigid_body_ros.tradeoff.trade._MOST_REPEATS', 3)
 
 
@@ -223,7 +223,7 @@ def test_the_table_the_figures_and_the_picture(tmp_path):
     picture, figures, web = (tmp_path / name for name in ('p.png', 'o.json', 'o.html'))
     environment = {name: value for name, value in os.environ.items() if name != 'DISPLAY'}
     script = ('import sys; from rigid_body_ros import cli; '
-              'from rigid_body_ros.tradeoff import trade; trade._MOST_STEPS = 20000;'
+              'from rigid_body_ros.tradeoff import settings; settings._MOST_STEPS = 20000;'
               'sys.exit(cli.attitude_tradeoff())')
     done = subprocess.run([sys.executable, '-c', script, *TUMBLER, *TORQUES, '--target', '1e-9',
                            '--json', figures, '--plot', picture, '--report', web],

@@ -24,13 +24,13 @@ than the floor, no solver guarantees a smaller error than that. A setting that m
 the stretch is recommended only if it also meets the target on the whole motion.
 """
 
+from rigid_body_ros.tradeoff.settings import Setting
 from rigid_body_ros.tradeoff.trade import (
     Choice,
     Error,
     measure,
     Measurement,
     recommend,
-    Setting,
     TARGET,
     Tradeoff,
 )

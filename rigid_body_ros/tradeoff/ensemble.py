@@ -28,7 +28,8 @@ from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.propagation import propagate_many
 from rigid_body_ros.runtime.reading import read_json
 from rigid_body_ros.states import States
-from rigid_body_ros.tradeoff.trade import Choice, DEFAULT, recommend, Setting, Tradeoff
+from rigid_body_ros.tradeoff.settings import DEFAULT, Setting
+from rigid_body_ros.tradeoff.trade import Choice, recommend, Tradeoff
 
 #: Part of the spread that the error of the integration may be.
 _PART = 0.1

@@ -23,7 +23,8 @@ from typing import Any
 
 from rigid_body_ros.report.text import interpolation_row
 from rigid_body_ros.tradeoff.ensemble import Advice
-from rigid_body_ros.tradeoff.trade import Choice, Measurement, Setting, Tradeoff
+from rigid_body_ros.tradeoff.settings import Setting
+from rigid_body_ros.tradeoff.trade import Choice, Measurement, Tradeoff
 
 _WIDTH = 18
 _FLOOR = ('largest difference between runs that round differently: the series with other steps,',

@@ -26,8 +26,7 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 import numpy as np
 from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody
-from rigid_body_ros.propagation import Options, Trajectory, warm_up
-from rigid_body_ros.propagation.solvers import RECORDS
+from rigid_body_ros.propagation import Trajectory, warm_up
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
 from rigid_body_ros.tradeoff.interpolation import (
@@ -37,6 +36,7 @@ from rigid_body_ros.tradeoff.interpolation import (
     InterpolationError,
 )
 from rigid_body_ros.tradeoff.problem import Problem, Reference, TIGHTEST, turned_angle, whole
+from rigid_body_ros.tradeoff.settings import Setting, settings_of
 
 if TYPE_CHECKING:
     from rigid_body_ros.tradeoff.ensemble import Advice
@@ -46,40 +46,11 @@ Track = Callable[[Iterable[Any], int], Iterable[Any]]
 
 #: rad; the target of `measure` and of --target by default.
 TARGET = 1e-6
-_TOLERANCES = tuple(float(f'1e-{k}') for k in range(2, 16))
-#: Angle of the longest fixed step, rad; largest number of steps in a run, which take about 0.1 s.
-_LONGEST_ANGLE, _MOST_STEPS = 1.0, 1_000_000
 _FEWEST_REPEATS, _MOST_REPEATS = 3, 15
 #: Cost of a reference, in runs of the Taylor series.
 _REFERENCE_COST = 14.0
 #: s; shorter runs depend on what ran before, so each is repeated once before it is timed.
 _BRIEF = 0.01
-
-
-class Setting(NamedTuple):
-    """A solver with its tolerance or step."""
-
-    solver: str
-    tolerance: float | None = None
-    #: s
-    max_step: float | None = None
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """Return the keyword arguments of `propagate`."""
-        return {name: value for name, value in self._asdict().items() if value is not None}
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Return the lines of a scene that select this setting in any scene."""
-        if self.max_step is not None:
-            return f'solver: {self.solver}', f'max_step: {self.max_step!r}'
-        return (f'solver: {self.solver}', f'tolerance: {self.tolerance or TIGHTEST!r}',
-                'max_step: 0.0')
-
-
-#: That of a scene that has none.
-DEFAULT = Setting(Options.solver, Options.tolerance)
 
 
 class Error(NamedTuple):
@@ -252,7 +223,8 @@ def measure(body: RigidBody, start: State, log: TorqueLog | None = None, *,
     stretch = problem.stretch()
     reference = Reference.of(stretch)
     measurements = _with_pareto_front(
-        _measure_all(stretch, _settings(stretch, reference.trajectory), reference, seconds, track),
+        _measure_all(stretch, settings_of(stretch, reference.trajectory), reference, seconds,
+                     track),
         reference.floor)
     growth = problem.seconds / stretch.seconds
     error_on_whole = _evaluator(problem, stretch, reference, measurements, seconds)
@@ -295,20 +267,6 @@ def recommend(measurements: Sequence[Measurement], target: float, floor: float, 
         if error <= target:
             return Choice(measurement, error, measured)
     return None
-
-
-def _settings(problem: Problem, motion: Trajectory) -> list[Setting]:
-    settings = [Setting(solver.name) for solver in RECORDS
-                if problem.torque_free and not solver.takes_torque]
-    settings += [Setting(solver.name, tolerance) for solver in RECORDS
-                 if solver.takes_torque and not solver.fixed_step for tolerance in _TOLERANCES]
-    longest = problem.natural_step(motion, _LONGEST_ANGLE)
-    for solver in [solver.name for solver in RECORDS if solver.fixed_step]:
-        step = longest
-        while step >= 1e-9 and problem.seconds / step <= _MOST_STEPS:
-            settings.append(Setting(solver, max_step=round(step * 1e9) / 1e9))
-            step /= 2.0
-    return settings
 
 
 def _measure_all(problem: Problem, settings: Sequence[Setting], reference: Reference,
