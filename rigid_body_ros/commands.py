@@ -37,7 +37,7 @@ from rigid_body_ros.arguments import (
     positive,
     torque_options,
 )
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.runtime.terminal import show
 
@@ -247,36 +247,50 @@ def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
     """Return the result and a title that names the recording and its topic, or the scene."""
     from rigid_body_ros import replay
     from rigid_body_ros.tradeoff import ensemble, measure, TARGET
-    if not replay.topics_of(options.topic).is_plain(scene):
-        raise InputError(f'{options.scene}: expected one topic of torques, and neither rotors nor '
-                         'damping, which attitude_tradeoff does not measure')
-    log, start, where = None, scene.start, options.scene
-    title = f'{Path(options.scene).name}: no torque'
-    if options.recording:
-        recorded, log, start = replay.read(options.recording, scene, options.topic)
-        where = f'{options.recording}: {recorded.topic}'
-        title = f'{Path(options.recording).name}: {recorded.topic}'
-    spread = _spread(options, start, log) if options.ensemble else None
+    name, logs, wheels, start = _torques(options, scene)
+    source = options.recording or options.scene
+    spread = _spread(options, start, [*logs, *([wheels] if wheels else [])])
     targets = [*(options.target or []), *([spread.target] if spread else [])] or [TARGET]
     try:
-        result = measure(scene.body, start, log, targets=targets,
+        result = measure(scene.body, start, logs, wheels=wheels, targets=targets,
                          end_ns=spread.end_ns if spread else None,
                          torque_timeout=scene.values['torque_timeout'],
                          track=replay.progress('measuring', ' runs'))
     except ValueError as error:
-        raise InputError(f'{where}: {error}') from error
+        raise InputError(f'{source}: {f"{name}: " if logs or wheels else ""}{error}') from error
     if spread:
         result = ensemble.advise(result, spread)
-    return result, title
+    return result, f'{Path(source).name}: {name}'
 
 
-def _spread(options: argparse.Namespace, start: State, log: TorqueLog | None) -> Spread:
-    """Return the spread of the ensemble, which must be one of the motion to measure."""
+def _torques(options: argparse.Namespace, scene: Scene
+             ) -> tuple[str, Sequence[TorqueLog], TorqueLog | None, State]:
+    """Return the names of the topics, the torques on body and rotors, and the initial state."""
+    from rigid_body_ros import replay
+    topics = replay.topics_of(options.topic, options.wheel_torque, options.wheel_momentum)
+    is_plain = topics.is_plain(scene)
+    if options.recording is None:
+        return 'no torque', [], None, scene.start
+    if is_plain:
+        topic = next(iter(topics.torques), None)
+        recorded, log, start = replay.read(options.recording, scene, topic)
+        return recorded.topic, [log], None, start
+    found = topics.found_in(options.recording, scene)
+    logs, wheels, _, start = replay.torques(options.recording, scene, found)
+    names = [*found.torques, *filter(None, [found.wheel_torque, found.wheel_momentum])]
+    return listed(names), logs, wheels, start
+
+
+def _spread(options: argparse.Namespace, start: State,
+            logs: Sequence[TorqueLog]) -> Spread | None:
+    """Return the spread of the ensemble, if one is given; it must be of the motion to measure."""
+    if not options.ensemble:
+        return None
     from rigid_body_ros.ensemble_command import recording_hash
     from rigid_body_ros.tradeoff import ensemble
     spread = ensemble.read(options.ensemble)
-    if spread.recording != recording_hash([log] if log else []):
-        expected = f'under the torques of {options.recording}' if log else 'without torques'
+    if spread.recording != recording_hash(logs):
+        expected = f'under the torques of {options.recording}' if logs else 'without torques'
         raise InputError(f'{options.ensemble}: expected an ensemble {expected}, found another')
     if spread.start_ns != start.time_ns:
         raise InputError(f'{options.ensemble}: expected an ensemble that starts at '
@@ -352,9 +366,9 @@ def tradeoff_parser() -> argparse.ArgumentParser:
         description='Measure the cost and the error of every solver on your own motion, and '
         'recommend a setting.')
     add_scene(parser)
-    parser.add_argument('--topic', help='topic of the torques (default: as for attitude_replay)')
     parser.add_argument('--recording', metavar='IN', help='recording of torques, as for '
                         'attitude_replay (default: 50 turns without torque)')
+    add_torques(parser)
     parser.add_argument('--target', type=angle, action='append', metavar='RAD',
                         help='largest attitude error of the solver that is allowed anywhere in '
                         'the recording; the error of the interpolation between torque samples is '

@@ -62,7 +62,7 @@ def test_motion_is_that_of_fifty_digits(scene):
 
 def check_estimates(scene):
     """Check what a trade estimates; here, because the truth of these scenes takes seconds."""
-    reference = Reference.of(Problem(scene.body, scene.start, scene.log, scene.times_ns))
+    reference = Reference.of(Problem(scene.body, scene.start, (scene.log,), scene.times_ns))
     apart, _ = scene.errors(reference.trajectory)
     assert apart.max() <= 1.5 * reference.floor
     assert reference.floor <= (scene.growth if scene.amplifies else 10.0 * scene.bar)

@@ -14,6 +14,7 @@
 
 """attitude_replay of scenes with several torque topics, wheels and damping."""
 
+import json
 from pathlib import Path
 import re
 import signal
@@ -23,7 +24,7 @@ import sys
 from conftest import CONFIG, RECORDINGS, SECOND
 import numpy as np
 import pytest
-from rigid_body_ros import cli, messages, propagate, recording, scene, State, TorqueLog
+from rigid_body_ros import cli, messages, propagate, recording, scene, so3, State, TorqueLog
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.many import replay_many
@@ -350,11 +351,24 @@ def test_damage_is_reported_if_no_torque_could_be_read(recorded, written, tmp_pa
     assert 'damaged chunk at byte' in line
 
 
-def test_the_trade_off_of_a_damped_scene_is_rejected(recorded, written, capsys):
-    assert cli.attitude_tradeoff(['--scene', written(DAMPING), '--recording', recorded,
-                                  '--topic', '/control']) == 2
-    line, = capsys.readouterr().err.splitlines()
-    assert 'expected one topic of torques, and neither rotors nor damping' in line
+@pytest.mark.parametrize(('lines', 'option', 'samples'), [
+    ([DAMPING], {'topic': '/control'}, 100), ([TWO], {}, 160),
+    ([TWO, WHEELS, DAMPING, ROTORS], {'wheel_torque': '/wheel_torque'}, 200)])
+def test_a_replay_with_the_recommended_setting_meets_the_target(
+        recorded, written, tmp_path, monkeypatch, lines, option, samples):
+    monkeypatch.setattr('rigid_body_ros.tradeoff.settings._MOST_STEPS', 5_000)
+    monkeypatch.setattr('rigid_body_ros.tradeoff.trade._MOST_REPEATS', 3)
+    given = [word for name, topic in option.items()
+             for word in (f'--{name.replace("_", "-")}', topic)]
+    assert cli.attitude_tradeoff(['--scene', written(*lines), '--recording', recorded, *given,
+                                  '--target', '1e-7', '--json', str(tmp_path / 'o.json')]) == 0
+    found = json.loads((tmp_path / 'o.json').read_text())
+    assert found['samples'] == samples
+    default, recommended = (
+        replay(recorded, scene.load(written(*lines, *more)), **option).trajectory
+        for more in ((), found['recommended']['parameters']))
+    error = so3.angle_between(recommended.attitude, default.attitude).max()
+    assert 0.0 < error <= found['recommended']['whole_attitude_error_rad'] <= 1e-7
 
 
 def test_a_plain_scene_has_the_motion_of_one_torque():

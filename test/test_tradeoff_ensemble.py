@@ -111,6 +111,17 @@ def test_the_recommended_setting_is_the_cheapest_for_many_runs(monkeypatch):
         assert result.ensemble == Advice(spread, 1e-9, 1.0)
 
 
+def test_runs_with_rotors_are_computed_one_by_one():
+    spread, start = Spread(10, 1e-5, 0, 10 ** 9, ''), State(angular_velocity=(0.1, 1, 0.2),
+                                                            rotor_momentum=(0.1, 0.0, 0.3))
+    single = measure(RigidBody.from_moments(1.0, 2.0, 2.5), start, targets=[spread.target],
+                     end_ns=spread.end_ns)
+    result = ensemble.advise(single, spread)
+    assert result.choices[spread.target].error <= spread.target
+    assert result.ensemble.default_seconds > 0.0
+    assert result.ensemble.seconds > 0.0
+
+
 def test_a_setting_that_is_not_faster_saves_nothing():
     spread = Spread(10, 1e-3, 0, 1, '')
     assert Advice(spread, 2.0, 1.0).saved_seconds == 0.0

@@ -16,7 +16,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 import math
 from pathlib import Path
 import time
@@ -28,6 +30,7 @@ from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.propagation import propagate_many
 from rigid_body_ros.runtime.reading import read_json
 from rigid_body_ros.states import States
+from rigid_body_ros.tradeoff.problem import Problem
 from rigid_body_ros.tradeoff.settings import DEFAULT, Setting
 from rigid_body_ros.tradeoff.trade import Choice, recommend, Tradeoff
 
@@ -143,15 +146,24 @@ def _seconds_per_run(result: Tradeoff, settings: list[Setting]) -> list[float]:
     problem = result.stretch
     cheapest = min(one.seconds for one in result.measurements if not one.failure)
     runs = min(_MOST_RUNS, math.ceil(_TIMED / cheapest))
-    bodies = RigidBodies(np.tile(problem.body.inertia, (runs, 1, 1)))
-    starts = States(problem.start.time_ns, np.tile(problem.start.attitude, (runs, 1)),
-                    problem.start.angular_velocity)
+    run = _run_of(problem, runs)
     rounds = []
     for _ in range(_ROUNDS):
         times = [time.perf_counter()]
         for setting in settings:
-            propagate_many(bodies, starts, problem.log, at=problem.times_ns[-1:],
-                           torque_timeout=problem.torque_timeout, **setting.options)
+            run(**setting.options)
             times.append(time.perf_counter())
         rounds.append(np.diff(times))
     return [float(fastest) * result.growth / runs for fastest in np.min(rounds, axis=0)]
+
+
+def _run_of(problem: Problem, runs: int) -> Callable[..., object]:
+    """Return what computes copies of a motion up to its final state, as an ensemble does."""
+    last = replace(problem, times_ns=problem.times_ns[-1:])
+    if len(problem.logs) > 1 or problem.wheels or problem.start.rotor_momentum.any():
+        return lambda **options: [last.run(**options) for _ in range(runs)]
+    start = problem.start
+    bodies = RigidBodies(np.tile(problem.body.inertia, (runs, 1, 1)), problem.body.damping)
+    starts = States(start.time_ns, np.tile(start.attitude, (runs, 1)), start.angular_velocity)
+    return partial(propagate_many, bodies, starts, next(iter(problem.logs), None),
+                   at=last.times_ns, torque_timeout=problem.torque_timeout)

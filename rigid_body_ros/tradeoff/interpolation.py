@@ -45,7 +45,7 @@ class InterpolationError(NamedTuple):
 
 def interpolation_errors(problem: Problem) -> tuple[InterpolationError, ...]:
     """Return the estimated error of each interpolation, from logs with samples left out."""
-    if len(problem.log) < 3 or not _can_interpolate(problem):
+    if not _can_interpolate(problem) or len(problem.logs[0]) < 3:
         return ()
     changes = {}
     for name in INTERPOLATIONS:
@@ -80,7 +80,7 @@ def final_differences(problem: Problem) -> dict[str, float | None]:
     if not _can_interpolate(problem):
         return {}
     last = replace(problem, times_ns=problem.times_ns[-1:])
-    rows, own = np.arange(len(problem.log)), problem.log.interpolation
+    rows, own = np.arange(len(problem.logs[0])), problem.interpolation
     end = _motion(last, own, rows).attitude[0]
     differences: dict[str, float | None] = {}
     for name in INTERPOLATIONS:
@@ -95,12 +95,14 @@ def final_differences(problem: Problem) -> dict[str, float | None]:
 
 
 def _can_interpolate(problem: Problem) -> bool:
-    return not problem.torque_free and np.unique(problem.log.in_space).size == 1
+    """Whether the torques have one log, of one frame, and none is on rotors."""
+    return not problem.torque_free and len(problem.logs) == len(problem.sources) == 1 \
+        and np.unique(problem.logs[0].in_space).size == 1
 
 
 def _change(problem: Problem, interpolation: str, spacing: int) -> float:
     """Return the largest change of the attitude, rad, if every `spacing`-th sample is kept."""
-    rows = np.arange(len(problem.log))
+    rows = np.arange(len(problem.logs[0]))
     full = _motion(problem, interpolation, rows)
     # Begin with each of the first samples in turn, because keeping only every second sample may
     # leave a pulse of an even number of samples unchanged.
@@ -123,6 +125,6 @@ def _extrapolated(interpolation: str, half: float, quarter: float, hold: float) 
 
 
 def _motion(problem: Problem, interpolation: str, rows: NDArray[np.intp]) -> Trajectory:
-    log = problem.log
+    log, = problem.logs
     part = TorqueLog(log.times_ns[rows], log.torques[rows], log.in_space[rows], interpolation)
-    return replace(problem, log=part).run(solver='taylor')
+    return replace(problem, logs=(part,)).run(solver='taylor')

@@ -20,6 +20,7 @@ The reference is the Taylor series at its tightest tolerance with shorter steps.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 import math
@@ -46,6 +47,7 @@ _SERIES_ANGLE = 0.5
 _WORK = 4000
 #: Outputs in addition to the torque stamps, to catch errors between stamps that are far apart.
 _OUTPUTS = 100
+_NO_TIMES = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,19 +59,22 @@ class Problem:
     ----------
     body : RigidBody
     start : State
-    log : TorqueLog
-        Empty if there are no torques.
+    logs : tuple of TorqueLog
+        The torques, which add up.
     times_ns : array of int64, shape (m,)
         Ascending.
     torque_timeout : float, s
+    wheels : TorqueLog, optional
+        Torque on the rotors.
 
     """
 
     body: RigidBody
     start: State
-    log: TorqueLog
+    logs: tuple[TorqueLog, ...]
     times_ns: NDArray[np.int64]
     torque_timeout: float = 0.0
+    wheels: TorqueLog | None = None
 
     @property
     def seconds(self) -> float:
@@ -78,26 +83,54 @@ class Problem:
 
     @property
     def torque_free(self) -> bool:
-        """Whether all torques are zero."""
-        return not self.log.torques.any()
+        """Whether all torques are zero, those on the rotors included."""
+        return not any(log.torques.any() for log in self.sources)
+
+    @property
+    def has_linear_terms(self) -> bool:
+        """Whether rotors or damping add terms linear in the angular velocity."""
+        return bool(self.body.is_damped or self.start.rotor_momentum.any()
+                    or (self.wheels and self.wheels.torques.any()))
+
+    @property
+    def conserves(self) -> bool:
+        """Whether the body keeps its momentum and its energy."""
+        return self.torque_free and not self.has_linear_terms
+
+    @property
+    def sources(self) -> tuple[TorqueLog, ...]:
+        """Return the torques on the body and on the rotors."""
+        return (*self.logs, self.wheels) if self.wheels else self.logs
+
+    @property
+    def samples(self) -> int:
+        """Return the number of torques."""
+        return sum(map(len, self.sources))
+
+    @property
+    def interpolation(self) -> str:
+        """Return the interpolation of the torques, that of a log by default without any."""
+        return self.logs[0].interpolation if self.logs else 'hold'
 
     def run(self, **options: Any) -> Trajectory:
         """Return the motion; raise ValueError as `propagate` does."""
-        return propagate(self.body, self.start, self.log, at=self.times_ns,
+        return propagate(self.body, self.start, self.logs, at=self.times_ns, wheels=self.wheels,
                          torque_timeout=self.torque_timeout, **options)
 
     def in_principal_axes(self, max_step: float) -> Floats:
-        """Return the attitudes computed by the series in principal axes, shape (m, 4)."""
+        """Return attitudes computed by the series in principal axes, without linear terms."""
         axes = PrincipalAxes(self.body)
         turned = replace(self, body=axes.body, start=axes.start(self.start),
-                         log=axes.log(self.log))
+                         logs=tuple(map(axes.log, self.logs)))
         return axes.back(turned.run(solver='taylor', tolerance=TIGHTEST,
                                     max_step=max_step).attitude)
 
     def until(self, end_ns: int) -> Problem:
         """Return the problem up to an end time, with the samples needed up to it."""
-        part = self.log.between(self.start.time_ns, end_ns)
-        return replace(self, log=part, times_ns=_times(part, self.start.time_ns, end_ns))
+        start_ns = self.start.time_ns
+        part = replace(self, logs=tuple(log.between(start_ns, end_ns) for log in self.logs),
+                       wheels=self.wheels and self.wheels.between(start_ns, end_ns))
+        return replace(part, times_ns=_times(part.sources, start_ns, end_ns))
 
     def stretch(self) -> Problem:
         """Return the motion, or its first half, quarter, ...: as long as is quick to compute."""
@@ -114,9 +147,10 @@ class Problem:
 
     def natural_step(self, motion: Trajectory, angle: float) -> float:
         """Return the time, s, to turn by an angle at top speed; at most the sample spacing."""
-        inside = self.log.times_ns[self.log.times_ns > self.start.time_ns]
-        edges = np.union1d([self.start.time_ns, self.times_ns[-1]],
-                           inside[inside < self.times_ns[-1]])
+        first_ns, last_ns = self.start.time_ns, int(self.times_ns[-1])
+        stamps = _stamps(self.sources)
+        edges = np.union1d([first_ns, last_ns],
+                           stamps[(stamps > first_ns) & (stamps < last_ns)])
         speed = float(np.linalg.norm(motion.angular_velocity, axis=1).max())
         return min(angle / speed if speed else math.inf, float(np.diff(edges).max()) * 1e-9)
 
@@ -131,7 +165,8 @@ class Reference:
     trajectory : Trajectory
     floor : float, rad
         Largest difference between this motion and others that round differently: the series with
-        other steps and in principal axes, and, without torque, the closed form.
+        other steps and, without rotors and damping, in principal axes, and, without torque as
+        well, the closed form.
     last_digits : float, rad
         How far a change of the last digits of inertia, torques and start moves the motion; see
         `last_digit_effect`.
@@ -154,18 +189,19 @@ class Reference:
         step = problem.natural_step(plain, _SERIES_ANGLE)
         best, other = (problem.run(solver='taylor', tolerance=TIGHTEST, max_step=share * step)
                        for share in (0.7, 0.4))
-        motions = [best.attitude, plain.attitude, other.attitude,
-                   problem.in_principal_axes(0.55 * step)]
-        if problem.torque_free:
+        motions = [best.attitude, plain.attitude, other.attitude]
+        if not problem.has_linear_terms:
+            motions.append(problem.in_principal_axes(0.55 * step))
+        if problem.conserves:
             motions.append(problem.run(solver='exact').attitude)
         floor = max(float(so3.angle_between(*pair).max()) for pair in combinations(motions, 2))
-        moved = last_digit_effect(problem.body, problem.start, problem.log, at=problem.times_ns,
-                                  torque_timeout=problem.torque_timeout)
+        moved = last_digit_effect(problem.body, problem.start, problem.logs, at=problem.times_ns,
+                                  wheels=problem.wheels, torque_timeout=problem.torque_timeout)
         return cls(best, max(floor, math.ulp(1.0)), moved)
 
 
-def whole(body: RigidBody, start: State, log: TorqueLog | None, end_ns: int | None,
-          torque_timeout: float) -> Problem:
+def whole(body: RigidBody, start: State, logs: Sequence[TorqueLog], wheels: TorqueLog | None,
+          end_ns: int | None, torque_timeout: float) -> Problem:
     """
     Return the whole motion, up to `end_ns`; by default to the last stamp, or for `TURNS` turns.
 
@@ -176,29 +212,37 @@ def whole(body: RigidBody, start: State, log: TorqueLog | None, end_ns: int | No
 
     """
     speed = float(np.linalg.norm(start.angular_velocity))
-    if not speed and (log is None or not log.torques.any()):
+    problem = Problem(body, start, tuple(log for log in logs if len(log)), _NO_TIMES,
+                      torque_timeout, wheels)
+    stamps = _stamps(problem.sources)
+    if not speed and problem.torque_free:
         raise ValueError('expected a nonzero initial angular velocity or torque, found neither')
-    log = TorqueLog([], []) if log is None else log
     if end_ns is not None:
         end_ns = instant(end_ns, 'end_ns')
         if end_ns <= start.time_ns:
             raise ValueError(f'end_ns: expected a time after the start, {start.time_ns} ns, '
                              f'found {end_ns} ns')
-    elif len(log):
-        end_ns = int(log.times_ns[-1])
+    elif stamps.size:
+        end_ns = int(stamps[-1])
         if end_ns <= start.time_ns:
             raise ValueError('expected the last torque after the start of the motion, '
                              f'{start.time_ns} ns, found it at {end_ns} ns')
     else:
         turns = min(TURNS * 2.0 * math.pi / speed, LONGEST)
         end_ns = start.time_ns + max(duration_ns(turns, 'end_ns'), 1)
-    return Problem(body, start, log, _times(log, start.time_ns, end_ns), torque_timeout)
+    return replace(problem, times_ns=_times(problem.sources, start.time_ns, end_ns))
 
 
-def _times(log: TorqueLog, start_ns: int, end_ns: int) -> NDArray[np.int64]:
+def _times(sources: Sequence[TorqueLog], start_ns: int, end_ns: int) -> NDArray[np.int64]:
     grid = start_ns + np.linspace(0, end_ns - start_ns, _OUTPUTS + 1).astype(np.int64)
-    inside = (log.times_ns > start_ns) & (log.times_ns <= end_ns)
-    return np.union1d(log.times_ns[inside], np.append(grid[1:], end_ns))
+    stamps = _stamps(sources)
+    inside = (stamps > start_ns) & (stamps <= end_ns)
+    return np.union1d(stamps[inside], np.append(grid[1:], end_ns))
+
+
+def _stamps(sources: Sequence[TorqueLog]) -> NDArray[np.int64]:
+    """Return the stamps of all torques, ascending, each once."""
+    return np.unique(np.concatenate([_NO_TIMES, *(log.times_ns for log in sources)]))
 
 
 def turned_angle(motion: Trajectory) -> float:

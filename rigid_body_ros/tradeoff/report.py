@@ -27,9 +27,13 @@ from rigid_body_ros.tradeoff.settings import Setting
 from rigid_body_ros.tradeoff.trade import Choice, Measurement, Tradeoff
 
 _WIDTH = 18
-_FLOOR = ('largest difference between runs that round differently: the series with other steps,',
-          'in principal axes and, without torque, the closed form; it does not show an error '
-          'common to all')
+#: What the floor is without rotors and damping, and with them.
+_FLOORS = (
+    ('largest difference between runs that round differently: the series with other steps,',
+     'in principal axes and, without torque, the closed form; it does not show an error '
+     'common to all'),
+    ('largest difference between runs that round differently: the series with other steps;',
+     'it does not show an error common to all'))
 _DIGITS = 'a change of the last digit of inertia, torque or start moves the attitude by {:.1e} rad'
 _HEADER = ('', 'solver', 'setting', 'final rad', 'largest rad', 'rad/s', 'momentum', 'energy',
            's per s', 'x real time')
@@ -70,11 +74,11 @@ def as_data(result: Tradeoff) -> dict[str, Any]:
         'versions': {'python': platform.python_version(),
                      **{name: metadata.version(name) for name in ('numpy', 'numba')}},
         'stretch_s': span, 'stretch_angle_rad': result.angle, 'whole_s': result.whole.seconds,
-        'samples': len(result.stretch.log), 'outputs': len(result.stretch.times_ns),
-        'interpolation': result.stretch.log.interpolation,
+        'samples': result.stretch.samples, 'outputs': len(result.stretch.times_ns),
+        'interpolation': result.stretch.interpolation,
         'torque_free': result.stretch.torque_free,
         'load_or_compile_s': result.load_seconds, 'rounding_floor_rad': result.reference.floor,
-        'rounding_floor_is': ' '.join(_FLOOR),
+        'rounding_floor_is': ' '.join(_FLOORS[result.stretch.has_linear_terms]),
         'last_digit_effect_rad': result.reference.last_digits,
         **targets[0], 'targets': targets, 'ensemble': _ensemble_data(result.ensemble),
         'readings': [{'interpolation': error.interpolation, 'thinned_by_two_rad': error.thinned,
@@ -173,7 +177,7 @@ def _table(result: Tradeoff, all_rows: bool) -> list[str]:
 
 
 def _facts(result: Tradeoff) -> list[tuple[str, str]]:
-    reference = result.reference
+    reference, (floor, rest) = result.reference, _FLOORS[result.stretch.has_linear_terms]
     return [*_ensemble(result), ('motion', _motion(result)),
             ('errors', 'difference from the Taylor series at its tightest tolerance with shorter '
                        'steps'),
@@ -181,7 +185,7 @@ def _facts(result: Tradeoff) -> list[tuple[str, str]]:
             ('cost', f'wall time per simulated second with {len(result.stretch.times_ns)} '
                      'outputs; fastest of several runs'),
             ('first call', f'kernels loaded or compiled in {result.load_seconds:.3g} s'),
-            ('rounding floor', f'{reference.floor:.1e} rad, {_FLOOR[0]}'), ('', _FLOOR[1]),
+            ('rounding floor', f'{reference.floor:.1e} rad, {floor}'), ('', rest),
             ('last digits', _DIGITS.format(reference.last_digits)),
             *_interpolation(result)]
 
@@ -203,7 +207,7 @@ def _ensemble(result: Tradeoff) -> list[tuple[str, str]]:
 def _interpolation(result: Tradeoff) -> list[tuple[str, str]]:
     rows = []
     if result.interpolation_differences:
-        rows.append(('interpolation', interpolation_row(result.stretch.log.interpolation,
+        rows.append(('interpolation', interpolation_row(result.stretch.interpolation,
                                                         result.interpolation_differences)))
     if result.interpolation_errors:
         estimates = ', '.join(f'{error.interpolation} {error.estimate:.1e} rad'
@@ -260,13 +264,13 @@ def _pair(row: tuple[str, str]) -> str:
 def _motion(result: Tradeoff) -> str:
     stretch, whole = result.stretch, result.whole
     torques = 'without torque' if stretch.torque_free else \
-        f'{len(stretch.log)} torque samples ({stretch.log.interpolation})'
+        f'{stretch.samples} torque samples ({stretch.interpolation})'
     part = '' if stretch is whole else f', the beginning of a motion of {whole.seconds:.9g} s'
     return f'{stretch.seconds:.9g} s, {result.angle:.3g} rad, {torques}{part}'
 
 
 def _drift(result: Tradeoff) -> str:
-    if result.stretch.torque_free:
+    if result.stretch.conserves:
         return 'largest change since the start, relative'
     return 'largest difference from the reference, relative to its largest value'
 

@@ -56,11 +56,12 @@ DEFAULT = Setting(Options.solver, Options.tolerance)
 def settings_of(problem: Problem, motion: Trajectory) -> list[Setting]:
     """Return all settings to measure, from coarse to fine, for a problem and its motion."""
     settings = [Setting(solver.name) for solver in RECORDS
-                if problem.torque_free and not solver.takes_torque]
+                if problem.conserves and not solver.takes_torque]
     settings += [Setting(solver.name, tolerance) for solver in RECORDS
                  if solver.takes_torque and not solver.fixed_step for tolerance in _TOLERANCES]
     longest = problem.natural_step(motion, _LONGEST_ANGLE)
-    for solver in [solver.name for solver in RECORDS if solver.fixed_step]:
+    for solver in [solver.name for solver in RECORDS if solver.fixed_step
+                   and (solver.takes_linear_terms or not problem.has_linear_terms)]:
         step = longest
         while step >= 1e-9 and problem.seconds / step <= _MOST_STEPS:
             settings.append(Setting(solver, max_step=round(step * 1e9) / 1e9))

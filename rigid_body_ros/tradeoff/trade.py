@@ -28,7 +28,7 @@ from rigid_body_ros import so3
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.propagation import Trajectory, warm_up
 from rigid_body_ros.state import State
-from rigid_body_ros.torque import TorqueLog
+from rigid_body_ros.torque import torque_logs, TorqueLog
 from rigid_body_ros.tradeoff.interpolation import (
     better_interpolation,
     final_differences,
@@ -159,7 +159,7 @@ class Tradeoff:
     def interpolation_error(self) -> InterpolationError | None:
         """Return the estimated error of the scene's interpolation, None if there is none."""
         return next((error for error in self.interpolation_errors
-                     if error.interpolation == self.stretch.log.interpolation), None)
+                     if error.interpolation == self.stretch.interpolation), None)
 
     @property
     def better_interpolation(self) -> InterpolationError | None:
@@ -181,9 +181,10 @@ class Tradeoff:
         return max(shares, key=lambda name: shares[name])
 
 
-def measure(body: RigidBody, start: State, log: TorqueLog | None = None, *,
-            end_ns: int | None = None, torque_timeout: float = 0.0,
-            targets: Sequence[float] = (TARGET,), seconds: float = 10.0,
+def measure(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None, *,
+            wheels: TorqueLog | None = None, end_ns: int | None = None,
+            torque_timeout: float = 0.0, targets: Sequence[float] = (TARGET,),
+            seconds: float = 10.0,
             track: Track = lambda items, total: items) -> Tradeoff:
     """
     Measure every solver, and choose the cheapest setting that meets each target.
@@ -192,8 +193,10 @@ def measure(body: RigidBody, start: State, log: TorqueLog | None = None, *,
     ----------
     body, start : RigidBody, State
         As for `propagate`.
-    log : TorqueLog, optional
+    log : TorqueLog or sequence of TorqueLog, optional
         None for a motion without torque.
+    wheels : TorqueLog, optional
+        Torque on the rotors, as for `propagate`.
     end_ns : int, optional
         End of the motion; otherwise the last stamp, or 50 turns after the start without a log.
     torque_timeout : float, s
@@ -219,7 +222,7 @@ def measure(body: RigidBody, start: State, log: TorqueLog | None = None, *,
     began = time.perf_counter()
     warm_up()
     load_seconds = time.perf_counter() - began
-    problem = whole(body, start, log, end_ns, torque_timeout)
+    problem = whole(body, start, torque_logs(log), wheels, end_ns, torque_timeout)
     stretch = problem.stretch()
     reference = Reference.of(stretch)
     measurements = _with_pareto_front(
@@ -304,14 +307,15 @@ def _error(problem: Problem, motion: Trajectory, reference: Trajectory) -> Error
     attitude = so3.angle_between(motion.attitude, reference.attitude)
     rates = np.linalg.norm(motion.angular_velocity - reference.angular_velocity, axis=1)
     momentum, energy = reference.angular_momentum_space, reference.kinetic_energy
-    if problem.torque_free:
+    if problem.conserves:
         start = problem.start
         momentum = so3.rotate(start.attitude,
                               problem.body.angular_momentum(start.angular_velocity))[None]
         energy = problem.body.kinetic_energy(start.angular_velocity)
     momentum_error = np.linalg.norm(motion.angular_momentum_space - momentum, axis=1).max()
     energy_error = np.abs(motion.kinetic_energy - energy).max()
-    size = np.linalg.norm(momentum, axis=1).max()
+    # With rotors, the momentum of both may be zero.
+    size = np.linalg.norm(problem.body.angular_momentum(reference.angular_velocity), axis=1).max()
     return Error(float(attitude[-1]), float(attitude.max()), float(rates.max()),
                  float(momentum_error / size), float(energy_error / np.max(energy)))
 
