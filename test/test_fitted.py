@@ -221,6 +221,21 @@ def test_the_runs_are_centred_on_the_fit_whatever_the_scene_says(fit, tmp_path):
         == (tmp_path / 'guess' / 'runs.parquet').read_bytes()
 
 
+def test_independent_deviations_would_exaggerate_the_spread(fit, tmp_path):
+    data = json.loads((fit / 'fitted.json').read_text())
+    matrix = np.array(data['covariance']['matrix'])
+    data['covariance']['matrix'] = np.diag(np.diag(matrix)).tolist()
+    for name in ('in.mcap', 'fitted.yaml'):
+        (tmp_path / name).write_bytes((fit / name).read_bytes())
+    (tmp_path / 'fitted.json').write_text(json.dumps(data))
+    medians = []
+    for folder in (fit, tmp_path):
+        assert ensemble(folder, 'fitted.yaml', tmp_path / folder.name) == 0
+        summary = json.loads((tmp_path / folder.name / 'summary.json').read_text())
+        medians.append(summary['angle_from_nominal_rad']['p50'])
+    assert medians[1] > 5 * medians[0]
+
+
 def test_another_covariance_is_refused(fit, tmp_path, capsys):
     assert ensemble(fit, 'fitted.yaml', tmp_path / 'out') == 0
     data = json.loads((fit / 'fitted.json').read_text())
