@@ -21,11 +21,13 @@ from conftest import CONFIG, RECORDINGS
 import numpy as np
 from pyarrow import parquet
 import pytest
-from rigid_body_ros import cli, RigidBody, so3, State
+from rigid_body_ros import cli, RigidBody, so3, State, TorqueLog
 from rigid_body_ros.tradeoff import ensemble, measure
 from rigid_body_ros.tradeoff.ensemble import Advice, read, Spread
 
 SCENE = CONFIG / 'tumbler.yaml'
+LOGS = (TorqueLog([0, 5 * 10 ** 8], [[0.1, 0.0, 0.2], [0.0, 0.1, 0.0]]),
+        TorqueLog([3 * 10 ** 8], [[0.1, -0.1, 0.0]]))
 TORQUES = ('--recording', str(RECORDINGS / 'tumbler.mcap'))
 
 
@@ -111,10 +113,13 @@ def test_the_recommended_setting_is_the_cheapest_for_many_runs(monkeypatch):
         assert result.ensemble == Advice(spread, 1e-9, 1.0)
 
 
-def test_runs_with_rotors_are_computed_one_by_one():
-    spread, start = Spread(10, 1e-5, 0, 10 ** 9, ''), State(angular_velocity=(0.1, 1, 0.2),
-                                                            rotor_momentum=(0.1, 0.0, 0.3))
-    single = measure(RigidBody.from_moments(1.0, 2.0, 2.5), start, targets=[spread.target],
+@pytest.mark.parametrize(('logs', 'momentum'), [((), (0.1, 0.0, 0.3)), ((), (0.0, 0.0, 0.0)),
+                                                (LOGS, (0.0, 0.0, 0.0))],
+                         ids=['rotors', 'free', 'two logs'])
+def test_any_motion_of_an_ensemble_has_a_setting(logs, momentum):
+    spread = Spread(10, 1e-5, 0, 10 ** 9, '')
+    start = State(angular_velocity=(0.1, 1, 0.2), rotor_momentum=momentum)
+    single = measure(RigidBody.from_moments(1.0, 2.0, 2.5), start, logs, targets=[spread.target],
                      end_ns=spread.end_ns)
     result = ensemble.advise(single, spread)
     assert result.choices[spread.target].error <= spread.target
