@@ -108,11 +108,16 @@ def load_scene(options: argparse.Namespace) -> Scene:
     from rigid_body_ros.scene import load
     interrupts.check()  # the import takes long
     scene = load(options.scene)
-    for note in scene.notes:
-        report(f'{options.command}: note: {options.scene}: {note}')
+    for text in scene.notes:
+        note(options, f'{options.scene}: {text}')
     for warning in scene.warnings:
         report(f'{options.command}: warning: {options.scene}: {warning}')
     return scene
+
+
+def note(options: argparse.Namespace, text: str) -> None:
+    """Print a note of the command."""
+    report(f'{options.command}: note: {text}')
 
 
 def torque_options(options: argparse.Namespace) -> dict[str, Any]:
@@ -139,6 +144,13 @@ def add_torques(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--wheel-momentum', metavar='TOPIC',
                         help='topic of the measured momentum of the rotors (Vector3Stamped, N m '
                         's, body axes), linear between samples; needs a scene with wheels: true')
+
+
+def add_scheduler(group: argparse._MutuallyExclusiveGroup) -> None:
+    """Add the option for a Dask scheduler."""
+    group.add_argument('--scheduler', metavar='ADDRESS|FILE', help='compute on the workers of '
+                       'this Dask scheduler: HOST:PORT, tcp://HOST:PORT, or the file that it '
+                       'wrote; it does not change the results')
 
 
 def add_report(parser: argparse.ArgumentParser, shows: str) -> None:

@@ -19,18 +19,29 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 import hashlib
 import json
 import os
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from rigid_body_ros.arguments import add_scene, add_torques, load_scene, parsed, Parser, positive
+from rigid_body_ros.arguments import (
+    add_scene,
+    add_scheduler,
+    add_torques,
+    load_scene,
+    note,
+    parsed,
+    Parser,
+    positive,
+)
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime import files
-from rigid_body_ros.runtime.terminal import report, show
+from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
+    from rigid_body_ros.ensemble.driver import Pool
     from rigid_body_ros.ensemble.runs import Ensemble
     from rigid_body_ros.scene import Scene
     from rigid_body_ros.state import State
@@ -46,12 +57,19 @@ def attitude_ensemble(arguments: Sequence[str] | None) -> int:
     with files.reading(options.recording), files.protected('input', options.scene, options.vary):
         ensemble = _ensemble(options)
         folder = Folder(options.output, _identity(ensemble), ensemble.columns, options.runs)
-        driver.compute(ensemble, folder, options.workers,
-                       replay.progress('runs', ' runs', driver.runs_of))
+        driver.compute(ensemble, folder, _pool(options), replay.progress(
+            'runs', ' runs', driver.runs_of))
         found = summary.summarized(ensemble, folder)
         folder.write('summary.json', {**_identity(ensemble), **found})
     show(f'{summary.text_of(found)}\n{"wrote":17}{options.output}')
     return 0
+
+
+def _pool(options: argparse.Namespace) -> Pool:
+    from rigid_body_ros.ensemble import driver
+    if options.scheduler:
+        return driver.cluster(options.scheduler, partial(note, options))
+    return driver.threads(options.workers or os.cpu_count() or 1)
 
 
 def _ensemble(options: argparse.Namespace) -> Ensemble:
@@ -61,8 +79,7 @@ def _ensemble(options: argparse.Namespace) -> Ensemble:
     varied = () if is_fitted else dispersions.load(options.vary)
     estimates = fitted.load(options.vary) if is_fitted else None
     if estimates and estimates.ignored:
-        report(f'{options.command}: note: {options.vary}: {listed(estimates.ignored)}: no effect '
-               'on the motion')
+        note(options, f'{options.vary}: {listed(estimates.ignored)}: no effect on the motion')
     scene = load_scene(options)
     logs, wheels, start, end_ns = _torques(options, scene)
     try:
@@ -146,9 +163,10 @@ def ensemble_parser() -> argparse.ArgumentParser:
                         'required without a recording')
     parser.add_argument('--seed', type=_integer(0, 2 ** 63 - 1), default=0, metavar='S',
                         help='seed of the random numbers (default: 0)')
-    parser.add_argument('--workers', type=_integer(1, 1024), default=os.cpu_count() or 1,
-                        metavar='K', help='number of threads; it does not change the results '
-                        '(default: one for each processor)')
+    pool = parser.add_mutually_exclusive_group()
+    pool.add_argument('--workers', type=_integer(1, 1024), metavar='K', help='number of '
+                      'threads; it does not change the results (default: one for each processor)')
+    add_scheduler(pool)
     parser.add_argument('-o', '--output', required=True, metavar='FOLDER',
                         help='folder for runs.parquet and summary.json: a new one, or that of '
                         'the same ensemble')

@@ -48,7 +48,8 @@ EPOCH_NS = 1_767_225_600_123_456_789
 SECOND = 10 ** 9
 #: Test files that need an optional module, by that module.
 NEEDS = {
-    'pyarrow': ['ensemble'],
+    'distributed': ['cluster'],
+    'pyarrow': ['cluster', 'ensemble'],
     'rclpy': ['clocks', 'executors', 'faults', 'fleet', 'launch', 'lifecycle', 'lockstep', 'node',
               'robot_description', 'shared_files_live', 'soak', 'sources', 'topics', 'workspace'],
     'colcon_ros': ['workspace'],

@@ -12,32 +12,46 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compute the runs that a folder lacks, by threads; the kernels release Python's lock."""
+"""Compute the runs that a folder lacks: in threads, or on the workers of a Dask scheduler."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import closing
+from functools import partial
 from itertools import islice
-from typing import Any
+from typing import Any, NoReturn, TYPE_CHECKING
 
-from rigid_body_ros.ensemble.folder import Folder
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.ensemble.runs import Columns, Ensemble
+from rigid_body_ros.runtime.cluster import connected
+
+if TYPE_CHECKING:  # a worker needs no Parquet
+    from rigid_body_ros.ensemble.folder import Folder
 
 #: Wraps an iteration over blocks with a total number of runs, to show progress.
 Track = Callable[[Iterable[Any], int], Iterable[Any]]
-#: The first run of a block, the one after its last, and its rows.
+#: The first run of a block and the one after its last.
+Span = tuple[int, int]
+#: A span and its rows.
 Block = tuple[int, int, Columns]
+#: Generates the blocks of an ensemble in the order in which they are complete.
+Pool = Callable[[Ensemble, list[Span]], Generator[Block]]
+
+#: s; how long a task is computed on a worker: long enough for Dask's cost per task, a few
+#: milliseconds, not to matter, and short enough to lose little with a worker.
+_TASK = 2.0
 
 
-def compute(ensemble: Ensemble, folder: Folder, workers: int, track: Track) -> None:
+def compute(ensemble: Ensemble, folder: Folder, pool: Pool, track: Track) -> None:
     """
     Compute and write all runs that a folder lacks.
 
     Raises
     ------
     InputError
-        The folder cannot be written.
+        The folder cannot be written, or the pool fails.
     KeyboardInterrupt
         A signal was received. The folder keeps all blocks that are complete.
 
@@ -45,8 +59,9 @@ def compute(ensemble: Ensemble, folder: Folder, workers: int, track: Track) -> N
     spans = folder.missing()
     runs = sum(stop - first for first, stop in spans)
     try:
-        for block in track(_computed(ensemble, spans, workers), runs):
-            folder.add(*block)
+        with closing(pool(ensemble, spans)) as blocks:
+            for block in track(blocks, runs):
+                folder.add(*block)
     except KeyboardInterrupt as interrupt:
         interrupt.args += (f'; the same command goes on with what is in {folder.path}',)
         raise
@@ -58,19 +73,37 @@ def runs_of(block: Block) -> int:
     return block[1] - block[0]
 
 
-def _computed(ensemble: Ensemble, spans: list[tuple[int, int]], workers: int) -> Iterator[Block]:
-    """Generate the blocks in the order in which they are complete, and only some ahead."""
-    def compute_block(span: tuple[int, int]) -> Block:
-        return *span, ensemble.rows(*span)
-    waiting = iter(spans)
-    pool = ThreadPoolExecutor(workers)
-    try:
-        busy: set[Future[Block]] = {pool.submit(compute_block, span)
-                                    for span in islice(waiting, 2 * workers)}
-        while busy:
-            done, busy = wait(busy, return_when=FIRST_COMPLETED)
-            busy |= {pool.submit(compute_block, span) for span in islice(waiting, len(done))}
-            for future in done:
-                yield future.result()
-    finally:
-        pool.shutdown(cancel_futures=True)
+def threads(workers: int) -> Pool:
+    """Return a pool of threads; the kernels release Python's lock."""
+    def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
+        waiting = iter(spans)
+        pool = ThreadPoolExecutor(workers)
+        try:
+            busy: set[Future[Block]] = {pool.submit(_block, ensemble, span)
+                                        for span in islice(waiting, 2 * workers)}
+            while busy:
+                done, busy = wait(busy, return_when=FIRST_COMPLETED)
+                busy |= {pool.submit(_block, ensemble, span)
+                         for span in islice(waiting, len(done))}
+                for future in done:
+                    yield future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return blocks
+
+
+def cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
+    """Return the workers of a Dask scheduler, with the arguments and errors of `connected`."""
+    def died(span: Span, why: str) -> NoReturn:
+        raise InputError(f'{scheduler}: cannot compute runs {span[0]} to {span[1] - 1}: {why}; '
+                         'their logs may have the reason')
+
+    def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
+        if spans:
+            with connected(scheduler, note) as found:
+                yield from found.results(partial(_block, ensemble), spans, died, _TASK)
+    return blocks
+
+
+def _block(ensemble: Ensemble, span: Span) -> Block:
+    return *span, ensemble.rows(*span)

@@ -72,7 +72,7 @@ def njit(kernel: Kernel) -> Kernel:
         return compiled
     # numba compares only time and size of the kernel's own file, not of the files whose functions
     # it inlines. Also, a copied file may have the time of the file that it replaces.
-    compiled._cache._cache_file._source_stamp = _sources_hash()
+    compiled._cache._cache_file._source_stamp = sources_hash()
     compiled._cache = _SharedCache(compiled._cache)
     return compiled
 
@@ -233,7 +233,8 @@ def _warn_uncached() -> None:
 
 
 @cache
-def _sources_hash() -> str:
+def sources_hash() -> str:
+    """Return a hash of the sources of the package."""
     digest = hashlib.sha256()
     for source in _sources(resources.files(__name__.partition('.')[0])):
         digest.update(source.read_bytes())

@@ -1,0 +1,227 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The workers of a Dask scheduler: the same bytes, nothing lost, and errors in one line."""
+
+from contextlib import contextmanager
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+from conftest import ROOT
+import psutil
+import pytest
+from rigid_body_ros import cli
+from rigid_body_ros.runtime import cluster
+from test_ensemble import arguments, COMMAND, contents, count, ENVIRONMENT, inputs, run
+
+inputs = inputs  # a fixture, used by its name
+RUNS = 3000
+#: Without a dashboard Dask still serves its metrics, on all interfaces unless told otherwise.
+LOCAL = ['--host', '127.0.0.1', '--dashboard-address', '127.0.0.1:0', '--no-dashboard']
+
+
+@pytest.fixture(scope='module')
+def scheduler(tmp_path_factory):
+    """Start a scheduler and two worker processes; return its file."""
+    folder = tmp_path_factory.mktemp('dask')
+    file = folder / 'scheduler.json'
+    with started(folder, 'scheduler', '--port', '0', '--scheduler-file', file) as first, \
+            started(folder, 'worker', '--scheduler-file', file, '--nworkers', '2', '--nthreads',
+                    '1', '--local-directory', folder) as second:
+        wait_for(file.exists)
+        wait_for(lambda: len(workers(second)) == 2)
+        for process in (first, second, *workers(second)):
+            assert listening(process) == {'127.0.0.1'}
+        yield file
+
+
+@contextmanager
+def started(folder, kind, *options):
+    command = [sys.executable, '-m', f'distributed.cli.dask_{kind}', *LOCAL, *map(str, options)]
+    with open(folder / f'{kind}.log', 'w') as log, \
+            subprocess.Popen(command, stdout=log, stderr=log, env=ENVIRONMENT) as process:
+        try:
+            yield psutil.Process(process.pid)
+        finally:
+            process.terminate()
+
+
+def workers(nanny):
+    """Return the processes that compute; the other child tracks resources of the system."""
+    return [child for child in nanny.children() if listening(child)]
+
+
+def listening(process):
+    return {one.laddr.ip for one in process.net_connections('inet') if one.status == 'LISTEN'}
+
+
+def wait_for(condition, seconds=60):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, 'waited too long'
+        time.sleep(0.05)
+
+
+@contextmanager
+def begun(inputs, scheduler):
+    """Start an ensemble in a process, and wait until it has some blocks but not all."""
+    command = [*COMMAND, *arguments(inputs, 'out', RUNS, '--scheduler', scheduler)]
+    with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.DEVNULL,
+                          stderr=subprocess.PIPE, text=True) as process:
+        wait_for(lambda: count(inputs / 'out' / 'blocks') >= 3 or process.poll() is not None)
+        assert process.poll() is None
+        yield process
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_changes_no_byte(inputs, scheduler):
+    run(inputs, 'here', RUNS)
+    with begun(inputs, scheduler) as process:
+        os.kill(one_worker(scheduler), signal.SIGKILL)
+        _, error = process.communicate(timeout=300)
+    assert (process.returncode, error) == (0, '')
+    assert contents(inputs / 'out') == contents(inputs / 'here')
+
+
+def one_worker(scheduler):
+    with cluster.connected(str(scheduler), print) as connection:
+        return next(iter(connection.client.run(os.getpid).values()))
+
+
+@pytest.mark.slow
+def test_an_interrupt_leaves_no_task_and_a_folder_that_is_resumed(inputs, scheduler):
+    run(inputs, 'here', RUNS)
+    with begun(inputs, scheduler) as process:
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert error == ('attitude_ensemble: interrupted; the same command goes on with what is in '
+                     f'{inputs / "out"}\n')
+    with cluster.connected(str(scheduler), print) as connection:
+        wait_for(lambda: not connection.client.run_on_scheduler(tasks))
+    run(inputs, 'out', RUNS, '--scheduler', scheduler)
+    assert contents(inputs / 'out') == contents(inputs / 'here')
+
+
+def tasks(dask_scheduler):
+    return len(dask_scheduler.tasks)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('seconds', [0.0, 1e-3, 10.0])
+def test_every_item_is_computed_once_whatever_the_size_of_a_task(scheduler, seconds):
+    with cluster.connected(str(scheduler), pytest.fail) as connection:
+        found = connection.results(abs, range(-50, 0), pytest.fail, seconds)
+        assert sorted(found) == [*range(1, 51)]
+
+
+@pytest.mark.slow
+def test_an_error_of_the_function_is_raised(scheduler):
+    with cluster.connected(str(scheduler), pytest.fail) as connection, \
+            pytest.raises(ValueError, match="base 10: 'a'"):
+        [*connection.results(int, ['1', 'a'], pytest.fail)]
+
+
+@pytest.mark.slow
+def test_what_kills_every_worker_ends(scheduler):
+    with cluster.connected(str(scheduler), lambda text: None) as connection:
+        found = [*connection.results(os._exit, [3], lambda item, why: (item, why))]
+        assert found == [(3, '4 workers died one after the other')]
+        assert [*connection.results(abs, [-1], pytest.fail)] == [1]
+
+
+@pytest.mark.slow
+def test_other_versions_are_rejected(inputs, scheduler, capsys, monkeypatch):
+    versions = cluster._versions()
+    monkeypatch.setattr(cluster, '_versions', lambda: {**versions, 'numba': '0.1'})
+    assert (f'{socket.gethostname()}: expected the versions of this command, numba 0.1, found '
+            f'{versions["numba"]}') in error_of(capsys, inputs, scheduler)
+
+
+@pytest.mark.slow
+def test_a_worker_is_no_scheduler(inputs, scheduler, capsys):
+    with cluster.connected(str(scheduler), print) as connection:
+        worker = next(iter(connection.client.nthreads()))
+    assert f'{worker}: expected a Dask scheduler, found a worker' \
+        in error_of(capsys, inputs, worker)
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    (None, 'cannot read the scheduler file: No such file or directory'),
+    ('{', 'expected the file of a Dask scheduler, JSON with an address'),
+    ('[]', 'expected the file of a Dask scheduler, JSON with an address'),
+    ('{"address": 5}', 'address: expected one such as tcp://HOST:PORT, found 5'),
+], ids=['missing', 'damaged', 'list', 'number'])
+def test_bad_files(inputs, capsys, text, message):
+    if text is not None:
+        (inputs / 'scheduler.json').write_text(text)
+    assert f'{inputs / "scheduler.json"}: {message}' \
+        in error_of(capsys, inputs, inputs / 'scheduler.json')
+
+
+@pytest.mark.parametrize(('address', 'message'), [
+    ('127.0.0.1:1', 'Timed out trying to connect'),
+    ('tcp://127.0.0.1:port', 'invalid literal'),
+    ('carrier://pigeon', "unknown address scheme 'carrier'"),
+])
+def test_no_scheduler_at_an_address(inputs, capsys, monkeypatch, address, message):
+    monkeypatch.setattr(cluster, '_PATIENCE', 0.2)
+    assert f'{address}: cannot connect to a Dask scheduler: {message}' \
+        in error_of(capsys, inputs, address)
+
+
+def test_no_reply(inputs, capsys, monkeypatch):
+    monkeypatch.setattr(cluster, '_PATIENCE', 0.2)
+    with socket.create_server(('127.0.0.1', 0)) as silent:
+        address = f'127.0.0.1:{silent.getsockname()[1]}'
+        assert address in error_of(capsys, inputs, address)
+
+
+def error_of(capsys, inputs, scheduler):
+    assert cli.attitude_ensemble(arguments(inputs, 'out', 10, '--scheduler', scheduler)) == 2
+    line, = capsys.readouterr().err.strip().splitlines()
+    assert line.startswith('attitude_ensemble: error: ')
+    return line
+
+
+def test_threads_and_a_scheduler_exclude_each_other(inputs, capsys):
+    with pytest.raises(SystemExit) as ended:
+        cli.attitude_ensemble(arguments(inputs, 'out', 10, '--workers', os.cpu_count(),
+                                        '--scheduler', 'scheduler.json'))
+    assert ended.value.code == 2
+    assert 'not allowed with argument' in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_only_the_option_imports_dask(inputs):
+    script = ('import sys; from rigid_body_ros import cli; status = cli.attitude_ensemble(); '
+              "sys.exit(status or any(name in sys.modules for name in ('dask', 'distributed')))")
+    command = [sys.executable, '-c', script, *arguments(inputs, 'out', 10)]
+    assert subprocess.run(command, env=ENVIRONMENT, stdout=subprocess.DEVNULL, cwd=ROOT,
+                          check=False).returncode == 0
+
+
+@pytest.mark.slow
+def test_dask_is_missing(inputs):
+    script = ("import sys; sys.modules['distributed'] = None; from rigid_body_ros import cli; "
+              'sys.exit(cli.attitude_ensemble())')
+    command = [sys.executable, '-c', script, *arguments(inputs, 'out', 10, '--scheduler', 'a:1')]
+    result = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    assert result.returncode == 2
+    assert result.stderr == ("attitude_ensemble: error: Python module 'distributed' is not "
+                             'installed; run python3 -m pip install distributed\n')
