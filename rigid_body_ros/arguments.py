@@ -146,11 +146,11 @@ def add_torques(parser: argparse.ArgumentParser) -> None:
                         's, body axes), linear between samples; needs a scene with wheels: true')
 
 
-def add_scheduler(group: argparse._MutuallyExclusiveGroup) -> None:
+def add_scheduler(parser: argparse._ActionsContainer) -> None:
     """Add the option for a Dask scheduler."""
-    group.add_argument('--scheduler', metavar='ADDRESS|FILE', help='compute on the workers of '
-                       'this Dask scheduler: HOST:PORT, tcp://HOST:PORT, or the file that it '
-                       'wrote; it does not change the results')
+    parser.add_argument('--scheduler', metavar='ADDRESS|FILE', help='compute on the workers of '
+                        'this Dask scheduler: HOST:PORT, tcp://HOST:PORT, or the file that it '
+                        'wrote; it does not change the results')
 
 
 def add_report(parser: argparse.ArgumentParser, shows: str) -> None:

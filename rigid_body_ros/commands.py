@@ -28,10 +28,12 @@ from rigid_body_ros.arguments import (
     add_overwrite,
     add_report,
     add_scene,
+    add_scheduler,
     add_torques,
     angle,
     command_line,
     load_scene,
+    note,
     parsed,
     Parser,
     positive,
@@ -44,7 +46,7 @@ from rigid_body_ros.runtime.terminal import show
 if TYPE_CHECKING:
     from rigid_body_ros.replay import Replay
     from rigid_body_ros.replay.index import Picture
-    from rigid_body_ros.replay.many import Outcome
+    from rigid_body_ros.replay.many import Outcome, Pool
     from rigid_body_ros.replay.page import Collector
     from rigid_body_ros.scene import Scene
     from rigid_body_ros.state import State
@@ -124,7 +126,11 @@ def _replay(options: argparse.Namespace) -> int:
             files.overwriting(options.overwrite):
         if options.verify:
             return _verify(options)
-        return _replay_many(options) if len(options.input) > 1 else _replay_one(options)
+        if len(options.input) > 1:
+            return _replay_many(options)
+        if options.scheduler:
+            raise InputError('--scheduler: expected several recordings, found one')
+        return _replay_one(options)
 
 
 def _replay_one(options: argparse.Namespace) -> int:
@@ -180,7 +186,7 @@ def _replay_many(options: argparse.Namespace) -> int:
     if options.report:
         with files.protected('output', *outputs):
             files.check((options.report, '.html'))
-    outcomes = replay_many(options.input, scene, options.output,
+    outcomes = replay_many(options.input, scene, options.output, _pool(options),
                            collect=_picture() if options.report else None,
                            **_replay_options(options))
     if options.report:
@@ -192,6 +198,13 @@ def _replay_many(options: argparse.Namespace) -> int:
         raise InputError(f'{len(failed)} of {len(outcomes)} recordings failed: '
                          f'{", ".join(failed)}')
     return OK
+
+
+def _pool(options: argparse.Namespace) -> Pool | None:
+    if not options.scheduler:
+        return None
+    from rigid_body_ros.replay.remote import on_cluster
+    return on_cluster(options.scheduler, partial(note, options))
 
 
 def _picture() -> type[Picture]:
@@ -211,7 +224,7 @@ def _verify(options: argparse.Namespace) -> int:
     from rigid_body_ros.replay.verify import summary, verify
     if len(options.input) > 1:
         raise InputError(f'--verify: expected one recording, found {len(options.input)}')
-    unused = [name for name in ('rate', 'until', 'start', 'also', 'plot', 'report')
+    unused = [name for name in ('rate', 'until', 'start', 'also', 'plot', 'report', 'scheduler')
               if getattr(options, name)]
     if unused:
         raise InputError(f'--verify: cannot be combined with --{unused[0]}')
@@ -352,6 +365,7 @@ def replay_parser() -> argparse.ArgumentParser:
                         'its message was logged or published (default: header)')
     parser.add_argument('--plot', metavar='PNG', help='plot Euler angles, quaternion, angular '
                         'velocity and torque over time')
+    add_scheduler(parser)
     add_report(parser, 'the moving body, these plots and the summary; of several recordings, '
                'a row and a small picture each')
     add_overwrite(parser)

@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Replay many recordings in parallel processes."""
+"""Replay many recordings in parallel."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, ExitStack, redirect_stderr, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -62,8 +62,12 @@ class Outcome:
     collected: Collector | None = None
 
 
+#: Generates the outcomes of tasks, with the options of `replay`, in any order.
+Pool = Callable[[Sequence[Task], Scene, dict[str, Any]], Generator[Outcome]]
+
+
 def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
-                **options: Any) -> list[Outcome]:
+                pool: Pool | None = None, **options: Any) -> list[Outcome]:
     """
     Replay recordings into a folder, each to a file of the same name (see `outputs_in`).
 
@@ -75,6 +79,8 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
         The scene of all recordings.
     folder : str or Path
         Created if it does not exist.
+    pool : Pool, optional
+        What replays them (default: a process for each processor).
     options
         As for `replay`.
 
@@ -97,7 +103,8 @@ def replay_many(paths: Sequence[str], scene: Scene, folder: str | Path,
         with files.reported(folder):
             Path(folder).mkdir(parents=True, exist_ok=True)
         with _partial_outputs_reported(Path(folder)), \
-                closing(_in_parallel([*zip(paths, outputs)], scene, options)) as outcomes:
+                closing((pool or _in_processes)([*zip(paths, outputs)], scene, options)
+                        ) as outcomes:
             done = list(progress('recordings', ' files')(outcomes, len(paths)))
     return sorted(done, key=lambda outcome: outputs.index(outcome.output))
 
@@ -161,8 +168,8 @@ def _partial_outputs_reported(folder: Path) -> Iterator[None]:
         raise
 
 
-def _in_parallel(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
-                 ) -> Generator[Outcome]:
+def _in_processes(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
+                  ) -> Generator[Outcome]:
     """Generate the outcomes in the order in which the workers finish."""
     waiting = [*reversed(tasks)]
     idle: list[_Worker] = []
@@ -242,7 +249,7 @@ def _run_worker(connection: Connection, inputs: Sequence[str], overwrite: bool) 
             files.reading(*inputs), files.overwriting(overwrite):
         for work in iter(partial(_next_task, connection), None):
             with redirect_stderr(io.StringIO()):  # one progress bar is enough
-                outcome = _outcome(*work)
+                outcome = replayed(*work)
             with suppress(OSError):  # the parent process has exited
                 connection.send(outcome)
 
@@ -255,7 +262,8 @@ def _next_task(connection: Connection) -> Any:
         return None
 
 
-def _outcome(task: Task, scene: Scene, options: dict[str, Any]) -> Outcome:
+def replayed(task: Task, scene: Scene, options: dict[str, Any]) -> Outcome:
+    """Return the result for one recording."""
     path, output = task
     try:
         result = replay(path, scene, output, **options)

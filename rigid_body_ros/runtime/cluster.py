@@ -163,8 +163,7 @@ def _client(scheduler: str, address: str) -> Client:
 async def _kind(address: str) -> str:
     """Return what is at an address; a client that cannot connect would block at exit."""
     from distributed import rpc, Security
-    remote = rpc(address, timeout=_PATIENCE,
-                 connection_args=Security().get_connection_args('client'))
+    remote = rpc(address, connection_args=Security().get_connection_args('client'))
     try:
         found = await asyncio.wait_for(remote.identity(), _PATIENCE)
         return str(found['type'])
