@@ -16,13 +16,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import closing
 from functools import partial
-from itertools import islice
+from itertools import groupby, islice
+import math
+from operator import itemgetter
 from typing import Any, NoReturn, TYPE_CHECKING
 
+import numpy as np
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.ensemble.runs import Columns, Ensemble
 from rigid_body_ros.runtime.cluster import connected
@@ -38,7 +41,11 @@ Span = tuple[int, int]
 Block = tuple[int, int, Columns]
 #: Generates the blocks of an ensemble in the order in which they are complete.
 Pool = Callable[[Ensemble, list[Span]], Generator[Block]]
+#: The span of a block, and that of a part of it.
+Part = tuple[Span, Span]
 
+#: Number of parts of a block, which different workers may compute: a block may take minutes.
+_PARTS = 8
 #: s; how long a task is computed on a worker: long enough for Dask's cost per task, a few
 #: milliseconds, not to matter, and short enough to lose little with a worker.
 _TASK = 2.0
@@ -94,16 +101,45 @@ def threads(workers: int) -> Pool:
 
 def cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
     """Return the workers of a Dask scheduler, with the arguments and errors of `connected`."""
-    def died(span: Span, why: str) -> NoReturn:
-        raise InputError(f'{scheduler}: cannot compute runs {span[0]} to {span[1] - 1}: {why}; '
-                         'their logs may have the reason')
+    def died(parts: Sequence[Part], why: str) -> NoReturn:
+        raise InputError(f'{scheduler}: cannot compute runs {parts[0][1][0]} to '
+                         f'{parts[-1][1][1] - 1}: {why}; their logs may have the reason')
 
     def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
         if spans:
+            parts = [part for span in spans for part in _parts(span)]
             with connected(scheduler, note) as found:
-                yield from found.results(partial(_block, ensemble), spans, died, _TASK)
+                yield from _joined(found.results(partial(_computed, ensemble), parts, died, _TASK))
     return blocks
 
 
 def _block(ensemble: Ensemble, span: Span) -> Block:
     return *span, ensemble.rows(*span)
+
+
+def _parts(span: Span) -> Iterator[Part]:
+    size = math.ceil((span[1] - span[0]) / _PARTS)
+    for first in range(*span, size):
+        yield span, (first, min(first + size, span[1]))
+
+
+def _computed(ensemble: Ensemble, parts: Sequence[Part]) -> list[tuple[Span, Block]]:
+    """Compute, on a worker, consecutive parts; those of a block at once, which is faster."""
+    found = []
+    for span, same in groupby(parts, itemgetter(0)):
+        spans = [part for _, part in same]
+        found.append((span, _block(ensemble, (spans[0][0], spans[-1][1]))))
+    return found
+
+
+def _joined(parts: Iterable[tuple[Span, Block]]) -> Iterator[Block]:
+    """Generate each block as soon as all of its parts are there."""
+    waiting: dict[Span, list[Block]] = {}
+    for span, part in parts:
+        found = waiting.setdefault(span, [])
+        found.append(part)
+        if sum(map(runs_of, found)) == span[1] - span[0]:
+            found.sort(key=itemgetter(0))
+            yield *span, {name: np.concatenate([columns[name] for *_, columns in found])
+                          for name in part[2]}
+            del waiting[span]

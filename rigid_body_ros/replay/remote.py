@@ -71,7 +71,10 @@ class _Replay:
     scene: Scene
     options: dict[str, Any]
 
-    def __call__(self, task: Task) -> Outcome:
+    def __call__(self, tasks: Sequence[Task]) -> list[Outcome]:
+        return [self._outcome(task) for task in tasks]
+
+    def _outcome(self, task: Task) -> Outcome:
         if not os.path.isdir(self.shared):
             return Outcome(*task, error=f'{task[1]}: expected a folder that all workers share, '
                            f'not found on {socket.gethostname()}')
@@ -84,5 +87,5 @@ def _absolute(task: Task) -> Task:
     return os.path.abspath(path), os.path.abspath(output)
 
 
-def _died(task: Task, why: str) -> Outcome:
-    return Outcome(*task, error=f'{task[0]}: {why}')
+def _died(tasks: Sequence[Task], why: str) -> list[Outcome]:
+    return [Outcome(*task, error=f'{task[0]}: {why}') for task in tasks]

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -42,6 +42,11 @@ from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 
 if TYPE_CHECKING:  # takes a second to import, and only --scheduler needs it
     from distributed import Client, Future
+
+#: Returns results for a list of items.
+Function = Callable[[list[Any]], list[Any]]
+#: Returns results for a list of items that no worker survives, and for the reason.
+Died = Callable[[list[Any], str], list[Any]]
 
 #: s; how long to try to connect, and how often to look for signals and new workers.
 _PATIENCE, _INTERVAL = 10.0, 0.1
@@ -69,8 +74,8 @@ class Cluster:
     client: Client
     note: Callable[[str], None]
 
-    def results(self, function: Callable[[Any], Any], items: Iterable[Any],
-                died: Callable[[Any, str], Any], seconds: float = 0.0) -> Iterator[Any]:
+    def results(self, function: Function, items: Iterable[Any], died: Died,
+                seconds: float = 0.0) -> Iterator[Any]:
         """
         Generate the results of a function for all items, in the order in which tasks finish.
 
@@ -79,12 +84,12 @@ class Cluster:
 
         Parameters
         ----------
-        function : function of an item
-            Sent once to each worker, by pickle.
+        function : function of a list of items
+            Returns a list of results. Sent once to each worker, by pickle.
         items : iterable
-            What the function takes, by pickle.
-        died : function of an item and a reason
-            Returns the result for an item if all workers die that try to compute it.
+            A task has consecutive ones, by pickle.
+        died : function of a list of items and a reason
+            Returns the results if all workers die that try to compute them.
         seconds : float, s
             Approximate duration of a task, which has at least one item.
 
@@ -194,14 +199,14 @@ class _Work:
     Parameters
     ----------
     cluster : Cluster
-    function : function of an item
+    function : function of a list of items
     items : deque
     seconds : float, s
         Approximate duration of a task.
 
     """
 
-    def __init__(self, cluster: Cluster, function: Callable[[Any], Any], items: deque[Any],
+    def __init__(self, cluster: Cluster, function: Function, items: deque[Any],
                  seconds: float) -> None:
         self._cluster, self._items, self._seconds = cluster, items, seconds
         # A task, unlike scattered data, is computed again if all workers die that have it.
@@ -213,8 +218,8 @@ class _Work:
         self._rate = 0.0
         self._has_workers = True
 
-    def results(self, died: Callable[[Any, str], Any]) -> Iterator[Any]:
-        """Generate the results; `died` returns that of an item which no worker survives."""
+    def results(self, died: Died) -> Iterator[Any]:
+        """Generate the results; `died` returns those of items which no worker survives."""
         self._submit()
         while self._busy:
             done = self._next()
@@ -250,14 +255,12 @@ class _Work:
             except Empty:
                 self._submit()  # new workers may have joined
 
-    def _results(self, done: Future, items: Sequence[Any],
-                 died: Callable[[Any, str], Any]) -> list[Any]:
+    def _results(self, done: Future, items: list[Any], died: Died) -> list[Any]:
         from distributed import KilledWorker
         try:
             results, seconds = done.result()
         except KilledWorker as error:
-            text = f'{error.allowed_failures + 1} workers died one after the other'
-            return [died(item, text) for item in items]
+            return died(items, f'{error.allowed_failures + 1} workers died one after the other')
         except ImportError as error:
             raise InputError(f'{self._cluster.name}: a worker cannot import what it needs of '
                              f'{NAME}: {reason(error)}') from error
@@ -283,7 +286,7 @@ class _Call:
     """
 
     versions: Mapping[str, str]
-    items: Sequence[Any]
+    items: list[Any]
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
         return _compute, (self.versions, pickle.PickleBuffer(b''), self.items)
@@ -293,7 +296,7 @@ def _out_of_band(buffer: pickle.PickleBuffer) -> None:
     """Leave a buffer out of a pickle."""
 
 
-def _compute(versions: Mapping[str, str], function: bytes, items: Sequence[Any]
+def _compute(versions: Mapping[str, str], function: bytes, items: list[Any]
              ) -> tuple[list[Any], float]:
     """Return, on a worker, the results for some items, and how long they took, s."""
     for name, found in _versions().items():
@@ -302,11 +305,11 @@ def _compute(versions: Mapping[str, str], function: bytes, items: Sequence[Any]
                              f'{name} {versions.get(name)}, found {found}; other versions may '
                              'give other bits')
     began = time.perf_counter()
-    call = _loaded(function)
-    return [call(item) for item in items], time.perf_counter() - began
+    results = _loaded(function)(items)
+    return results, time.perf_counter() - began
 
 
 @lru_cache(maxsize=1)  # for all tasks of a worker
-def _loaded(function: bytes) -> Callable[[Any], Any]:
-    loaded: Callable[[Any], Any] = pickle.loads(function)
+def _loaded(function: bytes) -> Function:
+    loaded: Function = pickle.loads(function)
     return loaded

@@ -1,0 +1,101 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Compare two worker processes of Dask with one, for runs of the demo under its recorded torques.
+
+    python benchmarks/cluster.py [--runs N] [--rounds N]
+
+Each ensemble is computed into a new folder by one or two worker processes with one thread each,
+in turns. The workers have loaded the kernels before; the time includes what the command does with
+the runs, but not the start of the cluster. The table has the medians, and what a million runs
+cost.
+"""
+
+import argparse
+from functools import partial
+import os
+from pathlib import Path
+import statistics
+from tempfile import TemporaryDirectory
+import time
+
+from distributed import LocalCluster
+import numpy as np
+from rigid_body_ros import replay, scene
+from rigid_body_ros.ensemble import driver
+from rigid_body_ros.ensemble.dispersions import Dispersion
+from rigid_body_ros.ensemble.folder import Folder
+from rigid_body_ros.ensemble.runs import Ensemble
+
+HERE = Path(__file__).resolve().parent
+SCENE = HERE.parent / 'config' / 'tumbler.yaml'
+RECORDING = HERE.parent / 'test' / 'recordings' / 'tumbler.mcap'
+VARY = (Dispersion('inertia', 'relative', (0.05,)),
+        Dispersion('initial_attitude', 'tilt', (0.02,)),
+        Dispersion('torque_gain', 'normal', (0.03,)))
+#: The rate of two worker processes, divided by that of one, at least.
+BAR = 1.7
+
+
+def ensemble():
+    """Return the motions to compute."""
+    loaded = scene.load(SCENE)
+    logs, wheels, stamps, start = replay.torques(RECORDING, loaded, replay.topics_of(None))
+    return Ensemble(loaded, start, tuple(logs), wheels, int(stamps[-1]), VARY, 0)
+
+
+def seconds(motions, runs, workers):
+    """Return how long some worker processes take, s."""
+    # Without these addresses the metrics would be served on all interfaces.
+    with LocalCluster(n_workers=workers, threads_per_worker=1, host='127.0.0.1',
+                      dashboard_address='127.0.0.1:0',
+                      worker_dashboard_address='127.0.0.1:0') as started, \
+            TemporaryDirectory() as folder:
+        compute = partial(computed, motions, started.scheduler_address)
+        compute(1000, f'{folder}/first')
+        began = time.perf_counter()
+        compute(runs, f'{folder}/timed')
+        return time.perf_counter() - began
+
+
+def computed(motions, address, runs, path):
+    """Compute an ensemble into a folder."""
+    driver.compute(motions, Folder(path, {}, motions.columns, runs), driver.cluster(
+        address, print), lambda blocks, total: blocks)
+
+
+def main():
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument('--runs', type=int, default=100_000)
+    parser.add_argument('--rounds', type=int, default=3)
+    options = parser.parse_args()
+    motions = ensemble()
+    times = {1: [], 2: []}
+    for number in range(options.rounds):
+        for workers in (1, 2) if number % 2 else (2, 1):
+            times[workers].append(seconds(motions, options.runs, workers))
+            print(f'{workers} worker processes: {times[workers][-1]:.1f} s, load '
+                  f'{os.getloadavg()[0]:.1f}', flush=True)
+    for workers, found in times.items():
+        rate = options.runs / statistics.median(found)
+        print(f'{workers} worker processes: {rate:.0f} runs/s, '
+              f'{workers * 1e6 / rate / 3600:.2f} processor hours for a million runs')
+    ratios = np.divide(times[1], times[2])
+    print(f'ratio: median {np.median(ratios):.2f} of {np.round(ratios, 2)}, expected {BAR}')
+
+
+if __name__ == '__main__':
+    main()
