@@ -106,6 +106,8 @@ def _symmetric_part(tensors: Floats) -> Floats:
 
 
 def _almost_symmetric(tensors: Floats) -> NDArray[np.bool_]:
+    if np.array_equal(tensors, tensors.transpose(0, 2, 1)):
+        return np.ones(len(tensors), np.bool_)
     with np.errstate(invalid='ignore', over='ignore'):
         differences = np.abs(tensors - tensors.transpose(0, 2, 1)).max(axis=(1, 2))
     return np.asarray(differences <= ROUNDING * np.abs(tensors).max(axis=(1, 2)))

@@ -166,7 +166,7 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
                     table, extras)
     delta_u = delta_q = four.zero(state[0])
     for k in range(order, 0, -1):  # the small terms first
-        delta_u = add(delta_u, four.load(table, _row(table, k) + _U))
+        delta_u = add(delta_u, _without_fourth(table, four.load(table, _row(table, k) + _U)))
         delta_q = add(delta_q, four.load(table, _row(table, k) + _ROTATION))
     excess = fma(0.5, dot(delta_q, delta_q), delta_q[3])
     norm = math.sqrt(1.0 + 2.0 * excess)  # a truncated series is not of unit norm

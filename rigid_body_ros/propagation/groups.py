@@ -95,7 +95,7 @@ def advance(group: Group, times_ns: NDArray[np.int64], order: NDArray[np.intp], 
         As for `loop.run`, where `order` is `rows`.
     log : Log
         Of all runs.
-    settings : float64 (6,)
+    settings : float64 (7,)
         See `layout.pack_settings`.
 
     Returns

@@ -44,7 +44,7 @@ _STATES = 3 * state_layout.SIZE
 #: Value of SAMPLE that makes the kernel find the sample in force at the beginning of the segment.
 IN_FORCE = -2
 #: Offsets in the array of options.
-_SOLVER, _FIXED_STEP, _CLOSED_FORM_BEYOND, _TOLERANCE, _MAX_STEP_NS, _TIMEOUT_NS = range(6)
+_SOLVER, _FIXED_STEP, _CLOSED_FORM_BEYOND, _TOLERANCE, _MAX_STEP_NS, _TIMEOUT_NS, _ANGLE = range(7)
 
 
 class Body(NamedTuple):
@@ -129,8 +129,12 @@ class States(NamedTuple):
 
 def pack_settings(solver: int, fixed_step: bool, closed_form_beyond: float, tolerance: float,
                   max_step_ns: int, timeout_ns: int) -> Floats:
-    """Return options as an array. Nanoseconds rounded from seconds fit a double exactly."""
-    settings = np.empty(6)
+    """
+    Return options as an array. Nanoseconds rounded from seconds fit a double exactly.
+
+    The kernels add the angle of a full step.
+    """
+    settings = np.zeros(7)
     settings[_SOLVER], settings[_FIXED_STEP] = solver, fixed_step
     settings[_CLOSED_FORM_BEYOND], settings[_TOLERANCE] = closed_form_beyond, tolerance
     settings[_MAX_STEP_NS], settings[_TIMEOUT_NS] = max_step_ns, timeout_ns
@@ -141,8 +145,10 @@ def pack_settings(solver: int, fixed_step: bool, closed_form_beyond: float, tole
 def unpack_method(settings: Floats) -> Method:
     """Return the solver, its tolerance and its limits on a step."""
     tolerance = float(settings[_TOLERANCE])
+    if settings[_ANGLE] == 0.0:  # kept for the next call: the logarithm takes as long as a step
+        settings[_ANGLE] = taylor.step_angle(tolerance)
     return Method(int(settings[_SOLVER]), settings[_FIXED_STEP] != 0.0,
-                  float(settings[_CLOSED_FORM_BEYOND]), tolerance, taylor.step_angle(tolerance),
+                  float(settings[_CLOSED_FORM_BEYOND]), tolerance, float(settings[_ANGLE]),
                   int(settings[_MAX_STEP_NS]))
 
 

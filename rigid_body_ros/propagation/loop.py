@@ -80,7 +80,7 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
         See `layout.Log`.
     constants : float64 (128,)
         See `body_layout.pack`.
-    settings : float64 (6,)
+    settings : float64 (7,)
         See `layout.pack_settings`.
     budget : int
         Units of work, at least 1, after which to return; see `stepping.STEP_COST`.
