@@ -21,11 +21,13 @@ Measure attitude_ensemble: runs per second with one worker and with two, and the
 The scene is the CubeSat of the demo, for a minute: under its recording (3001 torques), and without
 torque. One worker and two take turns, each in a process of its own that has loaded the kernels
 before; the ratio is the median of the pairs. The time is that of the whole command with its files,
-without the start of Python. Other load on the machine counts, so its average is printed. With
---once, a single measurement is printed as JSON. Linux only.
+without the start of Python. Time in which the workers wait for a processor that other processes
+use does not count; the load average is printed. With --once, a single measurement is printed as
+JSON. Linux only.
 """
 
 import argparse
+from contextlib import suppress
 import json
 import os
 from pathlib import Path
@@ -33,6 +35,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 
 from rigid_body_ros import cli
@@ -47,21 +50,53 @@ initial_angular_velocity.y: {uniform: [0.5, 0.7]}
 GAIN = 'torque_gain: {normal: 0.03}\n'
 
 
+class Watch(threading.Thread):
+    """Record the time in which the threads of this process ran, and waited for a processor."""
+
+    def __init__(self):
+        super().__init__(daemon=True)
+        self._times, self._end = {}, threading.Event()
+
+    def run(self):
+        """Read the times of all threads until the end."""
+        while not self._end.wait(0.02):
+            for task in Path('/proc/self/task').iterdir():
+                with suppress(OSError):  # the thread has ended
+                    ran, waited, _ = (task / 'schedstat').read_text().split()
+                    first = self._times.setdefault(task.name, (int(ran), int(waited)))[:2]
+                    self._times[task.name] = *first, int(ran), int(waited)
+
+    def waited(self, count):
+        """Return the mean time, s, that the busiest threads waited."""
+        self._end.set()
+        self.join()
+        threads = sorted((ran - ran_before, waited - waited_before) for
+                         ran_before, waited_before, ran, waited in self._times.values())
+        return sum(waited for _, waited in threads[-count:]) / count / 1e9
+
+
 def once(free, runs, workers):
-    """Return rate, 1/s, processor time per run, us, and peak memory, MB, of this process."""
+    """
+    Return what a run of the command takes in this process.
+
+    They are the rate, 1/s, and the time, s, without waiting for a processor; the time that the
+    workers waited, s; processor time per run, us; and peak memory, MB.
+    """
     with tempfile.TemporaryDirectory() as folder:
         vary = Path(folder) / 'vary.yaml'
         vary.write_text(VARY if free else VARY + GAIN)
         given = ['--scene', SCENE, '--vary', vary, '--workers', workers,
                  *(['--until', 60] if free else ['--recording', RECORDING])]
         compute([*given, '--runs', 10, '-o', Path(folder) / 'first'])
-        began, used = time.perf_counter(), time.process_time()
+        watch, began, used = Watch(), time.perf_counter(), time.process_time()
+        watch.start()
         compute([*given, '--runs', runs, '-o', Path(folder) / 'runs'])
         taken, used = time.perf_counter() - began, time.process_time() - used
+        waited = watch.waited(workers)
     lines = Path('/proc/self/status').read_text().splitlines()
     peak = next(int(line.split()[1]) for line in lines if line.startswith('VmHWM'))
-    return {'rate': runs / taken, 'seconds': taken, 'processor_us': 1e6 * used / runs,
-            'peak_mb': peak * 1024 / 1e6}
+    return {'rate': runs / (taken - waited), 'seconds': taken - waited, 'waited': waited,
+            'processor_us': 1e6 * used / runs, 'peak_mb': peak * 1024 / 1e6}
 
 
 def compute(given):

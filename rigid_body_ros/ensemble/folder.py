@@ -41,6 +41,8 @@ from rigid_body_ros.runtime import files
 BLOCKS, LONGEST = 32, 2048
 #: Rows in a row group of `runs.parquet`.
 GROUP = 2 ** 16
+#: Columns of which many rows are equal; a dictionary of the others takes time and space.
+_REPEATED = ['status', 'message']
 #: Names of blocks, and of the parts of them that a dead process left; no other file is removed.
 _BLOCK = re.compile(r'(\d{9})-(\d{9,10})\.parquet')
 _PART = re.compile(r'\.\d{9}-\d{9,10}\.parquet\.[0-9a-f]{16}\.\d+\.part')
@@ -120,7 +122,7 @@ class Folder:
             [arrow.array(rows[field.name], field.type, from_pandas=True)
              for field in self._schema], schema=self._schema)
         with files.atomic_output(self._block(first, stop), '.parquet') as path:
-            parquet.write_table(table, path)
+            parquet.write_table(table, path, use_dictionary=_REPEATED)
 
     def write(self, name: str, data: Mapping[str, Any]) -> None:
         """Write a JSON file into the folder; raise InputError if that fails."""
@@ -130,7 +132,7 @@ class Folder:
     def complete(self) -> None:
         """Put the blocks together to `runs.parquet`; raise InputError if that fails."""
         with files.atomic_output(self.table, '.parquet') as path, \
-                parquet.ParquetWriter(path, self._schema) as writer:
+                parquet.ParquetWriter(path, self._schema, use_dictionary=_REPEATED) as writer:
             for group in self._groups():
                 writer.write_table(group, GROUP)
         kept = {self._block(*span) for span in self._present()}
