@@ -139,6 +139,20 @@ def test_runs_that_step_together_have_the_bits_of_each_alone(tolerance, moments,
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize('gain', [1.0, 0.0])
+@pytest.mark.parametrize(('interval_ns', 'samples'), [(7 * SECOND, 12), (SECOND // 500, 3000)])
+def test_runs_that_step_together_have_torques_of_their_own_gains(gain, interval_ns, samples):
+    bodies, starts, log = together(interval_ns, samples)
+    gains, at = np.linspace(-1.0, 2.0, COUNT), [int(log.times_ns[-1]) + 5]
+    gains[3] = gain
+    found = propagate_many(bodies, starts, log, at=at, torque_gains=gains)
+    for k in range(COUNT):
+        alone = propagate(bodies[k], starts[k], log.with_torques(gains[k] * log.torques), at=at)
+        assert found.attitude[k].tobytes() == alone.attitude.tobytes()
+        assert found.angular_velocity[k].tobytes() == alone.angular_velocity.tobytes()
+
+
+@pytest.mark.slow
 def test_a_run_that_becomes_too_fast_does_not_disturb_those_beside_it():
     bodies, starts, _ = together(SECOND, 1)
     tensors = bodies.inertia.copy()
@@ -161,7 +175,7 @@ def test_runs_like_each_other_step_together(interval_ns, samples):
     bodies, starts, log = together(interval_ns, samples)
     progress, end_ns = np.zeros((COUNT, layout.DONE + 1), np.int64), int(log.times_ns[-1])
     group = Group(np.arange(LANES) + 3, np.concatenate([starts._packed] * 3, axis=1), progress,
-                  bodies._constants, callable_(groups.workspace)())
+                  bodies._constants, np.ones(COUNT), callable_(groups.workspace)())
     piece = Log(log.times_ns, log.torques[:, None], log.in_space, 0, samples, 0)
     steps = callable_(groups.advance)(group, np.array([end_ns]), loop.IN_ORDER, piece,
                                       Options().settings)

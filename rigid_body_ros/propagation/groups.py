@@ -51,11 +51,11 @@ _FEWEST = 4
 BUDGET = 20_000
 #: ns; the group steps no further at once, so that doubles count the time left.
 _FARTHEST = 2 ** 52
-#: Rows of a workspace: the states, the constants of the bodies, the time left, ns, and the table
-#: of the series.
+#: Rows of a workspace: the states, the constants of the bodies, the factors of the torque, the
+#: time left, ns, and the table of the series.
 _STATE, _CONSTANTS = 0, state_layout.SIZE
-_REST = _CONSTANTS + body_layout.SIZE
-_TABLE = _REST + 1
+_GAIN = _CONSTANTS + body_layout.SIZE
+_REST, _TABLE = _GAIN + 1, _GAIN + 2
 _ROWS = _TABLE + taylor.WORKSPACE_OF_LANES
 
 
@@ -68,6 +68,8 @@ class Group(NamedTuple):
     states: Floats
     progress: NDArray[np.int64]
     constants: Floats
+    #: Factors of the torque, an element for each run.
+    gains: Floats
     #: See `workspace`.
     work: Floats
 
@@ -123,6 +125,12 @@ def advance(group: Group, times_ns: NDArray[np.int64], order: NDArray[np.intp], 
 
 
 @inlined
+def _acts_in_every_lane(torque: vector.Vector) -> bool:
+    # Return whether no torque is zero: without torque, `loop.run` may use the closed form.
+    return lanes.every(vector.total(four.absolute(torque)) > 0.0)
+
+
+@inlined
 def _torque(log: Log, sample: int) -> vector.Vector:
     return intervals.coefficient(log.polynomials, sample - log.first, 0)
 
@@ -157,15 +165,15 @@ def _advance_short_steps(group: Group, place: Place, limit_ns: int, log: Log, bo
         return 0
     _load(group)
     coefficients = body_layout.coefficients(group.work[_CONSTANTS:])
-    state = state_layout.load(group.work, _STATE)
+    state, gain = state_layout.load(group.work, _STATE), lanes.load(group.work, _GAIN)
     while sample < min(log.stop, len(stamps_ns) - 1, place.sample + BUDGET):
-        next_ns, torque = stamps_ns[sample + 1], _torque(log, sample)
+        next_ns, torque = stamps_ns[sample + 1], vector.scale(gain, _torque(log, sample))
         lanes_acceleration = euler_equations.acceleration_from_torque(
             coefficients, body.form, torque)
         span_ns = next_ns - grid_ns
         seconds = span_ns / 1e9
         if (limit_ns < next_ns or span_ns >= method.max_step_ns or log.in_space[sample]
-                or layout.is_zero_vector(torque)
+                or not _acts_in_every_lane(torque)
                 or 0 < log.timeout_ns < next_ns - stamps_ns[sample]
                 or not lanes.every(short_step.is_accurate(
                     state, seconds, lanes_acceleration, method.tolerance, None))):
@@ -198,14 +206,17 @@ def _begin_together(group: Group, time_ns: int) -> bool:
 def _advance_grids(group: Group, limit_ns: int, torque: vector.Vector, body: Body,
                    method: Method) -> int:
     # Take all steps on the grid but the last before a time within the segment. Return how many.
-    if layout.is_zero_vector(torque) or not _are_many(group, limit_ns, torque, body, method):
+    if not _are_many(group, limit_ns, torque, body, method):
         return 0
     limit_ns = min(limit_ns, group.progress[group.rows[0], layout.GRID_NS] + _FARTHEST)
     _load(group)
     for lane in range(LANES):
         group.work[_REST, lane] = limit_ns - group.progress[group.rows[lane], layout.GRID_NS]
     coefficients = body_layout.coefficients(group.work[_CONSTANTS:])
-    acceleration = euler_equations.acceleration_from_torque(coefficients, body.form, torque)
+    torques = vector.scale(lanes.load(group.work, _GAIN), torque)
+    if not _acts_in_every_lane(torques):
+        return 0
+    acceleration = euler_equations.acceleration_from_torque(coefficients, body.form, torques)
     none = four.zero(acceleration)
     drive = acceleration, none, none, none
     bound = euler_equations.acceleration_bound(drive, False, coefficients)
@@ -269,9 +280,10 @@ def _are_many(group: Group, limit_ns: int, torque: vector.Vector, body: Body,
 
 @internal
 def _load(group: Group) -> None:
-    # Gather the states on the grid and the constants of the bodies.
+    # Gather the states on the grid, the constants of the bodies and the factors of the torque.
     for lane in range(LANES):
         row = group.rows[lane]
+        group.work[_GAIN, lane] = group.gains[row]
         for k in range(state_layout.SIZE):
             group.work[_STATE + k, lane] = group.states[row, k]
         for k in range(body_layout.SIZE):

@@ -212,25 +212,26 @@ def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs:
     # registers.
     grid_ns, sample, done = place.grid_ns, place.sample, place.done
     times_ns, rows, motion, _ = outputs
-    stamps_ns, polynomials, in_space, _, _, timeout_ns = log
-    extras = intervals.during_step(terms, sample, 1.0, linear)
+    stamps_ns, polynomials, in_space, first, _, timeout_ns = log
+    extras = intervals.during_step(terms, sample - first, 1.0, linear)
     while sample < last and done < len(times_ns):
         row = done if len(rows) == 0 else rows[done]
         if times_ns[row] == grid_ns:
             motion_layout.store(grid, row, motion)
             done += 1
             continue
-        next_ns, torque = stamps_ns[sample + 1], intervals.coefficient(polynomials, sample, 0)
+        index, next_ns = sample - first, stamps_ns[sample + 1]
+        torque = intervals.coefficient(polynomials, index, 0)
         acceleration = euler_equations.acceleration_from_torque(
             body.coefficients, body.form, torque)
         span_ns = next_ns - grid_ns
         seconds = span_ns / 1e9
         if intervals.terms_vary(terms):
-            extras = intervals.during_step(terms, sample, seconds, linear)
+            extras = intervals.during_step(terms, index, seconds, linear)
         if (times_ns[row] < next_ns or span_ns >= method.max_step_ns
                 or (in_space[sample] and not layout.is_zero_vector(torque))
                 or (layout.is_zero_vector(torque)
-                    and intervals.coasts(polynomials, terms, sample, linear))
+                    and intervals.coasts(polynomials, terms, index, linear))
                 or 0 < timeout_ns < next_ns - stamps_ns[sample]
                 or not short_step.is_accurate(grid, seconds, acceleration, method.tolerance,
                                               extras)):

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+import math
 import time
 
 import numpy as np
@@ -122,8 +123,9 @@ def propagate_many(bodies: RigidBodies, starts: States,
     gains = None if torque_gains is None else np.array(torque_gains, float)
     if gains is not None and gains.shape != (len(bodies),):
         raise ValueError(f'torque_gains: expected shape ({len(bodies)},), found {gains.shape}')
-    if gains is None and (log is None or isinstance(log, TorqueLog)):
-        runs.advance(log or _NO_LOG, np.arange(len(bodies)))
+    shared = _NO_LOG if log is None else log
+    if isinstance(shared, TorqueLog) and (gains is None or _can_scale(shared, gains)):
+        runs.advance(shared, np.arange(len(bodies)), gains)
         return runs.trajectories()
     for row, each in enumerate(logs):
         if gains is not None:
@@ -133,6 +135,17 @@ def propagate_many(bodies: RigidBodies, starts: States,
         else:
             runs.advance_summed(each, row)
     return runs.trajectories()
+
+
+def _can_scale(log: TorqueLog, gains: Floats) -> bool:
+    """
+    Return whether the kernels can multiply the torques of a log.
+
+    They multiply the coefficients of its polynomials, which for held torques are the torques. If a
+    product is not finite, `TorqueLog` reports it.
+    """
+    largest = float(np.abs(gains).max()) * float(np.abs(log.torques).max(initial=0.0))
+    return log.interpolation == 'hold' and math.isfinite(largest)
 
 
 def _logs_of_each(log: TorqueLog | Sequence[TorqueLog | Sequence[TorqueLog]] | None,
@@ -169,8 +182,9 @@ class _Runs:
         self._motions: Floats = np.empty((len(bodies), motion_layout.SIZE * self._times.size))
         self._failed = np.array([bool(message) for message in self._messages])
 
-    def advance(self, log: TorqueLog, which: NDArray[np.intp]) -> None:
-        """Compute some of the runs, those that share a log."""
+    def advance(self, log: TorqueLog, which: NDArray[np.intp],
+                gains: Floats | None = None) -> None:
+        """Compute some of the runs, those that share a log, times a gain for each of all runs."""
         check_solver(self._options, log)
         which = which[~self._failed[which]]
         if not (which.size and self._times.size):
@@ -184,7 +198,7 @@ class _Runs:
         for begin, stop, polynomials in log.polynomials(first):
             piece = log.times_ns, polynomials, log.in_space, begin, stop
             for rows, terms in ((which[~damped], None), (which[damped], np.zeros((1, 4, 3)))):
-                self._run(rows, piece, self._options.settings, terms)
+                self._run(rows, piece, self._options.settings, terms, gains)
         self._report(which)
 
     def advance_summed(self, logs: Sequence[TorqueLog], row: int) -> None:
@@ -212,15 +226,16 @@ class _Runs:
                 int(self._progress[row, layout.GRID_NS])))
 
     def _run(self, which: NDArray[np.intp], piece: _Piece, settings: Floats,
-             terms: Floats | None) -> None:
+             terms: Floats | None, gains: Floats | None = None) -> None:
         """Run the loop over some runs, in chunks."""
         done, chunk = 0, LANES
+        gains = np.ones(len(self._failed)) if gains is None else gains
         while done < len(which):
             began = time.monotonic()
             done += many_loop.run_each(
                 which[done:done + chunk], self._states, self._progress, self._times, self._rows,
                 self._motions, *piece, self._bodies._constants, settings, loop.BUDGET, terms,
-                self._failed)
+                gains, self._failed)
             if time.monotonic() - began < _PATIENCE:
                 chunk *= 2
 

@@ -34,7 +34,7 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
              times_ns: NDArray[np.int64], rows: NDArray[np.intp], motions: Floats,
              stamps_ns: NDArray[np.int64], polynomials: Floats, in_space: NDArray[np.bool_],
              first: int, stop: int, constants: Floats, settings: Floats, budget: int,
-             terms: Floats | None, too_fast: NDArray[np.bool_]) -> int:
+             terms: Floats | None, gains: Floats, too_fast: NDArray[np.bool_]) -> int:
     """
     Run the loop for many runs, some of them in lanes.
 
@@ -46,6 +46,8 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
         A row for each run, see `loop.run`.
     times_ns, rows, stamps_ns, polynomials, in_space, first, stop, settings, budget, terms
         As for `loop.run`, of all runs.
+    gains : array, shape (n,)
+        Factors of the torque; all 1 for a torque that is not held.
     too_fast : array of bool, shape (n,)
         Set where the body becomes too fast; such runs are skipped.
 
@@ -58,7 +60,8 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
     """
     closed = np.empty(len(stamps_ns) + 1, np.bool_)
     log = Log(stamps_ns, polynomials, in_space, first, stop, layout.unpack_timeout(settings))
-    group = Group(np.empty(LANES, np.intp), states, progress, constants, groups.workspace())
+    group = Group(np.empty(LANES, np.intp), states, progress, constants, gains,
+                  groups.workspace())
     for k in range(0, len(which), LANES):
         last = min(k + LANES, len(which)) - 1
         for lane in range(LANES):
@@ -76,9 +79,13 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
             for j in range(k, last + 1):
                 i = which[j]
                 if not too_fast[i]:
+                    begin, torques = first, polynomials
+                    if gains[i] != 1.0:
+                        begin = max(first, progress[i, layout.SAMPLE])
+                        torques = gains[i] * polynomials[begin - first:until + 1 - first]
                     result = loop.run(states[i], progress[i], times_ns, rows, motions[i], closed,
-                                      stamps_ns, polynomials, in_space, first, until,
-                                      constants[i], settings, budget, terms)
+                                      stamps_ns, torques, in_space, begin, until, constants[i],
+                                      settings, budget, terms)
                     if result == loop.UNFINISHED:
                         return j
                     too_fast[i] = result == loop.TOO_FAST
