@@ -362,9 +362,9 @@ def test_an_option_that_is_given_twice_is_refused(option, first, second, capsys)
     assert f'{option}: expected the option at most once, found ' in line
     assert first in line
     assert second in line
-    assert cli.attitude_tradeoff(['--topic', 'a', '--scene', 'b', '--topic=c']) == 2
+    assert cli.attitude_tradeoff(['--scene', 'a', '--topic', 'b', '--scene=c']) == 2
     line, = capsys.readouterr().err.splitlines()
-    assert "--topic: expected the option at most once, found 'a' and 'c'" in line
+    assert "--scene: expected the option at most once, found 'a' and 'c'" in line
 
 
 @pytest.mark.slow

@@ -16,8 +16,8 @@
 Steps of a group of runs, one in each lane.
 
 A group takes the common part of the loop, in the bits of `loop.run`: steps of the series on the
-grid of a segment, and short steps from stamp to stamp, under a torque in body axes. It leaves each
-run at a place from which `loop.run` continues, and that takes all other cases.
+grid of a segment, and single steps from stamp to stamp, under held torques in body axes. It leaves
+each run at a place from which `loop.run` continues, and that takes all other cases.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def advance(group: Group, times_ns: NDArray[np.int64], order: NDArray[np.intp], 
             or not _are_alike(group, place, log, body.form)):
         return 0
     limit_ns = times_ns[place.done if len(order) == 0 else order[place.done]]
-    steps = _advance_short_steps(group, place, limit_ns, log, body, method)
+    steps = _advance_stamps(group, place, limit_ns, log, body, method)
     sample = place.sample + steps
     if sample >= log.stop or log.in_space[sample]:
         return steps
@@ -150,36 +150,34 @@ def _are_alike(group: Group, place: Place, log: Log, form: int) -> bool:
 
 
 @internal
-def _advance_short_steps(group: Group, place: Place, limit_ns: int, log: Log, body: Body,
-                         method: Method) -> int:
-    # Take short steps from stamp to stamp, as `loop.run` does, up to a time. Return their number.
+def _advance_stamps(group: Group, place: Place, limit_ns: int, log: Log, body: Body,
+                    method: Method) -> int:
+    # Step from stamp to stamp, up to a time, as long as one step is enough. Return their number.
     stamps_ns, sample, grid_ns = log.stamps_ns, place.sample, place.grid_ns
     if (sample + _FEWEST >= len(stamps_ns) or stamps_ns[sample + _FEWEST] > limit_ns
             or not _begin_together(group, grid_ns)):
-        return 0
-    acceleration = euler_equations.acceleration_from_torque(
-        body.coefficients, body.form, _torque(log, sample))
-    if not short_step.is_accurate(
-            state_layout.load(group.states[group.rows[0]], 0),
-            (stamps_ns[sample + 1] - grid_ns) / 1e9, acceleration, method.tolerance, None):
         return 0
     _load(group)
     coefficients = body_layout.coefficients(group.work[_CONSTANTS:])
     state, gain = state_layout.load(group.work, _STATE), lanes.load(group.work, _GAIN)
     while sample < min(log.stop, len(stamps_ns) - 1, place.sample + BUDGET):
         next_ns, torque = stamps_ns[sample + 1], vector.scale(gain, _torque(log, sample))
-        lanes_acceleration = euler_equations.acceleration_from_torque(
-            coefficients, body.form, torque)
+        acceleration = euler_equations.acceleration_from_torque(coefficients, body.form, torque)
         span_ns = next_ns - grid_ns
         seconds = span_ns / 1e9
-        if (limit_ns < next_ns or span_ns >= method.max_step_ns or log.in_space[sample]
-                or not _acts_in_every_lane(torque)
-                or 0 < log.timeout_ns < next_ns - stamps_ns[sample]
-                or not lanes.every(short_step.is_accurate(
-                    state, seconds, lanes_acceleration, method.tolerance, None))):
+        if (limit_ns < next_ns or span_ns >= min(method.max_step_ns, _FARTHEST)
+                or log.in_space[sample] or not _acts_in_every_lane(torque)
+                or 0 < log.timeout_ns < next_ns - stamps_ns[sample]):
             break
-        state = short_step.step(state, seconds, coefficients, body.form, lanes_acceleration,
-                                method.tolerance, None)
+        short = short_step.is_accurate(state, seconds, acceleration, method.tolerance, None)
+        if lanes.every(short):
+            state = short_step.step(state, seconds, coefficients, body.form, acceleration,
+                                    method.tolerance, None)
+        elif lanes.some(short) or not _is_full_step(state, span_ns, acceleration, method):
+            break
+        else:
+            state = _step(state, lanes.zero(gain) + seconds, coefficients, body.form,
+                          acceleration, method.tolerance, group.work)
         grid_ns = next_ns
         sample += 1
     state_layout.store(state, group.work, _STATE)
@@ -190,6 +188,26 @@ def _advance_short_steps(group: Group, place: Place, limit_ns: int, log: Log, bo
         layout.store_place(Place(grid_ns, grid_ns, sample, False, place.done),
                            group.progress[row])
     return sample - place.sample
+
+
+@inlined
+def _is_full_step(state: vector.KernelState, span_ns: int, acceleration: vector.Vector,
+                  method: Method) -> bool:
+    # Return whether one step of the series is enough for every run.
+    square, rest_ns = vector.dot(state[0], state[0]), lanes.zero(state[0][0]) + float(span_ns)
+    bound = math.sqrt(vector.dot(acceleration, acceleration))
+    left = lanes.where(_is_one_step(rest_ns, square, bound, method), 0.0, rest_ns)
+    return lanes.every(_full_steps_ns(square, bound, method) >= left)
+
+
+@inlined
+def _step(state: vector.KernelState, seconds: float, coefficients: vector.Coefficients, form: int,
+          acceleration: vector.Vector, tolerance: float, work: Floats) -> vector.KernelState:
+    # Return the states after a step of the series.
+    none = four.zero(acceleration)
+    bound = math.sqrt(vector.dot(acceleration, acceleration))
+    return taylor.step(state, seconds, coefficients, form, (acceleration, none, none, none), 0,
+                       False, bound, tolerance, work[_TABLE:], None)
 
 
 @inlined
@@ -217,9 +235,7 @@ def _advance_grids(group: Group, limit_ns: int, torque: vector.Vector, body: Bod
     if not _acts_in_every_lane(torques):
         return 0
     acceleration = euler_equations.acceleration_from_torque(coefficients, body.form, torques)
-    none = four.zero(acceleration)
-    drive = acceleration, none, none, none
-    bound = euler_equations.acceleration_bound(drive, False, coefficients)
+    bound = math.sqrt(vector.dot(acceleration, acceleration))
     state, rest = state_layout.load(group.work, _STATE), lanes.load(group.work, _REST)
     square, steps = vector.dot(state[0], state[0]), 0
     while steps < BUDGET:
@@ -228,9 +244,8 @@ def _advance_grids(group: Group, limit_ns: int, torque: vector.Vector, body: Bod
         if not lanes.some(moves):
             break
         # For a run whose next step is its last, a step of a nanosecond is computed in vain.
-        latest = taylor.step(state, lanes.where(moves, step_ns, 1.0) / 1e9, coefficients,
-                             body.form, drive, 0, False, bound, method.tolerance,
-                             group.work[_TABLE:], None)
+        latest = _step(state, lanes.where(moves, step_ns, 1.0) / 1e9, coefficients, body.form,
+                       acceleration, method.tolerance, group.work)
         square = vector.dot(latest[0], latest[0])
         if not lanes.every(square <= FASTEST * FASTEST):
             break  # `loop.run` reports it

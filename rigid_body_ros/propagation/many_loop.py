@@ -26,7 +26,7 @@ from rigid_body_ros.propagation.groups import Group
 from rigid_body_ros.propagation.layout import Log
 
 #: Samples after which runs that could not step together are tried again.
-_PIECE = 1024
+_PIECE = 64
 
 
 @njit
