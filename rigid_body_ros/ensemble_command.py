@@ -47,6 +47,9 @@ if TYPE_CHECKING:
     from rigid_body_ros.state import State
     from rigid_body_ros.torque import TorqueLog
 
+#: The value of --times that keeps the final state only.
+FINAL = 'final'
+
 
 def attitude_ensemble(arguments: Sequence[str] | None) -> int:
     """Compute many runs with dispersed parameters."""
@@ -56,11 +59,12 @@ def attitude_ensemble(arguments: Sequence[str] | None) -> int:
     from rigid_body_ros.ensemble.folder import Folder
     with files.reading(options.recording), files.protected('input', options.scene, options.vary):
         ensemble = _ensemble(options)
-        folder = Folder(options.output, _identity(ensemble), ensemble.columns, options.runs)
+        identity = _identity(ensemble, options.times)
+        folder = Folder(options.output, identity, ensemble.columns, options.runs, ensemble.times)
         driver.compute(ensemble, folder, _pool(options), replay.progress(
             'runs', ' runs', driver.runs_of))
         found = summary.summarized(ensemble, folder)
-        folder.write('summary.json', {**_identity(ensemble), **found})
+        folder.write('summary.json', {**identity, **found})
     show(f'{summary.text_of(found)}\n{"wrote":17}{options.output}')
     return 0
 
@@ -74,6 +78,7 @@ def _pool(options: argparse.Namespace) -> Pool:
 
 def _ensemble(options: argparse.Namespace) -> Ensemble:
     from rigid_body_ros.ensemble import dispersions, fitted
+    from rigid_body_ros.ensemble.motions import times_of
     from rigid_body_ros.ensemble.runs import Ensemble
     is_fitted = Path(options.vary).suffix == '.json'
     varied = () if is_fitted else dispersions.load(options.vary)
@@ -82,8 +87,10 @@ def _ensemble(options: argparse.Namespace) -> Ensemble:
         note(options, f'{options.vary}: {listed(estimates.ignored)}: no effect on the motion')
     scene = load_scene(options)
     logs, wheels, start, end_ns = _torques(options, scene)
+    times_ns = None if options.times == FINAL else times_of(start.time_ns, end_ns, options.times)
     try:
-        ensemble = Ensemble(scene, start, logs, wheels, end_ns, varied, options.seed, estimates)
+        ensemble = Ensemble(scene, start, logs, wheels, end_ns, varied, options.seed, estimates,
+                            times_ns)
     except InputError as error:
         raise InputError(f'{options.vary}: {error}') from error
     try:
@@ -109,7 +116,7 @@ def _torques(options: argparse.Namespace, scene: Scene
     return tuple(logs), wheels, start, max(end_ns, start.time_ns)
 
 
-def _identity(ensemble: Ensemble) -> dict[str, Any]:
+def _identity(ensemble: Ensemble, times: float | str) -> dict[str, Any]:
     """Return what the runs depend on, as JSON: folders with the same have the same runs."""
     from rigid_body_ros.runtime.fingerprint import fingerprint
     values = json.dumps(dict(ensemble.scene.values), sort_keys=True)
@@ -118,7 +125,7 @@ def _identity(ensemble: Ensemble) -> dict[str, Any]:
         'seed': ensemble.seed, **_varied(ensemble),
         'scene': f'sha256:{hashlib.sha256(values.encode()).hexdigest()}',
         'recording': recording_hash([*ensemble.logs, *filter(None, [ensemble.wheels])]),
-        'start_ns': ensemble.start.time_ns, 'end_ns': ensemble.end_ns,
+        'start_ns': ensemble.start.time_ns, 'end_ns': ensemble.end_ns, 'times': times,
         'versions': fingerprint()})))
 
 
@@ -161,6 +168,9 @@ def ensemble_parser() -> argparse.ArgumentParser:
     parser.add_argument('--until', type=positive, metavar='SECONDS',
                         help='end SECONDS after the start (default: at the last torque stamp); '
                         'required without a recording')
+    parser.add_argument('--times', type=_times, default=FINAL, metavar=f'HZ|{FINAL}',
+                        help='states to keep: HZ times a second from the start, and the end, in '
+                        'motion.zarr; or the final state only (default: final)')
     parser.add_argument('--seed', type=_integer(0, 2 ** 63 - 1), default=0, metavar='S',
                         help='seed of the random numbers (default: 0)')
     pool = parser.add_mutually_exclusive_group()
@@ -168,9 +178,16 @@ def ensemble_parser() -> argparse.ArgumentParser:
                       'threads; it does not change the results (default: one for each processor)')
     add_scheduler(pool)
     parser.add_argument('-o', '--output', required=True, metavar='FOLDER',
-                        help='folder for runs.parquet and summary.json: a new one, or that of '
-                        'the same ensemble')
+                        help='folder for the results: a new one, or that of the same ensemble')
     return parser
+
+
+def _times(text: str) -> float | str:
+    try:
+        return FINAL if text == FINAL else positive(text)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(str(error).replace(
+            'expected', f'expected {FINAL} or', 1)) from error
 
 
 def _integer(low: int, high: int) -> Callable[[str], int]:

@@ -68,8 +68,10 @@ def run(*given):
 
 
 def contents(path):
-    return {name: (path / name).read_bytes()
-            for name in ('runs.parquet', 'summary.json', 'identity.json')}
+    names = ('runs.parquet', 'summary.json', 'identity.json')
+    return {str(found.relative_to(path)): found.read_bytes()
+            for found in (*(path / name for name in names), *(path / 'motion.zarr').rglob('*'))
+            if found.is_file() or found.name in names}
 
 
 def error_of(capsys, *given):

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The folder of an ensemble: which runs it has, and their rows as Parquet.
+The folder of an ensemble: which runs it has, their rows as Parquet, and their motions.
 
 Runs are computed and written in blocks, each to a file of its own, so that an interrupted ensemble
 goes on where it stopped. A row depends on the number of its run only, and the rows are put
@@ -34,6 +34,8 @@ import pyarrow as arrow
 from pyarrow import parquet
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted, reason
+from rigid_body_ros.ensemble.motions import Motions
+from rigid_body_ros.ensemble.runs import MOTION
 from rigid_body_ros.runtime import files
 
 #: Number of blocks that the missing runs are divided into, so that all workers have some; but a
@@ -64,6 +66,8 @@ class Folder:
         The unit of each column of numbers.
     runs : int
         Number of runs, at least that of the folder.
+    times : array, shape (m,), s, optional
+        Times since the start of the states that are kept; none by default.
 
     Raises
     ------
@@ -74,8 +78,8 @@ class Folder:
     """
 
     def __init__(self, path: str | Path, identity: Mapping[str, Any], units: Mapping[str, str],
-                 runs: int) -> None:
-        self.path, self.runs = Path(path), runs
+                 runs: int, times: Floats | None = None) -> None:
+        self.path, self.runs, self.times = Path(path), runs, times
         self._schema = arrow.schema([
             ('run', arrow.int64()), ('status', arrow.string()), ('message', arrow.string()),
             *(arrow.field(name, arrow.float64(), metadata={'unit': unit})
@@ -85,6 +89,7 @@ class Folder:
         with files.reported(path):
             self._blocks.mkdir(parents=True, exist_ok=True)
         self.write('identity.json', {'runs': runs, **identity})
+        self._motions = None if times is None else Motions(self.path / 'motion.zarr', times, runs)
 
     @property
     def table(self) -> Path:
@@ -98,19 +103,22 @@ class Folder:
         gaps = [*zip(begins, [*ends, self.runs])]
         runs = sum(end - begin for begin, end in gaps)
         longest = min(max(runs // BLOCKS, 1), LONGEST)
+        if self._motions:
+            longest = self._motions.block(longest)
         return [(first, min(first + longest, end)) for begin, end in gaps
                 for first in range(begin, end, longest)]
 
     def add(self, first: int, stop: int, rows: Mapping[str, NDArray[Any]]) -> None:
         """
-        Write the rows of a block.
+        Write the rows of a block, and its motions before them.
 
         Parameters
         ----------
         first, stop : int
             The first run, and the one after the last.
         rows : mapping
-            Arrays of equal length by column; NaN stands for a number that is missing.
+            Arrays of equal length by column; NaN stands for a number that is missing. If the
+            folder has times, 'motion', shape (n, m, 7), as well.
 
         Raises
         ------
@@ -118,6 +126,8 @@ class Folder:
             The file cannot be written.
 
         """
+        if self._motions:
+            self._motions.write(first, rows[MOTION])
         table = arrow.Table.from_arrays(
             [arrow.array(rows[field.name], field.type, from_pandas=True)
              for field in self._schema], schema=self._schema)
@@ -139,6 +149,29 @@ class Folder:
         for path in self._blocks.iterdir():
             if path not in kept and (_BLOCK.fullmatch(path.name) or _PART.fullmatch(path.name)):
                 path.unlink()
+        if self._motions:
+            self._motions.remove_parts()
+
+    def motions(self) -> Iterator[tuple[int, Floats]]:
+        """
+        Generate the motions of all runs, in chunks that fit into memory.
+
+        Yields
+        ------
+        first : int
+            The first run of the chunk.
+        motions : array, shape (n, m, 7)
+            Attitude, x y z w, body to space, and angular velocity, rad/s, body axes, at `times`;
+            NaN for failed runs.
+
+        Raises
+        ------
+        InputError
+            They cannot be read.
+
+        """
+        if self._motions:
+            yield from self._motions.chunks()
 
     def numbers(self, name: str, stop: int) -> Floats:
         """Return a column of the first runs of `runs.parquet`, NaN for failed ones."""
@@ -195,7 +228,7 @@ class Folder:
             if end <= first < stop <= self.runs:
                 present.append((first, stop))
                 end = stop
-        return present
+        return self._motions.present(present) if self._motions else present
 
     def _groups(self) -> Iterator[arrow.Table]:
         """Generate all rows, in tables of as many rows as a row group has."""

@@ -46,7 +46,7 @@ from rigid_body_ros.ensemble.dispersions import (
 )
 from rigid_body_ros.ensemble.fitted import Fitted
 from rigid_body_ros.ensemble.streams import stream
-from rigid_body_ros.propagation import propagate, propagate_many, Trajectory
+from rigid_body_ros.propagation import propagate, propagate_many
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
@@ -56,19 +56,19 @@ from rigid_body_ros.torque import TorqueLog
 _START = {**{f'inertia.i{entry}': 'kg m^2' for entry in ENTRIES},
           **{f'initial_attitude.{axis}': '' for axis in 'xyzw'},
           **{f'initial_angular_velocity.{axis}': 'rad/s' for axis in 'xyz'}}
-ANGLE = 'angle_from_nominal'
+ANGLE, MOTION = 'angle_from_nominal', 'motion'
 _END = {**{f'attitude.{axis}': '' for axis in 'xyzw'},
         **{f'angular_velocity.{axis}': 'rad/s' for axis in 'xyz'}, ANGLE: 'rad'}
 
 #: Largest number of runs computed at once, and of their torque samples and fixed steps: enough for
 #: the time in Python not to matter, and few enough for an interrupt not to wait. Samples in logs
-#: of their own take 33 bytes each, so they are fewer.
-_AT_ONCE, _STEPS, _SAMPLES = 4096, 2 ** 22, 2 ** 20
+#: of their own take 33 bytes each, and states that are kept 56 bytes, so they are fewer.
+_AT_ONCE, _STEPS, _SAMPLES, _STATES = 4096, 2 ** 22, 2 ** 20, 2 ** 18
 
 #: Numbers of runs, 'ok' or 'failed', messages, and numbers (NaN in failed runs), by column.
 Columns = dict[str, NDArray[Any]]
-#: Attitudes, shape (n, 4), angular velocities, shape (n, 3), and messages of failed runs.
-_Ends = tuple[Floats, Floats, list[str]]
+#: Attitudes and angular velocities, shape (n, m, 7), and messages of failed runs.
+_Found = tuple[Floats, list[str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +91,8 @@ class Ensemble:
     seed : int
     fitted : Fitted, optional
         Estimates that take the place of values of the scene, and vary jointly.
+    times_ns : array of int64, shape (m,), ns, optional
+        Times of the states that are kept, the last one the end; by default the end only.
 
     Raises
     ------
@@ -108,6 +110,7 @@ class Ensemble:
     dispersions: tuple[Dispersion, ...]
     seed: int
     fitted: Fitted | None = None
+    times_ns: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
         for one in self.dispersions:
@@ -134,11 +137,29 @@ class Ensemble:
         return {**values, **self.fitted.nominal} if self.fitted else values
 
     @cached_property
-    def nominal_attitude(self) -> Floats:
-        """Return the final attitude without any dispersion, with the errors of `propagate`."""
+    def nominal_motion(self) -> Floats:
+        """
+        Return the motion without any dispersion, with the errors of `propagate`.
+
+        Returns
+        -------
+        array, shape (m, 7)
+            Attitude, x y z w, and angular velocity, rad/s, at `times_ns`, or at the end only.
+
+        """
         values = {name: np.array([value]) for name, value in self.nominal.items()}
         without = replace(self, dispersions=())
-        return without._motion(without._acting(np.zeros(1, np.int64), values, {}), 0).attitude[0]
+        return without._motion(without._acting(np.zeros(1, np.int64), values, {}), 0)
+
+    @property
+    def nominal_attitude(self) -> Floats:
+        """Return the final attitude without any dispersion, with the errors of `propagate`."""
+        return self.nominal_motion[-1, :4]
+
+    @property
+    def times(self) -> Floats | None:
+        """Return the times of the states that are kept, s since the start."""
+        return None if self.times_ns is None else (self.times_ns - self.start.time_ns) / 1e9
 
     @cached_property
     def columns(self) -> dict[str, str]:
@@ -155,7 +176,8 @@ class Ensemble:
         -------
         dict
             The columns 'run', 'status' ('ok' or 'failed'), 'message', and those of `columns`, each
-            shape (stop - first,). The numbers of a failed run are NaN.
+            shape (stop - first,). If states are kept, 'motion' as well, shape
+            (stop - first, m, 7), as `nominal_motion`. The numbers of a failed run are NaN.
 
         Raises
         ------
@@ -216,6 +238,11 @@ class Ensemble:
         return logs, later(self.wheels, offset) if self.wheels else None
 
     @property
+    def _at(self) -> NDArray[np.int64]:
+        """Return the times of the states that are computed, ns."""
+        return np.array([self.end_ns]) if self.times_ns is None else self.times_ns
+
+    @property
     def _have_own_logs(self) -> bool:
         """Return whether the runs have several logs, or logs that differ by more than a gain."""
         varied = {name.split('.')[0] for name in self.columns}
@@ -229,23 +256,24 @@ class Ensemble:
         steps = (self.end_ns - self.start.time_ns) / 1e9 / longest if longest else 0.0
         steps += sum(map(len, self.logs))
         limit = _SAMPLES if self._have_own_logs else _STEPS
-        return int(min(max(limit / (1.0 + steps), 1.0), _AT_ONCE))
+        return int(max(min(limit / (1.0 + steps), _STATES / len(self._at), _AT_ONCE), 1.0))
 
     def _rows(self, runs: NDArray[np.int64]) -> Columns:
         with np.errstate(over='ignore', invalid='ignore'):  # messages say what is not finite
             applied = self.applied(runs)
-            attitude, rates, messages = self._ends(applied)
+            motions, messages = self._motions(applied)
         failed = np.array([bool(message) for message in messages])
-        angle = np.full(len(runs), np.nan)
-        angle[~failed] = so3.angle_between(attitude[~failed], self.nominal_attitude)
-        found = {**applied.columns(), **components('attitude', attitude),
-                 **components('angular_velocity', rates), ANGLE: angle}
+        end, angle = motions[:, -1], np.full(len(runs), np.nan)
+        angle[~failed] = so3.angle_between(end[~failed, :4], self.nominal_attitude)
+        found = {**applied.columns(), **components('attitude', end[:, :4]),
+                 **components('angular_velocity', end[:, 4:]), ANGLE: angle}
         return {'run': runs, 'status': np.where(failed, 'failed', 'ok'),
                 'message': np.array(messages),
-                **{name: np.where(failed, np.nan, found[name]) for name in self.columns}}
+                **{name: np.where(failed, np.nan, found[name]) for name in self.columns},
+                **({} if self.times_ns is None else {MOTION: motions})}
 
-    def _ends(self, applied: Applied) -> _Ends:
-        """Return the final states of some runs: of all at once, if `propagate_many` does it."""
+    def _motions(self, applied: Applied) -> _Found:
+        """Return the motions of some runs: of all at once, if `propagate_many` does it."""
         if not (self.wheels or applied.rotor_momentum.any()):
             try:
                 return self._together(applied)
@@ -253,7 +281,7 @@ class Ensemble:
                 pass  # rejected for all runs; one by one, each has its message
         return self._one_by_one(applied)
 
-    def _together(self, applied: Applied) -> _Ends:
+    def _together(self, applied: Applied) -> _Found:
         logs: Sequence[Sequence[TorqueLog]] | TorqueLog | None = None
         gains: Floats | None = None
         if self._have_own_logs:
@@ -261,33 +289,31 @@ class Ensemble:
         elif self.logs:
             logs = self.logs[0]
             gains = applied.torque_gain if 'torque_gain' in self.columns else None
-        motions = propagate_many(applied.bodies, applied.starts, logs, at=[self.end_ns],
+        motions = propagate_many(applied.bodies, applied.starts, logs, at=self._at,
                                  torque_gains=gains, **self.scene.options)
-        return motions.attitude[:, 0], motions.angular_velocity[:, 0], [
+        return np.concatenate([motions.attitude, motions.angular_velocity], axis=-1), [
             message and reason(ValueError(message)) for message in motions.messages]
 
-    def _one_by_one(self, applied: Applied) -> _Ends:
-        count = len(applied.runs)
-        attitude, rates, messages = np.full((count, 4), np.nan), np.full((count, 3), np.nan), []
-        for row in range(count):
+    def _one_by_one(self, applied: Applied) -> _Found:
+        motions, messages = np.full((len(applied.runs), len(self._at), 7), np.nan), []
+        for row in range(len(applied.runs)):
             interrupts.check()
             try:
-                motion = self._motion(applied, row)
+                motions[row] = self._motion(applied, row)
+                messages.append('')
             except ValueError as error:
                 messages.append(reason(error))
-                continue
-            messages.append('')
-            attitude[row], rates[row] = motion.attitude[0], motion.angular_velocity[0]
-        return attitude, rates, messages
+        return motions, messages
 
-    def _motion(self, applied: Applied, row: int) -> Trajectory:
-        """Return the final state of a run, with the errors of `propagate`."""
+    def _motion(self, applied: Applied, row: int) -> Floats:
+        """Return the motion of a run, shape (m, 7), with the errors of `propagate`."""
         start = applied.starts[row]
         start = State(start.time_ns, start.attitude, start.angular_velocity,
                       applied.rotor_momentum[row])
         logs, wheels = self.torques(applied, row)
-        return propagate(applied.bodies[row], start, logs, at=[self.end_ns], wheels=wheels,
-                         **self.scene.options)
+        motion = propagate(applied.bodies[row], start, logs, at=self._at, wheels=wheels,
+                           **self.scene.options)
+        return np.concatenate([motion.attitude, motion.angular_velocity], axis=-1)
 
     def _values(self, drawn: Mapping[str, Floats], count: int) -> dict[str, Floats]:
         """Return the nominal values of all runs, changed as drawn."""

@@ -264,8 +264,8 @@ class Part:
         """
         if self._suffix == FOLDER:
             for entry in self.path.iterdir():
-                _flush(entry)
-        _flush(self.path)
+                flush(entry)
+        flush(self.path)
         self._check_target()
         reserved = self._suffix != FOLDER and not may_overwrite()
         if reserved:
@@ -280,7 +280,7 @@ class Part:
                 self.target.unlink(missing_ok=True)
             raise
         self.discard()  # if both names are links to one file, `os.replace` keeps both
-        _flush(self.target.parent)
+        flush(self.target.parent)
 
     def keep(self, file: Path, suffix: str) -> Path:
         """
@@ -351,6 +351,19 @@ class Part:
             raise _exists(self._name)
 
 
+def flush(path: Path) -> None:
+    """Flush a file, or the entries of a folder, to the disk."""
+    try:
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+    except OSError as error:
+        if error.errno not in _CANNOT_FLUSH:
+            raise
+
+
 def _exists(path: str | Path) -> InputError:
     return InputError(f'{path}: output exists; choose another name, or add --overwrite')
 
@@ -374,19 +387,6 @@ def _path_and_inode(path: str | Path) -> Iterator[_Identity]:
     with suppress(OSError):
         found = os.stat(path)
         yield found.st_dev, found.st_ino
-
-
-def _flush(path: Path) -> None:
-    """Flush a file, or the entries of a folder, to the disk."""
-    try:
-        handle = os.open(path, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-    except OSError as error:
-        if error.errno not in _CANNOT_FLUSH:
-            raise
 
 
 def _remove(path: Path) -> None:

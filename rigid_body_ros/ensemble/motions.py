@@ -1,0 +1,179 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The motions of an ensemble as Zarr.
+
+The format is version 2, which Zarr 2 and 3 read, and the metadata are those of xarray. A chunk has
+a fixed number of runs, so its bytes depend on their numbers only. It is replaced as a whole when a
+block of runs is written that it has a part of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError, reason
+from rigid_body_ros.runtime import files
+
+#: The components of a state, and their units.
+COMPONENTS = {**{f'attitude.{axis}': '' for axis in 'xyzw'},
+              **{f'angular_velocity.{axis}': 'rad/s' for axis in 'xyz'}}
+#: Largest number of runs in a chunk, of states in a chunk and in a block, and of states in a run.
+#: A state takes 56 bytes.
+_RUNS, _CHUNK, _BLOCK, _MOST = 1024, 2 ** 16, 2 ** 19, 2 ** 21
+#: Names of chunks that Zarr did not complete.
+_PART = re.compile(r'[0-9.]+\.[0-9a-f]{32}\.partial')
+
+
+def times_of(start_ns: int, end_ns: int, rate: float) -> NDArray[np.int64]:
+    """
+    Return the times of `attitude_replay --rate`, and the end.
+
+    Parameters
+    ----------
+    start_ns, end_ns : int, ns
+        Start and end of the runs.
+    rate : float, Hz
+        Greater than 0.
+
+    Returns
+    -------
+    array of int64, shape (m,), ns
+
+    Raises
+    ------
+    InputError
+        The states of one run would take too much memory.
+
+    """
+    step_ns = 1e9 / rate
+    intervals = (end_ns - start_ns) / step_ns
+    if not intervals < _MOST - 1:
+        raise InputError(f'--times: expected at most {_MOST} states in a run, found {rate:g} Hz '
+                         f'over {(end_ns - start_ns) * 1e-9:.9g} s')
+    offsets = np.round(np.arange(int(intervals) + 2) * step_ns).astype(np.int64)
+    return np.unique(np.append(offsets[offsets < end_ns - start_ns], end_ns - start_ns)) + start_ns
+
+
+class Motions:
+    """
+    The motions of an ensemble, new or to be continued.
+
+    Parameters
+    ----------
+    path : Path
+        The Zarr group.
+    times : array, shape (m,), s
+        Since the start.
+    runs : int
+        Number of runs, at least that of the group.
+
+    Raises
+    ------
+    InputError
+        The group cannot be read or written.
+
+    """
+
+    def __init__(self, path: Path, times: Floats, runs: int) -> None:
+        self._path, self._times, self._runs = path, times, runs
+        self._shape = (min(max(_CHUNK // times.size, 1), _RUNS), min(times.size, _CHUNK))
+        import zarr  # takes long, and only --times needs it
+        with self._reported('open'):
+            # The consolidated metadata are what is written last.
+            if not (path / '.zmetadata').exists():
+                self._create()
+            with zarr.config.set({'array.write_empty_chunks': True}):  # chunks of failed runs
+                self._array = zarr.open_array(path / 'motion', mode='r+')
+            self._array.resize((runs, times.size, len(COMPONENTS)))
+            zarr.consolidate_metadata(path, zarr_format=2)
+
+    def block(self, runs: int) -> int:
+        """Return the largest number of runs, up to the given one, to compute as a block."""
+        runs = min(runs, max(_BLOCK // self._times.size, 1))
+        return runs - runs % self._shape[0] or runs
+
+    def write(self, first: int, motions: Floats) -> None:
+        """
+        Write the motions of consecutive runs, shape (n, m, 7), to the disk.
+
+        Raises
+        ------
+        InputError
+            They cannot be written.
+
+        """
+        with self._reported('write'):
+            self._array[first:first + len(motions)] = motions
+            for name in self._names(first, first + len(motions)):
+                files.flush(self._path / 'motion' / name)
+            files.flush(self._path / 'motion')
+
+    def present(self, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+        """Return those spans of runs whose chunks all exist."""
+        names = {path.name for path in (self._path / 'motion').iterdir()}
+        return [span for span in spans if names.issuperset(self._names(*span))]
+
+    def remove_parts(self) -> None:
+        """Remove what a dead process left."""
+        for path in self._path.rglob('*.partial'):
+            if _PART.fullmatch(path.name):
+                path.unlink()
+
+    def chunks(self) -> Iterator[tuple[int, Floats]]:
+        """Generate the first run of each chunk, and the motions, shape (n, m, 7)."""
+        for first in range(0, self._runs, self._shape[0]):
+            with self._reported('read'):
+                motions = self._array[first:min(first + self._shape[0], self._runs)]
+            yield first, motions
+
+    def _create(self) -> None:
+        import numcodecs
+        import zarr
+        group = zarr.open_group(self._path, mode='a', zarr_format=2)
+        for name, values, more in (('time', self._times, {'units': 's', 'long_name':
+                                                          'time since the start'}),
+                                   ('component', np.array([*COMPONENTS]),
+                                    {'unit': [*COMPONENTS.values()]})):
+            group.create_array(name, data=values, compressors=None, overwrite=True,
+                               attributes={'_ARRAY_DIMENSIONS': [name], **more})
+        group.create_array(
+            'motion', shape=(0, self._times.size, len(COMPONENTS)), overwrite=True,
+            chunks=(*self._shape, len(COMPONENTS)), dtype='<f8', fill_value=np.nan,
+            # Without Blosc, whose threads write their results in any order.
+            filters=[numcodecs.Shuffle(8)], compressors=numcodecs.Zstd(1),
+            attributes={'_ARRAY_DIMENSIONS': ['run', 'time', 'component'], 'long_name':
+                        'attitude, body to space, and angular velocity, body axes'})
+
+    def _names(self, first: int, stop: int) -> Iterator[str]:
+        """Generate the names of the chunks of some runs."""
+        runs, times = self._shape
+        for row in range(first // runs, -(-stop // runs)):
+            for column in range(-(-self._times.size // times)):
+                yield f'{row}.{column}.0'
+
+    @contextmanager
+    def _reported(self, verb: str) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, RuntimeError, TypeError, ValueError, KeyError) as error:
+            raise InputError(f'{self._path}: cannot {verb} the motions: {reason(error)}; remove '
+                             'the folder to compute them again') from error

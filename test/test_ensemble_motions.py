@@ -1,0 +1,164 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The motions of an ensemble: the states of `propagate`, and the same bytes however written."""
+
+import signal
+import subprocess
+import time
+
+import numpy as np
+from pyarrow import parquet
+import pytest
+from rigid_body_ros import cli, propagate, RigidBody, State, TorqueLog
+from rigid_body_ros.ensemble import motions
+from test_ensemble import (
+    arguments,
+    COMMAND,
+    contents,
+    count,
+    ENVIRONMENT,
+    error_of,
+    inputs,
+    run,
+    small_blocks,
+    TIMES,
+    TORQUES,
+)
+import zarr
+
+inputs, small_blocks = inputs, small_blocks  # fixtures, used by their names
+HZ = 7
+SECOND = 10 ** 9
+
+
+@pytest.fixture
+def small_chunks(monkeypatch, small_blocks):
+    monkeypatch.setattr(motions, '_RUNS', 5)
+
+
+def motion_of(path):
+    return zarr.open_group(path / 'motion.zarr', mode='r')['motion'][:]
+
+
+def test_every_state_has_the_bits_of_propagate(inputs):
+    run(inputs, 'out', 60, '--times', HZ)
+    rows = parquet.read_table(inputs / 'out' / 'runs.parquet').to_pylist()
+    group = zarr.open_group(inputs / 'out' / 'motion.zarr', mode='r')
+    stamps = np.round(TIMES * 1e9).astype(np.int64)
+    start_ns = 1
+    at = start_ns + np.round(group['time'][:] * 1e9).astype(np.int64)
+    assert [*at] == [*(start_ns + round(k * SECOND / HZ) for k in range(14)), stamps[-1]]
+    for row in (rows[k] for k in np.random.default_rng(2).permutation(60)[:20]):
+        body = RigidBody.from_moments(*(row[f'inertia.i{entry}'] for entry in (
+            'xx', 'yy', 'zz', 'xy', 'xz', 'yz')))
+        start = State(start_ns, [row[f'initial_attitude.{axis}'] for axis in 'xyzw'],
+                      [row[f'initial_angular_velocity.{axis}'] for axis in 'xyz'])
+        log = TorqueLog(stamps + round(row['clock_offset'] * 1e9), row['torque_gain'] * TORQUES)
+        motion = propagate(body, start, log, at=at)
+        found = group['motion'][row['run']]
+        assert np.array_equal(found[:, :4], motion.attitude)
+        assert np.array_equal(found[:, 4:], motion.angular_velocity)
+        assert found[-1].tolist() == [row[name] for name in group['component'][:]]
+
+
+@pytest.mark.usefixtures('small_chunks')
+def test_workers_extension_and_lost_files_give_the_same_bytes(inputs):
+    run(inputs, 'one', 58, '--times', HZ, '--workers', 1)
+    run(inputs, 'two', 58, '--times', HZ, '--workers', 2)
+    run(inputs, 'extended', 23, '--times', HZ)
+    run(inputs, 'extended', 58, '--times', HZ)
+    expected = contents(inputs / 'one')
+    assert 'motion.zarr/motion/11.0.0' in expected
+    assert contents(inputs / 'two') == contents(inputs / 'extended') == expected
+    next((inputs / 'two' / 'blocks').iterdir()).unlink()
+    (inputs / 'extended' / 'motion.zarr' / 'motion' / '3.0.0').unlink()
+    (inputs / 'one' / 'motion.zarr' / '.zmetadata').unlink()  # a kill while the group was created
+    part = f'0.0.{"0f" * 16}.partial'  # a kill while a chunk was written
+    (inputs / 'two' / 'motion.zarr' / 'motion' / part).write_text('half')
+    for name in ('one', 'two', 'extended'):
+        run(inputs, name, 58, '--times', HZ)
+        assert contents(inputs / name) == expected
+
+
+@pytest.mark.usefixtures('small_chunks')
+def test_failed_runs_are_nan_and_no_chunk_is_missing(inputs):
+    (inputs / 'vary.yaml').write_text('inertia.izz: {normal: 0.1}\n')
+    run(inputs, 'out', 58, '--times', HZ)
+    found, table = motion_of(inputs / 'out'), parquet.read_table(inputs / 'out' / 'runs.parquet')
+    failed = np.array([status == 'failed' for status in table['status'].to_pylist()])
+    assert 0 < failed.sum() < 58
+    assert len([*(inputs / 'out' / 'motion.zarr' / 'motion').glob('*.0.0')]) == 12
+    assert np.isnan(found[failed]).all()
+    assert np.isfinite(found[~failed]).all()
+
+
+@pytest.mark.parametrize(('runs', 'more', 'message'), [
+    (10, (), "expected the times of its runs, 7.0, found 'final'"),
+    (10, ('--times', 8), 'expected the times of its runs, 7.0, found 8.0'),
+])
+def test_other_times_are_another_ensemble(inputs, capsys, runs, more, message):
+    run(inputs, 'out', 10, '--times', HZ)
+    expected = contents(inputs / 'out')
+    capsys.readouterr()
+    assert message in error_of(capsys, inputs, 'out', runs, *more)
+    assert contents(inputs / 'out') == expected
+
+
+@pytest.mark.parametrize('text', ['0', '-1', 'nan', 'inf', 'often'])
+def test_impossible_times(inputs, capsys, text):
+    with pytest.raises(SystemExit) as ended:
+        cli.attitude_ensemble([*arguments(inputs, 'out', 3), f'--times={text}'])
+    assert ended.value.code == 2
+    assert '--times: expected final or a number from' in capsys.readouterr().err
+
+
+def test_too_many_times(inputs, capsys):
+    line = error_of(capsys, inputs, 'out', 3, '--times', '1e9')
+    assert '--times: expected at most 2097152 states in a run, found 1e+09 Hz over 1.95 s' in line
+    assert not (inputs / 'out').exists()
+
+
+@pytest.mark.parametrize(('end_ns', 'rate', 'expected'), [
+    (SECOND, 2.0, [0, SECOND // 2, SECOND]), (SECOND, 0.3, [0, SECOND]), (0, 5.0, [0]),
+    (SECOND, 3.0, [0, 333333333, 666666667, SECOND]),
+    (1_100_000_001, 10.0, [*range(0, 12 * SECOND // 10, SECOND // 10), 1_100_000_001]),
+])
+def test_times_start_at_the_start_and_include_the_end(end_ns, rate, expected):
+    assert motions.times_of(5, 5 + end_ns, rate).tolist() == [5 + time for time in expected]
+
+
+@pytest.mark.usefixtures('small_chunks')
+def test_a_damaged_chunk_is_one_line(inputs, capsys):
+    run(inputs, 'out', 58, '--times', HZ)
+    chunk = inputs / 'out' / 'motion.zarr' / 'motion' / '11.0.0'
+    chunk.write_bytes(chunk.read_bytes()[:-9])  # of three runs; the next command adds the others
+    line = error_of(capsys, inputs, 'out', 60, '--times', HZ)
+    assert f'{inputs / "out" / "motion.zarr"}: cannot write the motions' in line
+
+
+@pytest.mark.slow
+def test_kills_and_resumes_give_the_same_bytes(inputs):
+    run(inputs, 'whole', 4000, '--times', HZ)
+    command = [*COMMAND, *arguments(inputs, 'killed', 4000, '--times', HZ)]
+    blocks, before = inputs / 'killed' / 'blocks', 0
+    for _ in range(3):
+        with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.DEVNULL) as process:
+            while process.poll() is None and count(blocks) < before + 3:
+                time.sleep(0.01)
+            process.kill()
+        assert process.returncode == -signal.SIGKILL
+        before = count(blocks)
+    run(inputs, 'killed', 4000, '--times', HZ)
+    assert contents(inputs / 'killed') == contents(inputs / 'whole')
