@@ -86,9 +86,9 @@ def wait_for(condition, seconds=60):
 
 
 @contextmanager
-def begun(inputs, scheduler):
+def begun(inputs, scheduler, *more):
     """Start an ensemble in a process, and wait until it has some blocks but not all."""
-    command = [*COMMAND, *arguments(inputs, 'out', RUNS, '--scheduler', scheduler)]
+    command = [*COMMAND, *arguments(inputs, 'out', RUNS, '--scheduler', scheduler, *more)]
     with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.DEVNULL,
                           stderr=subprocess.PIPE, text=True) as process:
         wait_for(lambda: count(inputs / 'out' / 'blocks') >= 3 or process.poll() is not None)
@@ -97,10 +97,11 @@ def begun(inputs, scheduler):
 
 
 @pytest.mark.slow
-def test_a_worker_that_is_killed_changes_no_byte(inputs, started_cluster):
+@pytest.mark.parametrize('more', [(), ('--times', 5)], ids=['final', 'motions'])
+def test_a_worker_that_is_killed_changes_no_byte(inputs, started_cluster, more):
     scheduler, parent = started_cluster
-    run(inputs, 'here', RUNS)
-    with begun(inputs, scheduler) as process:
+    run(inputs, 'here', RUNS, *more)
+    with begun(inputs, scheduler, *more) as process:
         os.kill(workers(parent)[0].pid, signal.SIGKILL)
         assert process.poll() is None
         _, error = process.communicate(timeout=300)

@@ -47,8 +47,9 @@ Part = tuple[Span, Span]
 #: Number of parts of a block, which different workers may compute: a block may take minutes.
 _PARTS = 8
 #: s; how long a task is computed on a worker: long enough for Dask's cost per task, a few
-#: milliseconds, not to matter, and short enough to lose little with a worker.
-_TASK = 2.0
+#: milliseconds, not to matter, and short enough to lose little with a worker. With motions the
+#: results of a task are some 10 MB for each tenth of a second.
+_TASK, _TASK_WITH_MOTIONS = 2.0, 0.25
 
 
 def compute(ensemble: Ensemble, folder: Folder, pool: Pool, track: Track) -> None:
@@ -108,8 +109,10 @@ def cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
     def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
         if spans:
             parts = [part for span in spans for part in _parts(span)]
+            seconds = _TASK if ensemble.times_ns is None else _TASK_WITH_MOTIONS
             with connected(scheduler, note) as found:
-                yield from _joined(found.results(partial(_computed, ensemble), parts, died, _TASK))
+                yield from _joined(found.results(partial(_computed, ensemble), parts, died,
+                                                 seconds))
     return blocks
 
 

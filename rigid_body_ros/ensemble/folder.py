@@ -89,7 +89,11 @@ class Folder:
         with files.reported(path):
             self._blocks.mkdir(parents=True, exist_ok=True)
         self.write('identity.json', {'runs': runs, **identity})
-        self._motions = None if times is None else Motions(self.path / 'motion.zarr', times, runs)
+        self._motions = None
+        if times is not None:
+            self._motions = Motions(self.path / 'motion.zarr', times, runs)
+            with files.reported(path):
+                self._remove_blocks_without(self._motions)
 
     @property
     def table(self) -> Path:
@@ -228,7 +232,13 @@ class Folder:
             if end <= first < stop <= self.runs:
                 present.append((first, stop))
                 end = stop
-        return self._motions.present(present) if self._motions else present
+        return present
+
+    def _remove_blocks_without(self, motions: Motions) -> None:
+        """Remove blocks whose motions have been lost, so that they are computed again."""
+        present = self._present()
+        for span in {*present} - {*motions.present(present)}:
+            self._block(*span).unlink()
 
     def _groups(self) -> Iterator[arrow.Table]:
         """Generate all rows, in tables of as many rows as a row group has."""

@@ -175,5 +175,5 @@ class Motions:
         try:
             yield
         except (OSError, RuntimeError, TypeError, ValueError, KeyError) as error:
-            raise InputError(f'{self._path}: cannot {verb} the motions: {reason(error)}; remove '
-                             'the folder to compute them again') from error
+            raise InputError(f'{self._path}: cannot {verb} the motions: {reason(error)}; if they '
+                             'are damaged, remove them to compute them again') from error
