@@ -69,7 +69,7 @@ setup(
                  'colcon-test-result', 'dask', 'distributed', 'hypothesis', 'import-linter',
                  'mcap-ros2-support', 'mpmath', 'mypy', 'playwright', 'psutil', 'pyarrow',
                  'pytest', 'pytest-xdist', 'rosbags', 'ruff', 'setuptools>=70',
-                 'types-PyYAML', 'types-tqdm', 'zarr>=3.1.3; python_version >= "3.11"',
+                 'types-PyYAML', 'types-tqdm', 'xarray', 'zarr>=3.1.3; python_version >= "3.11"',
                  # The linters of ROS that PyPI has, and what they run.
                  'ros-ament-flake8', 'ros-ament-pep257', 'flake8', 'flake8-blind-except',
                  'flake8-builtins', 'flake8-class-newline', 'flake8-comprehensions',

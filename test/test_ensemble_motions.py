@@ -74,6 +74,19 @@ def test_every_state_has_the_bits_of_propagate(inputs):
         assert found[-1].tolist() == [row[name] for name in group['component'][:]]
 
 
+def test_xarray_opens_the_motions_with_their_coordinates(inputs):
+    xarray = pytest.importorskip('xarray', reason='xarray is not installed')
+    run(inputs, 'out', 5, '--times', 4)
+    found = xarray.open_zarr(inputs / 'out' / 'motion.zarr')
+    assert found.motion.dims == ('run', 'time', 'component')
+    assert found.time.values.tolist() == [*np.arange(8) / 4, 1.949999999]
+    assert (found.time.units, found.component.unit) == ('s', [''] * 4 + ['rad/s'] * 3)
+    ends = found.motion.isel(time=-1)
+    table = parquet.read_table(inputs / 'out' / 'runs.parquet')
+    for name in found.component.values.tolist():
+        assert ends.sel(component=name).values.tolist() == table[name].to_pylist()
+
+
 @pytest.mark.usefixtures('small_chunks')
 def test_workers_extension_and_lost_files_give_the_same_bytes(inputs):
     run(inputs, 'one', 58, '--times', HZ, '--workers', 1)

@@ -153,8 +153,9 @@ class Motions:
                                                           'time since the start'}),
                                    ('component', np.array([*COMPONENTS]),
                                     {'unit': [*COMPONENTS.values()]})):
+            # xarray takes a number that equals the fill value for a missing one.
             group.create_array(name, data=values, compressors=None, overwrite=True,
-                               attributes={'_ARRAY_DIMENSIONS': [name], **more})
+                               fill_value=None, attributes={'_ARRAY_DIMENSIONS': [name], **more})
         group.create_array(
             'motion', shape=(0, self._times.size, len(COMPONENTS)), overwrite=True,
             chunks=(*self._shape, len(COMPONENTS)), dtype='<f8', fill_value=np.nan,
