@@ -14,6 +14,8 @@
 
 """Runs of an ensemble: what is drawn is applied, and what is applied is reported."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
@@ -73,7 +75,27 @@ def test_a_row_has_the_bits_of_propagate_for_its_values(vary):
         assert row['angle_from_nominal'] == so3.angle_between(motion.attitude[0], nominal)
 
 
-def motion_of(row):
+@pytest.mark.parametrize('vary', [VARY, VARY[:3] + VARY[4:6]], ids=['rotors', 'gain'])
+def test_motions_have_the_bits_of_propagate(vary):
+    times = np.array([0, 1, SECOND // 3, SECOND, 2 * SECOND])
+    found = ensemble(*vary, torque_timeout=0.5,
+                     **{} if VARY[3] in vary else {'initial_rotor_momentum.z': 0.0})
+    found = replace(found, times_ns=times)
+    assert found.times.tolist() == [0.0, 1e-9, 333_333_333e-9, 1.0, 2.0]
+    nominal = propagate(found.scene.body, found.start, LOGS, at=times, torque_timeout=0.5)
+    assert np.array_equal(found.nominal_motion, states(nominal))
+    for row in rows(found, 77, 97):
+        row = {'initial_rotor_momentum.z': 0.0, 'torque_bias.x': 0.0, 'clock_offset': 0.0, **row}
+        assert np.array_equal(row['motion'], states(motion_of(row, times)))
+        assert row['motion'][-1] == numbers(row, 'attitude.', 'xyzw') + numbers(
+            row, 'angular_velocity.')
+
+
+def states(motion):
+    return np.concatenate([motion.attitude, motion.angular_velocity], axis=-1)
+
+
+def motion_of(row, at=(2 * SECOND,)):
     """Return the motion with the values of a row."""
     body = RigidBody.from_moments(*numbers(row, 'inertia.i', ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')))
     body = RigidBody(body.inertia, np.diag([row['damping.dxx'], 0.0, 0.0]))
@@ -84,7 +106,7 @@ def motion_of(row):
     if row['torque_bias.x']:
         times = np.arange(0, 2 * SECOND + 1, SECOND // 4)
         logs.append(TorqueLog(times, np.outer(np.ones(len(times)), [row['torque_bias.x'], 0, 0])))
-    return propagate(body, start, logs, at=[2 * SECOND], torque_timeout=0.5)
+    return propagate(body, start, logs, at=at, torque_timeout=0.5)
 
 
 @pytest.mark.parametrize('vary', [VARY, (*VARY[:2], NOISE)], ids=['all', 'noise'])
