@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 import hashlib
@@ -65,8 +65,27 @@ def attitude_ensemble(arguments: Sequence[str] | None) -> int:
             'runs', ' runs', driver.runs_of))
         found = summary.summarized(ensemble, folder)
         folder.write('summary.json', {**identity, **found})
+        _draw(options, folder.path / 'bands.png', found)
     show(f'{summary.text_of(found)}\n{"wrote":17}{options.output}')
     return 0
+
+
+def _draw(options: argparse.Namespace, path: Path, found: Mapping[str, Any]) -> None:
+    if not found['histogram']:
+        return  # all runs failed
+    try:
+        from rigid_body_ros.report import spread  # matplotlib takes long to load
+    except ModuleNotFoundError as error:
+        package = str(error.name).split('.')[0]
+        note(options, f'{path}: not drawn: Python module {package!r} is not installed')
+        return
+    from rigid_body_ros.ensemble.summary import ranked
+    with files.atomic_output(path, '.png') as temporary:
+        spread.draw(temporary, found, ranked(found), _title(options))
+
+
+def _title(options: argparse.Namespace) -> str:
+    return Path(options.recording or options.scene).name
 
 
 def _pool(options: argparse.Namespace) -> Pool:

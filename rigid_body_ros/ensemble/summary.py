@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -23,12 +24,15 @@ import numpy as np
 from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.ensemble.folder import Folder
+from rigid_body_ros.ensemble.histogram import histogram
 from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
 
-_PERCENTILES = (5, 25, 50, 75, 95, 99, 100)
+_PERCENTILES = (1, 5, 25, 50, 75, 95, 99, 100)
 #: Number of the first runs from which rank correlations are computed.
 _SAMPLE = 100_000
+#: Number of rank correlations in the text.
+_PRINTED = 5
 
 
 def summarized(ensemble: Ensemble, folder: Folder) -> dict[str, Any]:
@@ -38,31 +42,42 @@ def summarized(ensemble: Ensemble, folder: Folder) -> dict[str, Any]:
     Returns
     -------
     dict
-        Counts of runs and the reasons of failures; percentiles of the angle from the nominal
-        final attitude, rad; and rank correlations of that angle with the distance of each
-        dispersed parameter from its nominal value.
+        Counts of runs and the reasons of failures; percentiles and histogram of the angle from
+        the nominal final attitude, rad, empty if all runs failed; and rank correlations of that
+        angle with the distance of each dispersed parameter from its nominal value.
 
     """
     failures = folder.failures()
-    angles = percentiles(partial(folder.chunks, ANGLE), _PERCENTILES)
-    return {'runs': folder.runs, 'failed': sum(failures.values()), 'failures': failures,
-            'angle_from_nominal_rad': dict(zip((f'p{k}' for k in _PERCENTILES), angles)),
+    failed, angles = sum(failures.values()), partial(folder.chunks, ANGLE)
+    found = dict(zip((f'p{k}' for k in _PERCENTILES), percentiles(angles, _PERCENTILES)))
+    return {'runs': folder.runs, 'failed': failed, 'failures': failures,
+            'angle_from_nominal_rad': found,
+            'histogram': histogram(angles, folder.runs - failed, found) if found else {},
             'rank_correlation': _correlations(ensemble, folder)}
 
 
-def text_of(found: dict[str, Any]) -> str:
+def text_of(found: Mapping[str, Any]) -> str:
     """Return the results as text for a terminal."""
-    lines = [f'{"runs":17}{found["runs"]}',
-             *(f'{"failed":17}{count}: {cause}' for cause, count in found['failures'].items())]
+    depends = [f'{name} (rank correlation {value:.2f})'
+               for name, value in ranked(found)[:_PRINTED]]
+    names = ['depends on', *[''] * _PRINTED]
+    return '\n'.join(f'{name:17}{text}' for name, text in [*rows(found), *zip(names, depends)])
+
+
+def rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return the number of runs, the failures and the angles as names and texts."""
+    facts = [('runs', str(found['runs'])),
+             *(('failed', f'{count}: {cause}') for cause, count in found['failures'].items())]
     angles = found['angle_from_nominal_rad']
     if angles:
-        lines.append(f'{"angle from the":17}median {angles["p50"]:.3g} rad, 95 % below '
-                     f'{angles["p95"]:.3g} rad,')
-        lines.append(f'{"nominal end":17}largest {angles["p100"]:.3g} rad')
-    ranked = sorted(found['rank_correlation'].items(), key=lambda item: -item[1])
-    lines += [f'{"" if k else "depends on":17}{name} (rank correlation {value:.2f})'
-              for k, (name, value) in enumerate(ranked[:5])]
-    return '\n'.join(lines)
+        facts.append(('from nominal end', f'median {angles["p50"]:.3g} rad, 95 % below '
+                      f'{angles["p95"]:.3g} rad, largest {angles["p100"]:.3g} rad'))
+    return facts
+
+
+def ranked(found: Mapping[str, Any]) -> list[tuple[str, float]]:
+    """Return the rank correlations, the strongest first."""
+    return sorted(found['rank_correlation'].items(), key=lambda item: -abs(item[1]))
 
 
 def _correlations(ensemble: Ensemble, folder: Folder) -> dict[str, float]:

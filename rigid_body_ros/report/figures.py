@@ -17,20 +17,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import shortened
 from rigid_body_ros.propagation import Trajectory
+from rigid_body_ros.report.labels import label, legend, literal
 from rigid_body_ros.report.style import (
     axes_name,
     COLOURS,
@@ -48,8 +45,6 @@ from rigid_body_ros.torque import torque_logs, TorqueLog
 _GREYS = ('#333333', '#999999')
 #: Largest number of points in a curve; more would not be visible.
 _POINTS = 20_000
-#: Number of characters, even wide ones, of a title that fits into the picture.
-_TITLE = 50
 
 
 def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[TorqueLog],
@@ -86,24 +81,24 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
     logs, has_rotors = torque_logs(log), bool(trajectory.rotor_momentum.any())
     count = 3 + has_rotors + len(logs)
     figure = Figure(figsize=(9.0, 2.5 * count), layout='constrained')
-    figure.suptitle(_literal(title), parse_math=False)
+    figure.suptitle(literal(title), parse_math=False)
     panels = figure.subplots(count, 1, sharex=True)
     _draw_angles(panels[0], seconds, trajectory.euler_angles(sequence)[rows], sequence)
     _draw_curves(panels[1], seconds, trajectory.attitude[rows], QUATERNION)
     panels[1].set_ylabel('quaternion')
     _draw_curves(panels[2], seconds, trajectory.angular_velocity[rows], RATES)
-    _label(panels[2].yaxis, 'angular velocity,\nbody axes', 'rad/s',
-           trajectory.angular_velocity[rows])
+    label(panels[2].yaxis, 'angular velocity,\nbody axes', 'rad/s',
+          trajectory.angular_velocity[rows])
     if has_rotors:
         momentum = trajectory.rotor_momentum[rows]
         _draw_curves(panels[3], seconds, momentum, MOMENTA)
-        _label(panels[3].yaxis, 'rotor momentum,\nbody axes', 'N m s', momentum)
+        label(panels[3].yaxis, 'rotor momentum,\nbody axes', 'N m s', momentum)
     for number, one in enumerate(logs, 1):
         name = f'torque {number}' if len(logs) > 1 else 'torque'
         _draw_torque(panels[number - 1 - len(logs)], one, name, start_ns, end_ns, timeout_ns)
     figure.align_ylabels(panels)
     panels[-1].set_xlim(0.0, max(float(seconds[-1]), 1e-9))
-    _label(panels[-1].xaxis, 'time from the start', 's', np.append(seconds, 1e-9))
+    label(panels[-1].xaxis, 'time from the start', 's', np.append(seconds, 1e-9))
     FigureCanvasAgg(figure).print_figure(path, dpi=120, format='png')
 
 
@@ -131,7 +126,7 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
 
     """
     figure = Figure(figsize=(7.2, 5.0), layout='constrained')
-    figure.suptitle(_literal(title), parse_math=False, fontsize=10)
+    figure.suptitle(literal(title), parse_math=False, fontsize=10)
     panel = figure.subplots()
     least = float(np.finfo(float).eps)  # smaller errors are not meaningful
     for number, (name, (errors, costs)) in enumerate(curves.items()):
@@ -148,7 +143,7 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
     panel.set_xlabel('largest attitude error (rad)')
     panel.set_ylabel('wall time per simulated second (s/s)')
     panel.grid(alpha=0.25)
-    _legend(panel, fontsize=8)
+    legend(panel, fontsize=8)
     FigureCanvasAgg(figure).print_figure(path, dpi=200, format='png')
 
 
@@ -196,7 +191,7 @@ def errors(path: str | Path, panels: Sequence[Panel], residual: Panel | None,
     shared = len(panels) + len(logs) + (residual is not None)
     count = shared + bool(horizons)
     figure = Figure(figsize=(9.0, 2.5 * count), layout='constrained')
-    figure.suptitle(_literal(title), parse_math=False)
+    figure.suptitle(literal(title), parse_math=False)
     rows = figure.subplots(count, 1, squeeze=False)[:, 0]
     for row, panel in zip(rows, panels):
         _draw_errors(row, panel, start_ns)
@@ -206,7 +201,7 @@ def errors(path: str | Path, panels: Sequence[Panel], residual: Panel | None,
     if residual is not None:
         seconds, values = _thinned(residual, start_ns)
         _draw_curves(rows[shared - 1], seconds, values, TORQUES)
-        _label(rows[shared - 1].yaxis, f'{residual.label},\nbody axes', residual.unit, values)
+        label(rows[shared - 1].yaxis, f'{residual.label},\nbody axes', residual.unit, values)
     for row in rows[:shared]:
         row.set_xlim(0.0, max(1e-9 * (end_ns - start_ns), 1e-9))
     rows[shared - 1].set_xlabel('time from the first measurement (s)')
@@ -228,7 +223,7 @@ def _draw_errors(row: Axes, panel: Panel, start_ns: int) -> None:
     row.set_ylim(0.03 * float(np.percentile(shown, 5.0)), 3.0 * float(shown.max()))
     row.set_ylabel(f'{panel.label} ({panel.unit})')
     row.grid(alpha=0.3)
-    _legend(row, handlelength=2.5)
+    legend(row, handlelength=2.5)
 
 
 def _draw_horizons(row: Axes, horizons: Mapping[float, Floats]) -> None:
@@ -239,17 +234,12 @@ def _draw_horizons(row: Axes, horizons: Mapping[float, Floats]) -> None:
     row.set_xlabel('time since the restart from the measurement (s)')
     row.set_ylabel('attitude error (rad)')
     row.grid(alpha=0.3)
-    _legend(row)
+    legend(row)
 
 
 def _thinned(panel: Panel, start_ns: int) -> tuple[Floats, Floats]:
     chosen = np.unique(np.linspace(0, len(panel.times_ns) - 1, _POINTS).astype(int))
     return 1e-9 * (panel.times_ns[chosen] - start_ns), panel.values[chosen]
-
-
-def _literal(title: str) -> str:
-    """Return a title cut to fit; replace bytes of a file name that are not text."""
-    return shortened(title.encode(errors='replace').decode(), _TITLE)
 
 
 def _draw_angles(panel: Axes, seconds: Floats, angles: Floats, sequence: str) -> None:
@@ -267,32 +257,14 @@ def _draw_torque(panel: Axes, log: TorqueLog, name: str, start_ns: int, end_ns: 
     torques = log.at(times, timeout_ns)[0]
     seconds = np.asarray((times - start_ns) * 1e-9, np.float64)
     _draw_curves(panel, seconds, torques, TORQUES)
-    _label(panel.yaxis, f'{name},\n{axes_name(log.in_space)}', 'N m', torques)
+    label(panel.yaxis, f'{name},\n{axes_name(log.in_space)}', 'N m', torques)
 
 
 def _draw_curves(panel: Axes, x: Floats, columns: Floats, names: tuple[str, ...]) -> None:
     for column, name, colour, style in zip(columns.T, names, COLOURS, STYLES):
         panel.plot(x, column, style, color=colour, linewidth=1.2, label=name)
     panel.grid(alpha=0.3)
-    _legend(panel, handlelength=2.5)
-
-
-def _legend(panel: Axes, **options: Any) -> None:
-    panel.legend(loc='center left', bbox_to_anchor=(1.0, 0.5), frameon=False, **options)
-
-
-def _label(axis: Axis, text: str, unit: str, values: Floats) -> None:
-    """Label an axis; if all values are small, give the unit a prefix, as in mrad/s."""
-    largest = float(np.abs(values).max())
-    exponent = min(3 * math.floor(math.log10(largest) / 3.0), 0) if largest else 0
-    exponent = max(exponent, min(EngFormatter.ENG_PREFIXES))
-    if exponent:
-        axis.set_major_formatter(lambda value, _: _scaled(value, 10.0 ** exponent))
-    axis.set_label_text(f'{text} ({EngFormatter.ENG_PREFIXES[exponent]}{unit})')
-
-
-def _scaled(value: float, scale: float) -> str:
-    return f'{round(value / scale, 9) + 0.0:g}'.replace('-', '−')  # without negative zeros
+    legend(panel, handlelength=2.5)
 
 
 def _without_jumps(angles: Floats) -> Floats:

@@ -1,0 +1,54 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Titles, legends and labels of the axes of figures."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.ticker import EngFormatter
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import shortened
+
+#: Number of characters, even wide ones, of a title that fits into the picture.
+_TITLE = 50
+
+
+def literal(title: str) -> str:
+    """Return a title cut to fit; replace bytes of a file name that are not text."""
+    return shortened(title.encode(errors='replace').decode(), _TITLE)
+
+
+def legend(panel: Axes, **options: Any) -> None:
+    """Draw the legend on the right of a panel."""
+    panel.legend(loc='center left', bbox_to_anchor=(1.0, 0.5), frameon=False, **options)
+
+
+def label(axis: Axis, text: str, unit: str, values: Floats) -> None:
+    """Label an axis; if all values are small, give the unit a prefix, as in mrad/s."""
+    largest = float(np.abs(values).max())
+    exponent = min(3 * math.floor(math.log10(largest) / 3.0), 0) if largest else 0
+    exponent = max(exponent, min(EngFormatter.ENG_PREFIXES))
+    if exponent:
+        axis.set_major_formatter(lambda value, _: _scaled(value, 10.0 ** exponent))
+    axis.set_label_text(f'{text} ({EngFormatter.ENG_PREFIXES[exponent]}{unit})')
+
+
+def _scaled(value: float, scale: float) -> str:
+    return f'{round(value / scale, 9) + 0.0:g}'.replace('-', '−')  # without negative zeros

@@ -1,0 +1,97 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Draw the spread of an ensemble into a PNG file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+import numpy as np
+from rigid_body_ros.report.labels import label, legend, literal
+from rigid_body_ros.report.style import COLOURS, STYLES
+
+#: Percentiles that are marked in the histogram, and their names.
+_MARKED = (('p5', '5 %'), ('p50', 'median'), ('p95', '95 %'))
+#: Number of the strongest rank correlations that are drawn.
+_SHOWN = 10
+
+
+def draw(path: str | Path, found: Mapping[str, Any], correlations: Sequence[tuple[str, float]],
+         title: str) -> None:
+    """
+    Draw the histogram of the final angles and the rank correlations.
+
+    Parameters
+    ----------
+    path : str or Path
+        The PNG file, with any suffix; an existing file is overwritten.
+    found : mapping
+        The results, as in summary.json; at least one run did not fail.
+    correlations : sequence of (str, float)
+        Names and rank correlations, the strongest first.
+    title : str
+        Drawn literally: a $ does not start a formula. Numbers of runs follow it.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+
+    """
+    correlations = correlations[:_SHOWN]
+    heights = [2.5, *([0.7 + 0.25 * len(correlations)] if correlations else [])]
+    figure = Figure(figsize=(9.0, 0.6 + sum(heights)), layout='constrained')
+    failed = f', {found["failed"]} failed' if found['failed'] else ''
+    figure.suptitle(f'{literal(title)}\n{found["runs"]} runs{failed}', parse_math=False)
+    panels = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    _draw_histogram(panels[0], found['histogram'], found['angle_from_nominal_rad'])
+    if correlations:
+        _draw_correlations(panels[-1], correlations)
+    FigureCanvasAgg(figure).print_figure(path, dpi=120, format='png')
+
+
+def _draw_histogram(panel: Axes, histogram: Mapping[str, Any],
+                    percentiles: Mapping[str, float]) -> None:
+    edges = np.array(histogram['edges_rad'])
+    panel.stairs(histogram['runs'], edges, fill=True, color='#bbbbbb')
+    if edges[0] > 0.0:
+        panel.set_xscale('log')
+        panel.set_xlabel('angle from the nominal final attitude (rad)')
+    else:
+        panel.axvline(0.0, color=COLOURS[3], linestyle=STYLES[3], linewidth=1.4, label='nominal')
+        label(panel.xaxis, 'angle from the nominal final attitude', 'rad', edges)
+    for (key, name), colour, style in zip(_MARKED, COLOURS, STYLES):
+        panel.axvline(percentiles[key], color=colour, linestyle=style, linewidth=1.4, label=name)
+    panel.set_ylabel('runs')
+    panel.grid(alpha=0.3)
+    legend(panel)
+
+
+def _draw_correlations(panel: Axes, correlations: Sequence[tuple[str, float]]) -> None:
+    names, values = zip(*correlations)
+    bars = panel.barh(range(len(names)), values, color=COLOURS[0], height=0.7)
+    texts = [f'{round(value, 2) + 0.0:.2f}'.replace('-', '−') for value in values]
+    panel.bar_label(bars, texts, padding=3, fontsize=8)
+    panel.set_yticks(range(len(names)), [literal(name) for name in names], parse_math=False)
+    panel.invert_yaxis()
+    panel.set_xlim(min(0.0, min(values) - 0.15), 1.1)  # with room for the numbers
+    panel.set_xlabel('rank correlation of this angle with the distance from the nominal value')
+    panel.grid(alpha=0.3, axis='x')
+    panel.set_axisbelow(True)

@@ -1,0 +1,152 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What people look at after an ensemble: the numbers that are drawn."""
+
+import json
+import subprocess
+import sys
+
+from matplotlib.figure import Figure
+import matplotlib.image
+import numpy as np
+from pyarrow import parquet
+import pytest
+from rigid_body_ros import cli
+from rigid_body_ros.ensemble import summary
+from rigid_body_ros.ensemble.histogram import histogram
+from rigid_body_ros.ensemble.percentiles import percentiles
+from rigid_body_ros.report import spread
+
+SCENE = """/**:
+  ros__parameters:
+    inertia: {ixx: 0.045, iyy: 0.12, izz: 0.14}
+    initial_angular_velocity: {x: 0.15, y: 0.6, z: -0.1}
+"""
+VARY = """inertia.izz: {normal: 0.014}
+initial_attitude: {tilt: 0.02}
+initial_angular_velocity.y: {normal: 0.01}
+"""
+PERCENTILES = (1, 5, 25, 50, 75, 95, 99, 100)
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Return the figures that are drawn."""
+    figures = []
+    monkeypatch.setattr(spread, 'Figure', lambda *arguments, **options: figures.append(
+        figure := Figure(*arguments, **options)) or figure)
+    return figures
+
+
+@pytest.fixture
+def arguments(tmp_path):
+    (tmp_path / 'scene.yaml').write_text(SCENE)
+    (tmp_path / 'vary.yaml').write_text(VARY)
+    return ['--scene', str(tmp_path / 'scene.yaml'), '--vary', str(tmp_path / 'vary.yaml'),
+            '--until', '5', '--runs', '400', '-o', str(tmp_path / 'out')]
+
+
+def results_of(angles, failed=0, **more):
+    """Return results as in summary.json."""
+    found = dict(zip((f'p{k}' for k in PERCENTILES), percentiles(lambda: [angles], PERCENTILES)))
+    return {'runs': len(angles), 'failed': failed, 'angle_from_nominal_rad': found,
+            'histogram': histogram(lambda: [angles], len(angles) - failed, found),
+            'rank_correlation': {}, **more}
+
+
+def bars(panel):
+    """Return the heights and the edges of a histogram."""
+    values, edges, _ = panel.patches[0].get_data()
+    return values, edges
+
+
+def marks(panel):
+    return {line.get_label(): line.get_xdata()[0] for line in panel.lines}
+
+
+def test_the_picture_of_an_ensemble_has_its_numbers(arguments, drawn, tmp_path):
+    assert cli.attitude_ensemble(arguments) == 0
+    assert matplotlib.image.imread(tmp_path / 'out' / 'bands.png').shape[1] == 1080
+    angles = parquet.read_table(tmp_path / 'out' / 'runs.parquet')['angle_from_nominal']
+    angles = angles.drop_null().to_numpy()
+    found = json.loads((tmp_path / 'out' / 'summary.json').read_text())
+    figure, = drawn
+    assert figure.get_suptitle() == f'scene.yaml\n400 runs, {400 - len(angles)} failed'
+    assert len(angles) < 400
+    upper, lower = figure.axes
+    values, edges = bars(upper)
+    np.testing.assert_array_equal(values, np.histogram(angles, edges)[0])
+    assert (edges[0], edges[-1], values.sum()) == (0.0, angles.max(), len(angles))
+    assert marks(upper) == {'nominal': 0.0, **{
+        name: np.percentile(angles, k, method='inverted_cdf')
+        for name, k in (('5 %', 5), ('median', 50), ('95 %', 95))}}
+    named = dict(zip((text.get_text() for text in lower.get_yticklabels()),
+                     (bar.get_width() for bar in lower.patches)))
+    assert named == found['rank_correlation']
+    assert [*named] == sorted(named, key=lambda name: -abs(named[name]))
+
+
+def test_angles_that_span_decades_have_a_logarithmic_axis(drawn, tmp_path):
+    angles = np.exp(np.random.default_rng(1).normal(-9.0, 2.0, 10_000))
+    angles[[3, 77]] = 0.0, np.nan
+    found = results_of(angles, failed=1)
+    spread.draw(tmp_path / 'b.png', found, [], 'title')
+    panel, = drawn[0].axes
+    values, edges = bars(panel)
+    assert panel.get_xscale() == 'log'
+    np.testing.assert_allclose(np.diff(np.log(edges)), np.log(edges[1] / edges[0]), rtol=1e-9)
+    assert edges[0] == 0.1 * found['angle_from_nominal_rad']['p1'] > np.nanmin(angles)
+    assert (edges[-1], values.sum()) == (np.nanmax(angles), 9999)
+    assert values[0] == np.count_nonzero(angles < edges[1])
+    assert 'nominal' not in marks(panel)
+
+
+@pytest.mark.parametrize('angles', [[0.0], [0.0] * 5, [1e-200], [0.3, 0.3], [5e-324] * 200])
+def test_angles_without_a_spread_are_counted(drawn, tmp_path, angles):
+    spread.draw(tmp_path / 'b.png', results_of(np.array(angles)), [], 'title')
+    values, edges = bars(drawn[0].axes[0])
+    assert (values.sum(), *np.sort(edges)) == (len(angles), *edges)
+
+
+def test_the_ten_strongest_correlations_are_drawn(drawn, tmp_path):
+    values = {f'key.{k}': 0.9 * (-0.8) ** k for k in reversed(range(13))}
+    found = results_of(np.linspace(0.0, 1e-3, 50), rank_correlation=values)
+    spread.draw(tmp_path / 'b.png', found, summary.ranked(found), '$title$')
+    upper, lower = drawn[0].axes
+    assert upper.get_xlabel() == 'angle from the nominal final attitude (mrad)'
+    assert [bar.get_width() for bar in lower.patches] == [0.9 * (-0.8) ** k for k in range(10)]
+    assert drawn[0].get_suptitle() == '$title$\n50 runs'
+
+
+def test_no_picture_if_all_runs_failed(arguments, tmp_path, capsys):
+    (tmp_path / 'vary.yaml').write_text('inertia.izz: {uniform: [-2.0, -1.0]}\n')
+    assert cli.attitude_ensemble(arguments) == 0
+    assert not (tmp_path / 'out' / 'bands.png').exists()
+    assert 'failed           400: inertia' in capsys.readouterr().out
+    found = json.loads((tmp_path / 'out' / 'summary.json').read_text())
+    assert found['histogram'] == found['angle_from_nominal_rad'] == {}
+
+
+@pytest.mark.slow
+def test_no_picture_without_matplotlib(arguments, tmp_path):
+    script = ("import sys; sys.modules['matplotlib'] = None; "
+              'from rigid_body_ros.cli import attitude_ensemble; sys.exit(attitude_ensemble())')
+    result = subprocess.run([sys.executable, '-c', script, *arguments], capture_output=True,
+                            text=True, check=False)
+    assert result.returncode == 0
+    assert result.stderr == (f'attitude_ensemble: note: {tmp_path / "out" / "bands.png"}: not '
+                             "drawn: Python module 'matplotlib' is not installed\n")
+    assert not (tmp_path / 'out' / 'bands.png').exists()
+    assert json.loads((tmp_path / 'out' / 'summary.json').read_text())['histogram']
