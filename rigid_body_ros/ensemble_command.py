@@ -27,9 +27,12 @@ from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros.arguments import (
+    add_overwrite,
+    add_report,
     add_scene,
     add_scheduler,
     add_torques,
+    command_line,
     load_scene,
     note,
     parsed,
@@ -61,12 +64,18 @@ def attitude_ensemble(arguments: Sequence[str] | None) -> int:
         ensemble = _ensemble(options)
         identity = _identity(ensemble, options.times)
         folder = Folder(options.output, identity, ensemble.columns, options.runs, ensemble.times)
+        if options.report:
+            with files.overwriting(options.overwrite):
+                files.check((options.report, '.html'))
         driver.compute(ensemble, folder, _pool(options), replay.progress(
             'runs', ' runs', driver.runs_of))
         found = summary.summarized(ensemble, folder)
         folder.write('summary.json', {**identity, **found})
         _draw(options, folder.path / 'bands.png', found)
-    show(f'{summary.text_of(found)}\n{"wrote":17}{options.output}')
+        if options.report:
+            _write_page(options, found, ensemble.scene)
+    written = ', '.join(filter(None, [options.output, options.report]))
+    show(f'{summary.text_of(found)}\n{"wrote":17}{written}')
     return 0
 
 
@@ -82,6 +91,14 @@ def _draw(options: argparse.Namespace, path: Path, found: Mapping[str, Any]) -> 
     from rigid_body_ros.ensemble.summary import ranked
     with files.atomic_output(path, '.png') as temporary:
         spread.draw(temporary, found, ranked(found), _title(options))
+
+
+def _write_page(options: argparse.Namespace, found: Mapping[str, Any], scene: Scene) -> None:
+    from rigid_body_ros.ensemble.page import page
+    from rigid_body_ros.report.page import write
+    line = command_line(options, 'scene', 'vary', 'recording', 'output', 'report')
+    with files.overwriting(options.overwrite):
+        write(options.report, page(found, _title(options), scene, line))
 
 
 def _title(options: argparse.Namespace) -> str:
@@ -198,6 +215,9 @@ def ensemble_parser() -> argparse.ArgumentParser:
     add_scheduler(pool)
     parser.add_argument('-o', '--output', required=True, metavar='FOLDER',
                         help='folder for the results: a new one, or that of the same ensemble')
+    add_report(parser, 'the summary, the histogram of the final angles, their percentiles over '
+               'time, and the rank correlations')
+    add_overwrite(parser)
     return parser
 
 

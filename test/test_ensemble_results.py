@@ -15,19 +15,22 @@
 """What people look at after an ensemble: the numbers that are drawn."""
 
 import json
+import re
 import subprocess
 import sys
 
+import browser
 from matplotlib.figure import Figure
 import matplotlib.image
 import numpy as np
 from pyarrow import parquet
 import pytest
-from rigid_body_ros import cli
-from rigid_body_ros.ensemble import summary
+from rigid_body_ros import cli, scene
+from rigid_body_ros.ensemble import page, summary
 from rigid_body_ros.ensemble.histogram import histogram
 from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.report import spread
+from rigid_body_ros.report.page import write
 
 SCENE = """/**:
   ros__parameters:
@@ -128,6 +131,48 @@ def test_the_ten_strongest_correlations_are_drawn(drawn, tmp_path):
     assert upper.get_xlabel() == 'angle from the nominal final attitude (mrad)'
     assert [bar.get_width() for bar in lower.patches] == [0.9 * (-0.8) ** k for k in range(10)]
     assert drawn[0].get_suptitle() == '$title$\n50 runs'
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('kind', ['linear', 'logx'])
+def test_the_page_has_the_histogram_and_the_correlations(arguments, tmp_path, kind):
+    found = results_of(np.linspace(0.0, 1.0, 900) ** (9 if kind == 'logx' else 1), failures={
+        '<b>': 7}, rank_correlation={'a': 0.5, 'b': -0.75})
+    made = page.page(found, 'name', scene.load(arguments[1]), '')
+    panel, = made.panels
+    curves, = panel.curves
+    assert panel.kind == kind
+    assert panel.lines == {name: found['angle_from_nominal_rad'][key] for key, name in (
+        ('p5', '5 %'), ('p50', 'median'), ('p95', '95 %'))}
+    assert curves.x[1:].tolist() == found['histogram']['edges_rad']
+    assert curves.high[1:-1, 0].tolist() == found['histogram']['runs']
+    write(tmp_path / 'page.html', made)
+    with browser.started() as chromium, \
+            browser.opened(chromium, tmp_path / 'page.html') as shown:
+        assert shown.locator('td:first-child').all_text_contents() == ['b', 'a']
+        assert [float(bar.get_attribute('width')) for bar in shown.locator('rect.bar').all()] \
+            == [75.0, 50.0]
+        assert '7: <b>' in shown.text_content('dl')
+        points = np.array(re.findall(r'[\d.]+', shown.get_attribute('.curve', 'd')), float)
+        marks = [float(line.get_attribute('x1')) for line in shown.locator('.plot line.c6').all()]
+    x = points[::2]
+    scale = np.log if kind == 'logx' else np.array
+    low, high = scale(curves.x[0]), scale(curves.x[-1])
+    expected = [x[0] + (scale(angle) - low) / (high - low) * (x[-1] - x[0])
+                for angle in panel.lines.values()]
+    np.testing.assert_allclose(marks, expected, atol=0.2)
+
+
+def test_a_page_that_exists_is_kept(arguments, tmp_path, capsys):
+    target = tmp_path / 'page.html'
+    target.write_text('precious')
+    assert cli.attitude_ensemble([*arguments, '--report', str(target)]) == 2
+    assert capsys.readouterr().err == (f'attitude_ensemble: error: {target}: output exists; '
+                                       'choose another name, or add --overwrite\n')
+    assert target.read_text() == 'precious'
+    assert not (tmp_path / 'out' / 'runs.parquet').exists()
+    assert cli.attitude_ensemble([*arguments, '--report', str(target), '--overwrite']) == 0
+    assert '<title>scene.yaml: 400 runs</title>' in target.read_text()
 
 
 def test_no_picture_if_all_runs_failed(arguments, tmp_path, capsys):

@@ -53,6 +53,7 @@ def others(tmp_path_factory):
     """Return the pages of the other commands, by name."""
     folder = tmp_path_factory.mktemp('others')
     motion, pages = str(folder / 'motion.mcap'), {}
+    (folder / 'vary.yaml').write_text('torque_gain: {normal: 0.03}\n')
     assert cli.attitude_replay([*TUMBLER, '-o', motion, '--also', 'input']) == 0
     for name, command, *arguments in (
             ('compare', cli.attitude_compare, motion, '--measured', '/attitude', '--horizon', '2',
@@ -60,6 +61,8 @@ def others(tmp_path_factory):
             ('tradeoff', cli.attitude_tradeoff, '--recording', TUMBLER[0]),
             ('identify', cli.attitude_identify, motion, '--measured', '/attitude', '-o',
              str(folder / 'fitted.yaml')),
+            ('ensemble', cli.attitude_ensemble, '--recording', TUMBLER[0], '--vary',
+             str(folder / 'vary.yaml'), '--runs', '50', '-o', str(folder / 'runs')),
             ('index', cli.attitude_replay, TUMBLER[0], motion, '-o', str(folder / 'motions'))):
         pages[name] = folder / f'{name}.html'
         assert command([*arguments, *TUMBLER[1:], '--report', str(pages[name])]) == 0, name
@@ -281,7 +284,8 @@ def test_a_spike_of_one_sample_is_visible(chromium, tmp_path, count):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('name', ['compare', 'tradeoff', 'identify', 'index'])
+@pytest.mark.parametrize('name', ['compare', 'tradeoff', 'identify', 'ensemble',
+                                  'index'])
 @pytest.mark.parametrize('width', [1280, 390])
 def test_the_pages_of_other_commands_open_alone_and_fit_the_window(chromium, others, name, width):
     with browser.opened(chromium, others[name], width) as page:

@@ -92,7 +92,7 @@ class Panel:
     x_label : str
         With its unit. Panels with the same label share range and cursor.
     kind : str
-        'linear', 'angle' (jumps by a turn are not drawn), 'log' or 'loglog'.
+        'linear', 'angle' (jumps by a turn are not drawn), 'log', 'logx' or 'loglog'.
     lines : dict
         By description, abscissas to mark.
     texts : sequence of sequence of str

@@ -25,10 +25,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np
 from rigid_body_ros.report.labels import label, legend, literal
-from rigid_body_ros.report.style import COLOURS, STYLES
+from rigid_body_ros.report.style import COLOURS, MARKED, STYLES
 
-#: Percentiles that are marked in the histogram, and their names.
-_MARKED = (('p5', '5 %'), ('p50', 'median'), ('p95', '95 %'))
 #: Number of the strongest rank correlations that are drawn.
 _SHOWN = 10
 
@@ -77,7 +75,7 @@ def _draw_histogram(panel: Axes, histogram: Mapping[str, Any],
     else:
         panel.axvline(0.0, color=COLOURS[3], linestyle=STYLES[3], linewidth=1.4, label='nominal')
         label(panel.xaxis, 'angle from the nominal final attitude', 'rad', edges)
-    for (key, name), colour, style in zip(_MARKED, COLOURS, STYLES):
+    for (key, name), colour, style in zip(MARKED, COLOURS, STYLES):
         panel.axvline(percentiles[key], color=colour, linestyle=style, linewidth=1.4, label=name)
     panel.set_ylabel('runs')
     panel.grid(alpha=0.3)

@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 COLOURS = ('#0072B2', '#D55E00', '#009E73', '#000000', '#CC79A7', '#56B4E9')
 STYLES = ('-', '--', '-.', ':')
 MARKERS = ('o', 's', '^', 'D', 'v', 'x')
+#: Percentiles that are marked in the histogram of an ensemble, and their names.
+MARKED = (('p5', '5 %'), ('p50', 'median'), ('p95', '95 %'))
 QUATERNION = ('x', 'y', 'z', 'w')
 RATES, MOMENTA, TORQUES = ('ω₁', 'ω₂', 'ω₃'), ('h₁', 'h₂', 'h₃'), ('τ₁', 'τ₂', 'τ₃')
 ERRORS = ('|e|', '|e₁|', '|e₂|', '|e₃|')

@@ -49,15 +49,16 @@ class Panel {
   constructor(data, group, parent) {
     this.data = data;
     this.group = group;
-    this.logX = data.kind === 'loglog';
-    this.logY = this.logX || data.kind === 'log';
-    this.height = this.logX ? 2 * HEIGHT : HEIGHT;
+    this.logX = data.kind === 'loglog' || data.kind === 'logx';
+    this.logY = data.kind === 'loglog' || data.kind === 'log';
+    this.tall = data.kind === 'loglog';
+    this.height = this.tall ? 2 * HEIGHT : HEIGHT;
     this.series = data.curves.flatMap((curves) => this.read(curves));
     this.unit = this.withPrefix();
     const box = html('div', parent);
     box.className = 'panel';
     html('h3', box, data.label + (this.unit ? ` (${this.unit})` : ''));
-    this.svg = element('svg', {class: this.logX ? 'plot tall' : 'plot', role: 'img', 'aria-label':
+    this.svg = element('svg', {class: this.tall ? 'plot tall' : 'plot', role: 'img', 'aria-label':
       `${data.label} over ${data.xLabel}: ${this.series.map((one) => one.name).join(', ')}`}, box);
     this.legend(box);
     if (data.texts.length) {
@@ -141,7 +142,7 @@ class Panel {
       high = Math.max(high, x);
     }
     if (!(low < Infinity)) return [0, 1];
-    if (this.logX) return [low / 2, high * 2];
+    if (this.logX) return this.tall ? [low / 2, high * 2] : [low, high];
     return high > low ? [low, high] : [low, low + 1e-9];
   }
 
@@ -370,7 +371,7 @@ for (const data of page.panels) {
   const name = data.kind === 'loglog' ? data.label : data.xLabel;
   if (!groups[name]) {
     groups[name] = new Group();
-    addButtons(parent, groups[name], data.kind !== 'loglog');
+    addButtons(parent, groups[name], !data.kind.startsWith('log') || data.kind === 'log');
   }
   new Panel(data, groups[name], parent);
 }

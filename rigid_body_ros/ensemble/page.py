@@ -1,0 +1,75 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Put the page of an ensemble together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from rigid_body_ros.ensemble.summary import ranked, rows
+from rigid_body_ros.report.charts import Curves, Panel
+from rigid_body_ros.report.page import Markup, Page, table
+from rigid_body_ros.report.style import MARKED
+from rigid_body_ros.scene import Scene
+
+#: Length of the bar of a rank correlation of 1, and height of its picture, in its own units.
+_WIDTH, _HEIGHT = 100.0, 20.0
+
+
+def page(found: Mapping[str, Any], name: str, scene: Scene, command: str) -> Page:
+    """
+    Return the page of an ensemble.
+
+    Parameters
+    ----------
+    found : mapping
+        The results, as in summary.json.
+    name : str
+        Name of the recording, or of the scene.
+    scene : Scene
+        The scene of the nominal motion.
+    command : str
+        The command line.
+
+    """
+    correlations = [(key, f'{round(value, 2) + 0.0:.2f}', _bar(value))
+                    for key, value in ranked(found)]
+    return Page(f'{name}: {found["runs"]} runs', rows(found),
+                [*_panels(found)], warnings=scene.warnings, scene=scene, command=command,
+                table=table(('parameter', 'rank correlation', ''), correlations)
+                if correlations else '')
+
+
+def _panels(found: Mapping[str, Any]) -> Iterator[Panel]:
+    histogram = found['histogram']
+    if histogram:
+        edges = np.array(histogram['edges_rad'])
+        counts = np.array([0, *histogram['runs'], 0], float)[:, None]
+        angles = found['angle_from_nominal_rad']
+        yield Panel('runs', '', [Curves(np.insert(edges, 0, edges[0]), counts, counts, ['runs'],
+                                        step=True)],
+                    'angle from the nominal final attitude (rad)',
+                    'logx' if edges[0] > 0.0 else 'linear',
+                    {name: angles[key] for key, name in MARKED})
+
+
+def _bar(correlation: float) -> Markup:
+    """Return a rank correlation as a bar from the middle of a picture."""
+    left, width = _WIDTH * min(0.0, correlation), _WIDTH * abs(correlation)
+    return Markup(f'<svg class="picture" viewBox="{-_WIDTH:g} 0 {2 * _WIDTH:g} {_HEIGHT:g}" '
+                  f'aria-hidden="true"><rect class="bar c0" x="{left:.1f}" y="4" '
+                  f'width="{width:.1f}" height="{_HEIGHT - 8.0:g}"/></svg>')
