@@ -25,12 +25,13 @@ import matplotlib.image
 import numpy as np
 from pyarrow import parquet
 import pytest
-from rigid_body_ros import cli, scene
-from rigid_body_ros.ensemble import page, summary
+from rigid_body_ros import cli, propagate, scene, so3
+from rigid_body_ros.ensemble import bands, page, summary
 from rigid_body_ros.ensemble.histogram import histogram
 from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.report import spread
 from rigid_body_ros.report.page import write
+import zarr
 
 SCENE = """/**:
   ros__parameters:
@@ -69,7 +70,7 @@ def results_of(angles, failed=0, **more):
             'rank_correlation': {}, **more}
 
 
-def bars(panel):
+def heights(panel):
     """Return the heights and the edges of a histogram."""
     values, edges, _ = panel.patches[0].get_data()
     return values, edges
@@ -89,7 +90,7 @@ def test_the_picture_of_an_ensemble_has_its_numbers(arguments, drawn, tmp_path):
     assert figure.get_suptitle() == f'scene.yaml\n400 runs, {400 - len(angles)} failed'
     assert len(angles) < 400
     upper, lower = figure.axes
-    values, edges = bars(upper)
+    values, edges = heights(upper)
     np.testing.assert_array_equal(values, np.histogram(angles, edges)[0])
     assert (edges[0], edges[-1], values.sum()) == (0.0, angles.max(), len(angles))
     assert marks(upper) == {'nominal': 0.0, **{
@@ -101,13 +102,38 @@ def test_the_picture_of_an_ensemble_has_its_numbers(arguments, drawn, tmp_path):
     assert [*named] == sorted(named, key=lambda name: -abs(named[name]))
 
 
+def test_the_bands_are_the_percentiles_of_the_motions(arguments, drawn, tmp_path, monkeypatch):
+    monkeypatch.setattr(bands, '_TIMES', 9)
+    assert cli.attitude_ensemble([*arguments, '--times', '3.3']) == 0
+    ensemble = zarr.open_group(tmp_path / 'out' / 'motion.zarr', mode='r')
+    rows = [0, 2, 4, 6, 8, 10, 12, 14, 17]
+    loaded = scene.load(tmp_path / 'scene.yaml')
+    times = ensemble['time'][:][rows]
+    nominal = propagate(loaded.body, loaded.start, at=np.round(times * 1e9).astype(np.int64))
+    motions = ensemble['motion'][:, rows, :4]
+    angles = so3.angle_between(motions[np.isfinite(motions[:, 0, 0])], nominal.attitude)
+    expected = np.percentile(angles, [5, 25, 50, 75, 95], axis=0, method='inverted_cdf')
+    found = json.loads((tmp_path / 'out' / 'summary.json').read_text())
+    assert found['bands']['times_s'] == times.tolist()
+    for k, values in zip((5, 25, 50, 75, 95), expected):
+        np.testing.assert_array_equal(found['bands'][f'p{k}_rad'], values)
+    final = found['angle_from_nominal_rad']
+    assert [final[f'p{k}'] for k in (5, 50, 95)] == expected[[0, 2, 4], -1].tolist()
+    panel = drawn[0].axes[0]
+    assert panel.lines[0].get_xydata().tolist() == np.column_stack([times, expected[2]]).tolist()
+    for area, (low, high) in zip(panel.collections, ((0, 4), (1, 3))):
+        corners = area.get_paths()[0].vertices
+        for row in (low, high):
+            assert {*zip(times, expected[row])} <= {*map(tuple, corners)}
+
+
 def test_angles_that_span_decades_have_a_logarithmic_axis(drawn, tmp_path):
     angles = np.exp(np.random.default_rng(1).normal(-9.0, 2.0, 10_000))
     angles[[3, 77]] = 0.0, np.nan
     found = results_of(angles, failed=1)
     spread.draw(tmp_path / 'b.png', found, [], 'title')
     panel, = drawn[0].axes
-    values, edges = bars(panel)
+    values, edges = heights(panel)
     assert panel.get_xscale() == 'log'
     np.testing.assert_allclose(np.diff(np.log(edges)), np.log(edges[1] / edges[0]), rtol=1e-9)
     assert edges[0] == 0.1 * found['angle_from_nominal_rad']['p1'] > np.nanmin(angles)
@@ -119,7 +145,7 @@ def test_angles_that_span_decades_have_a_logarithmic_axis(drawn, tmp_path):
 @pytest.mark.parametrize('angles', [[0.0], [0.0] * 5, [1e-200], [0.3, 0.3], [5e-324] * 200])
 def test_angles_without_a_spread_are_counted(drawn, tmp_path, angles):
     spread.draw(tmp_path / 'b.png', results_of(np.array(angles)), [], 'title')
-    values, edges = bars(drawn[0].axes[0])
+    values, edges = heights(drawn[0].axes[0])
     assert (values.sum(), *np.sort(edges)) == (len(angles), *edges)
 
 

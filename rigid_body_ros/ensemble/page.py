@@ -29,6 +29,10 @@ from rigid_body_ros.scene import Scene
 #: Length of the bar of a rank correlation of 1, and height of its picture, in its own units.
 _WIDTH, _HEIGHT = 100.0, 20.0
 
+#: Percentiles over time, and their names.
+_BANDS = (('p5_rad', '5 %'), ('p25_rad', '25 %'), ('p50_rad', 'median'), ('p75_rad', '75 %'),
+          ('p95_rad', '95 %'))
+
 
 def page(found: Mapping[str, Any], name: str, scene: Scene, command: str) -> Page:
     """
@@ -55,16 +59,21 @@ def page(found: Mapping[str, Any], name: str, scene: Scene, command: str) -> Pag
 
 
 def _panels(found: Mapping[str, Any]) -> Iterator[Panel]:
-    histogram = found['histogram']
+    histogram, bands = found['histogram'], found.get('bands')
+    if bands:
+        angles = np.array([bands[key] for key, _ in _BANDS]).T
+        yield Panel('angle from the nominal attitude', 'rad', [Curves(
+            np.array(bands['times_s']), angles, angles, [name for _, name in _BANDS])],
+            kind='log' if histogram['edges_rad'][0] > 0.0 else 'linear')
     if histogram:
         edges = np.array(histogram['edges_rad'])
         counts = np.array([0, *histogram['runs'], 0], float)[:, None]
-        angles = found['angle_from_nominal_rad']
+        final = found['angle_from_nominal_rad']
         yield Panel('runs', '', [Curves(np.insert(edges, 0, edges[0]), counts, counts, ['runs'],
                                         step=True)],
                     'angle from the nominal final attitude (rad)',
                     'logx' if edges[0] > 0.0 else 'linear',
-                    {name: angles[key] for key, name in MARKED})
+                    {name: final[key] for key, name in MARKED})
 
 
 def _bar(correlation: float) -> Markup:

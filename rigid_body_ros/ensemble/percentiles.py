@@ -19,10 +19,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 
 #: Bits of a number that a pass over all numbers determines.
-_DIGIT = 16
+_DIGIT = 11
+#: Bits of a number after the next digit.
+_SHIFTS = range(5 * _DIGIT, -1, -_DIGIT)
 
 
 def percentiles(chunks: Callable[[], Iterable[Floats]], wanted: Sequence[int]) -> list[float]:
@@ -32,7 +35,7 @@ def percentiles(chunks: Callable[[], Iterable[Floats]], wanted: Sequence[int]) -
     Parameters
     ----------
     chunks : callable
-        Returns all numbers in chunks, the same at each of five calls; NaN is left out. The others
+        Returns all numbers in chunks, the same at each of six calls; NaN is left out. The others
         are not negative.
     wanted : sequence of int
         From 1 to 100.
@@ -44,23 +47,53 @@ def percentiles(chunks: Callable[[], Iterable[Floats]], wanted: Sequence[int]) -
         `numpy.percentile` with the method 'inverted_cdf'. Empty if there are no numbers.
 
     """
-    count = sum(int(np.isfinite(chunk).sum()) for chunk in chunks())
-    if not count:
-        return []
+    found = of_columns(lambda: (chunk[:, None] for chunk in chunks()), wanted, 1)[:, 0]
+    return [] if np.isnan(found).any() else [float(number) for number in found]
+
+
+def of_columns(chunks: Callable[[], Iterable[Floats]], wanted: Sequence[int],
+               columns: int) -> Floats:
+    """
+    Return the percentiles of each column of many rows.
+
+    Parameters
+    ----------
+    chunks : callable
+        As for `percentiles`; a chunk has the shape (n, columns).
+    wanted : sequence of int
+        From 1 to 100.
+    columns : int
+        Number of columns.
+
+    Returns
+    -------
+    array, shape (len(wanted), columns)
+        NaN in columns that have no numbers.
+
+    """
     # The bits of a number that is not negative are in the order of the numbers. A pass finds the
     # next digit of all results, from the most significant one.
-    ranks = np.array([-(-k * count // 100) - 1 for k in wanted])
-    found = np.zeros(len(wanted), np.uint64)
-    for shift in range(64 - _DIGIT, -1, -_DIGIT):
-        counts = np.zeros((len(wanted), 2 ** _DIGIT), np.int64)
+    found = np.zeros((len(wanted), columns), np.uint64)
+    ranks, known = np.zeros(found.shape, np.int64), np.zeros(columns, np.int64)
+    for shift in _SHIFTS:
+        counts = np.zeros((*found.shape, 2 ** _DIGIT), np.int64)
         for chunk in chunks():
-            bits = chunk[np.isfinite(chunk)].view(np.uint64) >> np.uint64(shift)
-            for row, prefix in zip(counts, found):
-                digits = bits - (prefix << np.uint64(_DIGIT))  # wraps to a large one if below
-                row += np.bincount(digits[digits < 2 ** _DIGIT].astype(np.intp),
-                                   minlength=2 ** _DIGIT)
-        ends = counts.cumsum(axis=1)
-        digit = np.array([np.searchsorted(end, rank, 'right') for end, rank in zip(ends, ranks)])
-        ranks -= (ends - counts)[np.arange(len(wanted)), digit]
+            _count(counts, chunk, found, shift)
+        if shift == _SHIFTS[0]:
+            known = counts[0].sum(axis=-1)
+            ranks = -(-np.outer(wanted, known) // 100) - 1
+        ends = counts.cumsum(axis=-1)
+        digit = (ends[..., :-1] <= ranks[..., None]).sum(axis=-1)
+        ranks -= np.take_along_axis(ends - counts, digit[..., None], -1)[..., 0]
         found = found << np.uint64(_DIGIT) | digit.astype(np.uint64)
-    return [float(number) for number in found.view(float)]
+    return np.where(known, found.view(float), np.nan)
+
+
+def _count(counts: NDArray[np.int64], chunk: Floats, prefixes: NDArray[np.uint64],
+           shift: int) -> None:
+    """Count the next digits of the numbers that begin with a prefix of their column."""
+    known, bits = np.isfinite(chunk), chunk.view(np.uint64) >> np.uint64(shift)
+    for count, prefix in zip(counts, prefixes):
+        digits = bits - (prefix << np.uint64(_DIGIT))  # wraps to a large one if below
+        rows, columns = np.nonzero(known & (digits < 2 ** _DIGIT))
+        np.add.at(count, (columns, digits[rows, columns].astype(np.intp)), 1)

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.ensemble.bands import bands
 from rigid_body_ros.ensemble.folder import Folder
 from rigid_body_ros.ensemble.histogram import histogram
 from rigid_body_ros.ensemble.percentiles import percentiles
@@ -44,14 +45,17 @@ def summarized(ensemble: Ensemble, folder: Folder) -> dict[str, Any]:
     dict
         Counts of runs and the reasons of failures; percentiles and histogram of the angle from
         the nominal final attitude, rad, empty if all runs failed; and rank correlations of that
-        angle with the distance of each dispersed parameter from its nominal value.
+        angle with the distance of each dispersed parameter from its nominal value. If the folder
+        has times and a run did not fail, 'bands' as well.
 
     """
     failures = folder.failures()
     failed, angles = sum(failures.values()), partial(folder.chunks, ANGLE)
     found = dict(zip((f'p{k}' for k in _PERCENTILES), percentiles(angles, _PERCENTILES)))
+    over_time = {'bands': bands(folder, ensemble.nominal_motion)} if found and folder.times \
+        is not None else {}
     return {'runs': folder.runs, 'failed': failed, 'failures': failures,
-            'angle_from_nominal_rad': found,
+            'angle_from_nominal_rad': found, **over_time,
             'histogram': histogram(angles, folder.runs - failed, found) if found else {},
             'rank_correlation': _correlations(ensemble, folder)}
 

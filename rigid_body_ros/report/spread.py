@@ -34,7 +34,7 @@ _SHOWN = 10
 def draw(path: str | Path, found: Mapping[str, Any], correlations: Sequence[tuple[str, float]],
          title: str) -> None:
     """
-    Draw the histogram of the final angles and the rank correlations.
+    Draw the angles over time, the histogram of the final ones, and the rank correlations.
 
     Parameters
     ----------
@@ -53,16 +53,40 @@ def draw(path: str | Path, found: Mapping[str, Any], correlations: Sequence[tupl
         The file cannot be written.
 
     """
-    correlations = correlations[:_SHOWN]
-    heights = [2.5, *([0.7 + 0.25 * len(correlations)] if correlations else [])]
+    correlations, bands = correlations[:_SHOWN], found.get('bands')
+    heights = [2.5] * (1 + bool(bands))
+    if correlations:
+        heights.append(0.7 + 0.25 * len(correlations))
     figure = Figure(figsize=(9.0, 0.6 + sum(heights)), layout='constrained')
     failed = f', {found["failed"]} failed' if found['failed'] else ''
     figure.suptitle(f'{literal(title)}\n{found["runs"]} runs{failed}', parse_math=False)
     panels = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-    _draw_histogram(panels[0], found['histogram'], found['angle_from_nominal_rad'])
+    if bands:
+        _draw_bands(panels[0], bands, logarithmic=found['histogram']['edges_rad'][0] > 0.0)
+    _draw_histogram(panels[int(bool(bands))], found['histogram'], found['angle_from_nominal_rad'])
     if correlations:
         _draw_correlations(panels[-1], correlations)
     FigureCanvasAgg(figure).print_figure(path, dpi=120, format='png')
+
+
+def _draw_bands(panel: Axes, bands: Mapping[str, Sequence[float]], *, logarithmic: bool) -> None:
+    seconds = np.array(bands['times_s'])
+    angles = {k: np.array(bands[f'p{k}_rad']) for k in (5, 25, 50, 75, 95)}
+    for low, high, alpha in ((5, 95, 0.25), (25, 75, 0.45)):
+        panel.fill_between(seconds, angles[low], angles[high], color=COLOURS[0], alpha=alpha,
+                           linewidth=0.0, label=f'{low} % to {high} %')
+    panel.plot(seconds, angles[50], color=COLOURS[1], linewidth=1.4, label='median')
+    if logarithmic:
+        positive = angles[5][angles[5] > 0.0]
+        panel.set_yscale('log')
+        panel.set_ylim(0.5 * float(np.percentile(positive, 5.0)), 2.0 * float(angles[95].max()))
+        panel.set_ylabel('angle from the\nnominal attitude (rad)')
+    else:
+        label(panel.yaxis, 'angle from the\nnominal attitude', 'rad', angles[95])
+    panel.set_xlim(0.0, max(float(seconds[-1]), 1e-9))
+    panel.set_xlabel('time from the start (s)')
+    panel.grid(alpha=0.3)
+    legend(panel)
 
 
 def _draw_histogram(panel: Axes, histogram: Mapping[str, Any],
