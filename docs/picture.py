@@ -13,14 +13,17 @@
 # limitations under the License.
 
 """
-Draw docs/page.png: the page that attitude_replay writes of the flip of a wing nut.
+Draw the pictures of the pages on reports and ensembles.
 
     python docs/picture.py
 
-It needs Chromium and Playwright, which is in the extra `test`.
+docs/page.png shows the page that attitude_replay writes of the flip of a wing nut, and
+docs/ensemble.png the spread of many such flips. The page needs Chromium and Playwright, which is
+in the extra `test`.
 """
 
 from pathlib import Path
+import shutil
 import sys
 from tempfile import TemporaryDirectory
 
@@ -31,16 +34,35 @@ HERE = Path(__file__).resolve().parent
 RECORDING = HERE.parent / 'test' / 'recordings' / 'torque_free_intermediate_axis'
 #: The part of the page, px, and the time, s.
 SIZE, TIME = {'width': 900, 'height': 1225}, 8.6
+#: The dispersions of the ensemble.
+VARY = """inertia: {relative: 0.02}
+initial_attitude: {tilt: 0.02}
+initial_angular_velocity.x: {normal: 0.1, relative: true}
+initial_angular_velocity.y: {normal: 0.002, relative: true}
+"""
 
 
 def main() -> int:
-    """Write the page, draw it, and return the exit status."""
+    """Draw the pictures, and return the exit status."""
     with TemporaryDirectory() as folder:
         page = Path(folder) / 'page.html'
         status = cli.attitude_replay([f'{RECORDING}.mcap', '--scene', f'{RECORDING}.yaml',
                                       '--rate', '20', '--until', '34', '--report', str(page)])
         if not status:
             draw(page)
+    return status or draw_ensemble()
+
+
+def draw_ensemble() -> int:
+    """Draw the spread of many flips, and return the exit status."""
+    with TemporaryDirectory() as folder:
+        vary, runs = Path(folder) / 'vary.yaml', Path(folder) / 'runs'
+        vary.write_text(VARY)
+        status = cli.attitude_ensemble(['--scene', f'{RECORDING}.yaml', '--vary', str(vary),
+                                        '--until', '34', '--times', '10', '--runs', '2000', '-o',
+                                        str(runs)])
+        if not status:
+            shutil.copyfile(runs / 'bands.png', HERE / 'ensemble.png')
     return status
 
 
