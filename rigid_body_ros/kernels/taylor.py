@@ -36,6 +36,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import elementary, euler_equations, four, lanes, linear_terms
 from rigid_body_ros.kernels.euler_equations import DIAGONAL, Products
@@ -76,6 +77,7 @@ _TERM_IN_LANES = _TORQUES
 #: Size of the table.
 WORKSPACE = _TERM * (MAX_ORDER + 1)
 WORKSPACE_OF_LANES = _TERM_IN_LANES * (MAX_ORDER + 1)
+_RECIPROCALS = 1.0 / np.arange(1.0, MAX_ORDER + 1.0)
 
 
 class Extras(NamedTuple):
@@ -215,9 +217,8 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
                     coefficients, form, _torque_term(table, k, extras.space_degree))
                 u = add_scaled(u, seconds * seconds, torque_acceleration)
             past = (latest[0], past[0], past[1], past[2])
-        u = scale(1.0 / (k + 1), u)
-        factor = 0.5 / (k + 1)
-        rotation = scale(factor, rotation)
+        u = scale(_RECIPROCALS[k], u)
+        rotation = scale(0.5 * _RECIPROCALS[k], rotation)
         u = _without_fourth(table, u)
         if four.has_lanes(table) and lanes.some(small >= powers + 2):  # of bodies that converged
             u = four.choose(small >= powers + 2, zero, u)
@@ -337,4 +338,4 @@ def _expand_torque(table: Floats, k: int, place: int) -> None:
         _, u_yzx, u_zxy = _load_permuted(table, _row(table, k - j) + _U)
         one, other = four.fma(yzx, u_zxy, one), four.fma(zxy, u_yzx, other)
     _store_permuted(table, _row(table, k + 1) + place,
-                    scale(1.0 / (k + 1), four.subtract(one, other)))
+                    scale(_RECIPROCALS[k], four.subtract(one, other)))
