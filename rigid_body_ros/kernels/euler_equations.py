@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 
-from rigid_body_ros.kernels import four, lanes
+from rigid_body_ros.kernels import four
 from rigid_body_ros.kernels.jit import inlined
 from rigid_body_ros.kernels.vector import (
     add,
@@ -122,15 +122,16 @@ def _combine_both(columns: tuple[Vector, Vector, Vector],
 @inlined
 def acceleration_bound(drive: Polynomial, in_space: bool, coefficients: Coefficients) -> float:
     """Return a bound on |J^-1 tau|, rad/s^2, over the span of a drive; see `taylor.step`."""
-    size = lanes.zero(drive[0][0])
-    for vector in drive:
-        size += math.sqrt(dot(vector, vector))
     if not in_space:
-        return size
-    # A torque fixed in space may come to lie along any body axis.
-    norm = lanes.zero(coefficients[0][0][0])
+        bound = 0.0
+        for vector in drive:
+            bound += math.sqrt(dot(vector, vector))
+        return bound
+    norm = size = 0.0  # a torque fixed in space may come to lie along any body axis
     for column in coefficients[0][6:]:
         norm += dot(column, column)
+    for vector in drive:
+        size += math.sqrt(dot(vector, vector))
     return math.sqrt(norm) * size
 
 

@@ -15,9 +15,9 @@
 """
 Lanes: a number of each of several bodies in one SIMD register, for the compiled kernels.
 
-A step takes as many bodies as it has lanes if its arguments have this type instead of float, and
-`four.Lanes` instead of `Four`. The source is the same, and each lane rounds as a single double
-does, so each body has the bits that it has alone. Only compiled kernels have lanes.
+If the arguments of a step have lanes, so has its result: the same source steps several bodies at
+once. Each lane rounds as a single double does, so a body has the bits that it has alone. Only
+compiled kernels have lanes.
 """
 
 from __future__ import annotations

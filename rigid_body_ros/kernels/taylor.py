@@ -76,7 +76,9 @@ _TERM = _TORQUES + 4 * _TORQUE
 _TERM_IN_LANES = _TORQUES
 #: Size of the table.
 WORKSPACE = _TERM * (MAX_ORDER + 1)
+#: Number of its rows with lanes.
 WORKSPACE_OF_LANES = _TERM_IN_LANES * (MAX_ORDER + 1)
+#: 1 / (k + 1), looked up because a division takes longer.
 _RECIPROCALS = 1.0 / np.arange(1.0, MAX_ORDER + 1.0)
 
 
@@ -217,8 +219,9 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
                     coefficients, form, _torque_term(table, k, extras.space_degree))
                 u = add_scaled(u, seconds * seconds, torque_acceleration)
             past = (latest[0], past[0], past[1], past[2])
-        u = scale(_RECIPROCALS[k], u)
-        rotation = scale(0.5 * _RECIPROCALS[k], rotation)
+        reciprocal = float(_RECIPROCALS[k])
+        u = scale(reciprocal, u)
+        rotation = scale(0.5 * reciprocal, rotation)
         u = _without_fourth(table, u)
         if four.has_lanes(table) and lanes.some(small >= powers + 2):  # of bodies that converged
             u = four.choose(small >= powers + 2, zero, u)
@@ -338,4 +341,4 @@ def _expand_torque(table: Floats, k: int, place: int) -> None:
         _, u_yzx, u_zxy = _load_permuted(table, _row(table, k - j) + _U)
         one, other = four.fma(yzx, u_zxy, one), four.fma(zxy, u_yzx, other)
     _store_permuted(table, _row(table, k + 1) + place,
-                    scale(_RECIPROCALS[k], four.subtract(one, other)))
+                    scale(float(_RECIPROCALS[k]), four.subtract(one, other)))
