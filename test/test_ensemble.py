@@ -191,15 +191,7 @@ def parquet_of(path, rows):
 @pytest.mark.slow
 def test_three_kills_and_resumes_give_the_same_bytes(inputs):
     run(inputs, 'whole', 6000)
-    command = [*COMMAND, *arguments(inputs, 'killed', 6000)]
-    blocks, before = inputs / 'killed' / 'blocks', 0
-    for _ in range(3):
-        with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.DEVNULL) as process:
-            while process.poll() is None and count(blocks) < before + 3:
-                time.sleep(0.01)
-            process.kill()
-        assert process.returncode == -signal.SIGKILL
-        before = count(blocks)
+    kill_three_times(inputs, arguments(inputs, 'killed', 6000))
     assert not (inputs / 'killed' / 'runs.parquet').exists()
     run(inputs, 'killed', 6000)
     assert contents(inputs / 'killed') == contents(inputs / 'whole')
@@ -216,6 +208,19 @@ def test_an_interrupt_is_one_line_and_the_same_command_goes_on(inputs):
     assert process.returncode == 130
     assert error == ('attitude_ensemble: interrupted; the same command goes on with what is in '
                      f'{inputs / "out"}\n')
+
+
+def kill_three_times(inputs, given):
+    """Begin an ensemble in the folder 'killed' three times, and kill it after three blocks."""
+    command = [*COMMAND, *given]
+    blocks, before = inputs / 'killed' / 'blocks', 0
+    for _ in range(3):
+        with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.DEVNULL) as process:
+            while process.poll() is None and count(blocks) < before + 3:
+                time.sleep(0.01)
+            process.kill()
+        assert process.returncode == -signal.SIGKILL
+        before = count(blocks)
 
 
 def count(blocks):

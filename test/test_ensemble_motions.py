@@ -15,9 +15,6 @@
 """The motions of an ensemble: the states of `propagate`, and the same bytes however written."""
 
 import shutil
-import signal
-import subprocess
-import time
 
 import numpy as np
 from pyarrow import parquet
@@ -26,12 +23,10 @@ from rigid_body_ros import cli, propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.ensemble import motions
 from test_ensemble import (
     arguments,
-    COMMAND,
     contents,
-    count,
-    ENVIRONMENT,
     error_of,
     inputs,
+    kill_three_times,
     run,
     small_blocks,
     TIMES,
@@ -169,14 +164,6 @@ def test_a_damaged_chunk_is_one_line(inputs, capsys):
 @pytest.mark.slow
 def test_kills_and_resumes_give_the_same_bytes(inputs):
     run(inputs, 'whole', 4000, '--times', HZ)
-    command = [*COMMAND, *arguments(inputs, 'killed', 4000, '--times', HZ)]
-    blocks, before = inputs / 'killed' / 'blocks', 0
-    for _ in range(3):
-        with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.DEVNULL) as process:
-            while process.poll() is None and count(blocks) < before + 3:
-                time.sleep(0.01)
-            process.kill()
-        assert process.returncode == -signal.SIGKILL
-        before = count(blocks)
+    kill_three_times(inputs, arguments(inputs, 'killed', 4000, '--times', HZ))
     run(inputs, 'killed', 4000, '--times', HZ)
     assert contents(inputs / 'killed') == contents(inputs / 'whole')
