@@ -82,7 +82,7 @@ class RigidBodies:
         certain = np.empty(len(self), np.bool_)
         fill_constants(inertia, damping, constants, certain)
         certain &= _almost_symmetric(self.inertia) & _almost_symmetric(self.damping)
-        certain[certain] = _is_possible(constants[certain])
+        certain[certain] = _is_possible(constants, certain)
         rows = np.flatnonzero(certain & self.is_damped)
         certain[rows] = _is_semidefinite(damping[rows])
         messages, known = [''] * len(self), dict[bytes, tuple[Floats | float, str]]()
@@ -113,10 +113,11 @@ def _almost_symmetric(tensors: Floats) -> NDArray[np.bool_]:
     return np.asarray(differences <= ROUNDING * np.abs(tensors).max(axis=(1, 2)))
 
 
-def _is_possible(constants: Floats) -> NDArray[np.bool_]:
-    """Return whether moments and damping are in the range that `RigidBody` accepts."""
-    smallest, middle, largest = constants[:, body_layout.MOMENTS:body_layout.MOMENTS + 3].T
-    damping = constants[:, body_layout.DAMPING:body_layout.LOST_DAMPING]
+def _is_possible(constants: Floats, which: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return whether moments and damping of some rows are in the range of `RigidBody`."""
+    moments = constants[:, body_layout.MOMENTS:body_layout.MOMENTS + 3]
+    damping = constants[:, body_layout.DAMPING:body_layout.LOST_DAMPING][which]
+    smallest, middle, largest = moments[which].T
     return np.asarray((largest / (smallest + middle) - 1.0 <= TRIANGLE_EXCESS)
                       & (np.abs(damping).max(axis=1) <= FASTEST_DAMPING))
 

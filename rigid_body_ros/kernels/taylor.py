@@ -289,20 +289,39 @@ def _cauchy(table: Floats, k: int, first: Term, latest: Term,
         sums = _add_term(sums, _load_term(table, row - j), _load_term(table, j), form)
     if k > 0:
         sums = _add_term(sums, first, latest, form)
-    products, squares, x, y, z = _add_term(sums, latest, first, form)
-    return (products, squares), add(add(four.times_i(x), four.times_j(y)), four.times_k(z))
+    u = latest[0]
+    x, y, z = (_add_start(table, sums[2], u[0]), _add_start(table, sums[3], u[1]),
+               _add_start(table, sums[4], u[2]))
+    return (_add_products((sums[0], sums[1]), latest, first, form),
+            add(add(four.times_i(x), four.times_j(y)), four.times_k(z)))
 
 
 @inlined
 def _add_term(sums: _Sums, one: Term, other: Term, form: int) -> _Sums:
     products, squares, x, y, z = sums
+    products, squares = _add_products((products, squares), one, other, form)
+    u, rotation = one[0], other[3]
+    return (products, squares, add_scaled(x, u[0], rotation), add_scaled(y, u[1], rotation),
+            add_scaled(z, u[2], rotation))
+
+
+@inlined
+def _add_products(sums: Products, one: Term, other: Term, form: int) -> Products:
+    products, squares = sums
     u, yzx, _, _ = one
-    v, _, zxy, rotation = other
+    v, _, zxy, _ = other
     products = four.fma(yzx, zxy, products)
     if form != DIAGONAL:
         squares = four.fma(u, v, squares)
-    return (products, squares, add_scaled(x, u[0], rotation), add_scaled(y, u[1], rotation),
-            add_scaled(z, u[2], rotation))
+    return products, squares
+
+
+@inlined
+def _add_start(table: Floats, total: Quaternion, factor: float) -> Quaternion:
+    # Add a factor times the rotation at the start of the step, which is 1.
+    if four.has_lanes(table):
+        return four.of(total[0], total[1], total[2], total[3] + factor)
+    return add_scaled(total, factor, four.of(0.0, 0.0, 0.0, 1.0))
 
 
 @inlined
