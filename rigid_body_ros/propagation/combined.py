@@ -105,8 +105,7 @@ class CombinedMotion:
         begin_ns, self._end_ns = self._end_ns, end_ns
         usage = CombinedUsage(self._body, self._times_ns, self._sum, self._options, begin_ns,
                               end_ns, closed, self._has_rotors)
-        return Trajectory(self._body, times, motion_layout.attitude(motion),
-                          motion_layout.angular_velocity(motion), usage,
+        return Trajectory(self._body, times, motion, usage,
                           Rotors(self._times_ns, self._sum.terms))
 
     def _fill(self, times: NDArray[np.int64], rows: NDArray[np.intp],

@@ -161,15 +161,13 @@ class Integration:
         motion = motion_layout.allocate(times.size)
         closed = self._fill(log, times, rows, motion, dropped, len(log) if stop is None else stop)
         self._end_ns = end_ns
-        attitude = motion_layout.attitude(motion)
-        rates = motion_layout.angular_velocity(motion)
-        if times.size > count:  # the end of the piece was not requested
-            times, attitude, rates = times[:count], attitude[:count], rates[:count]
         rotors = Rotors(np.array([self._start.time_ns]), self._terms) \
             if self._terms is not None and self._start._has_rotors else None
         usage = SolverUsage(self._body, log, self._options, begin_ns, end_ns, closed,
                             rotors is not None)
-        return Trajectory(self._body, times, attitude, rates, usage, rotors)
+        if times.size > count:  # the end of the piece was not requested
+            times = times[:count]
+        return Trajectory(self._body, times, motion, usage, rotors)
 
     def _fill(self, log: TorqueLog, times: NDArray[np.int64], rows: NDArray[np.intp],
               motion: Floats, dropped: int, stop: int) -> NDArray[np.bool_]:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from rigid_body_ros import euler, so3
 from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import motion_layout
 from rigid_body_ros.propagation.models import CombinedUsage, Model, SolverUsage
 from rigid_body_ros.propagation.rotors import Rotors
 
@@ -41,16 +42,13 @@ class Trajectory:
     ----------
     body : RigidBody
     times_ns : array of int64, shape (m,)
-    attitude : array, shape (m, 4)
-        x y z w, body to space; the continuous lift from the start, so the sign never flips.
-    angular_velocity : array, shape (m, 3), rad/s, body axes
 
     """
 
     body: RigidBody
     times_ns: NDArray[np.int64]
-    attitude: Floats
-    angular_velocity: Floats
+    #: See `motion_layout`; it may have rows after those of the times.
+    _motion: Floats
     _usage: SolverUsage | CombinedUsage
     #: None without rotors.
     _rotors: Rotors | None = None
@@ -62,6 +60,20 @@ class Trajectory:
         states = '1 state' if self.times_ns.size == 1 else f'{self.times_ns.size} states'
         return (f'Trajectory({states} from {first_ns} ns on, '
                 f'over {(last_ns - first_ns) / 1e9:g} s)')
+
+    @cached_property
+    def attitude(self) -> Floats:
+        """
+        Quaternions x y z w, body to space, shape (m, 4).
+
+        They are the continuous lift from the start, so the sign never flips.
+        """
+        return motion_layout.attitude(self._motion)[:self.times_ns.size]
+
+    @cached_property
+    def angular_velocity(self) -> Floats:
+        """Angular velocity, rad/s, body axes, shape (m, 3)."""
+        return motion_layout.angular_velocity(self._motion)[:self.times_ns.size]
 
     @cached_property
     def rotation(self) -> Rotation:

@@ -375,6 +375,7 @@ def _update(result: Replay, batch: Batch) -> None:
 def _joined(batches: list[Batch]) -> Trajectory:
     """Return the motion of all batches of one log, with the `models` of the last."""
     parts = [batch.trajectory for batch in batches]
+    motion = [*(part.attitude.ravel() for part in parts),
+              *(part.angular_velocity.ravel() for part in parts)]
     return replace(parts[-1], times_ns=np.concatenate([part.times_ns for part in parts]),
-                   attitude=np.concatenate([part.attitude for part in parts]),
-                   angular_velocity=np.concatenate([part.angular_velocity for part in parts]))
+                   _motion=np.concatenate(motion))
