@@ -18,11 +18,11 @@ Measure error and cost of this package and of the alternatives that a user has.
     python benchmarks/peers.py [--json FILE] [--plot PNG] [--page docs/tradeoff.md] [PROBLEM ...]
 
 Each contender runs each problem with a ladder of settings, from coarse to fine, until a run takes
-half a second. For each error level, the fastest setting with an error below it is selected. All
-selected settings are then timed in turns, and this measurement gives all times and ratios of a
-table. Errors are angles, rad, between the final attitude and a reference of 30 digits. All runs
-use one thread; compilation is not timed. With --page the tables are written into that file,
-between its lines `MARK` and `END`.
+half a second. For each error level, all settings with an error below it that may be the fastest
+are timed in turns, and this measurement gives all times and ratios of a table. Errors are angles,
+rad, between the final attitude and a reference of 30 digits. All runs use one thread; compilation
+is not timed. With --page the tables are written into that file, between its lines `MARK` and
+`END`.
 """
 
 import argparse
@@ -53,6 +53,8 @@ LONGEST = 0.5
 #: s; a run of so long need not be repeated to choose by.
 LONG = 0.1
 PATIENCE = 3.0
+#: A setting may be the fastest if its first estimate is up to so many times the least one.
+NEAR = 1.5
 TITLES = {
     'P1': 'no torque, intermediate axis, 100 s',
     'P1f': 'P1 with ten times the rates',
@@ -158,9 +160,16 @@ def cheapest(rungs, level):
                key=lambda rung: rung.seconds, default=None)
 
 
+def candidates(rungs, level):
+    """Return the rungs with an error up to a level that may be the fastest."""
+    able = [rung for rung in rungs if rung.error <= level]
+    least = min((rung.seconds for rung in able), default=math.inf)
+    return [rung for rung in able if rung.seconds <= NEAR * least]
+
+
 def timed(rungs):
-    """Return the selected rungs by contender, with their times in turns."""
-    chosen = {who: [*{id(rung): rung for level in LEVELS if (rung := cheapest(some, level))
+    """Return the candidates of all levels by contender, with their times in turns."""
+    chosen = {who: [*{id(rung): rung for level in LEVELS for rung in candidates(some, level)
                       }.values()] for who, some in rungs.items()}
     every = [rung for some in chosen.values() for rung in some]
     times = iter(in_turns([rung.contender for rung in every], [rung.seconds for rung in every],
