@@ -125,7 +125,15 @@ class TorqueLog:
 
         """
         measured = cls(*_checked_samples(times_ns, momenta, 'momentum', 'momenta'))
-        return measured.with_torques(_slopes(measured.times_ns, measured.torques))
+        times, values = measured.times_ns, measured.torques
+        slopes = _slopes(times, values)
+        if not np.isfinite(slopes).all():
+            row = int(np.flatnonzero(~np.isfinite(slopes).all(axis=1))[0])
+            raise ValueError(f'momentum {row} at {times[row]} ns: expected a finite torque up to '
+                             f'the next sample, found a change from {values[row].tolist()} to '
+                             f'{values[row + 1].tolist()} N m s in {times[row + 1] - times[row]} '
+                             'ns')
+        return measured.with_torques(slopes)
 
     def __len__(self) -> int:
         return len(self.times_ns)
