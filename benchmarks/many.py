@@ -16,12 +16,16 @@
 How fast are many runs: `propagate_many` on one core, beside the batch mode of heyoka.
 
 Run `python benchmarks/many.py`. The runs are those of problem P3 with dispersed bodies and rates.
-The time of a run includes the preparation of the bodies; `propagate` alone does not. Then 1000
-bodies under a minute of torques at 1 kHz.
+The time of a run includes the preparation of the bodies; `propagate` alone does not. Each
+tolerance is measured in several processes, because the time of the peer depends on the process.
+Then 1000 bodies under a minute of torques at 1 kHz.
 """
 
+import json
+import sys
 import time
 
+from engine import child
 import heyoka as hy
 import numpy as np
 import pairs
@@ -31,6 +35,7 @@ from rigid_body_ros import propagate, propagate_many, RigidBodies, States, Torqu
 PROBLEM, RUNS = PROBLEMS['P3'], 960
 TOLERANCES, BATCHES = (1e-15, 1e-9, 1e-6, 1e-3), (4, 8, 16)
 pairs.ROUNDS = 21
+PROCESSES = 9
 
 
 def dispersed(problem, count):
@@ -121,23 +126,31 @@ class Heyoka:
         return self._attitudes
 
 
-def beside_heyoka():
-    """Print the time of a run for each tolerance."""
-    print(f'{PROBLEM.seconds} s of P3, {RUNS} runs: microseconds a run, and the ratio of medians '
-          'with its 95 % interval')
+def beside_heyoka(tolerance):
+    """Return the times of a run, us: ours, heyoka's, and that of `propagate`."""
+    ours = Ours(PROBLEM, RUNS, tolerance)
+    peers = [Heyoka(PROBLEM, RUNS, tolerance, batch) for batch in BATCHES]
+    peer = min(peers, key=pairs.quick)
+    found = pairs.compare(ours, peer)
+    apart = np.abs(ours.attitude() - peer.attitude()).max()
+    if apart > 100.0 * max(tolerance, 1e-15):
+        raise ValueError(f'tolerance {tolerance:g}: the attitudes differ by {apart:.1e}')
+    alone = pairs.quick(Alone(PROBLEM, RUNS, tolerance))
+    return [1e6 / RUNS * float(np.nanmedian(times))
+            for times in (found.ours, found.peers, alone)]
+
+
+def in_processes():
+    """Print medians and ranges over several processes for each tolerance."""
+    print(f'{PROBLEM.seconds} s of P3, {RUNS} runs: microseconds a run, medians of {PROCESSES} '
+          'processes (smallest to largest)')
     for tolerance in TOLERANCES:
-        ours = Ours(PROBLEM, RUNS, tolerance)
-        peers = [Heyoka(PROBLEM, RUNS, tolerance, batch) for batch in BATCHES]
-        peer, batch = min(zip(peers, BATCHES), key=lambda pair: pairs.quick(pair[0]))
-        found = pairs.compare(ours, peer)
-        apart = np.abs(ours.attitude() - peer.attitude()).max()
-        alone = 1e6 / RUNS * pairs.quick(Alone(PROBLEM, RUNS, tolerance))
-        own, other = (1e6 / RUNS * float(np.nanmedian(times))
-                      for times in (found.ours, found.peers))
-        ratio, low, high = found.ratio
-        print(f'{tolerance:8g}: ours {own:6.2f} (propagate {alone:.1f}), heyoka in batches of '
-              f'{batch} {other:6.2f}, ratio {ratio:.2f} ({low:.2f} to {high:.2f}), '
-              f'largest difference {apart:.1e}')
+        times = np.array([json.loads(child('many.py', str(tolerance)))
+                          for _ in range(PROCESSES)]).T
+        ours, peer, alone, ratio = (f'{np.median(each):.4g} ({each.min():.4g} to {each.max():.4g})'
+                                    for each in (*times, times[1] / times[0]))
+        print(f'{tolerance:8g}: ours {ours}, heyoka in batches {peer}, propagate {alone}, '
+              f'heyoka / ours {ratio}', flush=True)
 
 
 def under_a_log(runs=1000):
@@ -155,5 +168,8 @@ def under_a_log(runs=1000):
 
 
 if __name__ == '__main__':
-    beside_heyoka()
-    under_a_log()
+    if len(sys.argv) > 1:
+        print(json.dumps(beside_heyoka(float(sys.argv[1]))))
+    else:
+        in_processes()
+        under_a_log()
