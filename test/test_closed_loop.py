@@ -38,6 +38,8 @@ from rigid_body_ros.node.epoch import Torque
 pytestmark = pytest.mark.ros
 STEP_NS, END_NS = round(STEP * 1e9), 4 * SECOND
 LOCKSTEP = ('-p', 'mode:=lockstep', '-p', f'step:={STEP}')
+#: s; period of the heartbeats of Fast DDS, after which it delivers late messages.
+HEARTBEAT = 3.0
 #: A run that does not end by itself.
 FOREVER = 10 ** 18
 
@@ -87,7 +89,7 @@ def ended(tmp_path, live, process):
     np.testing.assert_array_equal(run.replay, states)
 
 
-@pytest.mark.parametrize('first_step', ['0', *at_night('0.6')])
+@pytest.mark.parametrize('first_step', ['0', *at_night('0.6', str(HEARTBEAT))])
 @pytest.mark.parametrize('attempt', [1, *at_night(2)])
 def test_the_node_may_start_first(tmp_path, domain, first_step, attempt):
     with session(domain) as live:
@@ -97,7 +99,7 @@ def test_the_node_may_start_first(tmp_path, domain, first_step, attempt):
             ended(tmp_path, live, process)
 
 
-@pytest.mark.parametrize('first_step', ['0', *at_night('0.6')])
+@pytest.mark.parametrize('first_step', ['0', *at_night('0.6', str(HEARTBEAT))])
 @pytest.mark.parametrize('attempt', [1, *at_night(2)])
 def test_the_controller_may_start_first(tmp_path, domain, first_step, attempt):
     with controller(tmp_path, domain, '--first-step', first_step) as process:
@@ -244,14 +246,14 @@ def test_a_controller_whose_subscription_connects_first_gets_the_state_once(monk
     monkeypatch.setattr(closed_loop.time, 'monotonic', lambda: now)
     policy, published = RepublishPolicy(lambda: connected), []
     policy.published(is_repeated=False)
-    for now in np.arange(0.0, 20.0, 0.125).tolist():
-        connected = (1, 1) if now < 6.375 else (1, 2) if now < 6.75 else (2, 2)
+    for now in np.arange(0.0, 60.0, 0.125).tolist():
+        connected = (1, 1) if now < 16.375 else (1, 2) if now < 16.75 else (2, 2)
         if policy.is_due():
             published.append(now)
             policy.published(is_repeated=True)
-    # To the first: when it connects, and 2 s later. To the second: when its publisher connects,
-    # and 2 s and 4 s later, because it does not respond, either.
-    assert published == [0.5, 2.5, 7.25, 9.25, 13.25]
+    # To the first: when it connects, and 10 s later. To the second: when its publisher connects,
+    # and 10 s and 20 s later, because it does not respond, either.
+    assert published == [0.5, 10.5, 17.25, 27.25, 47.25]
 
 
 def test_an_observer_causes_no_repetition_of_a_state(monkeypatch):
@@ -261,6 +263,19 @@ def test_an_observer_causes_no_repetition_of_a_state(monkeypatch):
     for now in np.arange(0.0, 20.0, 0.125).tolist():
         connected = (1, 1) if now < 9.125 else (1, 2)  # while the controller works
         if now % 1.5 == 0.0:  # a slow controller
+            policy.published(is_repeated=False)
+        if policy.is_due():
+            repeated.append(now)
+            policy.published(is_repeated=True)
+    assert repeated == [0.5]  # when the controller connected
+
+
+def test_a_message_that_is_delivered_late_causes_no_repetition_of_a_state(monkeypatch):
+    now = 0.0
+    monkeypatch.setattr(closed_loop.time, 'monotonic', lambda: now)
+    policy, repeated = RepublishPolicy(lambda: (1, 1)), []
+    for now in np.arange(0.0, 60.0, 0.125).tolist():
+        if now % (2.0 * HEARTBEAT) == 0.0:  # each state is late, and so is each torque
             policy.published(is_repeated=False)
         if policy.is_due():
             repeated.append(now)

@@ -40,9 +40,11 @@ _IDLE_PERIOD = 0.1
 #: s; connections that have not changed for this long are complete: a new controller can both
 #: receive and send.
 _CONNECTION_TIME = 0.5
-#: s; how long a controller may work on a state before it is published again. The timeout doubles
-#: with every repetition, so that few copies pile up in the queue of a slow controller.
-_TIMEOUT, _MAX_TIMEOUT = 2.0, 30.0
+#: s; how long the loop may be silent before the state is published again. Fast DDS may deliver a
+#: message only after its next heartbeat, whose period is 3 s, and both a state and its torque may
+#: be late. A repetition in that time would reach the controller as a second copy. The timeout
+#: doubles with every repetition, so that few copies pile up in the queue of a slow controller.
+_TIMEOUT, _MAX_TIMEOUT = 10.0, 30.0
 
 
 class DuplicateFilter:
@@ -144,8 +146,9 @@ class RepublishPolicy:
     While no publisher of torques is connected, the state is published ten times a second. A new
     controller receives it once, when both sides have had time to discover each other. After that
     it is published only after a long silence, because a controller that is still working on a
-    state would receive it twice. It is never published immediately after a connection, because the
-    subscription of a controller may be connected before its publisher is.
+    state, or to which the middleware delivers it late, would receive it twice. It is never
+    published immediately after a connection, because the subscription of a controller may be
+    connected before its publisher is.
 
     Parameters
     ----------
