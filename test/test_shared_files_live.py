@@ -14,6 +14,10 @@
 
 """A running node with parameters of other nodes."""
 
+import subprocess
+import sys
+
+from conftest import ROOT
 from live import TUMBLER
 from live_session import LiveSession
 import pytest
@@ -60,3 +64,31 @@ def test_a_mistake_in_a_parameter_of_ros_is_reported_in_one_line(domain, argumen
     assert len(lines) == 1
     assert lines[0].startswith('attitude_node: error: ')
     assert message in lines[0]
+
+
+def run_controller(live, *arguments):
+    """Run the controller until it receives a state."""
+    return subprocess.run([sys.executable, ROOT / 'scripts' / 'attitude_controller',
+                           '--ros-args', '-p', 'stop_after:=0.0', *arguments],
+                          env=live.environment, capture_output=True, text=True, timeout=60,
+                          check=False)
+
+
+def test_the_controller_logs_parameters_of_other_nodes_once(tmp_path, domain):
+    parameters = tmp_path / 'shared.yaml'
+    parameters.write_text(SHARED)
+    with LiveSession(TUMBLER, domain, '-p', 'mode:=lockstep') as live:
+        live.disconnect()
+        result = run_controller(live, '--params-file', parameters)
+    assert result.returncode == 0
+    assert result.stderr.count('parameters that are not those of a controller are ignored:') == 1
+    for name in ('rate', 'plugins', 'controller.kp', 'qos_overrides./scan'):
+        assert name in result.stderr
+    assert 'stop_after' not in result.stderr
+
+
+def test_a_misspelt_parameter_of_the_controller_is_reported_in_one_line(domain):
+    result = run_controller(LiveSession(TUMBLER, domain), '-p', 'proportional_gian:=0.1')
+    assert result.returncode == 2
+    assert result.stderr == ('attitude_controller: error: proportional_gian: unknown key; '
+                             'did you mean proportional_gain?\n')

@@ -47,8 +47,9 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 from rclpy.utilities import remove_ros_args
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.node.spinning import spin
+from rigid_body_ros.runtime.parameters import is_foreign
 
 #: s; how long to wait for a state before the torque is sent again.
 _PATIENCE = 0.2
@@ -57,7 +58,15 @@ _SETTLED = 1e-3
 
 
 class AttitudeController(Node):
-    """Turn the body to a target attitude."""
+    """
+    Turn the body to a target attitude.
+
+    Raises
+    ------
+    InputError
+        A parameter is not known, but resembles a known one.
+
+    """
 
     def __init__(self) -> None:
         super().__init__('attitude_controller')
@@ -66,6 +75,7 @@ class AttitudeController(Node):
         self._target = [self.declare_parameter(f'target.{name}', default).value
                         for name, default in zip('xyzw', (0.0, 0.0, 0.0, 1.0))]
         self._stop_after = self.declare_parameter('stop_after', math.inf).value
+        self._check_names()
         self._command = WrenchStamped()
         self._start_ns = self._sent_at = None
         self._began, self._settled = time.monotonic(), False
@@ -73,6 +83,14 @@ class AttitudeController(Node):
         self._torque = self.create_publisher(WrenchStamped, 'torque', 10)
         self.create_subscription(Odometry, 'odometry', self._on_state, 10)
         self.create_timer(_PATIENCE, self._resend, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _check_names(self) -> None:
+        known = self.get_parameters_by_prefix('')
+        others = [name for name, parameter in self._parameter_overrides.items()
+                  if is_foreign(name, parameter.value, known)]
+        if others:
+            self.get_logger().info(
+                f'parameters that are not those of a controller are ignored: {listed(others)}')
 
     def _on_state(self, state: Odometry) -> None:
         stamp_ns = Time.from_msg(state.header.stamp).nanoseconds
