@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 class States:
     """
-    Many states without rotors, of which some may be invalid.
+    Many states, of which some may be invalid.
 
     `states[i]` is the `State` of row i, or raises its error.
 
@@ -44,6 +44,8 @@ class States:
         As for `State`: of each, or of all.
     angular_velocity : array, shape (n, 3) or (3,), rad/s, body axes
         Of each, or of all.
+    rotor_momentum : array, shape (n, 3) or (3,), N m s, body axes
+        Of each, or of all.
 
     Attributes
     ----------
@@ -51,6 +53,9 @@ class States:
     attitude : array, shape (n, 4)
         x y z w, normalised as those of `State`; as given for an invalid state.
     angular_velocity : array, shape (n, 3), rad/s, body axes
+    rotor_momentum : array, shape (n, 3), N m s, body axes
+    has_rotors : array of bool, shape (n,)
+        Whether the momentum of the rotors is not zero.
     messages : tuple of n str
         Why each state is invalid: the message of `State`. Empty for a valid state.
 
@@ -65,13 +70,16 @@ class States:
 
     def __init__(self, time_ns: int | NDArray[np.int64] = 0,
                  attitude: ArrayLike | Rotation = (0.0, 0.0, 0.0, 1.0),
-                 angular_velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+                 angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+                 rotor_momentum: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         if hasattr(attitude, 'as_quat'):
             attitude = attitude.as_quat()
         times = instants(time_ns) if isinstance(time_ns, np.ndarray) \
             else np.array([instant(time_ns)])
         q, w = _rows(attitude, 4, 'attitude'), _rows(angular_velocity, 3, 'angular_velocity')
-        sizes = {'time_ns': len(times), 'attitude': len(q), 'angular_velocity': len(w)}
+        h = _rows(rotor_momentum, 3, 'rotor_momentum')
+        sizes = {'time_ns': len(times), 'attitude': len(q), 'angular_velocity': len(w),
+                 'rotor_momentum': len(h)}
         count = next((size for size in sizes.values() if size != 1), 1)
         for name, size in sizes.items():
             if size not in (1, count):
@@ -83,13 +91,16 @@ class States:
         self.time_ns: NDArray[np.int64] = _read_only(times, (count,))
         self.attitude: Floats = _read_only(q, (count, 4))
         self.angular_velocity: Floats = _read_only(w, (count, 3))
+        self.rotor_momentum: Floats = _read_only(h, (count, 3))
+        self.has_rotors: NDArray[np.bool_] = np.asarray(self.rotor_momentum.any(axis=1))
         self.messages = self._messages(np.broadcast_to(valid, count))
 
     def __len__(self) -> int:
         return len(self.time_ns)
 
     def __getitem__(self, row: int) -> State:
-        return State(int(self.time_ns[row]), self.attitude[row], self.angular_velocity[row])
+        return State(int(self.time_ns[row]), self.attitude[row], self.angular_velocity[row],
+                     self.rotor_momentum[row])
 
     def __repr__(self) -> str:
         return f'States({len(self)} states, {sum(map(bool, self.messages))} invalid)'
@@ -105,8 +116,9 @@ class States:
 
     def _messages(self, valid: NDArray[np.bool_]) -> tuple[str, ...]:
         messages = [''] * len(self)
-        for row in np.flatnonzero(
-                ~(valid & np.isfinite(self.angular_velocity).all(axis=1))).tolist():
+        for vectors in (self.angular_velocity, self.rotor_momentum):
+            valid = valid & np.isfinite(vectors).all(axis=1)
+        for row in np.flatnonzero(~valid).tolist():
             try:
                 self[row]
             except ValueError as error:

@@ -19,6 +19,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
+from rigid_body_ros.ensemble import runs
 from rigid_body_ros.ensemble.dispersions import Dispersion
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.scene import InputError, Scene
@@ -27,6 +28,8 @@ SECOND = 10 ** 9
 TIMES = np.arange(20) * SECOND // 10
 TORQUES = 0.01 * np.sin(np.arange(60.0)).reshape(20, 3)
 LOGS = (TorqueLog(TIMES, TORQUES),)
+OTHER = TorqueLog(TIMES[3:] - 5, -0.3 * TORQUES[3:], 'space')
+WHEELS = TorqueLog(TIMES + 3, 0.001 * TORQUES[::-1])
 SCENE = {'inertia.ixx': 0.045, 'inertia.iyy': 0.12, 'inertia.izz': 0.14, 'inertia.ixy': 0.002,
          'initial_attitude.x': 0.1, 'initial_angular_velocity.y': 0.6,
          'initial_rotor_momentum.z': 0.003, 'damping.dxx': 1e-4}
@@ -91,22 +94,50 @@ def test_motions_have_the_bits_of_propagate(vary):
             row, 'angular_velocity.')
 
 
+@pytest.mark.parametrize('wheels', [None, WHEELS], ids=['still', 'wheels'])
+@pytest.mark.parametrize('logs', [(), LOGS, (*LOGS, LOGS[0].rows(slice(5, 9))), (*LOGS, OTHER)],
+                         ids=['free', 'one', 'two', 'two frames'])
+@pytest.mark.parametrize('vary', [VARY[:3], VARY[:5], (*VARY[:3], VARY[5]), VARY[:6], VARY[4:7]],
+                         ids=['start', 'momentum', 'gain', 'momentum and gain', 'bias'])
+def test_runs_with_rotors_and_sources_have_the_bits_of_propagate(monkeypatch, wheels, logs, vary):
+    vary = tuple(one for one in vary if logs or one.key != 'torque_gain')
+    found = replace(ensemble(*vary, logs=logs), wheels=wheels)
+    expected = found.nominal_attitude
+    monkeypatch.delattr(runs, 'propagate')  # all runs are computed at once
+    for row in rows(found, 40, 60):
+        row = {'initial_rotor_momentum.z': 0.003, 'damping.dxx': 1e-4, 'torque_gain': 1.0,
+               'torque_bias.x': 0.0, **row}
+        body, start, bias = scene_of(row)
+        sources = [log.with_torques(row['torque_gain'] * log.torques) for log in logs]
+        motion = propagate(body, start, [*sources, *bias], at=[2 * SECOND], wheels=wheels)
+        assert numbers(row, 'attitude.', 'xyzw') == motion.attitude[0].tolist()
+        assert numbers(row, 'angular_velocity.') == motion.angular_velocity[0].tolist()
+        assert row['angle_from_nominal'] == so3.angle_between(motion.attitude[0], expected)
+
+
 def states(motion):
     return np.concatenate([motion.attitude, motion.angular_velocity], axis=-1)
 
 
 def motion_of(row, at=(2 * SECOND,)):
     """Return the motion with the values of a row."""
-    body = RigidBody.from_moments(*numbers(row, 'inertia.i', ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')))
-    body = RigidBody(body.inertia, np.diag([row['damping.dxx'], 0.0, 0.0]))
-    start = State(0, numbers(row, 'initial_attitude.', 'xyzw'),
-                  numbers(row, 'initial_angular_velocity.'),
-                  (0.0, 0.0, row['initial_rotor_momentum.z']))
+    body, start, _ = scene_of(row)
     logs = [TorqueLog(TIMES + round(row['clock_offset'] * SECOND), row['torque_gain'] * TORQUES)]
     if row['torque_bias.x']:
         times = np.arange(0, 2 * SECOND + 1, SECOND // 4)
         logs.append(TorqueLog(times, np.outer(np.ones(len(times)), [row['torque_bias.x'], 0, 0])))
     return propagate(body, start, logs, at=at, torque_timeout=0.5)
+
+
+def scene_of(row):
+    """Return body, start and constant torque with the values of a row."""
+    body = RigidBody.from_moments(*numbers(row, 'inertia.i', ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')))
+    body = RigidBody(body.inertia, np.diag([row['damping.dxx'], 0.0, 0.0]))
+    start = State(0, numbers(row, 'initial_attitude.', 'xyzw'),
+                  numbers(row, 'initial_angular_velocity.'),
+                  (0.0, 0.0, row['initial_rotor_momentum.z']))
+    bias = row['torque_bias.x']
+    return body, start, [TorqueLog([0], [[bias, 0.0, 0.0]])] if bias else []
 
 
 @pytest.mark.parametrize('vary', [VARY, (*VARY[:2], NOISE)], ids=['all', 'noise'])

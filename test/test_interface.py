@@ -24,10 +24,12 @@ from rigid_body_ros import (
     Experiment,
     identify,
     propagate,
+    propagate_many,
     Propagator,
     RigidBody,
     so3,
     State,
+    States,
     TorqueLog,
     urdf,
     warm_up,
@@ -46,6 +48,10 @@ SIGNATURES = [
     (TorqueLog, "times_ns, torques, frame='body', interpolation='hold'"),
     (TorqueLog.from_momentum, 'times_ns, momenta'),
     (propagate, f'body, start, log=None, *, at, wheels=None, {OPTIONS}'),
+    (propagate_many, 'bodies, starts, log=None, *, at, wheels=None, torque_gains=None, '
+                     f'{OPTIONS}'),
+    (States, 'time_ns=0, attitude=(0.0, 0.0, 0.0, 1.0), angular_velocity=(0.0, 0.0, 0.0), '
+             'rotor_momentum=(0.0, 0.0, 0.0)'),
     (Propagator, f'body, start, *, {OPTIONS}, history=1.0'),
     (Propagator.apply, "self, time_ns, torque, frame='body', source=0"),
     (Propagator.apply_wheels, 'self, time_ns, torque'),

@@ -206,14 +206,121 @@ def test_several_logs_of_each_run_add_up_in_the_same_bits(timeout):
     assert rows(gained)[9] == alone(tensors[9], (0, attitudes[9], rates[9]), [half] * 3)
 
 
+def motion_of(body, start, log, at=AT, **options):
+    """Return attitude and rates of one motion as bytes."""
+    motion = propagate(body, start, log, at=at, **options)
+    return motion.attitude.tobytes() + motion.angular_velocity.tobytes()
+
+
+def with_rotors(seed=4, equal=False):
+    """Return bodies, some damped, and starts, some with rotors of the same or other momenta."""
+    random = np.random.default_rng(seed)
+    moments = np.array([1.0, 2.0, 2.5]) * (1.0 + 0.1 * random.random((COUNT, 1)))
+    tensors = np.eye(3) * moments[:, None]
+    tensors[::5] = TURN @ tensors[0] @ TURN.T
+    tensors = 0.5 * (tensors + tensors.transpose(0, 2, 1))
+    rates, attitudes = random.normal(size=(COUNT, 3)), random.normal(size=(COUNT, 4))
+    momenta = random.normal(size=(1 if equal else COUNT, 3)) * np.ones((COUNT, 1))
+    if not equal:
+        momenta[::3] = 0.0
+    damping = np.zeros_like(tensors)
+    damping[::2] = 0.01 * np.eye(3)
+    return RigidBodies(tensors, damping), States(0, attitudes, rates, momenta)
+
+
+def some_wheels(seed=6):
+    torques = 0.1 * np.random.default_rng(seed).normal(size=(30, 3))
+    torques[3:5] = 0.0
+    return TorqueLog(np.arange(30) * 98_765_432, torques)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('equal', [True, False], ids=['same', 'own'])
+@pytest.mark.parametrize('timeout', [0.0, 0.05])
+@pytest.mark.parametrize('wheels', [None, some_wheels(), TorqueLog([SECOND], [[0.0, 0.0, 0.0]])],
+                         ids=['still', 'wheels', 'idle'])
+@pytest.mark.parametrize('logs', [
+    [], [random_log()], [random_log('cubic')], [random_log('linear', 'space')],
+    [random_log(), random_log()], [random_log(), random_log('hold', 'space')],
+    [random_log('cubic'), TorqueLog([SECOND], [[0.1, 0.0, 0.2]])]],
+    ids=['free', 'held', 'cubic', 'space', 'two', 'two frames', 'cubic and held'])
+def test_rotors_damping_and_shared_sources_give_the_same_bits(logs, wheels, timeout, equal):
+    bodies, starts = with_rotors(equal=equal)
+    shared = logs[0] if len(logs) == 1 else [logs] * COUNT
+    found = propagate_many(bodies, starts, shared, at=AT, wheels=wheels, torque_timeout=timeout)
+    assert rows(found) == [motion_of(bodies[k], starts[k], logs, wheels=wheels,
+                                     torque_timeout=timeout) for k in range(COUNT)]
+
+
+@pytest.mark.slow
+def test_gains_and_starts_and_wheels_of_each_run_give_the_same_bits():
+    bodies, starts = with_rotors()
+    one, other, gains = random_log(), random_log('linear'), np.linspace(-0.5, 1.5, COUNT)
+    begins = np.array([0, 1, 0, 5 * SECOND] * 3)
+    starts = States(begins, starts.attitude, starts.angular_velocity, starts.rotor_momentum)
+    wheels = [some_wheels(), *[some_wheels(k % 3) for k in range(1, COUNT)]]
+    wheels[1:6:2] = [wheels[0]] * 3
+    at = [5 * SECOND, 7 * SECOND]
+    for logs, motors in (([], wheels), ([one], wheels), ([one, other], wheels),
+                         ([one, other], [None] * COUNT), ([other], [None] * COUNT)):
+        found = propagate_many(bodies, starts, [logs] * COUNT, at=at, torque_gains=gains,
+                               wheels=motors if motors[0] else None)
+        assert rows(found) == [
+            motion_of(bodies[k], starts[k], [log.with_torques(gains[k] * log.torques)
+                                             for log in logs], at, wheels=motors[k])
+            for k in range(COUNT)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('seed', range(6))
+def test_random_sources_and_rotors_give_the_same_bits(seed):
+    random = np.random.default_rng(seed)
+    bodies, starts = with_rotors(seed, bool(random.integers(2)))
+
+    def log(interpolations=('hold',), frames=('body',)):
+        count = int(random.integers(1, 400))
+        stamps = np.cumsum(random.integers(1, 20_000_000, count)) - 50_000_000
+        return TorqueLog(stamps, 0.1 * random.normal(size=(count, 3)), str(random.choice(frames)),
+                         str(random.choice(interpolations)))
+
+    several = [[log(('hold', 'hold', 'linear', 'cubic'), ('body', 'body', 'space'))
+                for _ in range(random.integers(3))] for _ in range(3)]
+    wheels = [None, log(), log()]
+    chosen = random.integers(3, size=(2, COUNT))
+    timeout = float(random.choice([0.0, 0.007]))
+    found = propagate_many(bodies, starts, [several[k] for k in chosen[0]], at=AT,
+                           wheels=[wheels[k] for k in chosen[1]], torque_timeout=timeout)
+    assert rows(found) == [
+        motion_of(bodies[k], starts[k], several[chosen[0, k]], wheels=wheels[chosen[1, k]],
+                  torque_timeout=timeout) for k in range(COUNT)]
+
+
+@pytest.mark.parametrize(('given', 'message'), [
+    ({'wheels': [None]}, 'wheels: expected 2, one for each body, found 1'),
+    ({'wheels': TorqueLog([0], [[0, 0, 1]], 'space')}, 'wheels: expected torques in body axes'),
+    ({'wheels': TorqueLog([0], [[0, 0, 1]]), 'solver': 'strang', 'max_step': 0.1},
+     "solver 'strang' handles neither rotors nor damping, found rotors"),
+    ({'starts': States(0, np.ones((2, 4)), rotor_momentum=(0, 0, 1)), 'solver': 'exact'},
+     "solver 'exact' handles neither rotors nor damping, found rotors"),
+    ({'wheels': TorqueLog([0], [[0, 0, 1]]), 'solver': 'exact'}, "solver 'exact' handles")])
+def test_rotors_that_do_not_fit_are_one_line(given, message):
+    starts = given.pop('starts', States(0, np.ones((2, 4))))
+    with pytest.raises(ValueError, match=message):
+        propagate_many(RigidBodies([np.eye(3)] * 2), starts, at=[1], **given)
+
+
 def test_states_and_bodies_are_those_of_their_rows():
     attitudes = np.random.default_rng(2).normal(size=(5, 4))
     attitudes[3] = 0.0
-    states = States(7, attitudes, (0.1, 0.2, 0.3))
-    for row in (0, 1, 2, 4):
+    momenta = np.outer([0.0, 1.0, 2.0, 3.0, np.inf], (0.3, 0.2, 0.1))
+    states = States(7, attitudes, (0.1, 0.2, 0.3), momenta)
+    for row in (0, 1, 2):
         assert np.array_equal(states.attitude[row], State(7, attitudes[row]).attitude)
         assert np.array_equal(states[row]._packed, states._packed[row])
-    assert [bool(message) for message in states.messages] == [False] * 3 + [True, False]
+        assert np.array_equal(states[row].rotor_momentum, momenta[row])
+    assert [bool(message) for message in states.messages] == [False] * 3 + [True, True]
+    assert states.messages[4].startswith('rotor momentum: expected 3 finite numbers')
+    assert states.has_rotors.tolist() == [False] + [True] * 4
     with pytest.raises(ValueError, match='non-zero'):
         states[3]
     bodies = RigidBodies([np.eye(3), -np.eye(3)])

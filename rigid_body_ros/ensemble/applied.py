@@ -46,8 +46,6 @@ class Applied:
         n of them.
     starts : States
         n of them.
-    rotor_momentum : array, shape (n, 3), N m s, body axes
-        At the start.
     torque_gain : array, shape (n,)
     torque_bias : array, shape (n, 3), N m, body axes
     clock_offset : array, shape (n,), s
@@ -58,7 +56,6 @@ class Applied:
     runs: NDArray[np.int64]
     bodies: RigidBodies
     starts: States
-    rotor_momentum: Floats
     torque_gain: Floats
     torque_bias: Floats
     clock_offset: Floats
@@ -69,7 +66,7 @@ class Applied:
                 **_entries('damping.d', self.bodies.damping),
                 **components('initial_attitude', self.starts.attitude),
                 **components('initial_angular_velocity', self.starts.angular_velocity),
-                **components('initial_rotor_momentum', self.rotor_momentum),
+                **components('initial_rotor_momentum', self.starts.rotor_momentum),
                 **components('torque_bias', self.torque_bias),
                 'torque_gain': self.torque_gain, 'clock_offset': self.clock_offset}
 
@@ -128,6 +125,8 @@ def later(log: TorqueLog, offset: float, torques: Floats | None = None) -> Torqu
 
     """
     if torques is None:
+        if offset == 0.0:
+            return log
         torques = log.torques
     if not abs(offset) < NEVER_NS / 1e9:
         raise ValueError(f'clock_offset: expected less than 292 years, found {offset:g} s')

@@ -47,6 +47,7 @@ from rigid_body_ros.ensemble.dispersions import (
 from rigid_body_ros.ensemble.fitted import Fitted
 from rigid_body_ros.ensemble.streams import stream
 from rigid_body_ros.propagation import propagate, propagate_many
+from rigid_body_ros.propagation.many import Logs
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
@@ -131,8 +132,8 @@ class Ensemble:
         """Return the values that act without any dispersion, by key."""
         body, start = self.scene.body, self.start
         applied = Applied(np.zeros(1, np.int64), RigidBodies([body.inertia], body.damping),
-                          States(start.time_ns, start.attitude, start.angular_velocity),
-                          start.rotor_momentum[None], np.ones(1), np.zeros((1, 3)), np.zeros(1))
+                          States(start.time_ns, start.attitude, start.angular_velocity,
+                                 start.rotor_momentum), np.ones(1), np.zeros((1, 3)), np.zeros(1))
         values = {name: float(column[0]) for name, column in applied.columns().items()}
         return {**values, **self.fitted.nominal} if self.fitted else values
 
@@ -208,10 +209,10 @@ class Ensemble:
         if ATTITUDE in drawn:
             attitude = so3.multiply(attitude, so3.exp(drawn[ATTITUDE]))
         starts = States(np.full(len(runs), self.start.time_ns), attitude,
-                        vectors('initial_angular_velocity', values))
+                        vectors('initial_angular_velocity', values),
+                        vectors('initial_rotor_momentum', values))
         return Applied(runs, RigidBodies(inertia, tensors('damping.d', values)), starts,
-                       vectors('initial_rotor_momentum', values), values['torque_gain'],
-                       vectors('torque_bias', values),
+                       values['torque_gain'], vectors('torque_bias', values),
                        np.rint(values['clock_offset'] * 1e9) / 1e9)
 
     def torques(self, applied: Applied, row: int) -> tuple[list[TorqueLog], TorqueLog | None]:
@@ -244,9 +245,9 @@ class Ensemble:
 
     @property
     def _have_own_logs(self) -> bool:
-        """Return whether the runs have several logs, or logs that differ by more than a gain."""
+        """Return whether the runs have logs that differ by more than a gain."""
         varied = {name.split('.')[0] for name in self.columns}
-        return (len(self.logs) > 1 or bool(varied & {'torque_bias', 'clock_offset'})
+        return (bool(varied & {'torque_bias', 'clock_offset'})
                 or NOISE in {one.key for one in self.dispersions})
 
     @cached_property
@@ -273,23 +274,22 @@ class Ensemble:
                 **({} if self.times_ns is None else {MOTION: motions})}
 
     def _motions(self, applied: Applied) -> _Found:
-        """Return the motions of some runs: of all at once, if `propagate_many` does it."""
-        if not (self.wheels or applied.rotor_momentum.any()):
-            try:
-                return self._together(applied)
-            except ValueError:
-                pass  # rejected for all runs; one by one, each has its message
-        return self._one_by_one(applied)
+        """Return the motions of some runs."""
+        try:
+            return self._together(applied)
+        except ValueError:  # rejected for all runs; one by one, each has its message
+            return self._one_by_one(applied)
 
     def _together(self, applied: Applied) -> _Found:
-        logs: Sequence[Sequence[TorqueLog]] | TorqueLog | None = None
-        gains: Floats | None = None
+        count = len(applied.runs)
+        logs: Logs = [self.logs] * count if len(self.logs) > 1 else next(iter(self.logs), None)
+        wheels: Sequence[TorqueLog] | TorqueLog | None = self.wheels
+        gains = applied.torque_gain if 'torque_gain' in self.columns else None
         if self._have_own_logs:
-            logs = [self.torques(applied, row)[0] for row in range(len(applied.runs))]
-        elif self.logs:
-            logs = self.logs[0]
-            gains = applied.torque_gain if 'torque_gain' in self.columns else None
-        motions = propagate_many(applied.bodies, applied.starts, logs, at=self._at,
+            each = [self.torques(applied, row) for row in range(count)]
+            logs, gains = [one for one, _ in each], None
+            wheels = [motors for _, motors in each if motors] or None
+        motions = propagate_many(applied.bodies, applied.starts, logs, at=self._at, wheels=wheels,
                                  torque_gains=gains, **self.scene.options)
         return np.concatenate([motions.attitude, motions.angular_velocity], axis=-1), [
             message and reason(ValueError(message)) for message in motions.messages]
@@ -307,10 +307,7 @@ class Ensemble:
 
     def _motion(self, applied: Applied, row: int) -> Floats:
         """Return the motion of a run, shape (m, 7), with the errors of `propagate`."""
-        start = applied.starts[row]
-        start = State(start.time_ns, start.attitude, start.angular_velocity,
-                      applied.rotor_momentum[row])
-        logs, wheels = self.torques(applied, row)
+        start, (logs, wheels) = applied.starts[row], self.torques(applied, row)
         motion = propagate(applied.bodies[row], start, logs, at=self._at, wheels=wheels,
                            **self.scene.options)
         return np.concatenate([motion.attitude, motion.angular_velocity], axis=-1)

@@ -57,15 +57,13 @@ class CombinedMotion:
 
     def __init__(self, body: RigidBody, start: State, logs: Sequence[TorqueLog],
                  wheels: TorqueLog, options: Options) -> None:
-        if wheels.in_space.any():
-            raise ValueError('wheels: expected torques in body axes, found torques in space axes')
+        check_wheels(wheels)
         self._body, self._options = body, options
         self._sum = summation.summed(logs, wheels, start.time_ns, start._rotors,
                                      options.timeout_ns)
         self._has_rotors = bool(start._has_rotors or wheels.torques.any())
-        in_two_frames = (any(log.in_space.any() for log in logs)
-                         and not all(log.in_space.all() for log in logs))
-        self._has_terms = self._has_rotors or body.is_damped or in_two_frames
+        self._has_terms = (self._has_rotors or body.is_damped
+                           or summation.in_two_frames(logs))
         self._check_solver([*logs, wheels])
         begin_ns, states, progress = self._begin(start, [*logs, wheels])
         self._times_ns = np.append(begin_ns, self._sum.times_ns[1:])
@@ -143,3 +141,9 @@ class CombinedMotion:
         changes = any((log.segments(self._options.timeout_ns)[0] == start_ns).any()
                       for log in sources)
         return not (changes and (self._body.is_damped or self._sum.acts(slice(1)).any()))
+
+
+def check_wheels(wheels: TorqueLog) -> None:
+    """Raise ValueError if a torque on the rotors is in space axes."""
+    if wheels.in_space.any():
+        raise ValueError('wheels: expected torques in body axes, found torques in space axes')

@@ -16,10 +16,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 import math
 import time
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +29,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import motion_layout
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.propagation import layout, loop, many_loop, summation
+from rigid_body_ros.propagation.combined import check_wheels
 from rigid_body_ros.propagation.integration import check_solver
 from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.requested import checked_times
@@ -38,6 +40,8 @@ _NO_LOG = TorqueLog([], [])
 #: s; a call of the kernel that takes less is followed by one for twice as many runs. In between
 #: Python handles signals.
 _PATIENCE = 0.05
+#: A log of all runs, or one or several of each.
+Logs = TorqueLog | Sequence[TorqueLog | Sequence[TorqueLog]] | None
 #: Stamps, polynomials and frames of a log, and the samples for which there are polynomials.
 _Piece = tuple[NDArray[np.int64], Floats, NDArray[np.bool_], int, int]
 
@@ -77,9 +81,8 @@ class Trajectories:
         return np.array([bool(message) for message in self.messages], np.bool_)
 
 
-def propagate_many(bodies: RigidBodies, starts: States,
-                   log: TorqueLog | Sequence[TorqueLog | Sequence[TorqueLog]] | None = None, *,
-                   at: ArrayLike,
+def propagate_many(bodies: RigidBodies, starts: States, log: Logs = None, *, at: ArrayLike,
+                   wheels: TorqueLog | Sequence[TorqueLog] | None = None,
                    torque_gains: ArrayLike | None = None, solver: str = Options.solver,
                    tolerance: float = Options.tolerance,
                    max_step: float | None = Options.max_step,
@@ -99,8 +102,11 @@ def propagate_many(bodies: RigidBodies, starts: States,
         n of them.
     log : TorqueLog, or sequence of n TorqueLog or of n sequences of TorqueLog, optional
         The log of all runs, or of each; several logs of a run add up. None for torque-free motion.
+        Logs that runs have in common are added up once.
     at : array of int, shape (m,), ns
         As for `propagate`, the same for all runs.
+    wheels : TorqueLog, or sequence of n TorqueLog, optional
+        As for `propagate`: of all runs, or of each.
     torque_gains : array, shape (n,), optional
         Each log of run i is `log.with_torques(torque_gains[i] * log.torques)`.
     solver, tolerance, max_step, torque_timeout
@@ -115,48 +121,70 @@ def propagate_many(bodies: RigidBodies, starts: States,
     ValueError
         There is no body, the numbers of bodies, starts, logs or gains differ, a time lies before a
         start or is not an integer that fits int64, an option is out of its range, a gain times a
-        torque is not finite, or the solver does not handle torques or damping.
+        torque is not finite, the torque of wheels is in space axes, or the solver does not handle
+        torques, rotors or damping.
 
     """
     runs = _Runs(bodies, starts, at, validated(solver, tolerance, max_step, torque_timeout))
-    logs = _logs_of_each(log, len(bodies))
     gains = None if torque_gains is None else np.array(torque_gains, float)
     if gains is not None and gains.shape != (len(bodies),):
         raise ValueError(f'torque_gains: expected shape ({len(bodies)},), found {gains.shape}')
-    shared = _NO_LOG if log is None else log
-    if isinstance(shared, TorqueLog) and (gains is None or _can_scale(shared, gains)):
-        runs.advance(shared, np.arange(len(bodies)), gains)
-        return runs.trajectories()
-    for row, each in enumerate(logs):
-        if gains is not None:
-            each = [one.with_torques(gains[row] * one.torques) for one in each]
-        if len(each) < 2:
-            runs.advance(each[0] if each else _NO_LOG, np.array([row]))
-        else:
-            runs.advance_summed(each, row)
+    for which, logs, motors in _alike(log, wheels, len(bodies)):
+        if gains is None or _can_scale(logs, motors, gains):
+            runs.advance(logs, motors, which, gains)
+            continue
+        for row in which.tolist():
+            scaled = [one.with_torques(gains[row] * one.torques) for one in logs]
+            runs.advance(scaled, motors, np.array([row]))
     return runs.trajectories()
 
 
-def _can_scale(log: TorqueLog, gains: Floats) -> bool:
-    """
-    Return whether the kernels can multiply the torques of a log.
+def _alike(log: Logs, wheels: TorqueLog | Sequence[TorqueLog] | None,
+           count: int) -> Iterator[tuple[NDArray[np.intp], list[TorqueLog], TorqueLog]]:
+    """Generate the runs that have the same logs, those that are not empty, and their wheels."""
+    if ((log is None or isinstance(log, TorqueLog))
+            and (wheels is None or isinstance(wheels, TorqueLog))):
+        yield np.arange(count), [log] if log else [], wheels or _NO_LOG
+        return
+    each, motors = _of_each(log, count, 'log'), _of_each(wheels, count, 'wheels')
+    for which in _grouped([(*map(id, _listed(one)), id(motor))
+                           for one, motor in zip(each, motors)]):
+        yield (which, [one for one in _listed(each[which[0]]) if one],
+               motors[which[0]] or _NO_LOG)
 
-    They multiply the coefficients of its polynomials, which for held torques are the torques. If a
+
+def _of_each(given: Any, count: int, name: str) -> Sequence[Any]:
+    """Return what is given for each run, or raise ValueError."""
+    if given is None or isinstance(given, TorqueLog):
+        return [given] * count
+    if len(given) != count:
+        raise ValueError(f'{name}: expected {count}, one for each body, found {len(given)}')
+    return list(given)
+
+
+def _listed(logs: TorqueLog | Sequence[TorqueLog] | None) -> Sequence[TorqueLog]:
+    return [logs] if isinstance(logs, TorqueLog) else logs or []
+
+
+def _grouped(keys: Iterable[Hashable]) -> list[NDArray[np.intp]]:
+    """Return the rows of each key, in order."""
+    found: dict[Hashable, list[int]] = {}
+    for row, key in enumerate(keys):
+        found.setdefault(key, []).append(row)
+    return [np.array(rows) for rows in found.values()]
+
+
+def _can_scale(logs: Sequence[TorqueLog], wheels: TorqueLog, gains: Floats) -> bool:
+    """
+    Return whether the kernels can multiply the torques of logs.
+
+    They multiply the coefficients of the polynomials, which for a held log are the torques. If a
     product is not finite, `TorqueLog` reports it.
     """
-    largest = float(np.abs(gains).max()) * float(np.abs(log.torques).max(initial=0.0))
-    return log.interpolation == 'hold' and math.isfinite(largest)
-
-
-def _logs_of_each(log: TorqueLog | Sequence[TorqueLog | Sequence[TorqueLog]] | None,
-                  count: int) -> list[list[TorqueLog]]:
-    """Return the logs of each run that are not empty, or raise ValueError."""
-    if log is None or isinstance(log, TorqueLog):
-        return [[log] if log else []] * count
-    if len(log) != count:
-        raise ValueError(f'log: expected {count}, one for each body, found {len(log)}')
-    return [[one for one in ([each] if isinstance(each, TorqueLog) else each) if len(one)]
-            for each in log]
+    if len(logs) != 1 or wheels:
+        return not logs
+    largest = float(np.abs(gains).max()) * float(np.abs(logs[0].torques).max(initial=0.0))
+    return logs[0].interpolation == 'hold' and math.isfinite(largest)
 
 
 class _Runs:
@@ -172,8 +200,9 @@ class _Runs:
         self._begin_ns: NDArray[np.int64] = starts.time_ns
         self._times, ascends, _ = checked_times(at, int(self._begin_ns.max()))
         checked_times(self._times, int(self._begin_ns.min()))
-        options.check_linear_terms(bool(bodies.is_damped.any()), False)
+        options.check_linear_terms(bool(bodies.is_damped.any()), bool(starts.has_rotors.any()))
         self._bodies, self._options = bodies, options
+        self._has_terms = bodies.is_damped | starts.has_rotors
         self._rows = loop.IN_ORDER if ascends else np.argsort(self._times, kind='stable')
         self._messages = [one or other for one, other in zip(bodies.messages, starts.messages)]
         packed = starts._packed
@@ -181,55 +210,73 @@ class _Runs:
         self._progress = np.zeros((len(bodies), layout.DONE + 1), np.int64)
         self._motions: Floats = np.empty((len(bodies), motion_layout.SIZE * self._times.size))
         self._failed = np.array([bool(message) for message in self._messages])
+        #: Of each run, for `loop.run`, if the rotors have no motors.
+        self._terms: Floats = np.zeros((len(bodies), 1, 4, 3))
+        self._terms[:, 0, 2] = starts.rotor_momentum
 
-    def advance(self, log: TorqueLog, which: NDArray[np.intp],
+    def advance(self, logs: Sequence[TorqueLog], wheels: TorqueLog, which: NDArray[np.intp],
                 gains: Floats | None = None) -> None:
-        """Compute some of the runs, those that share a log, times a gain for each of all runs."""
-        check_solver(self._options, log)
+        """
+        Compute some of the runs, those that share logs and wheels.
+
+        A single log is multiplied by a gain for each of all runs.
+        """
+        check_wheels(wheels)
+        self._options.check_linear_terms(False, bool(wheels.torques.any()))
+        for log in (*logs, wheels):
+            check_solver(self._options, log)
         which = which[~self._failed[which]]
         if not (which.size and self._times.size):
             return
-        begins = self._begin_ns[which]
-        for begin_ns in np.unique(begins).tolist():
-            self._progress[which[begins == begin_ns]] = layout.pack_place(
-                begin_ns, begin_ns, *log.in_force(begin_ns, self._options.timeout_ns))
-        damped = self._bodies.is_damped[which]
-        first = int(self._progress[which, layout.SAMPLE].min())
-        for begin, stop, polynomials in log.polynomials(first):
-            piece = log.times_ns, polynomials, log.in_space, begin, stop
-            for rows, terms in ((which[~damped], None), (which[damped], np.zeros((1, 4, 3)))):
-                self._run(rows, piece, self._options.settings, terms, gains)
-        self._report(which)
-
-    def advance_summed(self, logs: Sequence[TorqueLog], row: int) -> None:
-        """Compute a run under several logs, as `CombinedMotion` does."""
-        for log in logs:
-            check_solver(self._options, log)
-        if self._messages[row] or not self._times.size:
-            return
-        begin_ns, which = int(self._begin_ns[row]), np.array([row])
-        total = summation.summed(logs, _NO_LOG, begin_ns, np.zeros((2, 3)),
-                                 self._options.timeout_ns)
-        in_two_frames = (any(log.in_space.any() for log in logs)
-                         and not all(log.in_space.all() for log in logs))
-        total.times_ns.flags.writeable = False  # one type for the kernels
-        self._progress[row] = layout.pack_place(begin_ns, begin_ns, 0)
-        self._run(which, (total.times_ns, total.polynomials, total.in_space, 0,
-                          len(total.times_ns)), self._options.held_settings,
-                  total.terms if self._bodies.is_damped[row] or in_two_frames else None)
-        self._report(which)
-
-    def _report(self, which: NDArray[np.intp]) -> None:
-        """Set the messages of the runs whose body became too fast."""
+        if len(logs) > 1 or wheels:
+            self._advance_summed(logs, wheels, which)
+        else:
+            self._advance_single(logs[0] if logs else _NO_LOG, which, gains)
         for row in which[self._failed[which]].tolist():
             self._messages[row] = str(self._options.too_fast(
                 int(self._progress[row, layout.GRID_NS])))
 
+    def _advance_single(self, log: TorqueLog, which: NDArray[np.intp],
+                        gains: Floats | None) -> None:
+        begins = self._begin_ns[which]
+        for begin_ns in np.unique(begins).tolist():
+            self._progress[which[begins == begin_ns]] = layout.pack_place(
+                begin_ns, begin_ns, *log.in_force(begin_ns, self._options.timeout_ns))
+        first = int(self._progress[which, layout.SAMPLE].min())
+        for begin, stop, polynomials in log.polynomials(first):
+            self._run(which, (log.times_ns, polynomials, log.in_space, begin, stop),
+                      self._options.settings, self._has_terms[which], self._terms, gains)
+
+    def _advance_summed(self, logs: Sequence[TorqueLog], wheels: TorqueLog,
+                        which: NDArray[np.intp]) -> None:
+        """Do it under a sum of logs, as `CombinedMotion` does."""
+        in_two_frames = summation.in_two_frames(logs)
+        terms_vary = bool(wheels) or in_two_frames
+        momenta = self._terms[which, 0, 2:]
+        # Without motors, the sum of the torques does not depend on the momentum of the rotors.
+        for rows in _grouped([(begin_ns, momentum.tobytes() if terms_vary else b'') for
+                              begin_ns, momentum in zip(self._begin_ns[which].tolist(), momenta)]):
+            alike, begin_ns = which[rows], int(self._begin_ns[which[rows[0]]])
+            total = summation.summed(logs, wheels, begin_ns, momenta[rows[0]],
+                                     self._options.timeout_ns)
+            total.times_ns.flags.writeable = False  # one type for the kernels
+            self._progress[alike] = layout.pack_place(begin_ns, begin_ns, 0)
+            self._run(alike, (total.times_ns, total.polynomials, total.in_space, 0,
+                              len(total.times_ns)), self._options.held_settings,
+                      self._has_terms[alike] | in_two_frames | wheels.torques.any(),
+                      total.terms[None] if terms_vary else self._terms)
+
     def _run(self, which: NDArray[np.intp], piece: _Piece, settings: Floats,
-             terms: Floats | None, gains: Floats | None = None) -> None:
+             has_terms: NDArray[np.bool_], terms: Floats, gains: Floats | None = None) -> None:
+        """Run the loop over some runs, with terms for those that have them."""
+        gains = np.ones(len(self._failed)) if gains is None else gains
+        for rows, given in ((which[~has_terms], None), (which[has_terms], terms)):
+            self._run_alike(rows, piece, settings, given, gains)
+
+    def _run_alike(self, which: NDArray[np.intp], piece: _Piece, settings: Floats,
+                   terms: Floats | None, gains: Floats) -> None:
         """Run the loop over some runs, in chunks."""
         done, chunk = 0, LANES
-        gains = np.ones(len(self._failed)) if gains is None else gains
         while done < len(which):
             began = time.monotonic()
             done += many_loop.run_each(

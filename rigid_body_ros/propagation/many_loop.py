@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels.jit import COMPILES, njit
+from rigid_body_ros.kernels.jit import COMPILES, njit, optional
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.propagation import groups, layout, loop
 from rigid_body_ros.propagation.groups import Group
@@ -44,8 +44,10 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
         The runs, rows of the arrays that follow.
     states, progress, motions, constants : array, shape (n, ...)
         A row for each run, see `loop.run`.
-    times_ns, rows, stamps_ns, polynomials, in_space, first, stop, settings, budget, terms
+    times_ns, rows, stamps_ns, polynomials, in_space, first, stop, settings, budget
         As for `loop.run`, of all runs.
+    terms : array, shape (n, ...) or (1, ...), or None
+        As for `loop.run`, of each run or of all.
     gains : array, shape (n,)
         Factors of the torque; all 1 for a torque that is not held.
     too_fast : array of bool, shape (n,)
@@ -85,9 +87,14 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
                         torques = gains[i] * polynomials[begin - first:until + 1 - first]
                     result = loop.run(states[i], progress[i], times_ns, rows, motions[i], closed,
                                       stamps_ns, torques, in_space, begin, until, constants[i],
-                                      settings, budget, terms)
+                                      settings, budget, _terms_of(terms, i))
                     if result == loop.UNFINISHED:
                         return j
                     too_fast[i] = result == loop.TOO_FAST
                     going |= not too_fast[i] and progress[i, layout.DONE] < len(times_ns)
     return len(which)
+
+
+@optional
+def _terms_of(terms: Floats, run: int) -> Floats:
+    return terms[min(run, len(terms) - 1)]

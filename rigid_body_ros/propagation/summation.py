@@ -114,6 +114,12 @@ def summed(logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int, momentum
     return result
 
 
+def in_two_frames(logs: Sequence[TorqueLog]) -> bool:
+    """Return whether some torques are in body axes and some in space axes."""
+    return (any(log.in_space.any() for log in logs)
+            and not all(log.in_space.all() for log in logs))
+
+
 def _change_together(logs: Sequence[TorqueLog], start_ns: int) -> bool:
     """Return whether logs are held, have the same stamps, and are in force at the start."""
     return (len(logs) > 0 and bool(logs[0].times_ns[0] <= start_ns)

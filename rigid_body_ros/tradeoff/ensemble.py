@@ -159,12 +159,10 @@ def _seconds_per_run(result: Tradeoff, settings: list[Setting]) -> list[float]:
 
 def _run_of(problem: Problem, runs: int) -> Callable[..., object]:
     """Return what computes copies of a motion up to its final state, as an ensemble does."""
-    last = replace(problem, times_ns=problem.times_ns[-1:])
-    if problem.wheels or problem.start.rotor_momentum.any():
-        return lambda **options: [last.run(**options) for _ in range(runs)]
     start = problem.start
     bodies = RigidBodies(np.tile(problem.body.inertia, (runs, 1, 1)), problem.body.damping)
-    starts = States(start.time_ns, np.tile(start.attitude, (runs, 1)), start.angular_velocity)
+    starts = States(start.time_ns, np.tile(start.attitude, (runs, 1)), start.angular_velocity,
+                    start.rotor_momentum)
     logs = [problem.logs] * runs if len(problem.logs) > 1 else next(iter(problem.logs), None)
-    return partial(propagate_many, bodies, starts, logs, at=last.times_ns,
-                   torque_timeout=problem.torque_timeout)
+    return partial(propagate_many, bodies, starts, logs, at=problem.times_ns[-1:],
+                   wheels=problem.wheels, torque_timeout=problem.torque_timeout)
