@@ -153,6 +153,28 @@ def test_runs_that_step_together_have_torques_of_their_own_gains(gain, interval_
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(('interval_ns', 'samples'), [(7 * SECOND, 12), (SECOND // 500, 3000)])
+def test_runs_with_torques_of_their_own_have_the_bits_of_each_alone(interval_ns, samples):
+    bodies, starts, log = together(interval_ns, samples)
+    random, at = np.random.default_rng(4), [int(log.times_ns[-1]) + 5]
+    noisy = [log.with_torques(log.torques + 0.02 * random.normal(size=log.torques.shape))
+             for _ in range(COUNT)]
+    noisy[3] = log.with_torques(0.0 * log.torques)
+    noisy[5] = TorqueLog(log.times_ns + 1, noisy[5].torques)
+    noisy[6] = TorqueLog(log.times_ns, noisy[6].torques, 'space')
+    biased = [[log, TorqueLog([0], 0.01 * random.normal(size=(1, 3)))] for _ in range(COUNT)]
+    biased[8] = noisy[8]
+    for logs in (noisy, biased):
+        found = propagate_many(bodies, starts, logs, at=at)
+        assert rows(found) == [motion_of(bodies[k], starts[k], logs[k], at) for k in range(COUNT)]
+    gains, pair = np.linspace(-1.0, 2.0, COUNT), [log, noisy[0]]
+    found = propagate_many(bodies, starts, [pair] * COUNT, at=at, torque_gains=gains)
+    assert rows(found) == [
+        motion_of(bodies[k], starts[k], [one.with_torques(gains[k] * one.torques) for one in pair],
+                  at) for k in range(COUNT)]
+
+
+@pytest.mark.slow
 def test_a_run_that_becomes_too_fast_does_not_disturb_those_beside_it():
     bodies, starts, _ = together(SECOND, 1)
     tensors = bodies.inertia.copy()
@@ -170,12 +192,15 @@ def test_a_run_that_becomes_too_fast_does_not_disturb_those_beside_it():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize('own', [False, True], ids=['shared', 'own'])
 @pytest.mark.parametrize(('interval_ns', 'samples'), [(100 * SECOND, 2), (SECOND // 1000, 3000)])
-def test_runs_like_each_other_step_together(interval_ns, samples):
+def test_runs_like_each_other_step_together(interval_ns, samples, own):
     bodies, starts, log = together(interval_ns, samples)
     progress, end_ns = np.zeros((COUNT, layout.DONE + 1), np.int64), int(log.times_ns[-1])
     group = Group(np.arange(LANES) + 3, np.concatenate([starts._packed] * 3, axis=1), progress,
-                  bodies._constants, np.ones(COUNT), callable_(groups.workspace)())
+                  bodies._constants, np.ones(COUNT),
+                  np.stack([log.torques[:, None]] * (LANES if own else 1)),
+                  np.arange(LANES) * own, callable_(groups.workspace)())
     piece = Log(log.times_ns, log.torques[:, None], log.in_space, 0, samples, 0)
     steps = callable_(groups.advance)(group, np.array([end_ns]), loop.IN_ORDER, piece,
                                       Options().settings)

@@ -46,6 +46,7 @@ from rigid_body_ros.ensemble.dispersions import (
 )
 from rigid_body_ros.ensemble.fitted import Fitted
 from rigid_body_ros.ensemble.streams import stream
+from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.propagation import propagate, propagate_many
 from rigid_body_ros.propagation.many import Logs
 from rigid_body_ros.runtime import interrupts
@@ -257,7 +258,8 @@ class Ensemble:
         steps = (self.end_ns - self.start.time_ns) / 1e9 / longest if longest else 0.0
         steps += sum(map(len, self.logs))
         limit = _SAMPLES if self._have_own_logs else _STEPS
-        return int(max(min(limit / (1.0 + steps), _STATES / len(self._at), _AT_ONCE), 1.0))
+        runs = int(max(min(limit / (1.0 + steps), _STATES / len(self._at), _AT_ONCE), 1.0))
+        return runs - runs % LANES or runs  # for runs that step together
 
     def _rows(self, runs: NDArray[np.int64]) -> Columns:
         with np.errstate(over='ignore', invalid='ignore'):  # messages say what is not finite

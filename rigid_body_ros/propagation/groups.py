@@ -41,7 +41,7 @@ from rigid_body_ros.kernels import (
 )
 from rigid_body_ros.kernels.jit import inlined, internal
 from rigid_body_ros.kernels.lanes import LANES
-from rigid_body_ros.propagation import intervals, layout, stepping
+from rigid_body_ros.propagation import layout, stepping
 from rigid_body_ros.propagation.layout import Body, Log, Method, Place
 from rigid_body_ros.propagation.options import FASTEST
 
@@ -52,10 +52,11 @@ BUDGET = 20_000
 #: ns; the group steps no further at once, so that doubles count the time left.
 _FARTHEST = 2 ** 52
 #: Rows of a workspace: the states, the constants of the bodies, the factors of the torque, the
-#: time left, ns, and the table of the series.
+#: torques, N m, the time left, ns, and the table of the series.
 _STATE, _CONSTANTS = 0, state_layout.SIZE
 _GAIN = _CONSTANTS + body_layout.SIZE
-_REST, _TABLE = _GAIN + 1, _GAIN + 2
+_TORQUE = _GAIN + 1
+_REST, _TABLE = _TORQUE + 3, _TORQUE + 4
 _ROWS = _TABLE + taylor.WORKSPACE_OF_LANES
 
 
@@ -70,6 +71,10 @@ class Group(NamedTuple):
     constants: Floats
     #: Factors of the torque, an element for each run.
     gains: Floats
+    #: Polynomials of the torque, shape (k, ...): of all runs if k is 1, otherwise of each.
+    polynomials: Floats
+    #: intp (LANES,): the row of them for each lane.
+    slots: NDArray[np.intp]
     #: See `workspace`.
     work: Floats
 
@@ -120,8 +125,7 @@ def advance(group: Group, times_ns: NDArray[np.int64], order: NDArray[np.intp], 
     next_ns = log.stamps_ns[sample + 1] if sample + 1 < len(log.stamps_ns) else NEVER_NS
     if log.timeout_ns > 0:
         next_ns = min(next_ns, log.stamps_ns[sample] + log.timeout_ns)
-    return steps + _advance_grids(group, min(limit_ns, next_ns), _torque(log, sample), body,
-                                  method)
+    return steps + _advance_grids(group, min(limit_ns, next_ns), sample - log.first, body, method)
 
 
 @inlined
@@ -131,8 +135,23 @@ def _acts_in_every_lane(torque: vector.Vector) -> bool:
 
 
 @inlined
-def _torque(log: Log, sample: int) -> vector.Vector:
-    return intervals.coefficient(log.polynomials, sample - log.first, 0)
+def _torques(group: Group, index: int, gain: float) -> vector.Vector:
+    # Return the torque in every lane.
+    if len(group.polynomials) == 1:
+        return vector.scale(gain, _torque(group, 0, index))
+    for lane in range(LANES):
+        for k in range(3):
+            group.work[_TORQUE + k, lane] = group.polynomials[group.slots[lane], index, 0, k]
+    return vector.scale(gain, vector.of(lanes.load(group.work, _TORQUE),
+                                        lanes.load(group.work, _TORQUE + 1),
+                                        lanes.load(group.work, _TORQUE + 2)))
+
+
+@inlined
+def _torque(group: Group, slot: int, index: int) -> vector.Vector:
+    torque = group.polynomials
+    return vector.of(torque[slot, index, 0, 0], torque[slot, index, 0, 1],
+                     torque[slot, index, 0, 2])
 
 
 @internal
@@ -161,7 +180,7 @@ def _advance_stamps(group: Group, place: Place, limit_ns: int, log: Log, body: B
     coefficients = body_layout.coefficients(group.work[_CONSTANTS:])
     state, gain = state_layout.load(group.work, _STATE), lanes.load(group.work, _GAIN)
     while sample < min(log.stop, len(stamps_ns) - 1, place.sample + BUDGET):
-        next_ns, torque = stamps_ns[sample + 1], vector.scale(gain, _torque(log, sample))
+        next_ns, torque = stamps_ns[sample + 1], _torques(group, sample - log.first, gain)
         acceleration = euler_equations.acceleration_from_torque(coefficients, body.form, torque)
         span_ns = next_ns - grid_ns
         seconds = span_ns / 1e9
@@ -221,17 +240,16 @@ def _begin_together(group: Group, time_ns: int) -> bool:
 
 
 @internal
-def _advance_grids(group: Group, limit_ns: int, torque: vector.Vector, body: Body,
-                   method: Method) -> int:
+def _advance_grids(group: Group, limit_ns: int, index: int, body: Body, method: Method) -> int:
     # Take all steps on the grid but the last before a time within the segment. Return how many.
-    if not _are_many(group, limit_ns, torque, body, method):
+    if not _are_many(group, limit_ns, _torque(group, group.slots[0], index), body, method):
         return 0
     limit_ns = min(limit_ns, group.progress[group.rows[0], layout.GRID_NS] + _FARTHEST)
     _load(group)
     for lane in range(LANES):
         group.work[_REST, lane] = limit_ns - group.progress[group.rows[lane], layout.GRID_NS]
     coefficients = body_layout.coefficients(group.work[_CONSTANTS:])
-    torques = vector.scale(lanes.load(group.work, _GAIN), torque)
+    torques = _torques(group, index, lanes.load(group.work, _GAIN))
     if not _acts_in_every_lane(torques):
         return 0
     acceleration = euler_equations.acceleration_from_torque(coefficients, body.form, torques)

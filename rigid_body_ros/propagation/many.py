@@ -20,7 +20,7 @@ from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 import math
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,8 +42,18 @@ _NO_LOG = TorqueLog([], [])
 _PATIENCE = 0.05
 #: A log of all runs, or one or several of each.
 Logs = TorqueLog | Sequence[TorqueLog | Sequence[TorqueLog]] | None
-#: Stamps, polynomials and frames of a log, and the samples for which there are polynomials.
-_Piece = tuple[NDArray[np.int64], Floats, NDArray[np.bool_], int, int]
+
+
+class _Piece(NamedTuple):
+    """A piece of a log, for `many_loop.run_each`."""
+
+    times_ns: NDArray[np.int64]
+    #: Shape (k, ...): of run i the row i % k.
+    polynomials: Floats
+    in_space: NDArray[np.bool_]
+    #: The samples for which there are polynomials.
+    first: int
+    stop: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +197,13 @@ def _can_scale(logs: Sequence[TorqueLog], wheels: TorqueLog, gains: Floats) -> b
     return logs[0].interpolation == 'hold' and math.isfinite(largest)
 
 
+def _change_together(one: _Piece, other: _Piece) -> bool:
+    """Return whether two held torques change at the same times and are in the same axes."""
+    return (one.polynomials.shape == other.polynomials.shape and one.polynomials.shape[2] == 1
+            and np.array_equal(one.times_ns, other.times_ns)
+            and np.array_equal(one.in_space, other.in_space))
+
+
 class _Runs:
     """The states of all runs, and their motions at the requested times."""
 
@@ -210,6 +227,9 @@ class _Runs:
         self._progress = np.zeros((len(bodies), layout.DONE + 1), np.int64)
         self._motions: Floats = np.empty((len(bodies), motion_layout.SIZE * self._times.size))
         self._failed = np.array([bool(message) for message in self._messages])
+        #: Runs with torques of their own, to run together: of the rows from a multiple of LANES to
+        #: the next, under torques that change at the same times.
+        self._queued: list[tuple[int, _Piece, Floats]] = []
         #: Of each run, for `loop.run`, if the rotors have no motors.
         self._terms: Floats = np.zeros((len(bodies), 1, 4, 3))
         self._terms[:, 0, 2] = starts.rotor_momentum
@@ -232,9 +252,6 @@ class _Runs:
             self._advance_summed(logs, wheels, which)
         else:
             self._advance_single(logs[0] if logs else _NO_LOG, which, gains)
-        for row in which[self._failed[which]].tolist():
-            self._messages[row] = str(self._options.too_fast(
-                int(self._progress[row, layout.GRID_NS])))
 
     def _advance_single(self, log: TorqueLog, which: NDArray[np.intp],
                         gains: Floats | None) -> None:
@@ -244,7 +261,7 @@ class _Runs:
                 begin_ns, begin_ns, *log.in_force(begin_ns, self._options.timeout_ns))
         first = int(self._progress[which, layout.SAMPLE].min())
         for begin, stop, polynomials in log.polynomials(first):
-            self._run(which, (log.times_ns, polynomials, log.in_space, begin, stop),
+            self._run(which, _Piece(log.times_ns, polynomials[None], log.in_space, begin, stop),
                       self._options.settings, self._has_terms[which], self._terms, gains)
 
     def _advance_summed(self, logs: Sequence[TorqueLog], wheels: TorqueLog,
@@ -261,21 +278,48 @@ class _Runs:
                                      self._options.timeout_ns)
             total.times_ns.flags.writeable = False  # one type for the kernels
             self._progress[alike] = layout.pack_place(begin_ns, begin_ns, 0)
-            self._run(alike, (total.times_ns, total.polynomials, total.in_space, 0,
-                              len(total.times_ns)), self._options.held_settings,
+            self._run(alike, _Piece(total.times_ns, total.polynomials[None], total.in_space, 0,
+                                    len(total.times_ns)), self._options.held_settings,
                       self._has_terms[alike] | in_two_frames | wheels.torques.any(),
                       total.terms[None] if terms_vary else self._terms)
 
     def _run(self, which: NDArray[np.intp], piece: _Piece, settings: Floats,
              has_terms: NDArray[np.bool_], terms: Floats, gains: Floats | None = None) -> None:
         """Run the loop over some runs, with terms for those that have them."""
-        gains = np.ones(len(self._failed)) if gains is None else gains
+        if len(which) == 1 and not has_terms.any() and gains is None:
+            self._queue(int(which[0]), piece, settings)
+            return
         for rows, given in ((which[~has_terms], None), (which[has_terms], terms)):
             self._run_alike(rows, piece, settings, given, gains)
 
+    def _queue(self, row: int, piece: _Piece, settings: Floats) -> None:
+        """Run the loop over a run later, with others whose torques change at the same times."""
+        if self._queued:
+            last, before, others = self._queued[-1]
+            if (row // LANES != last // LANES or settings is not others
+                    or not _change_together(piece, before)):
+                self._run_queued()
+        self._queued.append((row, piece, settings))
+
+    def _run_queued(self) -> None:
+        """Run the loop over the queued runs, each under torques of its own."""
+        if not self._queued:
+            return
+        which = np.array([row for row, _, _ in self._queued])
+        _, piece, settings = self._queued[0]
+        polynomials = piece.polynomials
+        if len(which) > 1:  # see `many_loop.run_each`
+            polynomials = np.empty((LANES, *piece.polynomials.shape[1:]))
+            for row, own, _ in self._queued:
+                polynomials[row % LANES] = own.polynomials
+            polynomials.flags.writeable = False  # one type for the kernels
+        self._queued.clear()
+        self._run_alike(which, piece._replace(polynomials=polynomials), settings, None, None)
+
     def _run_alike(self, which: NDArray[np.intp], piece: _Piece, settings: Floats,
-                   terms: Floats | None, gains: Floats) -> None:
+                   terms: Floats | None, gains: Floats | None) -> None:
         """Run the loop over some runs, in chunks."""
+        gains = np.ones(len(self._failed)) if gains is None else gains
         done, chunk = 0, LANES
         while done < len(which):
             began = time.monotonic()
@@ -288,6 +332,10 @@ class _Runs:
 
     def trajectories(self) -> Trajectories:
         """Return the motions, with NaN for the failed runs."""
+        self._run_queued()
+        for row in np.flatnonzero(self._failed).tolist():
+            self._messages[row] = self._messages[row] or str(self._options.too_fast(
+                int(self._progress[row, layout.GRID_NS])))
         count, size = len(self._messages), self._times.size
         self._motions[self._failed] = np.nan
         attitude, rates = np.split(self._motions, [4 * size], axis=1)

@@ -44,10 +44,10 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
         The runs, rows of the arrays that follow.
     states, progress, motions, constants : array, shape (n, ...)
         A row for each run, see `loop.run`.
-    times_ns, rows, stamps_ns, polynomials, in_space, first, stop, settings, budget
+    times_ns, rows, stamps_ns, in_space, first, stop, settings, budget
         As for `loop.run`, of all runs.
-    terms : array, shape (n, ...) or (1, ...), or None
-        As for `loop.run`, of each run or of all.
+    polynomials, terms : array, shape (k, ...)
+        As for `loop.run`; of run i the row i % k. The terms may be None.
     gains : array, shape (n,)
         Factors of the torque; all 1 for a torque that is not held.
     too_fast : array of bool, shape (n,)
@@ -61,13 +61,14 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
 
     """
     closed = np.empty(len(stamps_ns) + 1, np.bool_)
-    log = Log(stamps_ns, polynomials, in_space, first, stop, layout.unpack_timeout(settings))
-    group = Group(np.empty(LANES, np.intp), states, progress, constants, gains,
-                  groups.workspace())
+    log = Log(stamps_ns, polynomials[0], in_space, first, stop, layout.unpack_timeout(settings))
+    group = Group(np.empty(LANES, np.intp), states, progress, constants, gains, polynomials,
+                  np.empty(LANES, np.intp), groups.workspace())
     for k in range(0, len(which), LANES):
         last = min(k + LANES, len(which)) - 1
         for lane in range(LANES):
             group.rows[lane] = which[min(k + lane, last)]
+            group.slots[lane] = group.rows[lane] % len(polynomials)
         until, going = layout.IN_FORCE, True
         while going and until < stop:
             steps = 0
@@ -81,10 +82,10 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
             for j in range(k, last + 1):
                 i = which[j]
                 if not too_fast[i]:
-                    begin, torques = first, polynomials
+                    begin, torques = first, polynomials[i % len(polynomials)]
                     if gains[i] != 1.0:
                         begin = max(first, progress[i, layout.SAMPLE])
-                        torques = gains[i] * polynomials[begin - first:until + 1 - first]
+                        torques = gains[i] * torques[begin - first:until + 1 - first]
                     result = loop.run(states[i], progress[i], times_ns, rows, motions[i], closed,
                                       stamps_ns, torques, in_space, begin, until, constants[i],
                                       settings, budget, _terms_of(terms, i))
@@ -97,4 +98,4 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
 
 @optional
 def _terms_of(terms: Floats, run: int) -> Floats:
-    return terms[min(run, len(terms) - 1)]
+    return terms[run % len(terms)]

@@ -121,21 +121,23 @@ def in_two_frames(logs: Sequence[TorqueLog]) -> bool:
 
 
 def _change_together(logs: Sequence[TorqueLog], start_ns: int) -> bool:
-    """Return whether logs are held, have the same stamps, and are in force at the start."""
-    return (len(logs) > 0 and bool(logs[0].times_ns[0] <= start_ns)
-            and all(log.interpolation == 'hold' for log in logs)
-            and all(np.array_equal(log.times_ns, logs[0].times_ns) for log in logs[1:])
+    """Return whether held logs are in force at the start, and have the same stamps or only one."""
+    stamps = max((log.times_ns for log in logs), key=len, default=())
+    return (len(stamps) > 0 and all(log.interpolation == 'hold' for log in logs)
+            and all(log.times_ns[0] <= start_ns for log in logs)
+            and all(len(log) == 1 or np.array_equal(log.times_ns, stamps) for log in logs)
             and all(log.in_space.all() or not log.in_space.any() for log in logs))
 
 
 def _summed_together(in_body: Sequence[TorqueLog], in_space: Sequence[TorqueLog],
                      motors: Sequence[TorqueLog], start_ns: int, momentum: Floats) -> Summed:
     """Return the sum of logs that change together, which takes a third of the time."""
-    stamps = [*in_body, *in_space, *motors][0].times_ns
+    stamps = max((log.times_ns for log in (*in_body, *in_space, *motors)), key=len)
     first = int(np.searchsorted(stamps, start_ns, 'right')) - 1
     times = np.append(start_ns, stamps[first + 1:])
     body, space, on_rotors = (
-        reduce(np.add, [log.torques[first:] for log in logs]) if logs else np.full((1, 3), -0.0)
+        reduce(np.add, [log.torques[first if len(log) > 1 else 0:] for log in logs])
+        if logs else np.full((1, 3), -0.0)
         for logs in (in_body, in_space, motors))
     for array in (body, space, on_rotors):  # one type for the kernels
         array.flags.writeable = False
