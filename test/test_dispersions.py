@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from rigid_body_ros.ensemble import streams
 from rigid_body_ros.ensemble.dispersions import Dispersion, draws, load
-from rigid_body_ros.ensemble.percentiles import of_columns, percentiles
+from rigid_body_ros.ensemble.percentiles import of_columns, of_rows, percentiles
 from rigid_body_ros.scene import InputError
 
 RUNS = np.arange(100_000)
@@ -102,11 +102,12 @@ def test_percentiles_are_those_of_numpy(numbers):
 def test_percentiles_of_columns_are_those_of_each():
     numbers = np.random.default_rng(1).exponential(size=(1003, 4)) * [1.0, 1e-9, 0.0, np.nan]
     numbers[5:80, 1] = np.nan
-    found = of_columns(lambda: np.array_split(numbers, 3), [5, 50, 95], 4)
-    expected = [np.percentile(column[np.isfinite(column)], [5, 50, 95], method='inverted_cdf')
+    expected = [np.percentile(column[np.isfinite(column)], [1, 50, 100], method='inverted_cdf')
                 for column in numbers.T[:3]]
-    np.testing.assert_array_equal(found[:, :3].T, expected)
-    assert np.isnan(found[:, 3]).all()
+    for found in (of_columns(lambda: np.array_split(numbers, 3), [1, 50, 100], 4),
+                  of_rows(numbers.T.copy(), [1, 50, 100])):
+        np.testing.assert_array_equal(found[:, :3].T, expected)
+        assert np.isnan(found[:, 3]).all()
 
 
 def test_a_file_is_read(tmp_path):

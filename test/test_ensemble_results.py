@@ -102,7 +102,10 @@ def test_the_picture_of_an_ensemble_has_its_numbers(arguments, drawn, tmp_path):
     assert [*named] == sorted(named, key=lambda name: -abs(named[name]))
 
 
-def test_the_bands_are_the_percentiles_of_the_motions(arguments, drawn, tmp_path, monkeypatch):
+@pytest.mark.parametrize('kept', [0, 2 ** 24], ids=['passes', 'in memory'])
+def test_the_bands_are_the_percentiles_of_the_motions(arguments, drawn, tmp_path, monkeypatch,
+                                                      kept):
+    monkeypatch.setattr(bands, '_KEPT', kept)
     monkeypatch.setattr(bands, '_TIMES', 9)
     assert cli.attitude_ensemble([*arguments, '--times', '3.3']) == 0
     ensemble = zarr.open_group(tmp_path / 'out' / 'motion.zarr', mode='r')

@@ -23,11 +23,13 @@ import numpy as np
 from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.ensemble.folder import Folder
-from rigid_body_ros.ensemble.percentiles import of_columns
+from rigid_body_ros.ensemble.percentiles import of_columns, of_rows
 
 _PERCENTILES = (5, 25, 50, 75, 95)
 #: Largest number of times, enough for a picture: the percentiles need 80 kB for each.
 _TIMES = 500
+#: Largest number of angles that are kept in memory, 8 bytes each.
+_KEPT = 2 ** 24
 
 
 def bands(folder: Folder, nominal: Floats) -> dict[str, Any]:
@@ -51,10 +53,17 @@ def bands(folder: Folder, nominal: Floats) -> dict[str, Any]:
     assert folder.times is not None
     rows = np.unique(np.linspace(0, len(folder.times) - 1, _TIMES).astype(int))
 
-    def angles() -> Iterator[Floats]:
-        for _, motions in folder.motions():
+    def angles() -> Iterator[tuple[int, Floats]]:
+        for first, motions in folder.motions():
             with np.errstate(invalid='ignore'):  # failed runs
-                yield np.asarray(so3.angle_between(motions[:, rows, :4], nominal[rows, :4]))
-    found = of_columns(angles, _PERCENTILES, len(rows))
+                yield first, np.asarray(
+                    so3.angle_between(motions[:, rows, :4], nominal[rows, :4]))
+    if len(rows) * folder.runs > _KEPT:
+        found = of_columns(lambda: (chunk for _, chunk in angles()), _PERCENTILES, len(rows))
+    else:
+        kept = np.empty((len(rows), folder.runs))
+        for first, chunk in angles():
+            kept[:, first:first + len(chunk)] = chunk.T
+        found = of_rows(kept, _PERCENTILES)
     return {'times_s': folder.times[rows].tolist(),
             **{f'p{k}_rad': column.tolist() for k, column in zip(_PERCENTILES, found)}}

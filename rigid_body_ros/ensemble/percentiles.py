@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Percentiles of more numbers than fit into memory."""
+"""Percentiles of numbers, which may be more than fit into memory."""
 
 from __future__ import annotations
 
@@ -87,6 +87,29 @@ def of_columns(chunks: Callable[[], Iterable[Floats]], wanted: Sequence[int],
         ranks -= np.take_along_axis(ends - counts, digit[..., None], -1)[..., 0]
         found = found << np.uint64(_DIGIT) | digit.astype(np.uint64)
     return np.where(known, found.view(float), np.nan)
+
+
+def of_rows(numbers: Floats, wanted: Sequence[int]) -> Floats:
+    """
+    Return the percentiles of each row of an array, those of `of_columns`, in less time.
+
+    Parameters
+    ----------
+    numbers : array, shape (rows, n)
+        Sorted on return; NaN is left out.
+    wanted : sequence of int
+        From 1 to 100.
+
+    Returns
+    -------
+    array, shape (len(wanted), rows)
+        NaN for rows that have no numbers.
+
+    """
+    numbers.sort(axis=-1)  # NaN is last
+    known = np.isfinite(numbers).sum(axis=-1)
+    ranks = np.maximum(-(-np.outer(wanted, known) // 100) - 1, 0)
+    return np.take_along_axis(numbers, ranks.T, -1).T
 
 
 def _count(counts: NDArray[np.int64], chunk: Floats, prefixes: NDArray[np.uint64],
