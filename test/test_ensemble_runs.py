@@ -140,6 +140,15 @@ def scene_of(row):
     return body, start, [TorqueLog([0], [[bias, 0.0, 0.0]])] if bias else []
 
 
+@pytest.mark.parametrize('vary', [VARY[:3], VARY], ids=['shared', 'own'])
+def test_long_logs_are_computed_in_blocks_for_which_an_interrupt_need_not_wait(vary):
+    stamps = np.arange(100_000)
+    fine = TorqueLog(stamps, np.ones((len(stamps), 3)))
+    for logs, wheels in (((fine,), None), (LOGS, fine)):
+        found = replace(ensemble(*vary, logs=logs), wheels=wheels)
+        assert found._at_once * len(stamps) <= 2 ** 22
+
+
 @pytest.mark.parametrize('vary', [VARY, (*VARY[:2], NOISE)], ids=['all', 'noise'])
 def test_a_run_does_not_depend_on_the_others(vary):
     found = ensemble(*vary)

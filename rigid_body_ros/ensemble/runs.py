@@ -256,7 +256,7 @@ class Ensemble:
         """Return how many runs are computed at once."""
         longest = self.scene.options['max_step']
         steps = (self.end_ns - self.start.time_ns) / 1e9 / longest if longest else 0.0
-        steps += sum(map(len, self.logs))
+        steps += sum(map(len, [*self.logs, self.wheels or ()]))
         limit = _SAMPLES if self._have_own_logs else _STEPS
         runs = int(max(min(limit / (1.0 + steps), _STATES / len(self._at), _AT_ONCE), 1.0))
         return runs - runs % LANES or runs  # for runs that step together
