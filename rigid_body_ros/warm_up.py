@@ -58,10 +58,13 @@ def main() -> None:
 def _sum_torques() -> None:
     body, start = RigidBody.from_moments(1.0, 2.0, 2.5), State(rotor_momentum=(1.0, 0.0, 0.0))
     Propagator(body, start).at(1)
+    propagate(body, start, at=[1])
     stamps, torques = range(5), [[1.0, 0.0, 0.0]] * 5
+    wheels = TorqueLog(stamps, torques)
+    propagate(body, start, at=[0, 5], wheels=wheels)
     for interpolation in ('hold', 'cubic'):
         logs = [TorqueLog(stamps, torques, frame, interpolation) for frame in ('body', 'space')]
-        motion = propagate(body, start, logs, at=[0, 5], wheels=TorqueLog(stamps, torques))
+        motion = propagate(body, start, logs, at=[0, 5], wheels=wheels)
     motion.euler_angles(continuous=True)
     motion.rotor_momentum  # noqa: B018
 

@@ -27,6 +27,7 @@ import math
 
 from rigid_body_ros.kernels import four
 from rigid_body_ros.kernels.jit import inlined
+from rigid_body_ros.kernels.linear_terms import from_columns, Matrix
 from rigid_body_ros.kernels.vector import (
     add,
     add_scaled,
@@ -68,6 +69,21 @@ def add_gyroscopic_acceleration(rest: Vector, coefficients: Coefficients, form: 
     if form == DIAGONAL:
         return four.fma(coefficients[2], products[0], rest)
     return add(rest, gyroscopic_acceleration(coefficients, form, products))
+
+
+@inlined
+def add_jacobian(matrix: Matrix, coefficients: Coefficients, form: int, w: Vector) -> Matrix:
+    """Return a matrix plus the derivative of `gyroscopic_acceleration` with respect to w."""
+    x, y, z = matrix
+    yzx, zxy = four.yzx(w), four.zxy(w)
+    if form == DIAGONAL:
+        return x, four.fma(coefficients[2], zxy, y), four.fma(coefficients[2], yzx, z)
+    columns, twice = coefficients[0], scale(2.0, w)
+    a, b, c = from_columns(columns[0], columns[1], columns[2])
+    d, e, f = from_columns(columns[3], columns[4], columns[5])
+    return (four.fma(d, twice, four.fma(c, yzx, four.fma(b, zxy, x))),
+            four.fma(e, four.yzx(twice), four.fma(a, zxy, four.fma(c, w, y))),
+            four.fma(f, four.zxy(twice), four.fma(b, w, four.fma(a, yzx, z))))
 
 
 @inlined

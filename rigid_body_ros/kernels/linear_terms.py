@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 from rigid_body_ros.kernels import four
 from rigid_body_ros.kernels.jit import inlined
-from rigid_body_ros.kernels.vector import add, of, total, two_sum, Vector
+from rigid_body_ros.kernels.vector import add, of, scale, total, two_sum, Vector
 
 #: The entries (i, i + k) of a matrix, modulo 3, for k = 0, 1 and 2: a product with a vector takes
 #: three multiplications of four numbers each.
@@ -153,6 +153,13 @@ def add_product(rest: Vector, matrix: Matrix, w: Vector, w_yzx: Vector, w_zxy: V
 def product(matrix: Matrix, w: Vector) -> Vector:
     """Return the product with a vector."""
     return add_product(four.broadcast(0.0), matrix, w, four.yzx(w), four.zxy(w))
+
+
+@inlined
+def multiple(factor: float, matrix: Matrix) -> Matrix:
+    """Return a multiple of a matrix."""
+    x, y, z = matrix
+    return scale(factor, x), scale(factor, y), scale(factor, z)
 
 
 @inlined

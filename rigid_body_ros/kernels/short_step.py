@@ -31,15 +31,15 @@ from typing import NamedTuple
 from rigid_body_ros.kernels import four, lanes, linear_terms
 from rigid_body_ros.kernels.euler_equations import (
     acceleration_from_torque,
+    add_jacobian,
     add_symmetric_products,
     gyroscopic_acceleration,
-    Products,
     products,
     symmetric_products,
 )
 from rigid_body_ros.kernels.jit import inlined
 from rigid_body_ros.kernels.lanes import fma
-from rigid_body_ros.kernels.linear_terms import add_product, product
+from rigid_body_ros.kernels.linear_terms import add_product, multiple, product
 from rigid_body_ros.kernels.vector import (
     add,
     add_scaled,
@@ -51,6 +51,7 @@ from rigid_body_ros.kernels.vector import (
     Quaternion,
     scale,
     to_body,
+    total,
     Vector,
 )
 
@@ -70,12 +71,14 @@ _LARGEST = 1e-4
 class Extras(NamedTuple):
     """What acts during a step besides a torque in body axes; held torques."""
 
-    #: The matrix A of the linear terms, 1/s, and its change during the step.
+    #: The matrix A of the linear terms, 1/s.
     linear: linear_terms.Linear
-    change: linear_terms.Matrix
-    #: N m; whether it is other than zero.
-    space_torque: Vector
-    has_space_torque: bool
+    #: Whether there are rotors or damping.
+    is_linear: bool
+    #: Change of the momentum of the rotors during the step, N m s; None: it is constant.
+    rotor_change: Vector | None
+    #: N m; None: no step of the scene has one.
+    space_torque: Vector | None
     #: `square_rate` of the matrix, 1/s^2, and the square of a bound on what changes the rates
     #: besides, rad^2/s^4.
     square_rate: float
@@ -155,60 +158,117 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     KernelState
 
     """
-    size, error_bound = _size_and_bound(state, seconds, torque_acceleration, tolerance, extras)
+    sizes = _size_and_bound(state, seconds, torque_acceleration, tolerance, extras)
+    if extras is None:
+        return _step(state, seconds, coefficients, form, torque_acceleration, sizes, None, None,
+                     None)
+    return _step_with(state, seconds, coefficients, form, torque_acceleration, sizes, extras,
+                      extras.rotor_change, extras.space_torque)
+
+
+@inlined
+def _step_with(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
+               torque_acceleration: Vector, sizes: tuple[float, float], extras: Extras,
+               rotor_change: Vector | None, space_torque: Vector | None) -> KernelState:
+    # Choose once: a branch in every order takes longer than the terms that it leaves out.
+    if rotor_change is None:
+        return _step(state, seconds, coefficients, form, torque_acceleration, sizes,
+                     extras.linear, None, None)
+    if space_torque is not None and total(four.absolute(space_torque)) != 0.0:
+        if extras.is_linear:
+            return _step(state, seconds, coefficients, form, torque_acceleration, sizes,
+                         extras.linear, rotor_change, space_torque)
+        return _step(state, seconds, coefficients, form, torque_acceleration, sizes, None, None,
+                     space_torque)
+    if extras.is_linear:
+        return _step(state, seconds, coefficients, form, torque_acceleration, sizes,
+                     extras.linear, rotor_change, None)
+    return _step(state, seconds, coefficients, form, torque_acceleration, sizes, None, None, None)
+
+
+@inlined
+def _step(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
+          torque_acceleration: Vector, sizes: tuple[float, float],
+          linear: linear_terms.Linear | None, rotor_change: Vector | None,
+          space_torque: Vector | None) -> KernelState:
+    size, error_bound = sizes
     w = state[0]
     # w0 = w, w1, w2 ... are the terms of w, rad/s, and u0, u1, u2 ... the same in radians per
     # step. Factors multiply operands that are known early, so that no later term waits for them.
     u0 = scale(seconds, w)
+    if linear is not None:
+        torque_acceleration = add(torque_acceleration, product(linear.low, w))
     w1 = add_scaled(gyroscopic_acceleration(coefficients, form, products(u0, w)), seconds,
                     torque_acceleration)
     t0 = t1 = t2 = four.broadcast(0.0)  # the terms of a space torque in body axes, times the step
-    if extras is not None:
-        w1 = add(w1, _first_linear_term(extras, u0))
-        if extras.has_space_torque:
-            t0 = scale(seconds, to_body(state[1], extras.space_torque))
-            w1 = add(w1, acceleration_from_torque(coefficients, form, t0))
+    if linear is not None:
+        # The products of w0 and the latest term are linear in that, so they join the matrix.
+        jacobian = multiple(seconds, add_jacobian(linear.matrix, coefficients, form, w))
+        w1 = add(w1, product(linear.matrix, u0))
+    if space_torque is not None:
+        t0 = scale(seconds, to_body(state[1], space_torque))
+        w1 = add(w1, acceleration_from_torque(coefficients, form, t0))
     u1 = scale(seconds, w1)
-    w2 = gyroscopic_acceleration(coefficients, form, symmetric_products(scale(1 / 2, u0), w1))
-    if extras is not None:
-        w2 = _add_linear(w2, 1 / 2, extras, u1, u0)
-        if extras.has_space_torque:
-            t1 = cross(t0, u0)
-            w2 = add_scaled(w2, 1 / 2, acceleration_from_torque(coefficients, form, t1))
+    if linear is None:
+        w2 = gyroscopic_acceleration(coefficients, form, symmetric_products(scale(1 / 2, u0), w1))
+    else:
+        w2 = product(multiple(1 / 2, jacobian), w1)
+    if space_torque is not None:
+        t1 = cross(t0, u0)
+        w2 = add_scaled(w2, 1 / 2, acceleration_from_torque(coefficients, form, t1))
+    if rotor_change is not None:
+        w2 = add(w2, acceleration_from_torque(
+            coefficients, form, cross(rotor_change, scale(1 / 2, u0))))
     u2 = scale(seconds, w2)
-    w3 = gyroscopic_acceleration(coefficients, form, add_symmetric_products(
-        products(scale(1 / 3, u1), w1), scale(1 / 3, u0), w2))
-    if extras is not None:
-        w3 = _add_linear(w3, 1 / 3, extras, u2, u1)
-        if extras.has_space_torque:
-            t2 = scale(1 / 2, add(cross(t1, u0), cross(t0, u1)))
-            w3 = add_scaled(w3, 1 / 3, acceleration_from_torque(coefficients, form, t2))
+    sums = products(scale(1 / 3, u1), w1)
+    if linear is None:
+        sums = add_symmetric_products(sums, scale(1 / 3, u0), w2)
+    w3 = gyroscopic_acceleration(coefficients, form, sums)
+    if linear is not None:
+        w3 = _add_linear(w3, multiple(1 / 3, jacobian), w2)
+    if space_torque is not None:
+        t2 = scale(1 / 2, add(cross(t1, u0), cross(t0, u1)))
+        w3 = add_scaled(w3, 1 / 3, acceleration_from_torque(coefficients, form, t2))
+    if rotor_change is not None:
+        w3 = add(w3, acceleration_from_torque(
+            coefficients, form, cross(rotor_change, scale(1 / 3, u1))))
     a = cross(u0, u1)
     delta_omega = add(add(w1, w2), w3)
     rotation = add_scaled(add_scaled(scale(1 / 2, u1), 1 / 3, u2), 1 / 12, a)
     fourth = _SQUARE_3 * (size * size) > error_bound
     if lanes.some(fourth):
-        w4 = gyroscopic_acceleration(coefficients, form, add_symmetric_products(
-            symmetric_products(scale(1 / 4, u1), w2), scale(1 / 4, u0), w3))
+        sums = symmetric_products(scale(1 / 4, u1), w2)
+        if linear is None:
+            sums = add_symmetric_products(sums, scale(1 / 4, u0), w3)
+        w4 = gyroscopic_acceleration(coefficients, form, sums)
         u3, b, t3 = scale(seconds, w3), cross(u0, u2), four.broadcast(0.0)
-        if extras is not None:
-            w4 = _add_linear(w4, 1 / 4, extras, u3, u2)
-            if extras.has_space_torque:
-                t3 = scale(1 / 3, add(cross(t2, u0), add(cross(t1, u1), cross(t0, u2))))
-                w4 = add_scaled(w4, 1 / 4, acceleration_from_torque(coefficients, form, t3))
+        if linear is not None:
+            w4 = _add_linear(w4, multiple(1 / 4, jacobian), w3)
+        if space_torque is not None:
+            t3 = scale(1 / 3, add(cross(t2, u0), add(cross(t1, u1), cross(t0, u2))))
+            w4 = add_scaled(w4, 1 / 4, acceleration_from_torque(coefficients, form, t3))
+        if rotor_change is not None:
+            w4 = add(w4, acceleration_from_torque(
+                coefficients, form, cross(rotor_change, scale(1 / 4, u2))))
         delta_omega = four.choose(fourth, add(delta_omega, w4), delta_omega)
         rotation = four.choose(
             fourth, add(rotation, add_scaled(scale(1 / 4, u3), 1 / 12, b)), rotation)
         fifth = lanes.both(fourth, _FOURTH_4 * (
             size * ((size * size) * (size * size))) > error_bound * error_bound)
         if lanes.some(fifth):
-            w5 = gyroscopic_acceleration(coefficients, form,
-                                         _order_4_products(u0, u1, u2, w2, w3, w4))
-            if extras is not None:
-                w5 = _add_linear(w5, 1 / 5, extras, scale(seconds, w4), u3)
-                if extras.has_space_torque:
-                    t4 = add(add(cross(t3, u0), cross(t2, u1)), add(cross(t1, u2), cross(t0, u3)))
-                    w5 = add_scaled(w5, 1 / 20, acceleration_from_torque(coefficients, form, t4))
+            sums = add_symmetric_products(
+                products(scale(1 / 5, u2), w2), scale(1 / 5, u1), w3)
+            if linear is None:
+                sums = add_symmetric_products(sums, scale(1 / 5, u0), w4)
+            w5 = gyroscopic_acceleration(coefficients, form, sums)
+            if linear is not None:
+                w5 = _add_linear(w5, multiple(1 / 5, jacobian), w4)
+            if space_torque is not None:
+                t4 = add(add(cross(t3, u0), cross(t2, u1)), add(cross(t1, u2), cross(t0, u3)))
+                w5 = add_scaled(w5, 1 / 20, acceleration_from_torque(coefficients, form, t4))
+            if rotor_change is not None:
+                w5 = add(w5, acceleration_from_torque(
+                    coefficients, form, cross(rotor_change, scale(1 / 5, u3))))
             delta_omega = four.choose(fifth, add(delta_omega, w5), delta_omega)
             rotation = four.choose(fifth, add(rotation, add_scaled(
                 _order_5_rotation(u0, u1, u2, u3, a, b), 1 / 5 * seconds, w4)), rotation)
@@ -216,28 +276,9 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
 
 
 @inlined
-def _first_linear_term(extras: Extras, u0: Vector) -> Vector:
-    yzx, zxy = four.yzx(u0), four.zxy(u0)
-    low = add_product(four.broadcast(0.0), extras.linear.low, u0, yzx, zxy)
-    return add_product(low, extras.linear.matrix, u0, yzx, zxy)
-
-
-@inlined
-def _add_linear(rest: Vector, factor: float, extras: Extras, latest: Vector,
-                previous: Vector) -> Vector:
-    # Add the linear terms of one order, from the two orders before it. The terms of higher order
-    # are too small for the low-order part.
-    change = product(extras.change, previous)
-    return add_scaled(rest, factor, add_product(
-        change, extras.linear.matrix, latest, four.yzx(latest), four.zxy(latest)))
-
-
-@inlined
-def _order_4_products(u0: Vector, u1: Vector, u2: Vector, w2: Vector, w3: Vector,
-                      w4: Vector) -> Products:
-    # Return the products of the terms of w whose orders add up to 4, divided by 5.
-    return add_symmetric_products(add_symmetric_products(
-        products(scale(1 / 5, u2), w2), scale(1 / 5, u1), w3), scale(1 / 5, u0), w4)
+def _add_linear(rest: Vector, jacobian: linear_terms.Matrix, latest: Vector) -> Vector:
+    # The terms of higher order are too small for the low-order part.
+    return add_product(rest, jacobian, latest, four.yzx(latest), four.zxy(latest))
 
 
 @inlined

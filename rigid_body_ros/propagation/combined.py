@@ -62,8 +62,9 @@ class CombinedMotion:
         self._sum = summation.summed(logs, wheels, start.time_ns, start._rotors,
                                      options.timeout_ns)
         self._has_rotors = bool(start._has_rotors or wheels.torques.any())
-        self._has_terms = (self._has_rotors or body.is_damped
-                           or summation.in_two_frames(logs))
+        #: See `loop.run`.
+        self._terms = self._sum.terms[None] if summation.in_two_frames([*logs, wheels]) else (
+            self._sum.terms if self._has_rotors or body.is_damped else None)
         self._check_solver([*logs, wheels])
         begin_ns, states, progress = self._begin(start, [*logs, wheels])
         self._times_ns = np.append(begin_ns, self._sum.times_ns[1:])
@@ -116,7 +117,7 @@ class CombinedMotion:
                 self._states, progress, times, rows, motion, closed, self._times_ns,
                 self._sum.polynomials, self._sum.in_space, 0, end, self._body._constants,
                 self._options.held_settings, loop.BUDGET,
-                self._sum.terms if self._has_terms else None)):
+                self._terms)):
             if result == loop.TOO_FAST:
                 raise self._options.too_fast(int(progress[layout.GRID_NS]))
         return closed

@@ -116,7 +116,7 @@ class Integration:
                  torque_timeout: float = Options.torque_timeout) -> None:
         self._body, self._start = body, start
         self._options = validated(solver, tolerance, max_step, torque_timeout)
-        #: A row of `Summed.terms` that always holds; None if there are neither rotors nor damping.
+        #: Constant terms of `loop.run`; None if there are neither rotors nor damping.
         self._terms = _constant_terms(body, start, self._options)
         #: States and progress of the loop at the end of the last piece; None before the first.
         self._loop_arrays: tuple[Floats, NDArray[np.int64]] | None = None
@@ -161,7 +161,7 @@ class Integration:
         motion = motion_layout.allocate(times.size)
         closed = self._fill(log, times, rows, motion, dropped, len(log) if stop is None else stop)
         self._end_ns = end_ns
-        rotors = Rotors(np.array([self._start.time_ns]), self._terms) \
+        rotors = Rotors.constant(self._start.time_ns, self._start._rotors) \
             if self._terms is not None and self._start._has_rotors else None
         usage = SolverUsage(self._body, log, self._options, begin_ns, end_ns, closed,
                             rotors is not None)
@@ -222,9 +222,7 @@ def _constant_terms(body: RigidBody, start: State, options: Options) -> Floats |
     if not (start._has_rotors or body.is_damped):
         return None
     options.check_linear_terms(body.is_damped, start._has_rotors)
-    terms = np.zeros((1, 4, 3))
-    terms[0, 2:] = start._rotors
-    return terms
+    return start._rotors
 
 
 def check_solver(options: Options, log: TorqueLog) -> None:

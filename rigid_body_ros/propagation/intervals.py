@@ -169,18 +169,30 @@ def is_zero(torque: vector.Polynomial) -> bool:
 def extras_of(terms: Floats, index: int, span: float,
               constants: linear_terms.Constants) -> Extras:
     """Return what acts besides the drive, from `terms` of `loop.run`."""
-    index, degree = index if terms_vary(terms) else 0, terms.shape[1] // 2 - 2
-    space = polynomial_of(terms, index, 0, degree)
-    a, b, c, d = polynomial_of(terms, index, degree + 1, degree)
-    momentum = coefficient(terms, index, 2 * degree + 2)
-    varies = not is_zero((a, b, c, d))
+    if terms.ndim == 2:
+        momentum, low = _row(terms, 0), _row(terms, 1)
+        # If the compiler knew these zeros, it would inline `stepping.advance`, which takes longer.
+        none = vector.scale(0.0, momentum)
+        space, on_rotors, degree = (none, none, none, none), (none, none, none, none), 0
+    else:
+        degree = terms.shape[1] // 2 - 2
+        space = polynomial_of(terms, index, 0, degree)
+        on_rotors = polynomial_of(terms, index, degree + 1, degree)
+        momentum = coefficient(terms, index, 2 * degree + 2)
+        low = coefficient(terms, index, 2 * degree + 3)
+    a, b, c, d = on_rotors
+    varies = not is_zero(on_rotors)
     acts = varies or not (layout.is_zero_vector(momentum) and linear_terms.is_zero(
         constants.damping.matrix))
     return Extras((momentum, vector.scale(span, a), vector.scale(span / 2, b),
                    vector.scale(span / 3, c), vector.scale(span / 4, d)),
-                  coefficient(terms, index, 2 * degree + 3), constants,
-                  (degree + 1 if varies else 0) if acts else -1,
+                  low, constants, (degree + 1 if varies else 0) if acts else -1,
                   space, -1 if is_zero(space) else degree)
+
+
+@inlined
+def _row(rows: Floats, row: int) -> vector.Vector:
+    return vector.of(rows[row, 0], rows[row, 1], rows[row, 2])
 
 
 @inlined
@@ -188,7 +200,7 @@ def terms_vary(terms: Floats | None) -> bool:
     """Return whether the terms differ from sample to sample."""
     if terms is None:
         return False
-    return len(terms) > 1
+    return terms.ndim > 2
 
 
 @inlined
@@ -226,20 +238,37 @@ def coasts(polynomials: Floats, terms: Floats | None, index: int,
 
 
 @optional
-def during_step(terms: Floats, index: int, seconds: float,
+def during_step(terms: Floats, two_frames: bool | None, index: int, seconds: float,
                 constants: linear_terms.Constants) -> short_step.Extras:
     """Return what acts besides the drive in a step from the beginning of held torques."""
-    index = index if terms_vary(terms) else 0
-    space, on_rotors = coefficient(terms, index, 0), coefficient(terms, index, 1)
-    momentum = coefficient(terms, index, 2)
-    change = linear_terms.rotor_matrix(constants, vector.scale(seconds, on_rotors))
+    if terms.ndim == 2:
+        linear = linear_terms.at(constants, _row(terms, 0), _row(terms, 1))
+        return short_step.Extras(linear, True, None, None,
+                                 linear_terms.square_rate(linear.matrix), 0.0)
+    return _during_step(terms, _space_torque(two_frames, terms, index), index, seconds, constants)
+
+
+@optional
+def _space_torque(_two_frames: bool, terms: Floats, index: int) -> vector.Vector:
+    return coefficient(terms, index, 0)
+
+
+@inlined
+def _during_step(terms: Floats, space: vector.Vector | None, index: int, seconds: float,
+                 constants: linear_terms.Constants) -> short_step.Extras:
+    on_rotors, momentum = coefficient(terms, index, 1), coefficient(terms, index, 2)
+    is_linear = True
     if layout.is_zero_vector(on_rotors):
         linear = linear_terms.at(constants, momentum, coefficient(terms, index, 3))
+        is_linear = not (layout.is_zero_vector(momentum)
+                         and linear_terms.is_zero(constants.damping.matrix))
     else:  # the rounding error of the matrix changes from step to step, so it does not add up
         linear = linear_terms.rounded_at(constants, momentum)
     # Squares of Frobenius norms: that of a vector product with tau is 2 |tau|^2.
-    square_torque = vector.dot(space, space) + 0.5 * vector.dot(on_rotors, on_rotors)
+    square_torque = 0.5 * vector.dot(on_rotors, on_rotors)
+    if space is not None:
+        square_torque += vector.dot(space, space)
     return short_step.Extras(
-        linear, change, space, not layout.is_zero_vector(space),
+        linear, is_linear, vector.scale(seconds, on_rotors), space,
         linear_terms.square_rate(linear.matrix),
         4.0 * linear_terms.square_rate(constants.inverse.matrix) * square_torque)

@@ -167,6 +167,22 @@ def unpack_body(constants: Floats) -> Body:
 
 
 @optional
+def unpack_terms(terms: Floats) -> Floats:
+    """Return the terms of `loop.run` without the axis that stands for torques in space axes."""
+    if terms.ndim == 4:
+        return terms[0]
+    return terms
+
+
+@optional
+def two_frames(terms: Floats) -> bool | None:
+    """Return None if there are no torques in space axes among the terms."""
+    if terms.ndim == 4:
+        return True
+    return None
+
+
+@optional
 def unpack_linear(_terms: Floats, constants: Floats) -> linear_terms.Constants:
     """Return the matrices of a body in a scene that has terms."""
     return body_layout.linear_constants(constants)

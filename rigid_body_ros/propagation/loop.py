@@ -84,9 +84,11 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
         See `layout.pack_settings`.
     budget : int
         Units of work, at least 1, after which to return; see `stepping.STEP_COST`.
-    terms : float64 (n, 2 degree + 4, 3) or None
-        See `summation.Summed`; a single row holds for every sample. None if only a torque in one
-        frame acts: the compiler then leaves out the code for the rest.
+    terms : float64 (2, 3), (n, 2 degree + 4, 3) or (1, n, 2 degree + 4, 3), or None
+        The momentum of the rotors, if it is constant, and its low-order part; otherwise the terms
+        of `summation.Summed`, with one more axis if torques in space axes are among them. None if
+        only a torque in one frame acts. The number of axes belongs to the type of an array, so
+        the compiler leaves out the code for what a scene does not have.
 
     Returns
     -------
@@ -102,7 +104,8 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
         reached = States(reached.grid, reached.grid, reached.grid)
     place, reached = _run_segments(place, reached, Outputs(times_ns, rows, motion, closed), log,
                                    layout.unpack_body(constants),
-                                   layout.unpack_method(settings), budget, terms,
+                                   layout.unpack_method(settings), budget,
+                                   layout.unpack_terms(terms), layout.two_frames(terms),
                                    layout.unpack_linear(terms, constants))
     layout.store_place(place, progress)
     layout.store_states(reached, states)
@@ -115,7 +118,7 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
 # pass, which costs a third of a step.
 @internal
 def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, body: Body,
-                  method: Method, budget: int, terms: Floats | None,
+                  method: Method, budget: int, terms: Floats | None, two_frames: bool | None,
                   linear: Constants | None) -> tuple[Place, States]:
     grid, begin, latest = reached
     grid_ns, begin_ns, sample, timed_out, done = place
@@ -142,7 +145,7 @@ def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, bod
             acceleration = euler_equations.acceleration_from_torque(
                 body.coefficients, body.form, now.torque[0])
             seconds = (time_ns - grid_ns) / 1e9
-            others = intervals.during_step(terms, index, seconds, linear)
+            others = intervals.during_step(terms, two_frames, index, seconds, linear)
             by_formula = coasts and _is_closed(method, begin, time_ns - begin_ns)
             if by_formula and not prepared:
                 coast, prepared = free_motion.prepare(begin, body.frame), True
@@ -159,7 +162,7 @@ def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, bod
                     grid, grid_ns, sample, done = _run_short_steps(
                         grid, Place(grid_ns, begin_ns, sample, timed_out, done),
                         min(budget, stop, len(stamps_ns) - 1), outputs, log, body, method, terms,
-                        linear)
+                        two_frames, linear)
                     begin, latest, begin_ns, prepared = grid, grid, grid_ns, False
                     budget -= sample
                     continue
@@ -203,7 +206,7 @@ def _is_short(grid: vector.KernelState, rest_ns: int, acceleration: vector.Vecto
 
 @internal
 def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs: Outputs, log: Log,
-                     body: Body, method: Method, terms: Floats | None,
+                     body: Body, method: Method, terms: Floats | None, two_frames: bool | None,
                      linear: Constants | None) -> tuple[vector.KernelState, int, int, int]:
     # Step from stamp to stamp, at most to the stamp of the sample `last`, under held body torques,
     # as long as one short step is enough and no output lies between the stamps. Fill the outputs
@@ -213,7 +216,7 @@ def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs:
     grid_ns, sample, done = place.grid_ns, place.sample, place.done
     times_ns, rows, motion, _ = outputs
     stamps_ns, polynomials, in_space, first, _, timeout_ns = log
-    extras = intervals.during_step(terms, sample - first, 1.0, linear)
+    extras = intervals.during_step(terms, two_frames, sample - first, 1.0, linear)
     while sample < last and done < len(times_ns):
         row = done if len(rows) == 0 else rows[done]
         if times_ns[row] == grid_ns:
@@ -227,7 +230,7 @@ def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs:
         span_ns = next_ns - grid_ns
         seconds = span_ns / 1e9
         if intervals.terms_vary(terms):
-            extras = intervals.during_step(terms, index, seconds, linear)
+            extras = intervals.during_step(terms, two_frames, index, seconds, linear)
         if (times_ns[row] < next_ns or span_ns >= method.max_step_ns
                 or (in_space[sample] and not layout.is_zero_vector(torque))
                 or (layout.is_zero_vector(torque)

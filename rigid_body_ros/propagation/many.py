@@ -231,8 +231,8 @@ class _Runs:
         #: the next, under torques that change at the same times.
         self._queued: list[tuple[int, _Piece, Floats]] = []
         #: Of each run, for `loop.run`, if the rotors have no motors.
-        self._terms: Floats = np.zeros((len(bodies), 1, 4, 3))
-        self._terms[:, 0, 2] = starts.rotor_momentum
+        self._terms: Floats = np.zeros((len(bodies), 2, 3))
+        self._terms[:, 0] = starts.rotor_momentum
 
     def advance(self, logs: Sequence[TorqueLog], wheels: TorqueLog, which: NDArray[np.intp],
                 gains: Floats | None = None) -> None:
@@ -267,9 +267,9 @@ class _Runs:
     def _advance_summed(self, logs: Sequence[TorqueLog], wheels: TorqueLog,
                         which: NDArray[np.intp]) -> None:
         """Do it under a sum of logs, as `CombinedMotion` does."""
-        in_two_frames = summation.in_two_frames(logs)
+        in_two_frames = summation.in_two_frames([*logs, wheels])
         terms_vary = bool(wheels) or in_two_frames
-        momenta = self._terms[which, 0, 2:]
+        momenta = self._terms[which]
         # Without motors, the sum of the torques does not depend on the momentum of the rotors.
         for rows in _grouped([(begin_ns, momentum.tobytes() if terms_vary else b'') for
                               begin_ns, momentum in zip(self._begin_ns[which].tolist(), momenta)]):
@@ -278,10 +278,11 @@ class _Runs:
                                      self._options.timeout_ns)
             total.times_ns.flags.writeable = False  # one type for the kernels
             self._progress[alike] = layout.pack_place(begin_ns, begin_ns, 0)
+            terms = total.terms[None] if in_two_frames else total.terms
             self._run(alike, _Piece(total.times_ns, total.polynomials[None], total.in_space, 0,
                                     len(total.times_ns)), self._options.held_settings,
                       self._has_terms[alike] | in_two_frames | wheels.torques.any(),
-                      total.terms[None] if terms_vary else self._terms)
+                      terms[None] if terms_vary else self._terms)
 
     def _run(self, which: NDArray[np.intp], piece: _Piece, settings: Floats,
              has_terms: NDArray[np.bool_], terms: Floats, gains: Floats | None = None) -> None:

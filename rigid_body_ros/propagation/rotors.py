@@ -33,10 +33,17 @@ Rotor = tuple[Vector, Vector]
 
 
 class Rotors(NamedTuple):
-    """The momentum of the rotors; see `summation.Summed`, or one row that always holds."""
+    """The momentum of the rotors; see `summation.Summed`."""
 
     times_ns: NDArray[np.int64]
     terms: Floats
+
+    @classmethod
+    def constant(cls, time_ns: int, momentum: Floats) -> Rotors:
+        """Return a momentum, shape (2, 3), N m s, with its low-order part, from a time on."""
+        terms = np.zeros((1, 4, 3))
+        terms[0, 2:] = momentum
+        return cls(np.array([time_ns]), terms)
 
     def momentum(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the momentum at times in any order, N m s, shape (m, 3)."""

@@ -149,7 +149,8 @@ class Segment:
              until: float) -> None:
         """Run the loop up to a time, or until the computing time is used up."""
         arguments = (states, progress, np.array([time_ns]), loop.IN_ORDER, *_UNUSED, *self._log,
-                     0, 1, self._constants, self._options.held_settings, loop.BUDGET, self._terms)
+                     0, 1, self._constants, self._options.held_settings, loop.BUDGET,
+                     None if self._terms is None else self._terms[None])
         while result := loop.run(*arguments):
             if result == loop.TOO_FAST:
                 raise self._options.too_fast(

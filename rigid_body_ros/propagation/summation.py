@@ -115,7 +115,7 @@ def summed(logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int, momentum
 
 
 def in_two_frames(logs: Sequence[TorqueLog]) -> bool:
-    """Return whether some torques are in body axes and some in space axes."""
+    """Return whether some torques are in body axes, as those of motors, and some in space axes."""
     return (any(log.in_space.any() for log in logs)
             and not all(log.in_space.all() for log in logs))
 
