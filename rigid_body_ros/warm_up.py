@@ -46,7 +46,7 @@ _TORQUES = 'time,tx,ty,tz\n' + ''.join(f'{0.1 * row},1e-3,0,0\n' for row in rang
 
 def main() -> None:
     """Use every kernel once."""
-    show('compiling the kernels: usually up to a minute, once after each installation')
+    show('compiling the kernels: usually about a minute, once after each installation')
     warm_up()
     RigidBodies([np.eye(3)])
     _sum_torques()
