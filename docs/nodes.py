@@ -332,8 +332,8 @@ one torque for each state.
   for a publisher only from when it is connected.
 - While no node publishes torques, the latest state is published again at 10 Hz. A controller that
   starts or restarts receives it once, half a second after it connects.
-- A controller may be slow. The state is published again only after 10 s without a torque, then
-  after 20 s, and so on. A controller that takes longer than that receives the state twice, and the
+- A controller may be slow. The state is published again only after 4 s without a torque, then
+  after 8 s, and so on. A controller that takes longer than that receives the state twice, and the
   torque that it sends for the second copy has no effect. The time is that long because Fast DDS
   may deliver a message only after its next heartbeat, whose period is 3 s. That happens most often
   after a controller was killed.

@@ -41,10 +41,10 @@ _IDLE_PERIOD = 0.1
 #: receive and send.
 _CONNECTION_TIME = 0.5
 #: s; how long the loop may be silent before the state is published again. Fast DDS may deliver a
-#: message only after its next heartbeat, whose period is 3 s, and both a state and its torque may
-#: be late. A repetition in that time would reach the controller as a second copy. The timeout
-#: doubles with every repetition, so that few copies pile up in the queue of a slow controller.
-_TIMEOUT, _MAX_TIMEOUT = 10.0, 30.0
+#: message only after its next heartbeat, whose period is 3 s. A repetition in that time would
+#: reach the controller as a second copy. The timeout doubles with every repetition, so that few
+#: copies pile up in the queue of a slow controller.
+_TIMEOUT, _MAX_TIMEOUT = 4.0, 30.0
 
 
 class DuplicateFilter:
