@@ -35,7 +35,7 @@ from rigid_body_ros import propagate, propagate_many, RigidBodies, States, Torqu
 PROBLEM, RUNS = PROBLEMS['P3'], 960
 TOLERANCES, BATCHES = (1e-15, 1e-9, 1e-6, 1e-3), (4, 8, 16)
 pairs.ROUNDS = 21
-PROCESSES = 9
+PROCESSES = 5
 
 
 def dispersed(problem, count):
