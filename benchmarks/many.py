@@ -133,7 +133,7 @@ def beside_heyoka(tolerance):
     peer = min(peers, key=pairs.quick)
     found = pairs.compare(ours, peer)
     apart = np.abs(ours.attitude() - peer.attitude()).max()
-    if apart > 100.0 * max(tolerance, 1e-15):
+    if apart > 100.0 * tolerance:
         raise ValueError(f'tolerance {tolerance:g}: the attitudes differ by {apart:.1e}')
     alone = pairs.quick(Alone(PROBLEM, RUNS, tolerance))
     return [1e6 / RUNS * float(np.nanmedian(times))

@@ -335,8 +335,7 @@ one torque for each state.
 - A controller may be slow. The state is published again only after 4 s without a torque, then
   after 8 s, and so on. A controller that takes longer than that receives the state twice, and the
   torque that it sends for the second copy has no effect. The time is that long because Fast DDS
-  may deliver a message only after its next heartbeat, whose period is 3 s. That happens most often
-  after a controller was killed.
+  may deliver a message only after its next heartbeat, whose period is 3 s.
 - If the same controller repeats a torque more than 0.1 s after the response, the node responds
   again, because the response may have been lost. If it sends a different torque with the same
   stamp, that replaces the first and also gets a response.
