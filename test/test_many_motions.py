@@ -26,9 +26,10 @@ from rigid_body_ros import (
     States,
     TorqueLog,
 )
+from rigid_body_ros.kernels import motion_layout
 from rigid_body_ros.kernels.lanes import LANES
-from rigid_body_ros.propagation import groups, layout, loop
-from rigid_body_ros.propagation.groups import Group
+from rigid_body_ros.propagation import group, groups, layout, loop
+from rigid_body_ros.propagation.group import Group
 from rigid_body_ros.propagation.layout import Log
 from rigid_body_ros.propagation.options import Options
 
@@ -191,22 +192,73 @@ def test_a_run_that_becomes_too_fast_does_not_disturb_those_beside_it():
     assert found.attitude[1].tobytes() == alone.attitude.tobytes()
 
 
+def gathered(bodies, starts, polynomials, at):
+    """Return all runs at their beginning, of which the first fill the lanes."""
+    count = len(bodies)
+    return Group(np.arange(LANES), np.concatenate([starts._packed] * 3, axis=1),
+                 np.zeros((count, layout.DONE + 1), np.int64),
+                 np.empty((count, len(at) * motion_layout.SIZE)), bodies._constants,
+                 np.ones(count), polynomials, callable_(group.workspace)())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize('own', [False, True], ids=['shared', 'own'])
 @pytest.mark.parametrize(('interval_ns', 'samples'), [(100 * SECOND, 2), (SECOND // 1000, 3000)])
 def test_runs_like_each_other_step_together(interval_ns, samples, own):
     bodies, starts, log = together(interval_ns, samples)
-    progress, end_ns = np.zeros((COUNT, layout.DONE + 1), np.int64), int(log.times_ns[-1])
-    group = Group(np.arange(LANES) + 3, np.concatenate([starts._packed] * 3, axis=1), progress,
-                  bodies._constants, np.ones(COUNT),
-                  np.stack([log.torques[:, None]] * (LANES if own else 1)),
-                  np.arange(LANES) * own, callable_(groups.workspace)())
+    end_ns = int(log.times_ns[-1])
+    alike = np.arange(3, 3 + LANES)
+    runs = gathered(RigidBodies(bodies.inertia[alike]),
+                    States(0, starts.attitude[alike], starts.angular_velocity[alike]),
+                    np.stack([log.torques[:, None]] * (LANES if own else 1)), [end_ns])
     piece = Log(log.times_ns, log.torques[:, None], log.in_space, 0, samples, 0)
-    steps = callable_(groups.advance)(group, np.array([end_ns]), loop.IN_ORDER, piece,
-                                      Options().settings)
-    left = end_ns - progress[group.rows, layout.GRID_NS]
-    assert steps > 50
+    found = callable_(groups.advance)(runs, LANES, np.arange(0), np.array([end_ns]),
+                                      loop.IN_ORDER, piece, Options().settings)
+    left = end_ns - runs.progress[:, layout.GRID_NS]
+    assert found.steps > 50
     assert (left.min() >= 0) & (left.max() < 0.1 * end_ns)
+
+
+def unlike(count, turn=STRAIGHT):
+    """Return bodies and starts for runs of which some take twenty times the steps of others."""
+    random = np.random.default_rng(9)
+    moments = np.array([1.0, 2.0, 2.5]) * (1.0 + 0.02 * random.normal(size=(count, 1)))
+    tensors = turn @ (np.eye(3) * moments[:, None]) @ turn.T
+    rates = random.normal(size=(count, 3)) * 20.0 ** random.uniform(-1.0, 0.0, (count, 1))
+    return (RigidBodies(0.5 * (tensors + tensors.transpose(0, 2, 1))),
+            States(0, random.normal(size=(count, 4)), rates))
+
+
+@pytest.mark.slow
+def test_a_run_that_ends_gives_its_lane_to_the_next():
+    (bodies, starts), at = unlike(5 * LANES), np.array([100 * SECOND])
+    log = TorqueLog([0], [[0.01, 0.02, -0.01]])
+    runs = gathered(bodies, starts, log.torques[None, :, None], at)
+    piece = Log(log.times_ns, log.torques[:, None], log.in_space, 0, 1, 0)
+    waiting = np.arange(LANES, 5 * LANES)
+    found = callable_(groups.advance)(runs, LANES, waiting, at, loop.IN_ORDER, piece,
+                                      Options().settings)
+    done = runs.progress[:, layout.DONE] == 1
+    assert found.taken == len(waiting)
+    assert done.sum() >= len(bodies) - 2  # which are quicker one by one
+    expected = propagate_many(bodies, starts, log, at=at)
+    assert runs.motions[done, :4].tobytes() == expected.attitude[done, 0].tobytes()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('turn', [STRAIGHT, TURN], ids=['diagonal', 'full'])
+@pytest.mark.parametrize('timeout', [0.0, 15.0])
+@pytest.mark.parametrize(('tolerance', 'at'), [
+    (1e-15, [70 * SECOND]), (1e-9, [0, 20 * SECOND, 20 * SECOND, 45 * SECOND, SECOND]),
+    (1e-4, np.arange(0, 80 * SECOND, SECOND // 3))])
+def test_runs_unlike_each_other_have_the_bits_of_each_alone(tolerance, at, timeout, turn):
+    bodies, starts = unlike(3 * LANES, turn)
+    torques = np.random.default_rng(10).normal(size=(4, 3)) * 0.02
+    options = {'at': at, 'tolerance': tolerance, 'torque_timeout': timeout}
+    log = TorqueLog(np.arange(4) * 20 * SECOND, torques)
+    found = propagate_many(bodies, starts, log, **options)
+    assert rows(found) == [motion_of(bodies[k], starts[k], log, **options)
+                           for k in range(len(bodies))]
 
 
 @pytest.mark.slow

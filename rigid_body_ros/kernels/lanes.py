@@ -36,7 +36,7 @@ LANES = 4
 if jit.COMPILES:
     from llvmlite import binding, ir
     from numba.core import types
-    from numba.core.cgutils import get_or_insert_function
+    from numba.core.cgutils import alloca_once, get_or_insert_function
     from numba.core.typing.templates import AbstractTemplate, infer_global, signature
     from numba.extending import intrinsic, lower_builtin, models, register_model
 
@@ -148,6 +148,20 @@ if jit.COMPILES:
             builder.store(register, _place(context, builder, values, array, row), align=8)
             return context.get_dummy_value()
         return types.void(values, types.intp, NUMBERS), generate
+
+    @intrinsic
+    def align_stack(_context: Any) -> Any:
+        """
+        Align the stack of a function for registers.
+
+        The compiler does this for variables in memory, but not for registers that it spills. Each
+        of those would then take two cache lines.
+        """
+        def generate(context: Any, builder: Any, _: Any, __: Any) -> Any:
+            place = alloca_once(builder, REGISTER)
+            builder.asm(ir.FunctionType(ir.VoidType(), [place.type]), '', 'r', [place], True)
+            return context.get_dummy_value()
+        return types.void(), generate
 
     @intrinsic
     def zero(_context: Any, like: Any) -> Any:

@@ -24,8 +24,8 @@ from __future__ import annotations
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import four, vector
-from rigid_body_ros.kernels.jit import inlined
+from rigid_body_ros.kernels import four, state_layout, vector
+from rigid_body_ros.kernels.jit import inlined, internal
 
 _ATTITUDE, _RATES = 4, 3
 #: Doubles per time.
@@ -53,3 +53,13 @@ def store(state: vector.KernelState, row: int, motion: Floats) -> None:
     rates, start = state[0], len(motion) // SIZE * _ATTITUDE + _RATES * row
     four.store(motion, _ATTITUDE * row, state[1])
     motion[start], motion[start + 1], motion[start + 2] = rates[0], rates[1], rates[2]
+
+
+@internal
+def store_packed(packed: Floats, row: int, motion: Floats) -> None:
+    """Write attitude and angular velocity of a state, see `state_layout`, into a row."""
+    start = len(motion) // SIZE * _ATTITUDE + _RATES * row
+    for k in range(_ATTITUDE):
+        motion[_ATTITUDE * row + k] = packed[state_layout.ATTITUDE + k]
+    for k in range(_RATES):
+        motion[start + k] = packed[state_layout.RATES + k]

@@ -28,7 +28,7 @@ from rigid_body_ros.kernels import four, vector
 from rigid_body_ros.kernels.jit import internal
 
 #: Offsets.
-_RATES, _ATTITUDE, _LOST_RATES, _LOST_ATTITUDE = range(0, 16, 4)
+RATES, ATTITUDE, _LOST_RATES, _LOST_ATTITUDE = range(0, 16, 4)
 SIZE = 16
 
 
@@ -48,33 +48,33 @@ def pack(rates: ArrayLike, attitude: ArrayLike,
 
     """
     packed = np.zeros(SIZE)
-    packed[_RATES:_RATES + 3] = rates
-    packed[_ATTITUDE:_ATTITUDE + 4] = attitude
+    packed[RATES:RATES + 3] = rates
+    packed[ATTITUDE:ATTITUDE + 4] = attitude
     packed[_LOST_RATES:_LOST_RATES + 3] = lost_rates
     return packed
 
 
 def angular_velocity(packed: Floats) -> Floats:
     """Return a view of the angular velocity, shape (3,), rad/s, body axes."""
-    return packed[_RATES:_RATES + 3]
+    return packed[RATES:RATES + 3]
 
 
 def attitude(packed: Floats) -> Floats:
     """Return a view of the attitude, shape (4,), x y z w."""
-    return packed[_ATTITUDE:_ATTITUDE + 4]
+    return packed[ATTITUDE:ATTITUDE + 4]
 
 
 @internal
 def load(packed: Floats, start: int) -> vector.KernelState:
     """Return the state that begins at an index of an array."""
-    return (four.load(packed, start + _RATES), four.load(packed, start + _ATTITUDE),
+    return (four.load(packed, start + RATES), four.load(packed, start + ATTITUDE),
             four.load(packed, start + _LOST_RATES), four.load(packed, start + _LOST_ATTITUDE))
 
 
 @internal
 def store(state: vector.KernelState, packed: Floats, start: int) -> None:
     """Write a state into an array, from an index on."""
-    four.store(packed, start + _RATES, state[0])
-    four.store(packed, start + _ATTITUDE, state[1])
+    four.store(packed, start + RATES, state[0])
+    four.store(packed, start + ATTITUDE, state[1])
     four.store(packed, start + _LOST_RATES, state[2])
     four.store(packed, start + _LOST_ATTITUDE, state[3])

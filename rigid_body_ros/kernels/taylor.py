@@ -71,9 +71,9 @@ MAX_ORDER = 40
 _U, _U_YZX, _U_ZXY, _ROTATION, _TORQUES = range(0, 20, 4)
 _TORQUE = 3 * 4
 _TERM = _TORQUES + 4 * _TORQUE
-#: The same in lanes, where a number takes a cache line: without copies and torques the table fits
-#: the first cache.
-_TERM_IN_LANES = _TORQUES
+#: The same in lanes, where a number takes a cache line: u and the rotation. Without gaps, no two
+#: terms compete for a place in the first cache.
+_ROTATION_IN_LANES, _TERM_IN_LANES = 4, 8
 #: Size of the table.
 WORKSPACE = _TERM * (MAX_ORDER + 1)
 #: Number of its rows with lanes.
@@ -171,7 +171,7 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     delta_u = delta_q = four.zero(state[0])
     for k in range(order, 0, -1):  # the small terms first
         delta_u = add(delta_u, _without_fourth(table, four.load(table, _row(table, k) + _U)))
-        delta_q = add(delta_q, four.load(table, _row(table, k) + _ROTATION))
+        delta_q = add(delta_q, four.load(table, _row(table, k) + _rotation(table)))
     excess = fma(0.5, dot(delta_q, delta_q), delta_q[3])
     norm = math.sqrt(1.0 + 2.0 * excess)  # a truncated series is not of unit norm
     rest = four.of(0.0, 0.0, 0.0, -2.0 * excess / (1.0 + norm))
@@ -248,10 +248,15 @@ def _row(table: Floats, k: int) -> int:
 
 
 @inlined
+def _rotation(table: Floats) -> int:
+    return _ROTATION_IN_LANES if four.has_lanes(table) else _ROTATION
+
+
+@inlined
 def _store_term(table: Floats, k: int, u: Vector, rotation: Quaternion) -> Term:
     row = _row(table, k)
     _store_permuted(table, row + _U, u)
-    four.store(table, row + _ROTATION, rotation)
+    four.store(table, row + _rotation(table), rotation)
     return u, four.yzx(u), four.zxy(u), rotation
 
 
@@ -266,7 +271,7 @@ def _store_permuted(table: Floats, row: int, vector: Vector) -> None:
 @inlined
 def _load_term(table: Floats, row: int) -> Term:
     u, yzx, zxy = _load_permuted(table, row + _U)
-    return u, yzx, zxy, four.load(table, row + _ROTATION)
+    return u, yzx, zxy, four.load(table, row + _rotation(table))
 
 
 @inlined

@@ -19,10 +19,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels.jit import COMPILES, njit, optional
+from rigid_body_ros.kernels.jit import COMPILES, inlined, internal, njit, optional
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.propagation import groups, layout, loop
-from rigid_body_ros.propagation.groups import Group
+from rigid_body_ros.propagation.group import BUDGET, Group, workspace
+from rigid_body_ros.propagation.groups import Advanced
 from rigid_body_ros.propagation.layout import Log
 
 #: Samples after which runs that could not step together are tried again.
@@ -62,26 +63,28 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
     """
     closed = np.empty(len(stamps_ns) + 1, np.bool_)
     log = Log(stamps_ns, polynomials[0], in_space, first, stop, layout.unpack_timeout(settings))
-    group = Group(np.empty(LANES, np.intp), states, progress, constants, gains, polynomials,
-                  np.empty(LANES, np.intp), groups.workspace())
-    for k in range(0, len(which), LANES):
-        last = min(k + LANES, len(which)) - 1
-        for lane in range(LANES):
-            group.rows[lane] = which[min(k + lane, last)]
-            group.slots[lane] = group.rows[lane] % len(polynomials)
+    group = Group(np.empty(LANES, np.intp), states, progress, motions, constants, gains,
+                  polynomials, workspace())
+    outputs, k = len(times_ns), 0
+    while True:
+        k, count, ahead = _gather(group, which, k, outputs, stop, too_fast)
+        if count == 0:
+            return k
         until, going = layout.IN_FORCE, True
-        while going and until < stop:
-            steps = 0
-            if COMPILES and terms is None and last > k:  # the compiler leaves it out otherwise
-                steps = groups.advance(group, times_ns, rows, log, settings)
-                if steps >= groups.BUDGET:
+        while going:
+            together = Advanced(0, 0, progress[group.rows[0], layout.SAMPLE])
+            if COMPILES and terms is None and count > 1:  # the compiler leaves it out otherwise
+                together = groups.advance(group, count, which[ahead:], times_ns, rows, log,
+                                          settings)
+                ahead += together.taken
+                if together.steps >= BUDGET:
                     return k
             # They finish the segment in which they were together one by one.
-            sample = max(until, progress[which[k], layout.SAMPLE])
-            until, going = min(stop, sample + (1 if steps > 0 else _PIECE)), False
-            for j in range(k, last + 1):
-                i = which[j]
-                if not too_fast[i]:
+            until = max(until, together.until) + (_PIECE if together.steps == 0 else 0)
+            until, going = min(stop, until), False
+            for lane in range(count):
+                i = group.rows[lane]
+                if not too_fast[i] and _is_left(progress[i], outputs, until):
                     begin, torques = first, polynomials[i % len(polynomials)]
                     if gains[i] != 1.0:
                         begin = max(first, progress[i, layout.SAMPLE])
@@ -90,10 +93,31 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
                                       stamps_ns, torques, in_space, begin, until, constants[i],
                                       settings, budget, _terms_of(terms, i))
                     if result == loop.UNFINISHED:
-                        return j
+                        return k
                     too_fast[i] = result == loop.TOO_FAST
-                    going |= not too_fast[i] and progress[i, layout.DONE] < len(times_ns)
-    return len(which)
+                going |= not too_fast[i] and _is_left(progress[i], outputs, stop)
+
+
+@internal
+def _gather(group: Group, which: NDArray[np.intp], k: int, outputs: int, stop: int,
+            too_fast: NDArray[np.bool_]) -> tuple[int, int, int]:
+    # Fill the lanes with the next runs that are left. Return the position of the first of them, or
+    # the number of runs, how many they are, and the position after the last.
+    begin, count = len(which), 0
+    while k < len(which) and count < LANES:
+        i = which[k]
+        if not too_fast[i] and _is_left(group.progress[i], outputs, stop):
+            begin = min(begin, k)
+            group.rows[count:] = i
+            count += 1
+        k += 1
+    return begin, count, k
+
+
+@inlined
+def _is_left(progress: NDArray[np.int64], outputs: int, stop: int) -> bool:
+    # Return whether a run has outputs to fill before it reaches a sample.
+    return progress[layout.DONE] < outputs and progress[layout.SAMPLE] < stop
 
 
 @optional

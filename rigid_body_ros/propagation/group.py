@@ -1,0 +1,146 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+A group of runs, one in each lane, and the steps that they take together.
+
+The workspace has a column for each lane.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import body_layout, four, lanes, state_layout, taylor, vector
+from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.kernels.lanes import LANES
+from rigid_body_ros.propagation import layout
+from rigid_body_ros.propagation.layout import Method, Place
+
+#: Steps in a segment, or stamps before the next output, from which it pays to gather a group.
+FEWEST = 4
+#: Steps after which to return, so that Python handles signals.
+BUDGET = 20_000
+#: ns; the group steps no further at once, so that doubles count the time left.
+FARTHEST = 2 ** 52
+#: Rows of a workspace: the states on the grid and those computed last, the coefficients of Euler's
+#: equations, the factors of the torque, the torques, N m, the time left, ns, whether more than one
+#: step is left, and the table of the series.
+STATE, LATEST, CONSTANTS = 0, state_layout.SIZE, 2 * state_layout.SIZE
+GAIN = CONSTANTS + body_layout.MOMENTS
+TORQUE = GAIN + 1
+REST, MOVES, TABLE = TORQUE + 3, TORQUE + 4, TORQUE + 5
+_ROWS = TABLE + taylor.WORKSPACE_OF_LANES
+
+
+class Group(NamedTuple):
+    """The arrays of all runs, and which of them are in the group."""
+
+    #: intp (LANES,); the last run may fill several lanes.
+    rows: NDArray[np.intp]
+    #: See `loop.run`; a row for each run.
+    states: Floats
+    progress: NDArray[np.int64]
+    motions: Floats
+    constants: Floats
+    #: Factors of the torque, an element for each run.
+    gains: Floats
+    #: Polynomials of the torque, shape (k, ...): of run i the row i % k.
+    polynomials: Floats
+    #: See `workspace`.
+    work: Floats
+
+
+@internal
+def workspace() -> Floats:
+    """Return an array, shape (n, LANES), with each row in one cache line."""
+    line = 64 // 8
+    buffer = np.empty(_ROWS * LANES + line)
+    start = -(buffer.ctypes.data // 8) % line
+    return buffer[start:start + _ROWS * LANES].reshape(_ROWS, LANES)
+
+
+@inlined
+def load(group: Group, lane: int) -> None:
+    """Gather the state on the grid, the coefficients of the body and the factor of the torque."""
+    row = group.rows[lane]
+    group.work[GAIN, lane] = group.gains[row]
+    for k in range(state_layout.SIZE):
+        group.work[STATE + k, lane] = group.states[row, k]
+    for k in range(body_layout.MOMENTS):
+        group.work[CONSTANTS + k, lane] = group.constants[row, k]
+
+
+@inlined
+def store(group: Group, lane: int) -> None:
+    """Put the state on the grid back."""
+    for k in range(state_layout.SIZE):
+        group.states[group.rows[lane], k] = group.work[STATE + k, lane]
+
+
+@inlined
+def begin_segment(group: Group, lane: int, time_ns: int, sample: int, done: int) -> None:
+    """Put the state on the grid back as the beginning of a segment."""
+    row = group.rows[lane]
+    store(group, lane)
+    group.states[row, state_layout.SIZE:2 * state_layout.SIZE] = \
+        group.states[row, :state_layout.SIZE]
+    layout.store_place(Place(time_ns, time_ns, sample, False, done), group.progress[row])
+
+
+@inlined
+def torque(group: Group, lane: int, index: int) -> vector.Vector:
+    """Return the torque of a run, N m, without its factor."""
+    torques = group.polynomials
+    slot = group.rows[lane] % len(torques)
+    return vector.of(torques[slot, index, 0, 0], torques[slot, index, 0, 1],
+                     torques[slot, index, 0, 2])
+
+
+@inlined
+def torques(work: Floats) -> vector.Vector:
+    """Return the torques in the workspace, N m."""
+    return vector.of(lanes.load(work, TORQUE), lanes.load(work, TORQUE + 1),
+                     lanes.load(work, TORQUE + 2))
+
+
+@inlined
+def step(state: vector.KernelState, seconds: float, coefficients: vector.Coefficients, form: int,
+         acceleration: vector.Vector, tolerance: float, table: Floats) -> vector.KernelState:
+    """Return the states after a step of the series under a held torque."""
+    none = four.zero(acceleration)
+    bound = math.sqrt(vector.dot(acceleration, acceleration))
+    return taylor.step(state, seconds, coefficients, form, (acceleration, none, none, none), 0,
+                       False, bound, tolerance, table, None)
+
+
+@inlined
+def full_steps_ns(square: float, bound: float, method: Method) -> float:
+    """`stepping.full_step_ns` in lanes."""
+    seconds = 2.0 * method.angle / taylor.turning_rate(square, bound, method.angle)
+    longest, step_ns = float(method.max_step_ns), seconds * 1e9
+    step_ns = lanes.truncated(lanes.where(step_ns < longest, step_ns, longest))
+    return lanes.where(step_ns < 1.0, 1.0, step_ns)
+
+
+@inlined
+def is_one_step(rest_ns: float, square: float, bound: float, method: Method) -> bool:
+    """`stepping.is_one_step` in lanes."""
+    rest = rest_ns / 1e9
+    return lanes.both(rest_ns <= float(method.max_step_ns),
+                      rest * rest * (square + bound) < 0.01)

@@ -1,0 +1,312 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Steps of a group on the grids of a segment, to the outputs in it and to its end.
+
+Each lane has a grid and outputs of its own. A run that has filled its outputs gives its lane to
+one that waits.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.kernels import (
+    body_layout,
+    euler_equations,
+    four,
+    lanes,
+    motion_layout,
+    short_step,
+    state_layout,
+    taylor,
+    vector,
+)
+from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.kernels.lanes import LANES
+from rigid_body_ros.propagation import group as runs
+from rigid_body_ros.propagation import layout, stepping
+from rigid_body_ros.propagation.group import Group
+from rigid_body_ros.propagation.layout import Body, Method
+from rigid_body_ros.propagation.options import FASTEST
+
+#: A step of the group takes about as long as steps of so many runs one by one.
+_FEWEST_RUNS = 3
+#: Steps that a lane waits for others before it gets another run: alike runs that begin together
+#: need series of similar orders.
+_PATIENCE = 64
+
+
+class Segment(NamedTuple):
+    """What the runs have in common."""
+
+    #: The sample in force, its row in the polynomials, and when the torque changes.
+    sample: int
+    torque_row: int
+    end_ns: int
+    #: Whether the next sample comes into force then. Otherwise the torque times out or never ends.
+    ends_at_stamp: bool
+    #: Requested times, see `layout.Outputs`.
+    times_ns: NDArray[np.int64]
+    order: NDArray[np.intp]
+
+
+@internal
+def advance(group: Group, count: int, waiting: NDArray[np.intp], segment: Segment, body: Body,
+            method: Method) -> tuple[int, int]:
+    """
+    Advance the runs of a group, and those that wait, in a segment.
+
+    Parameters
+    ----------
+    group : Group
+        `rows` is changed where a run gives way to another.
+    count : int
+        How many lanes have a run of their own.
+    waiting : intp (n,)
+        Runs that have not begun.
+    segment : Segment
+        What the runs have in common.
+    body : Body
+        Of the first run; other runs step only if they have its form.
+    method : Method
+        The method of a step.
+
+    Returns
+    -------
+    int, int
+        The number of steps, and how many runs no longer wait.
+
+    """
+    if not _are_many(group, segment, body, method):
+        return 0, 0
+    going, limits_ns = np.zeros(LANES, np.bool_), np.empty(LANES, np.int64)
+    for lane in range(LANES):
+        going[lane] = lane < count and _enter(group, lane, limits_ns, segment, body.form, method)
+        if not going[lane]:
+            _idle(group, lane)
+    taken, steps, replace_at = 0, 0, runs.BUDGET
+    while steps < runs.BUDGET:
+        if steps >= replace_at or not going.any():
+            taken += _replace(group, going, waiting[taken:], limits_ns, segment, body.form, method)
+            replace_at = runs.BUDGET
+        if going.sum() < (1 if taken < len(waiting) else _FEWEST_RUNS):
+            break
+        more, is_slow = _step_together(group, body.form, method, replace_at - steps)
+        steps += more
+        if not is_slow:
+            break  # `loop.run` reports it
+        for lane in range(LANES):
+            if going[lane] and group.work[runs.MOVES, lane] == 0.0:
+                going[lane] = _arrive(group, lane, limits_ns, segment, method)
+                if not going[lane]:
+                    _idle(group, lane)
+                    replace_at = min(replace_at, steps + _PATIENCE)
+    for lane in range(LANES):
+        if going[lane]:
+            _leave(group, lane, limits_ns[lane])
+    return steps, taken
+
+
+@inlined
+def _are_many(group: Group, segment: Segment, body: Body, method: Method) -> bool:
+    # Return whether the first run has so many steps left that it pays to gather the group.
+    place = layout.load_place(group.progress[group.rows[0]])
+    acceleration = euler_equations.acceleration_from_torque(
+        body.coefficients, body.form, _torque(group, 0, segment))
+    w = state_layout.load(group.states[group.rows[0]], 0)[0]
+    seconds = taylor.step_seconds(
+        vector.dot(w, w), math.sqrt(vector.dot(acceleration, acceleration)), method.angle)
+    rest_ns = min(segment.end_ns, _output_ns(-1, segment)) - place.grid_ns
+    return runs.FEWEST * stepping.full_step_ns(seconds, method) < rest_ns
+
+
+@inlined
+def _output_ns(k: int, segment: Segment) -> int:
+    # Return the requested time that is k-th in ascending order.
+    return segment.times_ns[_row(k, segment)]
+
+
+@inlined
+def _row(k: int, segment: Segment) -> int:
+    return k if len(segment.order) == 0 else segment.order[k]
+
+
+@inlined
+def _torque(group: Group, lane: int, segment: Segment) -> vector.Vector:
+    gain = group.gains[group.rows[lane]]
+    return vector.scale(gain, runs.torque(group, lane, segment.torque_row))
+
+
+@internal
+def _enter(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Segment, form: int,
+           method: Method) -> bool:
+    # Load a run that can step with the others into its lane, or return False.
+    row = group.rows[lane]
+    place, torque = layout.load_place(group.progress[row]), _torque(group, lane, segment)
+    if (_is_done(group, row, segment) or place.sample != segment.sample or place.timed_out
+            or layout.unpack_body(group.constants[row]).form != form
+            or layout.is_zero_vector(torque)):  # `loop.run` may use the closed form
+        return False
+    runs.load(group, lane)
+    for k in range(3):
+        group.work[runs.TORQUE + k, lane] = torque[k]
+    return _aim(group, lane, limits_ns, segment, method)
+
+
+@inlined
+def _aim(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Segment,
+         method: Method) -> bool:
+    # Set the time up to which a run steps: that of its next output, or the end of the segment.
+    # Return False if there is nothing left, or `loop.run` has to go on.
+    row = group.rows[lane]
+    progress = group.progress[row]
+    grid_ns, done = progress[layout.GRID_NS], progress[layout.DONE]
+    while done < len(segment.times_ns) and _output_ns(done, segment) == grid_ns:
+        motion_layout.store_packed(group.work[runs.STATE:, lane], _row(done, segment),
+                                   group.motions[row])
+        done += 1
+    progress[layout.DONE] = done
+    if done == len(segment.times_ns):
+        return False
+    limits_ns[lane] = min(_output_ns(done, segment), segment.end_ns)
+    rest_ns = limits_ns[lane] - grid_ns
+    group.work[runs.REST, lane] = rest_ns
+    return rest_ns <= runs.FARTHEST and not (grid_ns == progress[layout.BEGIN_NS] and _is_short(
+        group, lane, rest_ns, segment, method))
+
+
+@inlined
+def _is_short(group: Group, lane: int, rest_ns: int, segment: Segment, method: Method) -> bool:
+    # Return whether `loop.run` takes a short step from the beginning of the segment.
+    row = group.rows[lane]
+    body = layout.unpack_body(group.constants[row])
+    acceleration = euler_equations.acceleration_from_torque(
+        body.coefficients, body.form, _torque(group, lane, segment))
+    return short_step.is_accurate(state_layout.load(group.states[row], 0), rest_ns / 1e9,
+                                  acceleration, method.tolerance, None)
+
+
+@inlined
+def _idle(group: Group, lane: int) -> None:
+    # Let a body rest in a lane: its series has no terms, and its steps never end.
+    runs.load(group, lane)
+    for k in range(3):
+        group.work[runs.STATE + state_layout.RATES + k, lane] = 0.0
+        group.work[runs.TORQUE + k, lane] = 0.0
+    group.work[runs.REST, lane] = math.inf
+
+
+@internal
+def _step_together(group: Group, form: int, method: Method, budget: int) -> tuple[int, bool]:
+    # Step until a run arrives. Return how many steps there were, and whether no body is too fast.
+    lanes.align_stack()
+    coefficients = body_layout.coefficients(group.work[runs.CONSTANTS:])
+    acceleration = euler_equations.acceleration_from_torque(
+        coefficients, form, runs.torques(group.work))
+    bound = math.sqrt(vector.dot(acceleration, acceleration))
+    state, rest = state_layout.load(group.work, runs.STATE), lanes.load(group.work, runs.REST)
+    table, steps, arrives, is_slow = group.work[runs.TABLE:], 0, False, True
+    while steps < budget and not arrives:
+        square = vector.dot(state[0], state[0])
+        step_ns = runs.full_steps_ns(square, bound, method)
+        moves = step_ns < lanes.where(runs.is_one_step(rest, square, bound, method), 0.0, rest)
+        latest = runs.step(state, lanes.where(moves, step_ns, rest) / 1e9, coefficients, form,
+                           acceleration, method.tolerance, table)
+        steps += 1
+        is_slow = lanes.every(vector.dot(latest[0], latest[0]) <= FASTEST * FASTEST)
+        if not is_slow:
+            break
+        state, rest = _choose(moves, latest, state), lanes.where(moves, rest - step_ns, rest)
+        arrives = not lanes.every(moves)
+        lanes.store(group.work, runs.MOVES, lanes.where(moves, 1.0, 0.0))
+        if arrives:
+            state_layout.store(latest, group.work, runs.LATEST)
+    state_layout.store(state, group.work, runs.STATE)
+    lanes.store(group.work, runs.REST, rest)
+    return steps, is_slow
+
+
+@inlined
+def _choose(condition: bool, one: vector.KernelState,
+            other: vector.KernelState) -> vector.KernelState:
+    # Return one of two states, in each lane: the first where a condition holds.
+    return (four.choose(condition, one[0], other[0]), four.choose(condition, one[1], other[1]),
+            four.choose(condition, one[2], other[2]), four.choose(condition, one[3], other[3]))
+
+
+@inlined
+def _arrive(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Segment,
+            method: Method) -> bool:
+    # Fill the output of a run that has reached its limit. Return whether it goes on; otherwise its
+    # state is put back.
+    row, limit_ns = group.rows[lane], limits_ns[lane]
+    progress = group.progress[row]
+    grid_ns, done = _grid_ns(group, lane, limit_ns), progress[layout.DONE]
+    ends = limit_ns == segment.end_ns
+    if _output_ns(done, segment) == limit_ns and (segment.ends_at_stamp or not ends):
+        motion_layout.store_packed(group.work[runs.LATEST:, lane], _row(done, segment),
+                                   group.motions[row])
+        done += 1
+    progress[layout.GRID_NS], progress[layout.DONE] = grid_ns, done
+    if ends and segment.ends_at_stamp:
+        for k in range(state_layout.SIZE):
+            group.work[runs.STATE + k, lane] = group.work[runs.LATEST + k, lane]
+        runs.begin_segment(group, lane, limit_ns, segment.sample + 1, done)
+        return False
+    if not ends and _aim(group, lane, limits_ns, segment, method):
+        return True
+    runs.store(group, lane)
+    return False
+
+
+@inlined
+def _grid_ns(group: Group, lane: int, limit_ns: int) -> int:
+    # Return the time of the state on the grid.
+    return limit_ns - int(group.work[runs.REST, lane])
+
+
+@inlined
+def _leave(group: Group, lane: int, limit_ns: int) -> None:
+    # Put the state on the grid back, and its time.
+    runs.store(group, lane)
+    group.progress[group.rows[lane], layout.GRID_NS] = _grid_ns(group, lane, limit_ns)
+
+
+@internal
+def _replace(group: Group, going: NDArray[np.bool_], waiting: NDArray[np.intp],
+             limits_ns: NDArray[np.int64], segment: Segment, form: int, method: Method) -> int:
+    # Give the lanes of runs that have filled their outputs to the next that can step with the
+    # others. Return how many runs no longer wait; those passed over are left to another group.
+    taken = 0
+    for lane in range(LANES):
+        row = group.rows[lane]
+        if not going[lane] and _is_done(group, row, segment):
+            while taken < len(waiting) and not going[lane]:
+                group.rows[lane] = waiting[taken]
+                taken += 1
+                going[lane] = _enter(group, lane, limits_ns, segment, form, method)
+            if not going[lane]:
+                group.rows[lane] = row
+                _idle(group, lane)
+    return taken
+
+
+@inlined
+def _is_done(group: Group, row: int, segment: Segment) -> bool:
+    return group.progress[row, layout.DONE] == len(segment.times_ns)

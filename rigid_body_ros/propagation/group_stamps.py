@@ -1,0 +1,136 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Steps of a group from stamp to stamp, as long as one step is enough for every run."""
+
+from __future__ import annotations
+
+import math
+
+from rigid_body_ros.kernels import (
+    body_layout,
+    euler_equations,
+    four,
+    lanes,
+    short_step,
+    state_layout,
+    vector,
+)
+from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.kernels.lanes import LANES
+from rigid_body_ros.propagation import group as runs
+from rigid_body_ros.propagation import layout
+from rigid_body_ros.propagation.group import Group
+from rigid_body_ros.propagation.layout import Body, Log, Method, Place
+
+
+@internal
+def advance(group: Group, place: Place, limit_ns: int, log: Log, body: Body,
+            method: Method) -> int:
+    """
+    Step from stamp to stamp, up to a time, as long as one step is enough.
+
+    Parameters
+    ----------
+    group : Group
+        Runs with the same next output, and the same sample in force.
+    place : Place
+        Of the first run.
+    limit_ns : int
+        Next output.
+    log : Log
+        Of all runs.
+    body : Body
+        Of the first run; all have its form.
+    method : Method
+        The method of a step.
+
+    Returns
+    -------
+    int
+        The number of steps.
+
+    """
+    stamps_ns, sample, grid_ns = log.stamps_ns, place.sample, place.grid_ns
+    if (sample + runs.FEWEST >= len(stamps_ns) or stamps_ns[sample + runs.FEWEST] > limit_ns
+            or not _begin_together(group, grid_ns)):
+        return 0
+    for lane in range(LANES):
+        runs.load(group, lane)
+    lanes.align_stack()
+    coefficients = body_layout.coefficients(group.work[runs.CONSTANTS:])
+    state = state_layout.load(group.work, runs.STATE)
+    gain, table = lanes.load(group.work, runs.GAIN), group.work[runs.TABLE:]
+    while sample < min(log.stop, len(stamps_ns) - 1, place.sample + runs.BUDGET):
+        next_ns, torque = stamps_ns[sample + 1], _torques(group, sample - log.first, gain)
+        acceleration = euler_equations.acceleration_from_torque(coefficients, body.form, torque)
+        span_ns = next_ns - grid_ns
+        seconds = span_ns / 1e9
+        if (limit_ns < next_ns or span_ns >= min(method.max_step_ns, runs.FARTHEST)
+                or log.in_space[sample] or not _acts_in_every_lane(torque)
+                or 0 < log.timeout_ns < next_ns - stamps_ns[sample]):
+            break
+        short = short_step.is_accurate(state, seconds, acceleration, method.tolerance, None)
+        if lanes.every(short):
+            state = short_step.step(state, seconds, coefficients, body.form, acceleration,
+                                    method.tolerance, None)
+        elif lanes.some(short) or not _is_full_step(state, span_ns, acceleration, method):
+            break
+        else:
+            state = runs.step(state, lanes.zero(gain) + seconds, coefficients, body.form,
+                              acceleration, method.tolerance, table)
+        grid_ns = next_ns
+        sample += 1
+    state_layout.store(state, group.work, runs.STATE)
+    for lane in range(LANES):
+        runs.begin_segment(group, lane, grid_ns, sample, place.done)
+    return sample - place.sample
+
+
+@inlined
+def _begin_together(group: Group, time_ns: int) -> bool:
+    # Return whether all runs are at the beginning of a segment, at the same time.
+    for row in group.rows:
+        if (group.progress[row, layout.GRID_NS] != time_ns
+                or group.progress[row, layout.BEGIN_NS] != time_ns):
+            return False
+    return True
+
+
+@inlined
+def _torques(group: Group, index: int, gain: float) -> vector.Vector:
+    # Return the torque in every lane.
+    if len(group.polynomials) == 1:
+        return vector.scale(gain, runs.torque(group, 0, index))
+    for lane in range(LANES):
+        torque = runs.torque(group, lane, index)
+        for k in range(3):
+            group.work[runs.TORQUE + k, lane] = torque[k]
+    return vector.scale(gain, runs.torques(group.work))
+
+
+@inlined
+def _acts_in_every_lane(torque: vector.Vector) -> bool:
+    # Return whether no torque is zero: without torque, `loop.run` may use the closed form.
+    return lanes.every(vector.total(four.absolute(torque)) > 0.0)
+
+
+@inlined
+def _is_full_step(state: vector.KernelState, span_ns: int, acceleration: vector.Vector,
+                  method: Method) -> bool:
+    # Return whether one step of the series is enough for every run.
+    square, rest_ns = vector.dot(state[0], state[0]), lanes.zero(state[0][0]) + float(span_ns)
+    bound = math.sqrt(vector.dot(acceleration, acceleration))
+    left = lanes.where(runs.is_one_step(rest_ns, square, bound, method), 0.0, rest_ns)
+    return lanes.every(runs.full_steps_ns(square, bound, method) >= left)
