@@ -23,12 +23,15 @@ advance: after `colcon build`, or while a container image is built.
 from __future__ import annotations
 
 from pathlib import Path
+import subprocess
 import sys
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from rigid_body_ros import euler
 from rigid_body_ros.bodies import RigidBodies
 from rigid_body_ros.body import RigidBody
+from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.messages import QUATERNION
 from rigid_body_ros.propagation import propagate, propagate_many, Propagator, warm_up
 from rigid_body_ros.recording import read
@@ -42,39 +45,52 @@ from rigid_body_ros.tradeoff import measure
 
 _SCENE = {'inertia.ixx': 1.0, 'inertia.iyy': 2.0, 'inertia.izz': 2.5}
 _TORQUES = 'time,tx,ty,tz\n' + ''.join(f'{0.1 * row},1e-3,0,0\n' for row in range(5))
+#: Torques of every kind.
+_LOGS = {(frame, interpolation): TorqueLog(range(5), [[1.0, 0.0, 0.0]] * 5, frame, interpolation)
+         for frame in ('body', 'space') for interpolation in ('hold', 'cubic')}
+_WHEELS = _LOGS['body', 'hold']
+_IN_TWO_FRAMES = [[_LOGS['body', interpolation], _LOGS['space', interpolation]]
+                  for interpolation in ('hold', 'cubic')]
 
 
 def main() -> None:
-    """Use every kernel once."""
+    """Use every kernel once, those for many motions in a process of their own."""
+    if sys.argv[1:]:
+        _use_for_many()
+        return
     show('compiling the kernels: usually about a minute, once after each installation')
-    warm_up()
-    RigidBodies([np.eye(3)])
-    _sum_torques()
-    _step_together()
-    _replay()
+    with subprocess.Popen([sys.executable, '-m', 'rigid_body_ros.warm_up', 'many']) as beside:
+        _use_for_one()
+    if beside.returncode:
+        sys.exit(beside.returncode)
+    _use_for_files()
     show('all kernels are compiled')
 
 
-def _sum_torques() -> None:
+def _use_for_one() -> None:
+    warm_up()
     body, start = RigidBody.from_moments(1.0, 2.0, 2.5), State(rotor_momentum=(1.0, 0.0, 0.0))
     Propagator(body, start).at(1)
     propagate(body, start, at=[1])
-    stamps, torques = range(5), [[1.0, 0.0, 0.0]] * 5
-    wheels = TorqueLog(stamps, torques)
-    propagate(body, start, at=[0, 5], wheels=wheels)
-    for interpolation in ('hold', 'cubic'):
-        logs = [TorqueLog(stamps, torques, frame, interpolation) for frame in ('body', 'space')]
-        motion = propagate(body, start, logs, at=[0, 5], wheels=wheels)
+    propagate(body, start, at=[0, 5], wheels=_WHEELS)
+    for logs in _IN_TWO_FRAMES:
+        motion = propagate(body, start, logs, at=[0, 5], wheels=_WHEELS)
     motion.euler_angles(continuous=True)
     motion.rotor_momentum  # noqa: B018
+    euler.to_quaternion([[0.1, 0.2, 0.3]], 'zxz')
 
 
-def _step_together() -> None:
+def _use_for_many() -> None:
+    triangle(np.eye(3))
     bodies = RigidBodies([np.eye(3)] * 2, [np.eye(3), np.zeros((3, 3))])
-    propagate_many(bodies, States(0, np.ones((2, 4))), at=[5])
+    starts = States(0, np.ones((2, 4)))
+    propagate_many(bodies, starts, at=[5])
+    for logs in _IN_TWO_FRAMES:
+        for some in (logs, logs[:1]):
+            propagate_many(bodies, starts, [some] * 2, at=[5], wheels=_WHEELS)
 
 
-def _replay() -> None:
+def _use_for_files() -> None:
     scene = Scene.from_values(_SCENE)
     with TemporaryDirectory() as folder:
         torques, recording = Path(folder, 'torques.csv'), Path(folder, 'motion.mcap')

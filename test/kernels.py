@@ -14,9 +14,12 @@
 
 """What the tests of single kernels share."""
 
+from functools import cache
+
 import numba
 
 
+@cache
 def callable_(internal):
     """Return an internal function of the kernels as one that Python can call."""
     return numba.njit(error_model='numpy')(lambda *arguments: internal(*arguments))

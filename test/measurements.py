@@ -26,7 +26,8 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-INERTIA = np.array([[0.020, 0.001, -0.0005], [0.001, 0.031, 0.0015], [-0.0005, 0.0015, 0.042]])
+MOMENTS = ((0.020, 0.001, -0.0005), (0.001, 0.031, 0.0015), (-0.0005, 0.0015, 0.042))
+INERTIA = np.array(MOMENTS)
 RATES = np.array([0.5, -0.7, 0.9])
 TURN = Rotation.from_rotvec([0.2, -0.4, 0.3])
 
@@ -70,15 +71,17 @@ class Truth:
 
 
 @lru_cache
-def truth(seconds=20.0, torque_rate=20.0, rate=100.0, size=0.01, seed=1, rates=tuple(RATES)):
+def truth(seconds=20.0, torque_rate=20.0, rate=100.0, size=0.01, seed=1, rates=tuple(RATES),
+          inertia=MOMENTS):
     """Integrate Euler's equations by DOP853, from one torque to the next."""
+    inertia = np.array(inertia)
     random = np.random.default_rng(seed)
     count = round(seconds * torque_rate)
     phases, waves = random.uniform(0.0, 6.0, (3, 4)), random.uniform(0.5, 5.0, (3, 4))
     times = np.arange(count) / torque_rate
     torques = size * np.sin(waves * times[:, None, None] + phases).sum(axis=2)
     at = np.arange(round(seconds * rate)) / rate
-    inverse, state = np.linalg.inv(INERTIA), np.concatenate([TURN.as_quat(), rates])
+    inverse, state = np.linalg.inv(inertia), np.concatenate([TURN.as_quat(), rates])
     found = np.empty((len(at), 7))
     ends = np.append(times[1:], seconds)
     for begin, end, torque in zip(times, ends, torques):
@@ -87,7 +90,7 @@ def truth(seconds=20.0, torque_rate=20.0, rate=100.0, size=0.01, seed=1, rates=t
             a, b, c = rate
             turn = 0.5 * np.array([w * a + y_ * c - z * b, w * b + z * a - x * c,
                                    w * c + x * b - y_ * a, -x * a - y_ * b - z * c])
-            return np.concatenate([turn, inverse @ (np.cross(INERTIA @ rate, rate) + torque)])
+            return np.concatenate([turn, inverse @ (np.cross(inertia @ rate, rate) + torque)])
         rows = np.flatnonzero((at >= begin - 1e-12) & (at < end - 1e-12))
         solved = solve_ivp(slope, (begin, end), state, 'DOP853',
                            np.clip(np.append(at[rows], end), begin, end), rtol=1e-12, atol=1e-14)
@@ -96,7 +99,7 @@ def truth(seconds=20.0, torque_rate=20.0, rate=100.0, size=0.01, seed=1, rates=t
     def stamps(seconds):
         return EPOCH_NS + np.round(SECOND * seconds).astype(np.int64)
     return Truth(stamps(at), Rotation.from_quat(found[:, :4]), found[:, 4:], stamps(times),
-                 torques, rates_at_start=np.array(rates))
+                 torques, inertia, np.array(rates))
 
 
 def free(**options):

@@ -39,7 +39,7 @@ VICTIMS = {'mcap': ('in/log.mcap', 'in/log.mcap'), 'csv': ('in/log.csv', 'in/log
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
+def place(tmp_path, monkeypatch, short_trades):
     """Work in a folder that has one input of each kind, and `out` for the aliases."""
     for folder in ('in', 'out', 'other'):
         (tmp_path / folder).mkdir()

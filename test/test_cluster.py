@@ -23,7 +23,7 @@ import subprocess
 import sys
 import time
 
-from conftest import ROOT
+from conftest import at_night, ROOT
 import psutil
 import pytest
 from rigid_body_ros import cli
@@ -32,7 +32,7 @@ from rigid_body_ros.runtime import cluster
 from test_ensemble import arguments, COMMAND, contents, count, ENVIRONMENT, inputs, run
 
 inputs = inputs  # a fixture, used by its name
-RUNS = 20_000
+RUNS = 10_000
 #: Without a dashboard Dask still serves its metrics, on all interfaces unless told otherwise.
 LOCAL = ['--host', '127.0.0.1', '--dashboard-address', '127.0.0.1:0', '--no-dashboard']
 
@@ -97,7 +97,7 @@ def begun(inputs, scheduler, *more):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('more', [(), ('--times', 5)], ids=['final', 'motions'])
+@pytest.mark.parametrize('more', [['--times', 5], *at_night([])], ids=['motions', 'final'])
 def test_a_worker_that_is_killed_changes_no_byte(inputs, started_cluster, more):
     scheduler, parent = started_cluster
     run(inputs, 'here', RUNS, *more)

@@ -22,7 +22,7 @@ import subprocess
 import sys
 import time
 
-from conftest import ROOT
+from conftest import at_night, ROOT
 import numpy as np
 from pyarrow import parquet
 import pytest
@@ -189,9 +189,10 @@ def parquet_of(path, rows):
 
 
 @pytest.mark.slow
-def test_three_kills_and_resumes_give_the_same_bytes(inputs):
+@pytest.mark.parametrize('kills', [1, *at_night(3)])
+def test_kills_and_resumes_give_the_same_bytes(inputs, kills):
     run(inputs, 'whole', 6000)
-    kill_three_times(inputs, arguments(inputs, 'killed', 6000))
+    kill(inputs, arguments(inputs, 'killed', 6000), kills)
     assert not (inputs / 'killed' / 'runs.parquet').exists()
     run(inputs, 'killed', 6000)
     assert contents(inputs / 'killed') == contents(inputs / 'whole')
@@ -210,11 +211,11 @@ def test_an_interrupt_is_one_line_and_the_same_command_goes_on(inputs):
                      f'{inputs / "out"}\n')
 
 
-def kill_three_times(inputs, given):
-    """Begin an ensemble in the folder 'killed' three times, and kill it after three blocks."""
+def kill(inputs, given, times):
+    """Begin an ensemble in the folder 'killed' a few times, and kill it after three blocks."""
     command = [*COMMAND, *given]
     blocks, before = inputs / 'killed' / 'blocks', 0
-    for _ in range(3):
+    for _ in range(times):
         with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.DEVNULL) as process:
             while process.poll() is None and count(blocks) < before + 3:
                 time.sleep(0.01)

@@ -16,6 +16,7 @@
 
 import shutil
 
+from conftest import at_night
 import numpy as np
 from pyarrow import parquet
 import pytest
@@ -26,7 +27,7 @@ from test_ensemble import (
     contents,
     error_of,
     inputs,
-    kill_three_times,
+    kill,
     run,
     small_blocks,
     TIMES,
@@ -162,8 +163,9 @@ def test_a_damaged_chunk_is_one_line(inputs, capsys):
 
 
 @pytest.mark.slow
-def test_kills_and_resumes_give_the_same_bytes(inputs):
+@pytest.mark.parametrize('kills', [1, *at_night(3)])
+def test_kills_and_resumes_give_the_same_bytes(inputs, kills):
     run(inputs, 'whole', 4000, '--times', HZ)
-    kill_three_times(inputs, arguments(inputs, 'killed', 4000, '--times', HZ))
+    kill(inputs, arguments(inputs, 'killed', 4000, '--times', HZ), kills)
     run(inputs, 'killed', 4000, '--times', HZ)
     assert contents(inputs / 'killed') == contents(inputs / 'whole')

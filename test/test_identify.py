@@ -18,6 +18,7 @@ from dataclasses import replace
 from functools import cache
 import json
 
+from conftest import at_night
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
@@ -29,12 +30,14 @@ from tumbling import INERTIA, mounted, SECOND, shifted, Truth, with_outliers
 
 GUESS = RigidBody(np.diag([0.03, 0.03, 0.03]))
 ATTITUDE, RATE = 2e-3, 5e-3
+#: Of attitudes, rad, and of rates, rad/s.
+NOISES = [(ATTITUDE, RATE), pytest.param((0.0, 0.0), marks=pytest.mark.nightly)]
 INERTIA_NAMES = [f'inertia.i{entry}' for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')]
 
 
 @cache
-def tumble():
-    return Truth()
+def tumble(seconds=20.0):
+    return Truth(seconds)
 
 
 def inertia_error(result, inertia=INERTIA):
@@ -53,7 +56,7 @@ def inertia_truth(inertia=INERTIA):
     return dict(zip(INERTIA_NAMES, inertia[rows, columns]))
 
 
-@pytest.mark.parametrize('factor', [1.0, 3.0, 1.0 / 3.0])
+@pytest.mark.parametrize('factor', [3.0, *at_night(1.0, 1.0 / 3.0)])
 def test_the_inertia_is_exact_without_noise_from_a_guess_three_times_off(factor):
     result = identify(RigidBody(factor * np.diag(np.diag(INERTIA))),
                       tumble().experiment(tumble().measured()))
@@ -138,7 +141,7 @@ def test_clock_offset_and_mount():
     assert result.estimates['clock_offset'].sigma < 1e-3
 
 
-@pytest.mark.parametrize('offset', [1.5, -1.5])
+@pytest.mark.parametrize('offset', [1.5, *at_night(-1.5)])
 def test_a_clock_offset_of_seconds(offset):
     sensor = shifted(tumble().measured(ATTITUDE, RATE), offset)
     result = identify(GUESS, tumble().experiment(sensor),
@@ -276,7 +279,7 @@ def test_validation_is_kept_out_of_the_fit():
     assert again.validation.rate_rms > 0.5
 
 
-@pytest.mark.parametrize('noise', [(0.0, 0.0), (ATTITUDE, RATE)])
+@pytest.mark.parametrize('noise', NOISES)
 def test_without_torque_only_ratios_of_moments_are_known(noise):
     truth = Truth(amplitude=0.0)
     result = identify(GUESS, truth.experiment(truth.measured(*noise)))
@@ -286,7 +289,7 @@ def test_without_torque_only_ratios_of_moments_are_known(noise):
     assert 'ratios' in ' '.join(one.reason for one in result.unidentifiable)
 
 
-@pytest.mark.parametrize('noise', [(0.0, 0.0), (ATTITUDE, RATE)])
+@pytest.mark.parametrize('noise', NOISES)
 def test_torque_gain_and_inertia_are_not_known_together(noise):
     result = identify(GUESS, tumble().experiment(tumble().measured(*noise)),
                       estimate=['inertia', 'start', 'torque_gain'])
@@ -297,7 +300,7 @@ def test_torque_gain_and_inertia_are_not_known_together(noise):
     assert {'inertia.izz', 'torque_gain'} <= {*direction.components}
 
 
-@pytest.mark.parametrize('noise', [(0.0, 0.0), (ATTITUDE, RATE)])
+@pytest.mark.parametrize('noise', NOISES)
 def test_a_rotation_about_one_axis_gives_one_moment(noise):
     truth = Truth(inertia=np.diag([0.02, 0.03, 0.04]), rates=(0.0, 0.0, 0.3), axes=(0, 0, 1))
     result = identify(RigidBody.from_moments(0.03, 0.03, 0.03),
@@ -355,8 +358,9 @@ def test_bad_input_is_named(experiment, options, message):
 
 
 @pytest.mark.slow
-def test_a_chaotic_tumble_of_five_minutes():
-    truth = Truth(seconds=300.0, measured_hz=20)
+@pytest.mark.parametrize('seconds', [60.0, *at_night(300.0)])
+def test_a_chaotic_tumble_of_minutes(seconds):
+    truth = Truth(seconds, measured_hz=20)
     result = identify(RigidBody(3.0 * np.diag(np.diag(INERTIA))),
                       truth.experiment(truth.measured()))
     assert inertia_error(result) < 1e-8
@@ -366,7 +370,7 @@ def test_a_chaotic_tumble_of_five_minutes():
 
 @pytest.mark.slow
 def test_intervals_cover_the_truth_and_are_as_short_as_possible():
-    truth, covered, errors, sigmas, chi2, distances = tumble(), [], [], [], [], []
+    truth, covered, errors, sigmas, chi2, distances = tumble(10.0), [], [], [], [], []
     for seed in range(20):
         result = identify(GUESS, truth.experiment(truth.measured(ATTITUDE, RATE, seed)),
                           attitude_noise=ATTITUDE, rate_noise=RATE)

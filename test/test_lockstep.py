@@ -131,7 +131,7 @@ def ask(live, stamp_ns, torque):
 def test_the_response_to_each_torque_is_the_state_one_step_later(domain):
     run = scene.load(TUMBLER)
     with LiveSession(TUMBLER, domain, *LOCKSTEP) as live:
-        live.wait_until(lambda: len(responses(live)) >= 3, 'the start state, repeatedly')
+        live.wait_until(lambda: len(responses(live)) >= 2, 'the start state, repeatedly')
         assert responses(live) == len(responses(live)) * [(0, run.start.attitude.tolist())]
         start_ns = 5 * SECOND
         first = ask(live, start_ns, [0.01, 0.0, 0.0])

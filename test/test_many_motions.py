@@ -14,6 +14,9 @@
 
 """Many motions at once: each has the bits of `propagate`, and a bad one does not end the rest."""
 
+from itertools import product
+
+from conftest import at_night
 from kernels import callable_
 import numpy as np
 import pytest
@@ -76,13 +79,18 @@ def rows(motions):
             in zip(motions.attitude, motions.angular_velocity, motions.messages)]
 
 
+OPTIONS = [{'tolerance': 1e-4}, {'torque_timeout': 0.05}, {'solver': 'rk4', 'max_step': 0.01},
+           {'solver': 'strang', 'max_step': 0.02}]
+#: With these, motions under torques that change within a sample take seconds.
+SLOW_OPTIONS = [{}, {'solver': 'taylor', 'max_step': 0.1}]
+PLAIN_LOGS = [None, random_log()]
+LOGS = [random_log(*way) for way in (('hold', 'space'), ('linear', 'body'), ('cubic', 'space'))]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize('log', [
-    None, *(random_log(*way) for way in (('hold', 'body'), ('hold', 'space'), ('linear', 'body'),
-                                         ('cubic', 'space')))])
-@pytest.mark.parametrize('options', [
-    {}, {'tolerance': 1e-4}, {'torque_timeout': 0.05}, {'solver': 'taylor', 'max_step': 0.1},
-    {'solver': 'rk4', 'max_step': 0.01}, {'solver': 'strang', 'max_step': 0.02}])
+@pytest.mark.parametrize(('options', 'log'), [
+    *product(OPTIONS, PLAIN_LOGS + LOGS), *product(SLOW_OPTIONS, PLAIN_LOGS),
+    *at_night(*product(SLOW_OPTIONS, LOGS))])
 def test_each_motion_has_the_bits_of_the_motion_alone(log, options):
     tensors, rates, attitudes = scattered()
     found = propagate_many(RigidBodies(tensors), States(0, attitudes, rates), log, at=AT,
@@ -122,7 +130,7 @@ def together(interval_ns, samples, moments=(1.0, 2.0, 2.5), turn=STRAIGHT):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('tolerance', [1e-15, 1e-6, 1e-3])
+@pytest.mark.parametrize('tolerance', [1e-15, *at_night(1e-6, 1e-3)])
 @pytest.mark.parametrize('moments', [(1.0, 2.0, 2.5), (1e-3, 1.0, 1.0)])
 @pytest.mark.parametrize('turn', [STRAIGHT, TURN], ids=['diagonal', 'full'])
 @pytest.mark.parametrize(('interval_ns', 'samples', 'at'), [
@@ -202,8 +210,9 @@ def gathered(bodies, starts, polynomials, at):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('own', [False, True], ids=['shared', 'own'])
-@pytest.mark.parametrize(('interval_ns', 'samples'), [(100 * SECOND, 2), (SECOND // 1000, 3000)])
+@pytest.mark.parametrize(('interval_ns', 'samples', 'own'), [  # its kernel takes ten seconds
+    (SECOND // 1000, 3000, True), *at_night((SECOND // 1000, 3000, False), (100 * SECOND, 2, True),
+                                            (100 * SECOND, 2, False))])
 def test_runs_like_each_other_step_together(interval_ns, samples, own):
     bodies, starts, log = together(interval_ns, samples)
     end_ns = int(log.times_ns[-1])

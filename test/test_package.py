@@ -30,12 +30,13 @@ from conftest import at_night, CONFIG, locked, NAME, RECORDINGS, ROOT
 import pytest
 
 NODES = ('attitude_controller', 'attitude_lifecycle_node', 'attitude_node')
-COMMANDS = (*NODES, 'attitude_compare', 'attitude_ensemble', 'attitude_identify',
-            'attitude_replay', 'attitude_tradeoff')
+#: These run in test_readme.py, too, as a pip installs them.
+OFFLINE = ('attitude_compare', 'attitude_ensemble', 'attitude_identify', 'attitude_replay',
+           'attitude_tradeoff')
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('command', COMMANDS)
+@pytest.mark.parametrize('command', [*NODES, *at_night(*OFFLINE)])
 def test_ros2_run_finds_the_commands_of_a_pip_install(installed, command):
     # What `ros2 run` does: the package's prefix from the ament index, then an executable file
     # in lib/<package>.

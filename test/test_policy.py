@@ -55,9 +55,9 @@ MANAGED = 'rigid_body_ros.node.lifecycle', 'AttitudeLifecycleNode'
 CONTROLLER = 'rigid_body_ros.node.attitude_controller', 'AttitudeController'
 #: Together these have every topic of the node but those of further torque_topics.
 CONFIGURATIONS = [
-    (), ('-p', 'use_sim_time:=true'), ('-p', 'wheels:=true'),
     ('-p', 'mode:=lockstep', '-p', 'publish_clock:=true'),
-    *([('-p', 'publish_tf:=true')] if find_spec('tf2_msgs') else [])]
+    ('-p', 'use_sim_time:=true', '-p', 'wheels:=true',
+     *(('-p', 'publish_tf:=true') if find_spec('tf2_msgs') else ()))]
 
 
 def violations(element):

@@ -27,6 +27,7 @@ import sys
 from conftest import NAME, RECORDINGS, ROOT
 import measurements
 import pytest
+from rigid_body_ros import scene
 
 TEXT = (ROOT / 'README.md').read_text(encoding='utf-8')
 FENCED = re.findall(r'^```(\w*)\n(.*?)^```$', TEXT, re.DOTALL | re.MULTILINE)
@@ -43,7 +44,9 @@ def place(tmp_path, monkeypatch):
     """Work in a folder with the files that the README names, and the commands on the path."""
     (tmp_path / 'scene.yaml').write_text(SCENE)
     shutil.copy(RECORDINGS / 'tumbler.mcap', tmp_path / 'log.mcap')
-    flight = measurements.truth()
+    described = scene.load(tmp_path / 'scene.yaml')
+    flight = measurements.truth(rates=tuple(described.start.angular_velocity.tolist()),
+                                inertia=tuple(map(tuple, described.body.inertia.tolist())))
     measured = measurements.messages_of('Imu', flight.measured(2e-3, 5e-3))
     measurements.write(tmp_path / 'flight.mcap', imu=measured,
                        torque=measurements.torque_messages(flight))

@@ -77,11 +77,16 @@ assert RigidBody is rigid_body_ros.RigidBody is vars(rigid_body_ros)['RigidBody'
     assert result.stderr == ''
 
 
-@pytest.mark.slow
-def test_the_warm_up_leaves_nothing_to_compile_for_any_scene():
+@pytest.fixture(scope='module')
+def warm():
     words = subprocess.run([sys.executable, '-m', 'rigid_body_ros.warm_up'], text=True,
                            capture_output=True, check=True)
     assert words.stdout.endswith('all kernels are compiled\n')
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures('warm')
+def test_the_warm_up_leaves_nothing_to_compile_for_any_scene():
     script = """
 from rigid_body_ros.node.epoch import warm_up_for
 from rigid_body_ros.scene import Scene
@@ -90,6 +95,26 @@ for more in ({}, {'wheels': True}, {'torque_topics': ['a', 'b']}, {'damping.dxx'
              {'initial_rotor_momentum.x': 1.0}, {'euler_sequence': 'xyz', 'solver': 'rk4',
                                                  'max_step': 0.1}):
     warm_up_for(Scene.from_values(moments | more), print)
+"""
+    result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                            check=False)
+    assert result.stderr == result.stdout == ''
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures('warm')
+def test_the_warm_up_leaves_nothing_to_compile_for_many_motions():
+    script = """
+import numpy as np
+from rigid_body_ros import propagate_many, RigidBodies, States, TorqueLog
+from rigid_body_ros.kernels.jit import announced
+held, cubic = (TorqueLog(range(4), np.eye(4, 3), interpolation=way) for way in ('hold', 'cubic'))
+there = TorqueLog(range(4), np.eye(4, 3), 'space')
+for logs in ([], [held], [held, cubic], [held, there], [cubic, there]):
+    for wheels in (None, held):
+        with announced(lambda: print('compiled for', logs, wheels)):
+            bodies = RigidBodies([np.eye(3)] * 2, [np.eye(3), np.zeros((3, 3))])
+            propagate_many(bodies, States(0, np.ones((2, 4))), [logs] * 2, at=[9], wheels=wheels)
 """
     result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
                             check=False)

@@ -49,10 +49,7 @@ TUMBLER = ('--scene', str(CONFIG / 'tumbler.yaml'))
 TORQUES = ('--recording', str(RECORDINGS / 'tumbler.mcap'))
 
 
-@pytest.fixture(autouse=True)
-def _short_runs(monkeypatch):
-    monkeypatch.setattr('rigid_body_ros.tradeoff.settings._MOST_STEPS', 20_000)
-    monkeypatch.setattr('rigid_body_ros.tradeoff.trade._MOST_REPEATS', 3)
+pytestmark = pytest.mark.usefixtures('short_trades')
 
 
 def test_errors_are_those_of_a_motion_in_closed_form():
