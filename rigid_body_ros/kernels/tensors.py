@@ -88,10 +88,15 @@ def _in_range(tensor: Floats, damping: Floats) -> bool:
 
 @internal
 def _fill_principal(tensor: Floats, constants: Floats) -> bool:
-    if _is_alone(tensor, 0) and _is_alone(tensor, 1):
+    if _is_diagonal(tensor):
         _sort_diagonal(tensor, constants)
         return True
     return fill_principal(tensor, constants)
+
+
+@internal
+def _is_diagonal(tensor: Floats) -> bool:
+    return _is_alone(tensor, 0) and _is_alone(tensor, 1)
 
 
 @internal
@@ -121,8 +126,10 @@ def _sort_diagonal(tensor: Floats, constants: Floats) -> None:
 def _fill_coefficients(tensor: Floats, damping: Floats, cofactors: Floats, right: Floats,
                        constants: Floats) -> bool:
     # Solve Euler's equations by Cramer's rule, as `tensor.euler_coefficients` does.
-    certain, determinant, size = True, _ZERO, 0.0
     columns = _fill_right_hand_sides(tensor, damping, right)
+    if _is_diagonal(tensor):
+        return _store_all_quotients(columns, right, tensor, constants)
+    certain, determinant, size = True, _ZERO, 0.0
     _fill_cofactors(tensor, cofactors)
     for b in range(3):
         determinant = add_scaled(determinant, _cofactor(cofactors, 0, b), tensor[0, b])
@@ -205,6 +212,14 @@ def _store_row(row: int, columns: int, cofactors: Floats, right: Floats, inverse
 
 
 @internal
+def _store_all_quotients(columns: int, right: Floats, tensor: Floats, constants: Floats) -> bool:
+    certain = True
+    for row in range(3):
+        certain &= _store_quotients(row, columns, right, tensor[row, row], constants)
+    return certain
+
+
+@internal
 def _store_quotients(row: int, columns: int, right: Floats, moment: float,
                      constants: Floats) -> bool:
     # The remainder of a division is a double, so quotients of doubles are always certain.
@@ -212,13 +227,13 @@ def _store_quotients(row: int, columns: int, right: Floats, moment: float,
     for column in range(columns):
         dividend = right[row, column, 0], right[row, column, 1]
         high_at, low_at = _places(column)
-        if dividend[1] == 0.0:
-            high = dividend[0] / moment
-            constants[high_at + row] = high + 0.0
-            constants[low_at + row] = fma(-high, moment, dividend[0]) / moment + 0.0
-        else:
+        if dividend[1] != 0.0:
             number, error = _quotient(dividend, moment)
             certain &= store(number, error, constants, high_at + row, low_at + row)
+        elif dividend[0] != 0.0:
+            high = dividend[0] / moment
+            constants[high_at + row] = high
+            constants[low_at + row] = fma(-high, moment, dividend[0]) / moment + 0.0
     return certain
 
 

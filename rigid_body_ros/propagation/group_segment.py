@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import (
     body_layout,
     euler_equations,
@@ -99,7 +100,8 @@ def advance(group: Group, count: int, waiting: NDArray[np.intp], segment: Segmen
     for lane in range(LANES):
         going[lane] = lane < count and _enter(group, lane, limits_ns, segment, body.form, method)
         if not going[lane]:
-            _idle(group, lane)
+            runs.load(group, lane)
+            _idle(group.work, lane)
     taken, steps, replace_at = 0, 0, runs.BUDGET
     while steps < runs.BUDGET:
         if steps >= replace_at or not going.any():
@@ -107,15 +109,15 @@ def advance(group: Group, count: int, waiting: NDArray[np.intp], segment: Segmen
             replace_at = runs.BUDGET
         if going.sum() < (1 if taken < len(waiting) else _FEWEST_RUNS):
             break
-        more, is_slow = _step_together(group, body.form, method, replace_at - steps)
+        more, is_slow = _step_together(group.work, body.form, method, replace_at - steps)
         steps += more
         if not is_slow:
             break  # `loop.run` reports it
         for lane in range(LANES):
             if going[lane] and group.work[runs.MOVES, lane] == 0.0:
-                going[lane] = _arrive(group, lane, limits_ns, segment, method)
+                going[lane] = _arrive(group, lane, limits_ns, segment, body.form, method)
                 if not going[lane]:
-                    _idle(group, lane)
+                    _idle(group.work, lane)
                     replace_at = min(replace_at, steps + _PATIENCE)
     for lane in range(LANES):
         if going[lane]:
@@ -160,17 +162,17 @@ def _enter(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Segme
     row = group.rows[lane]
     place, torque = layout.load_place(group.progress[row]), _torque(group, lane, segment)
     if (_is_done(group, row, segment) or place.sample != segment.sample or place.timed_out
-            or layout.unpack_body(group.constants[row]).form != form
+            or layout.unpack_form(group.constants[row]) != form
             or layout.is_zero_vector(torque)):  # `loop.run` may use the closed form
         return False
     runs.load(group, lane)
     for k in range(3):
         group.work[runs.TORQUE + k, lane] = torque[k]
-    return _aim(group, lane, limits_ns, segment, method)
+    return _aim(group, lane, limits_ns, segment, form, method)
 
 
 @inlined
-def _aim(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Segment,
+def _aim(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Segment, form: int,
          method: Method) -> bool:
     # Set the time up to which a run steps: that of its next output, or the end of the segment.
     # Return False if there is nothing left, or `loop.run` has to go on.
@@ -188,40 +190,39 @@ def _aim(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Segment
     rest_ns = limits_ns[lane] - grid_ns
     group.work[runs.REST, lane] = rest_ns
     return rest_ns <= runs.FARTHEST and not (grid_ns == progress[layout.BEGIN_NS] and _is_short(
-        group, lane, rest_ns, segment, method))
+        group, lane, rest_ns, segment, form, method))
 
 
 @inlined
-def _is_short(group: Group, lane: int, rest_ns: int, segment: Segment, method: Method) -> bool:
+def _is_short(group: Group, lane: int, rest_ns: int, segment: Segment, form: int,
+              method: Method) -> bool:
     # Return whether `loop.run` takes a short step from the beginning of the segment.
     row = group.rows[lane]
-    body = layout.unpack_body(group.constants[row])
     acceleration = euler_equations.acceleration_from_torque(
-        body.coefficients, body.form, _torque(group, lane, segment))
+        body_layout.coefficients(group.constants[row]), form, _torque(group, lane, segment))
     return short_step.is_accurate(state_layout.load(group.states[row], 0), rest_ns / 1e9,
                                   acceleration, method.tolerance, None)
 
 
 @inlined
-def _idle(group: Group, lane: int) -> None:
-    # Let a body rest in a lane: its series has no terms, and its steps never end.
-    runs.load(group, lane)
+def _idle(work: Floats, lane: int) -> None:
+    # Let the body in a lane rest: its series has no terms, and its steps never end.
     for k in range(3):
-        group.work[runs.STATE + state_layout.RATES + k, lane] = 0.0
-        group.work[runs.TORQUE + k, lane] = 0.0
-    group.work[runs.REST, lane] = math.inf
+        work[runs.STATE + state_layout.RATES + k, lane] = 0.0
+        work[runs.TORQUE + k, lane] = 0.0
+    work[runs.REST, lane] = math.inf
 
 
 @internal
-def _step_together(group: Group, form: int, method: Method, budget: int) -> tuple[int, bool]:
+def _step_together(work: Floats, form: int, method: Method, budget: int) -> tuple[int, bool]:
     # Step until a run arrives. Return how many steps there were, and whether no body is too fast.
     lanes.align_stack()
-    coefficients = body_layout.coefficients(group.work[runs.CONSTANTS:])
+    coefficients = body_layout.coefficients(work[runs.CONSTANTS:])
     acceleration = euler_equations.acceleration_from_torque(
-        coefficients, form, runs.torques(group.work))
+        coefficients, form, runs.torques(work))
     bound = math.sqrt(vector.dot(acceleration, acceleration))
-    state, rest = state_layout.load(group.work, runs.STATE), lanes.load(group.work, runs.REST)
-    table, steps, arrives, is_slow = group.work[runs.TABLE:], 0, False, True
+    state, rest = state_layout.load(work, runs.STATE), lanes.load(work, runs.REST)
+    table, steps, arrives, is_slow = work[runs.TABLE:], 0, False, True
     while steps < budget and not arrives:
         square = vector.dot(state[0], state[0])
         step_ns = runs.full_steps_ns(square, bound, method)
@@ -234,11 +235,11 @@ def _step_together(group: Group, form: int, method: Method, budget: int) -> tupl
             break
         state, rest = _choose(moves, latest, state), lanes.where(moves, rest - step_ns, rest)
         arrives = not lanes.every(moves)
-        lanes.store(group.work, runs.MOVES, lanes.where(moves, 1.0, 0.0))
+        lanes.store(work, runs.MOVES, lanes.where(moves, 1.0, 0.0))
         if arrives:
-            state_layout.store(latest, group.work, runs.LATEST)
-    state_layout.store(state, group.work, runs.STATE)
-    lanes.store(group.work, runs.REST, rest)
+            state_layout.store(latest, work, runs.LATEST)
+    state_layout.store(state, work, runs.STATE)
+    lanes.store(work, runs.REST, rest)
     return steps, is_slow
 
 
@@ -251,7 +252,7 @@ def _choose(condition: bool, one: vector.KernelState,
 
 
 @inlined
-def _arrive(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Segment,
+def _arrive(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Segment, form: int,
             method: Method) -> bool:
     # Fill the output of a run that has reached its limit. Return whether it goes on; otherwise its
     # state is put back.
@@ -269,9 +270,10 @@ def _arrive(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Segm
             group.work[runs.STATE + k, lane] = group.work[runs.LATEST + k, lane]
         runs.begin_segment(group, lane, limit_ns, segment.sample + 1, done)
         return False
-    if not ends and _aim(group, lane, limits_ns, segment, method):
+    if not ends and _aim(group, lane, limits_ns, segment, form, method):
         return True
-    runs.store(group, lane)
+    if done < len(segment.times_ns):
+        runs.store(group, lane)
     return False
 
 
@@ -303,7 +305,7 @@ def _replace(group: Group, going: NDArray[np.bool_], waiting: NDArray[np.intp],
                 going[lane] = _enter(group, lane, limits_ns, segment, form, method)
             if not going[lane]:
                 group.rows[lane] = row
-                _idle(group, lane)
+                _idle(group.work, lane)
     return taken
 
 

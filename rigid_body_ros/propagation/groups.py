@@ -102,6 +102,6 @@ def _are_alike(group: Group, place: Place, form: int) -> bool:
     for row in group.rows:
         other = layout.load_place(group.progress[row])
         if (other.sample != place.sample or other.timed_out or other.done != place.done
-                or layout.unpack_body(group.constants[row]).form != form):
+                or layout.unpack_form(group.constants[row]) != form):
             return False
     return True

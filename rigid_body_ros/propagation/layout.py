@@ -30,6 +30,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import (
     body_layout,
     euler_equations,
+    four,
     linear_terms,
     state_layout,
     taylor,
@@ -161,9 +162,8 @@ def unpack_timeout(settings: Floats) -> int:
 @internal
 def unpack_body(constants: Floats) -> Body:
     """Return a body from its constants, see `body_layout`."""
-    coefficients = body_layout.coefficients(constants)
-    frame = body_layout.principal_frame(constants)
-    return Body(coefficients, _form(coefficients, frame[0]), frame)
+    return Body(body_layout.coefficients(constants), unpack_form(constants),
+                body_layout.principal_frame(constants))
 
 
 @optional
@@ -188,9 +188,11 @@ def unpack_linear(_terms: Floats, constants: Floats) -> linear_terms.Constants:
     return body_layout.linear_constants(constants)
 
 
-@internal
-def _form(coefficients: vector.Coefficients, moments: vector.Vector) -> int:
-    a, b, c, d, e, f, _, _, _ = coefficients[0]
+@inlined
+def unpack_form(constants: Floats) -> int:
+    """Return the form of the inertia tensor: DIAGONAL, FULL or THIN."""
+    moments = four.load(constants, body_layout.MOMENTS)
+    a, b, c, d, e, f, _, _, _ = body_layout.coefficients(constants)[0]
     if (a[1] == a[2] == b[0] == b[2] == c[0] == c[1] == 0.0
             and is_zero_vector(d) and is_zero_vector(e) and is_zero_vector(f)):
         return euler_equations.DIAGONAL
