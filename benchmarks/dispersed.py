@@ -55,12 +55,16 @@ def log(rate, size, phase=0.0):
                      size * np.sin(times[:, None] * [2.0, 3.0, 5.0] + phase))
 
 
+RATE = Dispersion('initial_angular_velocity.y', 'uniform', (0.1, 3.0))
+HELD = TorqueLog([0], [[1e-3, 2e-3, -1e-3]])
 SLOW, FAST, OTHER, WHEELS = log(50, 0.01), log(1000, 0.01), log(1000, 0.003, 1.0), log(1000, 0.001)
 #: Number of measurements in a process.
 REPEATS = 4
 #: Values of the scene, torques on the body, torque on the rotors, dispersions, number of runs.
 CASES = {
     'plain, free': ({}, (), None, (), 4000),
+    'held torque': ({}, (HELD,), None, (), 2000),
+    'held torque, unlike rates': ({}, (HELD,), None, (RATE,), 800),
     'plain, 50 Hz': ({}, (SLOW,), None, (GAIN,), 800),
     'plain, 1 kHz': ({}, (FAST,), None, (), 80),
     'rotors, free': (ROTORS, (), None, (), 1000),
