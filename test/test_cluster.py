@@ -217,7 +217,7 @@ def test_a_worker_without_the_package_survives(inputs, capsys, tmp_path):
         assert process.is_running()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_workers_may_join_later(inputs, tmp_path):
     file = tmp_path / 'scheduler.json'
     command = [*COMMAND, *arguments(inputs, 'out', 10, '--scheduler', file)]

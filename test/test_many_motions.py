@@ -209,10 +209,9 @@ def gathered(bodies, starts, polynomials, at):
                  np.ones(count), polynomials, callable_(group.workspace)())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(('interval_ns', 'samples', 'own'), [  # its kernel takes ten seconds
-    (SECOND // 1000, 3000, True), *at_night((SECOND // 1000, 3000, False), (100 * SECOND, 2, True),
-                                            (100 * SECOND, 2, False))])
+@pytest.mark.nightly  # compiles for half a minute
+@pytest.mark.parametrize('own', [False, True], ids=['shared', 'own'])
+@pytest.mark.parametrize(('interval_ns', 'samples'), [(100 * SECOND, 2), (SECOND // 1000, 3000)])
 def test_runs_like_each_other_step_together(interval_ns, samples, own):
     bodies, starts, log = together(interval_ns, samples)
     end_ns = int(log.times_ns[-1])
@@ -238,7 +237,7 @@ def unlike(count, turn=STRAIGHT):
             States(0, random.normal(size=(count, 4)), rates))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly  # compiles for half a minute
 def test_a_run_that_ends_gives_its_lane_to_the_next():
     (bodies, starts), at = unlike(5 * LANES), np.array([100 * SECOND])
     log = TorqueLog([0], [[0.01, 0.02, -0.01]])

@@ -21,7 +21,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
-from conftest import CONFIG, ROOT
+from conftest import at_night, CONFIG, ROOT
 import pytest
 
 POLICY = ROOT / 'policies' / 'rigid_body_ros.policy.xml'
@@ -139,7 +139,7 @@ def graph(domain, node, *arguments):
 @pytest.mark.ros
 @pytest.mark.parametrize(('executable', 'node', 'started'), [
     ('attitude_node', NODE, ()),
-    ('attitude_lifecycle_node', MANAGED, ('-p', 'autostart:=true'))])
+    *at_night(('attitude_lifecycle_node', MANAGED, ('-p', 'autostart:=true')))])
 def test_a_node_uses_exactly_what_its_policy_allows(domain, executable, node, started):
     pytest.importorskip('rclpy', reason='ROS 2 (rclpy) is not installed')
     policy, used = allowed(executable), {kind: set() for kind in KINDS}

@@ -241,7 +241,7 @@ def test_a_signal_interrupts_a_scene_with_rotors(tmp_path):
          str(tmp_path / 'motion.mcap'), '--until', '86400'], stderr=subprocess.PIPE, text=True)
     process.stderr.readline()  # the warning of a fast spin
     with pytest.raises(subprocess.TimeoutExpired):
-        process.communicate(timeout=10)
+        process.communicate(timeout=4)
     process.terminate()
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + signal.SIGTERM
