@@ -101,6 +101,7 @@ def test_clock_and_mounting_are_found_together(kind, measures):
     assert ('space_rad' in found.sigma) == (kind != 'rate')
 
 
+@pytest.mark.slow
 def test_a_large_mounting_is_found_with_a_large_offset():
     mount = Rotation.from_rotvec([2.0, -1.0, 1.5])
     found = compared(noisy(clock=-1.7, mount=mount, space=SPACE, outliers=0.02),
@@ -109,6 +110,7 @@ def test_a_large_mounting_is_found_with_a_large_offset():
     assert angle(found.mount, mount) < 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('outliers', [0.0, 0.02])
 def test_the_start_is_found(outliers):
     motion = truth()

@@ -132,6 +132,7 @@ def small_blocks(monkeypatch):
     monkeypatch.setattr(folder, 'GROUP', 16)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures('small_blocks')
 def test_workers_extension_and_lost_blocks_give_the_same_bytes(inputs):
     run(inputs, 'one', 60, '--workers', 1)

@@ -49,6 +49,7 @@ def motion_of(path):
     return zarr.open_group(path / 'motion.zarr', mode='r')['motion'][:]
 
 
+@pytest.mark.slow
 def test_every_state_has_the_bits_of_propagate(inputs):
     run(inputs, 'out', 60, '--times', HZ)
     rows = parquet.read_table(inputs / 'out' / 'runs.parquet').to_pylist()
@@ -83,6 +84,7 @@ def test_xarray_opens_the_motions_with_their_coordinates(inputs):
         assert ends.sel(component=name).values.tolist() == table[name].to_pylist()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures('small_chunks')
 def test_workers_extension_and_lost_files_give_the_same_bytes(inputs):
     run(inputs, 'one', 58, '--times', HZ, '--workers', 1)
@@ -149,6 +151,7 @@ def test_times_start_at_the_start_and_include_the_end(end_ns, rate, expected):
     assert motions.times_of(5, 5 + end_ns, rate).tolist() == [5 + time for time in expected]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures('small_chunks')
 def test_a_damaged_chunk_is_one_line(inputs, capsys):
     run(inputs, 'out', 58, '--times', HZ)

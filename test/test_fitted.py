@@ -171,6 +171,7 @@ def ensemble(folder, scene, out):
         str(folder / 'in.mcap'), '--runs', '200', '--seed', '4', '-o', str(out)])
 
 
+@pytest.mark.slow
 def test_from_a_bag_to_a_spread_in_two_commands(fit, tmp_path, capsys):
     assert ensemble(fit, 'fitted.yaml', tmp_path / 'out') == 0
     assert 'clock_offset: no effect on the motion' in capsys.readouterr().err
@@ -214,6 +215,7 @@ def test_a_row_has_the_bits_of_propagate_for_its_values(fit, tmp_path):
         assert numbers('angular_velocity.') == motion.angular_velocity[0].tolist()
 
 
+@pytest.mark.slow
 def test_the_runs_are_centred_on_the_fit_whatever_the_scene_says(fit, tmp_path):
     assert ensemble(fit, 'fitted.yaml', tmp_path / 'fitted') == 0
     assert ensemble(fit, 'guess.yaml', tmp_path / 'guess') == 0
@@ -221,6 +223,7 @@ def test_the_runs_are_centred_on_the_fit_whatever_the_scene_says(fit, tmp_path):
         == (tmp_path / 'guess' / 'runs.parquet').read_bytes()
 
 
+@pytest.mark.slow
 def test_independent_deviations_would_exaggerate_the_spread(fit, tmp_path):
     data = json.loads((fit / 'fitted.json').read_text())
     matrix = np.array(data['covariance']['matrix'])

@@ -141,6 +141,7 @@ def test_clock_offset_and_mount():
     assert result.estimates['clock_offset'].sigma < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('offset', [1.5, *at_night(-1.5)])
 def test_a_clock_offset_of_seconds(offset):
     sensor = shifted(tumble().measured(ATTITUDE, RATE), offset)
@@ -174,6 +175,7 @@ def test_torque_bias_and_inertia():
     assert_covered(result, {**inertia_truth(), 'torque_bias.x': 0.002})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('modelled', 'noise', 'warnings'), [
     (['torque_bias'], 1e-4, 0), (['torque_bias'], 0.0, 0), ([], 1e-4, 1)])
 def test_errors_that_are_alike_are_a_warning_unless_they_are_rounding(modelled, noise, warnings):
@@ -183,6 +185,7 @@ def test_errors_that_are_alike_are_a_warning_unless_they_are_rounding(modelled, 
     assert summary(result).count('neighbouring errors are almost the same') == warnings
 
 
+@pytest.mark.slow
 def test_damping():
     damping = np.array([[2e-3, 3e-4, 0.0], [3e-4, 1e-3, 0.0], [0.0, 0.0, 3e-3]])
     truth = Truth(damping=damping)
@@ -289,6 +292,7 @@ def test_without_torque_only_ratios_of_moments_are_known(noise):
     assert 'ratios' in ' '.join(one.reason for one in result.unidentifiable)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('noise', NOISES)
 def test_torque_gain_and_inertia_are_not_known_together(noise):
     result = identify(GUESS, tumble().experiment(tumble().measured(*noise)),
@@ -300,6 +304,7 @@ def test_torque_gain_and_inertia_are_not_known_together(noise):
     assert {'inertia.izz', 'torque_gain'} <= {*direction.components}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('noise', NOISES)
 def test_a_rotation_about_one_axis_gives_one_moment(noise):
     truth = Truth(inertia=np.diag([0.02, 0.03, 0.04]), rates=(0.0, 0.0, 0.3), axes=(0, 0, 1))

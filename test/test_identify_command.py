@@ -48,6 +48,7 @@ def identify(folder, *arguments, recordings=('in.mcap',)):
                                   str(folder / 'guess.yaml'), *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_from_a_recording_to_a_fitted_scene(tumble, capsys):
     status = identify(tumble, '--measured', '/imu', '-o', tumble / 'fitted.yaml', '--json',
                       tumble / 'out.json', '--validate', 0.3, '--plot', tumble / 'errors.png')
@@ -105,6 +106,7 @@ def test_a_late_clock_and_a_turned_sensor(tumble):
     np.testing.assert_allclose(fitted.body.inertia, INERTIA, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_two_recordings(tumble):
     truth = measurements.truth(seed=2)
     record(tumble / 'other.mcap', truth, truth.measured(2e-3, 5e-3, seed=1))
@@ -114,6 +116,7 @@ def test_two_recordings(tumble):
     assert {'initial_attitude.x', 'initial_attitude.x[2]'} <= estimates.keys()
 
 
+@pytest.mark.slow
 def test_an_incomplete_answer_has_exit_status_3_and_no_outputs(tumble, capsys):
     names = 'fitted.yaml', 'out.json', 'errors.png', 'page.html'
     outputs = [tumble / name for name in names]
@@ -134,6 +137,7 @@ def test_an_incomplete_answer_has_exit_status_3_and_no_outputs(tumble, capsys):
         'only the ratio of torque to inertia enters the motion'
 
 
+@pytest.mark.slow
 def test_a_tumble_without_torque(tmp_path):
     truth = measurements.free()
     record(tmp_path / 'in.mcap', truth, truth.measured(2e-3, 5e-3))

@@ -56,6 +56,7 @@ def test_a_bad_recording_does_not_keep_others_from_their_motion(tmp_path, capfd)
     np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.slow
 def test_the_page_has_a_row_and_a_picture_for_each_recording(tmp_path, capfd):
     shutil.copy(RECORDINGS / 'tumbler.mcap', tmp_path / '<b>&.mcap')
     (tmp_path / 'bad.mcap').write_bytes(b'nothing')

@@ -76,6 +76,7 @@ def test_a_misspelt_key_is_an_error_in_every_section(tmp_path, section):
         scene.load(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('command', ['replay', 'tradeoff'])
 def test_every_command_notes_keys_of_other_nodes_once(tmp_path, capsys, command):
     path, recording = tmp_path / 'shared.yaml', tmp_path / 'torques.csv'

@@ -62,6 +62,7 @@ def ends(folder):
     return np.stack([table[f'attitude.{axis}'].to_numpy() for axis in 'xyzw'], axis=1)
 
 
+@pytest.mark.slow
 def test_the_runs_end_there_within_a_tenth_of_their_spread_with_the_setting(spread, tmp_path,
                                                                             capsys):
     assert tradeoff(*TORQUES, '--ensemble', spread / 'torques', '--json', tmp_path / 'o.json',
