@@ -53,8 +53,8 @@ _FEWEST_RUNS = 3
 _PATIENCE = 64
 
 
-class Segment(NamedTuple):
-    """What the runs have in common."""
+class Shared(NamedTuple):
+    """What the runs of a group have in common in a segment."""
 
     #: The sample in force, its row in the polynomials, and when the torque changes.
     sample: int
@@ -68,7 +68,7 @@ class Segment(NamedTuple):
 
 
 @internal
-def advance(group: Group, count: int, waiting: NDArray[np.intp], segment: Segment, body: Body,
+def advance(group: Group, count: int, waiting: NDArray[np.intp], segment: Shared, body: Body,
             method: Method) -> tuple[int, int]:
     """
     Advance the runs of a group, and those that wait, in a segment.
@@ -81,7 +81,7 @@ def advance(group: Group, count: int, waiting: NDArray[np.intp], segment: Segmen
         How many lanes have a run of their own.
     waiting : intp (n,)
         Runs that have not begun.
-    segment : Segment
+    segment : Shared
         What the runs have in common.
     body : Body
         Of the first run; other runs step only if they have its form.
@@ -126,7 +126,7 @@ def advance(group: Group, count: int, waiting: NDArray[np.intp], segment: Segmen
 
 
 @inlined
-def _are_many(group: Group, segment: Segment, body: Body, method: Method) -> bool:
+def _are_many(group: Group, segment: Shared, body: Body, method: Method) -> bool:
     # Return whether the first run has so many steps left that it pays to gather the group.
     place = layout.load_place(group.progress[group.rows[0]])
     acceleration = euler_equations.acceleration_from_torque(
@@ -139,24 +139,24 @@ def _are_many(group: Group, segment: Segment, body: Body, method: Method) -> boo
 
 
 @inlined
-def _output_ns(k: int, segment: Segment) -> int:
+def _output_ns(k: int, segment: Shared) -> int:
     # Return the requested time that is k-th in ascending order.
     return segment.times_ns[_row(k, segment)]
 
 
 @inlined
-def _row(k: int, segment: Segment) -> int:
+def _row(k: int, segment: Shared) -> int:
     return k if len(segment.order) == 0 else segment.order[k]
 
 
 @inlined
-def _torque(group: Group, lane: int, segment: Segment) -> vector.Vector:
+def _torque(group: Group, lane: int, segment: Shared) -> vector.Vector:
     gain = group.gains[group.rows[lane]]
     return vector.scale(gain, runs.torque(group, lane, segment.torque_row))
 
 
 @internal
-def _enter(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Segment, form: int,
+def _enter(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Shared, form: int,
            method: Method) -> bool:
     # Load a run that can step with the others into its lane, or return False.
     row = group.rows[lane]
@@ -172,7 +172,7 @@ def _enter(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Segme
 
 
 @inlined
-def _aim(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Segment, form: int,
+def _aim(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Shared, form: int,
          method: Method) -> bool:
     # Set the time up to which a run steps: that of its next output, or the end of the segment.
     # Return False if there is nothing left, or `loop.run` has to go on.
@@ -194,7 +194,7 @@ def _aim(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Segment
 
 
 @inlined
-def _is_short(group: Group, lane: int, rest_ns: int, segment: Segment, form: int,
+def _is_short(group: Group, lane: int, rest_ns: int, segment: Shared, form: int,
               method: Method) -> bool:
     # Return whether `loop.run` takes a short step from the beginning of the segment.
     row = group.rows[lane]
@@ -252,7 +252,7 @@ def _choose(condition: bool, one: vector.KernelState,
 
 
 @inlined
-def _arrive(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Segment, form: int,
+def _arrive(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Shared, form: int,
             method: Method) -> bool:
     # Fill the output of a run that has reached its limit. Return whether it goes on; otherwise its
     # state is put back.
@@ -292,7 +292,7 @@ def _leave(group: Group, lane: int, limit_ns: int) -> None:
 
 @internal
 def _replace(group: Group, going: NDArray[np.bool_], waiting: NDArray[np.intp],
-             limits_ns: NDArray[np.int64], segment: Segment, form: int, method: Method) -> int:
+             limits_ns: NDArray[np.int64], segment: Shared, form: int, method: Method) -> int:
     # Give the lanes of runs that have filled their outputs to the next that can step with the
     # others. Return how many runs no longer wait; those passed over are left to another group.
     taken = 0
@@ -310,5 +310,5 @@ def _replace(group: Group, going: NDArray[np.bool_], waiting: NDArray[np.intp],
 
 
 @inlined
-def _is_done(group: Group, row: int, segment: Segment) -> bool:
+def _is_done(group: Group, row: int, segment: Shared) -> bool:
     return group.progress[row, layout.DONE] == len(segment.times_ns)

@@ -32,7 +32,7 @@ from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels.jit import internal
 from rigid_body_ros.propagation import group_segment, group_stamps, layout
 from rigid_body_ros.propagation.group import Group
-from rigid_body_ros.propagation.group_segment import Segment
+from rigid_body_ros.propagation.group_segment import Shared
 from rigid_body_ros.propagation.layout import Log, Place
 
 
@@ -90,7 +90,7 @@ def advance(group: Group, count: int, waiting: NDArray[np.intp], times_ns: NDArr
     ends_at_stamp = end_ns < NEVER_NS
     if 0 < log.timeout_ns < end_ns - log.stamps_ns[sample]:
         end_ns, ends_at_stamp = log.stamps_ns[sample] + log.timeout_ns, False
-    segment = Segment(sample, sample - log.first, end_ns, ends_at_stamp, times_ns, order)
+    segment = Shared(sample, sample - log.first, end_ns, ends_at_stamp, times_ns, order)
     more, taken = group_segment.advance(group, count, waiting, segment, body, method)
     return Advanced(steps + more, taken, sample + 1)
 

@@ -57,8 +57,8 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
     Returns
     -------
     int
-        How many runs are done. The next one has used up the budget, and another call continues
-        from there.
+        How many runs are done, counted up to the first that is not. If that is fewer than given,
+        the budget is used up, and another call continues.
 
     """
     closed = np.empty(len(stamps_ns) + 1, np.bool_)
