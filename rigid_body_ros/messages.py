@@ -29,6 +29,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+import re
 import struct
 from typing import NamedTuple
 
@@ -39,6 +40,10 @@ from rigid_body_ros.common.errors import listed, quoted
 from rigid_body_ros.frames import Frame, Frames
 from rigid_body_ros.state import State
 
+#: The frame_id of an epoch marker: this word, and the numbers of the start state.
+_EPOCH = '/epoch'
+_EPOCH_NUMBERS = re.compile(_EPOCH + ' attitude(' + 4 * r' \S+' + ') rates(' + 3 * r' \S+'
+                            + ') rotors(' + 3 * r' \S+' + ')')
 #: The latest time that a ROS stamp can represent, ns; it is in January 2038.
 LAST_NS = 2 ** 31 * 10 ** 9 - 1
 
@@ -273,14 +278,41 @@ def wrench(stamp_ns: int, frame_id: str, torque: Iterable[float]) -> bytes:
     return WRENCH.encode(stamp_ns, frame_id, [0.0, 0.0, 0.0, *torque])
 
 
-def new_log() -> bytes:
+def epoch_marker(start: State) -> bytes:
     """
-    Return the marker that starts a new log: torques before it are ignored.
+    Return the marker that begins an epoch in the log of a node: a WrenchStamped of zeros.
 
-    The marker is a zero torque with stamp 0 and an empty frame_id. No torque of a node's log is
-    like that, because each has a frame_id.
+    Its stamp is that of the start state, whose numbers its frame_id contains with all digits. No
+    frame of tf2 has a name like that, because of the leading slash.
     """
-    return wrench(0, '', np.zeros(3))
+    groups = {'attitude': start.attitude, 'rates': start.angular_velocity,
+              'rotors': start.rotor_momentum}
+    words = [f'{name} {" ".join(map(repr, values.tolist()))}' for name, values in groups.items()]
+    return wrench(start.time_ns, f'{_EPOCH} {" ".join(words)}', np.zeros(3))
+
+
+def is_epoch_marker(frame_id: str) -> bool:
+    """Return whether a message with this frame_id begins an epoch; see `epoch_marker`."""
+    return frame_id.startswith(f'{_EPOCH} ')
+
+
+def epoch_start(stamp_ns: int, frame_id: str) -> State:
+    """
+    Return the start state in the stamp and the frame_id of an epoch marker.
+
+    Raises
+    ------
+    ValueError
+        The frame_id is not one that `epoch_marker` writes.
+
+    """
+    found = _EPOCH_NUMBERS.fullmatch(frame_id)
+    if not found:
+        raise ValueError('frame_id: expected the start state of an epoch, '
+                         f'found {quoted(frame_id)}')
+    attitude, rates, rotors = ([float(number) for number in group.split()]
+                               for group in found.groups())
+    return State(stamp_ns, attitude, rates, rotors)
 
 
 def torque_frame(frame_id: str, body_frame: str, space_frame: str) -> str:
