@@ -34,7 +34,7 @@ from mcap.records import Chunk
 import numpy as np
 import pytest
 from rigid_body_ros import cli, messages, recording, scene
-from rigid_body_ros.recording import bulk, mcap_file, source, unpack
+from rigid_body_ros.recording import bulk, mcap_file, unpack
 from rigid_body_ros.replay import replay
 import yaml
 import zstandard
@@ -285,7 +285,7 @@ def with_messages(path, *sent):
 @pytest.mark.parametrize('storage', ['MCAP', 'SQLITE3'])
 def test_a_message_may_not_be_larger_than_a_chunk_may(tmp_path, monkeypatch, storage,
                                                       says_its_size):
-    monkeypatch.setattr(source, 'LARGEST', 2 ** 24)
+    monkeypatch.setattr(unpack, 'LARGEST', 2 ** 24)
     path = bag(tmp_path, storage=storage, compression='MESSAGE')
     assert outcome(path) == ''
     data = zstandard.ZstdCompressor().compress(bytes(2 ** 28)) if says_its_size else bomb(2 ** 28)
@@ -297,10 +297,10 @@ def test_the_messages_of_a_block_may_not_be_larger_together_than_a_chunk_may(mon
     packed = zstandard.ZstdCompressor().compress(bytes(2 ** 20))
     times = np.zeros(9, np.int64)
     raw = bulk.Raw.from_bytes([packed] * 9, times, times)
-    assert source._decompress_each(raw).sizes.tolist() == [2 ** 20] * 9
-    monkeypatch.setattr(source, 'LARGEST', 2 ** 23)
+    assert unpack.unpack_each(raw).sizes.tolist() == [2 ** 20] * 9
+    monkeypatch.setattr(unpack, 'LARGEST', 2 ** 23)
     with pytest.raises(bulk.BadMessageError, match='expected at most 0 bytes') as error:
-        source._decompress_each(raw)
+        unpack.unpack_each(raw)
     assert error.value.row == 8
 
 

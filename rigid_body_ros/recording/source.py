@@ -36,12 +36,11 @@ from rigid_body_ros.recording.csv_file import CsvFile
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.mcap_file import McapFile
 from rigid_body_ros.recording.sqlite_file import SqliteFile
-from rigid_body_ros.recording.unpack import LARGEST, temporary, unpack, unpack_file
+from rigid_body_ros.recording.unpack import temporary, unpack_each, unpack_file
 from rigid_body_ros.recording.writer import Writer
 from rigid_body_ros.runtime.reading import read_yaml
 import yaml
 from yaml.constructor import BaseConstructor
-import zstandard
 
 #: Possible sources of the time of a message.
 TIME_SOURCES = ('header', 'log', 'publish')
@@ -227,7 +226,7 @@ class Source:
     def _decompressed(self, raw: Raw, topic: str, number: int) -> Raw:
         """Return messages without compression; `number` messages of the topic came before."""
         try:
-            return _decompress_each(raw) if self._compressed else raw
+            return unpack_each(raw) if self._compressed else raw
         except bulk.BadMessageError as error:
             raise self._error(error, topic, number) from error
 
@@ -377,14 +376,3 @@ def _open_file(path: Path, stack: ExitStack) -> File:
     unpacked = unpack_file(path, temporary(stack)) if is_compressed else path
     return SqliteFile(path, unpacked, stack) if unpacked.suffix == '.db3' else \
         McapFile(path, unpacked)
-
-
-def _decompress_each(raw: Raw) -> Raw:
-    decompressed, room, unpacker = [], LARGEST, zstandard.ZstdDecompressor()
-    for row in range(len(raw.starts)):
-        try:
-            decompressed.append(unpack(raw.message(row), room, unpacker))
-        except (zstandard.ZstdError, ValueError) as error:
-            raise bulk.BadMessageError(row, f'cannot decompress: {reason(error)}') from error
-        room -= len(decompressed[-1])
-    return Raw.from_bytes(decompressed, raw.log_ns, raw.publish_ns)

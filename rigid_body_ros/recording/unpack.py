@@ -24,6 +24,7 @@ import tempfile
 from typing import BinaryIO
 
 from rigid_body_ros.common.errors import InputError, reason
+from rigid_body_ros.recording.bulk import BadMessageError, Raw
 from rigid_body_ros.runtime.reading import open_file
 import zstandard
 
@@ -52,6 +53,18 @@ def unpack(data: bytes, most: int, unpacker: zstandard.ZstdDecompressor) -> byte
     if zstandard.frame_content_size(data) > room:
         raise ValueError(f'expected at most {room} bytes, found more')
     return unpacker.decompress(data, max_output_size=room)
+
+
+def unpack_each(raw: Raw) -> Raw:
+    """Decompress messages one by one; raise BadMessageError at the first that is not valid."""
+    decompressed, room, unpacker = [], LARGEST, zstandard.ZstdDecompressor()
+    for row in range(len(raw.starts)):
+        try:
+            decompressed.append(unpack(raw.message(row), room, unpacker))
+        except (zstandard.ZstdError, ValueError) as error:
+            raise BadMessageError(row, f'cannot decompress: {reason(error)}') from error
+        room -= len(decompressed[-1])
+    return Raw.from_bytes(decompressed, raw.log_ns, raw.publish_ns)
 
 
 def temporary(stack: ExitStack) -> Path:

@@ -31,7 +31,8 @@ from typing import Any
 
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.replay.batches import Collector
-from rigid_body_ros.replay.single import progress, replay
+from rigid_body_ros.replay.progress import progress
+from rigid_body_ros.replay.single import replay
 from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.scene import Scene
 from tqdm import tqdm

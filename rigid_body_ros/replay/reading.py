@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import recording
-from rigid_body_ros.replay.single import progress
+from rigid_body_ros.replay.progress import progress
 from rigid_body_ros.replay.sources import absolute, read_sources, Sources, Topics
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State

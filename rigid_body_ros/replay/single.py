@@ -21,13 +21,11 @@ recordings with stamps far out of order, or with several logs of a node, are rea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-import sys
 import time
-from typing import Any
 
 import numpy as np
 from rigid_body_ros import recording
@@ -45,12 +43,12 @@ from rigid_body_ros.replay.batches import (
 )
 from rigid_body_ros.replay.check import Check, drift, last_digits, LastDigits
 from rigid_body_ros.replay.outputs import INPUT, suffix_of
+from rigid_body_ros.replay.progress import progress
 from rigid_body_ros.replay.sources import absolute, read_sources, Topics, topics_of
 from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
-from tqdm import tqdm
 
 #: The types of all topics that a motion depends on.
 _KINDS = (*recording.TORQUES, VECTOR3)
@@ -205,20 +203,6 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         with Source(path, next(iter(given.torques), None), recording.TORQUES, time_source, start,
                     absolute(scene.torque_topics[0])) as source:
             return _in_pieces_or_whole(request, source, output, keep)
-
-
-def progress(label: str, unit: str = ' stamps',
-             size: Callable[[Any], int] = lambda item: 1) -> recording.Track:
-    """Return a function that shows the progress of an iteration, if stderr is a terminal."""
-    def track(items: Iterable[Any], total: int) -> Iterator[Any]:
-        # disable=None: no bar if standard error is not a terminal.
-        with tqdm(None, label, total, unit=unit, unit_scale=True, leave=False,
-                  disable=True if sys.stderr is None else None) as shown:
-            for item in items:
-                yield item
-                shown.update(size(item))
-                interrupts.check()
-    return track
 
 
 def plot(path: str | Path, result: Replay, name: str) -> None:
