@@ -224,12 +224,12 @@ def _verify(options: argparse.Namespace) -> int:
     from rigid_body_ros.replay.verify import summary, verify
     if len(options.input) > 1:
         raise InputError(f'--verify: expected one recording, found {len(options.input)}')
-    unused = [name for name in ('rate', 'until', 'start', 'also', 'plot', 'report', 'scheduler')
+    unused = [name for name in ('rate', 'start', 'also', 'plot', 'report', 'scheduler')
               if getattr(options, name)]
     if unused:
         raise InputError(f'--verify: cannot be combined with --{unused[0]}')
     result = verify(options.input[0], load_scene(options), options.verify,
-                    **torque_options(options))
+                    until=options.until, **torque_options(options))
     show(summary(result))
     return OK if result.same.all() else DIFFERENT
 
@@ -346,9 +346,9 @@ def replay_parser() -> argparse.ArgumentParser:
                         'end in .mcap, to a new rosbag2 folder; for several recordings, a folder '
                         'of MCAP files')
     target.add_argument('--verify', metavar='MOTION',
-                        help='recorded motion to compare with the computed one, bit for bit: '
-                        'the committed states of a node or the attitude of a replay; if they '
-                        'differ, the exit status is 1')
+                        help='recorded motion to compare with the computed one, bit for bit: the '
+                        'committed states of a node, of all its epochs, or the attitude of a '
+                        'replay; if they differ, the exit status is 1')
     parser.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
                         help="interpolation of the torques between samples (default: the scene's)")
     parser.add_argument('--rate', type=positive, metavar='HZ',
@@ -359,7 +359,8 @@ def replay_parser() -> argparse.ArgumentParser:
                         help='with -o, also write /imu/data, /tf or markers for rviz and Foxglove '
                         '(/marker/...), or copy the messages of the input')
     parser.add_argument('--until', '--duration', type=positive, metavar='SECONDS',
-                        help='end SECONDS after the start (default: at the last torque stamp)')
+                        help='end SECONDS after the start, or after the start of each epoch of a '
+                        'node (default: at the last torque stamp)')
     parser.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
                         help='when a torque takes effect: at the stamp in its header, or when '
                         'its message was logged or published (default: header)')

@@ -51,7 +51,8 @@ def outcome(path, scene_path=TUMBLER):
     def read():
         values = scene.load(scene_path).values
         recorded = recording.read(path)
-        recording.torque_log(path, recorded, values['body_frame'], values['space_frame'])
+        for epoch in recording.epochs(path, recorded):
+            recording.torque_log(path, epoch, values['body_frame'], values['space_frame'])
         assert len(recorded.damage) <= LONGEST
         assert recorded.damage == '' or recorded.damage.isprintable()
         return 0

@@ -27,7 +27,7 @@ from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as Ros2Writer
 import numpy as np
 import pytest
-from rigid_body_ros import messages, recording
+from rigid_body_ros import messages, recording, State
 from rigid_body_ros.scene import InputError
 from rosbags.highlevel import AnyReader
 import yaml
@@ -183,14 +183,24 @@ def test_of_equal_stamps_the_later_in_the_file_counts(tmp_path):
     assert (log.times_ns.tolist(), log.torques[:, 0].tolist()) == ([3, 5], [2.0, 3.0])
 
 
-def test_a_log_that_was_begun_anew_is_that_from_there_on(tmp_path):
-    mark = (0, '', [0, 0, 0])
-    rows = [(8, '', [1, 0, 0]), (0, 'world', [0, 0, 0]), (9, '', [2, 0, 0]), mark,
-            (0, '', [3, 0, 0]), mark, (0, '', [4, 0, 0]), (0, '', [5, 0, 0]), (7, '', [6, 0, 0])]
-    log = torque_log(write(tmp_path / 'anew.mcap', rows))
-    assert (log.times_ns.tolist(), log.torques[:, 0].tolist()) == ([0, 7], [5.0, 6.0])
-    log = torque_log(write(tmp_path / 'ended.mcap', rows[:4]))
-    assert not log.torques.any()
+def test_the_log_of_a_node_is_divided_at_its_markers(tmp_path):
+    starts = State(5, (0.5, 0.5, 0.5, 0.5), (1e-300, -0.0, 0.1), (1.0, 2.0, 3.0)), State(2)
+    first, last = (messages.WRENCH.decode(messages.epoch_marker(start)) for start in starts)
+    path = write(tmp_path / 'epochs.mcap', [
+        (5, first.frame_id, [0, 0, 0]), (4, 'world', [1, 0, 0]), (8, '', [2, 0, 0]),
+        (2, last.frame_id, [0, 0, 0]), (0, '', [3, 0, 0]), (9, '', [4, 0, 0]), (0, '', [5, 0, 0]),
+        (2, last.frame_id, [0, 0, 0])])
+    parts = recording.epochs(path, recording.read(path))
+    assert [part.before for part in parts] == [1, 4, 8]
+    for part, start in zip(parts, (*starts, starts[1])):
+        assert messages.epoch_marker(part.start) == messages.epoch_marker(start)
+    logs = [recording.torque_log(path, part, 'base_link', 'world') for part in parts]
+    assert [log.times_ns.tolist() for log in logs] == [[4, 8], [0, 9], []]
+    assert [log.torques[:, 0].tolist() for log in logs] == [[1.0, 2.0], [5.0, 4.0], []]
+    assert logs[0].in_space.tolist() == [True, False]
+    # As a whole it is not a log.
+    with pytest.raises(InputError, match="message 1: frame_id: expected .*, found '/epoch "):
+        torque_log(path)
 
 
 def test_the_topic_is_needed_only_where_there_are_several(tmp_path):
@@ -212,7 +222,7 @@ def test_the_topic_is_needed_only_where_there_are_several(tmp_path):
     ([(1, '', [0, 0, 0]), (2, 'map', [0, 0, 0])],
      "bad.mcap: /torque: message 2: frame_id: expected 'base_link' .*found 'map'"),
     ([(0, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 1: expected a stamp .*in 2 of 2'),
-    ([(0, '', [1, 0, 0]), (0, '', [0, 0, 0])], 'message 2: expected a stamp .*in 2 of 2'),
+    ([(0, '', [1, 0, 0]), (0, '', [0, 0, 0])], 'message 1: expected a stamp .*in 2 of 2'),
     ([(7, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 2: .* found 0, as in 1 of 2'),
     ([(EPOCH_NS, '', [0, 0, 0]), (0, '', [1, 0, 0])], 'message 2: .* found 0, as in 1 of 2')])
 def test_torques_that_cannot_be_used_are_refused_by_number(tmp_path, rows, message):

@@ -262,8 +262,6 @@ def test_a_source_without_messages_has_no_torque(tmp_path, written):
     with recording.Writer(path) as writer:
         for topic in ('/control', '/disturbance'):
             writer.add_topic(topic, messages.WRENCH)
-            writer.write(topic, SECOND, messages.wrench(SECOND, 'base_link', (1.0, 0.0, 0.0)))
-            writer.write(topic, 0, messages.new_log())
         for stamp_ns, vector in zip(TIMES['/control'].tolist(), values('/control')):
             writer.write('/control', stamp_ns, messages.wrench(stamp_ns, 'base_link', vector))
     motion = replay(path, scene.load(written(TWO))).trajectory

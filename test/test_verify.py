@@ -136,8 +136,14 @@ STAMPS = 1_000_000_000 + np.arange(50) * 20_000_000
 START_NS = 900_000_000
 
 
-def node_log(folder, *, torques_from=0, without=(), states_from=0, start_time=START_NS):
-    """Write what a node logs of a run; return its path and that of a scene with a start time."""
+def node_log(folder, *, torques_from=0, without=(), states_from=0, start_time=START_NS,
+             topic='/torque'):
+    """
+    Write the torques and the committed states of a run of a node.
+
+    Return the path of the recording, and that of a scene with a start time. In place of the log
+    of the node, the recording may have the torques that it received.
+    """
     config = folder / 'run.yaml'
     config.write_text(f'{SCENE.read_text()}    start_time: {start_time}\n')
     run = scene.load(SCENE)
@@ -146,12 +152,14 @@ def node_log(folder, *, torques_from=0, without=(), states_from=0, start_time=ST
     motion = propagate(run.body, start, TorqueLog(STAMPS, values), at=[START_NS, *STAMPS],
                        **run.options)
     with recording.Writer(folder / 'run.mcap') as writer:
-        writer.add_topic('/accepted_torque', messages.WRENCH)
+        writer.add_topic(topic, messages.WRENCH)
         writer.add_topic('/committed', messages.ODOMETRY)
+        if topic == '/accepted_torque':
+            writer.write(topic, START_NS, messages.epoch_marker(start))
         for row in range(torques_from, len(STAMPS)):
             if row not in without:
                 stamp_ns = int(STAMPS[row])
-                writer.write('/accepted_torque', stamp_ns,
+                writer.write(topic, stamp_ns,
                              messages.wrench(stamp_ns, 'base_link', values[row]))
         for state in motion_states(motion)[states_from:]:
             writer.write('/committed', state.time_ns,
@@ -168,9 +176,13 @@ def verified(log, config):
     return cli.attitude_replay([log, '--scene', config, '--verify', log])
 
 
-def test_the_log_of_a_node_comes_out_again(tmp_path, capsys):
-    assert verified(*node_log(tmp_path)) == 0
-    assert 'same bits     51 of 51' in capsys.readouterr().out
+@pytest.mark.parametrize(('topic', 'epochs'), [('/accepted_torque', ' in 1 epoch'),
+                                               ('/torque', '')])
+def test_the_log_of_a_node_comes_out_again(tmp_path, capsys, topic, epochs):
+    assert verified(*node_log(tmp_path, topic=topic)) == 0
+    words = capsys.readouterr().out
+    assert f'compared      51 states of /committed{epochs}\n' in words
+    assert 'same bits     51 of 51' in words
 
 
 @pytest.mark.parametrize(('missing', 'message'), [

@@ -30,6 +30,7 @@ from rigid_body_ros.measurement.measured import Measured
 from rigid_body_ros.measurement.motion import Model, Recorded
 from rigid_body_ros.measurement.reading import read_all, read_measured
 from rigid_body_ros.recording import Track
+from rigid_body_ros.replay.epochs import chosen
 from rigid_body_ros.replay.outputs import ANGULAR_VELOCITY, ATTITUDE
 from rigid_body_ros.replay.sources import read_sources, Topics, topics_of
 from rigid_body_ros.scene import Scene
@@ -125,7 +126,7 @@ def read_model(path: str | Path, scene: Scene, topics: Topics, reading: Reading,
     Return the body of a scene, its start, and the torques of a recording.
 
     Without torques in the recording, the body is free and starts at `first_ns`, unless the scene
-    has a start_time.
+    has a start_time. Of several epochs of a node, its start_time chooses one.
 
     Raises
     ------
@@ -137,9 +138,10 @@ def read_model(path: str | Path, scene: Scene, topics: Topics, reading: Reading,
     if topics == Topics() and not recording.topics(path, recording.TORQUES):
         start = replace(scene.start, time_ns=scene.start.time_ns or first_ns)
         return Model(scene.body, start, options=scene.options)
-    sources = read_sources(path, scene, topics.found_in(path, scene),
-                           reading.interpolation or scene.values['interpolation'], reading.track,
-                           reading.time_source)
+    epochs = read_sources(path, scene, topics.found_in(path, scene),
+                          reading.interpolation or scene.values['interpolation'], reading.track,
+                          reading.time_source)
+    sources = epochs[chosen(path, scene, [one.start for one in epochs])]
     return Model(scene.body, sources.start, sources.logs, sources.wheels, scene.options)
 
 

@@ -105,10 +105,10 @@ class Outputs:
             if publisher.get_subscription_count():
                 self._send(publisher, encode(state))
 
-    def begin_log(self) -> None:
-        """Mark in the logs of torques that a new epoch follows."""
+    def begin_log(self, start: State) -> None:
+        """Mark in the logs of torques that an epoch follows, with its start state."""
         for publisher in self._accepted.values():
-            self._send(publisher, messages.new_log())
+            self._send(publisher, messages.epoch_marker(start))
 
     def log_torque(self, torque: Torque) -> None:
         """Log an accepted torque."""

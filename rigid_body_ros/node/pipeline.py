@@ -157,7 +157,7 @@ class Pipeline:
         if self.epoch is not None:  # otherwise the queued torques belong to the new one
             self.end(kept=FUTURE if is_ahead else LATE)
         if self._is_logged:
-            self._outputs.begin_log()
+            self._outputs.begin_log(start)
         self._is_logged = bool(torques)
         self.epoch = Epoch(self._scene, start, torques)
         for torque in torques:

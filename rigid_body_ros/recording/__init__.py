@@ -18,7 +18,8 @@ Recordings: read torques and other messages, write motion.
 Reading: `source` finds a topic in a recording of any format. `mcap_file`, `sqlite_file` and
 `csv_file` read the files of a recording through the interface in `file`; `csv_columns` interprets
 the first line of a CSV file, `unpack` decompresses, `bulk` decodes messages, and `transforms`
-those of one pair of frames. `torques` turns messages into a torque log.
+those of one pair of frames. `torques` turns messages into a torque log, and divides the log of a
+node into its epochs.
 
 Writing: `writer` writes MCAP files, with the records of the format in `container`; `folder` adds
 the metadata.yaml of a rosbag2 bag.
@@ -36,7 +37,8 @@ from rigid_body_ros.recording.source import (
     Track,
 )
 from rigid_body_ros.recording.torques import (
-    new_logs,
+    epochs,
+    first_epoch,
     NotInOrderError,
     Piece,
     torque_log,
@@ -45,5 +47,5 @@ from rigid_body_ros.recording.torques import (
 from rigid_body_ros.recording.writer import Column, Writer
 
 __all__ = ['TIME_SOURCES', 'TORQUES', 'Column', 'FolderWriter', 'Messages', 'NotInOrderError',
-           'Piece', 'Source', 'Track', 'Writer', 'joined', 'new_logs', 'read', 'topics',
-           'torque_log', 'torque_pieces']
+           'Piece', 'Source', 'Track', 'Writer', 'epochs', 'first_epoch', 'joined', 'read',
+           'topics', 'torque_log', 'torque_pieces']

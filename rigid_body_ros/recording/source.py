@@ -39,6 +39,7 @@ from rigid_body_ros.recording.sqlite_file import SqliteFile
 from rigid_body_ros.recording.unpack import temporary, unpack_each, unpack_file
 from rigid_body_ros.recording.writer import Writer
 from rigid_body_ros.runtime.reading import read_yaml
+from rigid_body_ros.state import State
 import yaml
 from yaml.constructor import BaseConstructor
 
@@ -69,6 +70,10 @@ class Messages:
         The doubles of each message in field order.
     damage : str
         What was lost and where; '' if nothing.
+    before : int
+        Number of messages of the topic before these.
+    start : State, optional
+        Start state of the epoch of a node whose torques these are; see `epochs`.
 
     """
 
@@ -78,14 +83,17 @@ class Messages:
     names: list[str]
     values: Floats
     damage: str = ''
+    before: int = 0
+    start: State | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
-    def rows(self, chosen: NDArray[np.bool_]) -> Messages:
-        """Return a selection of the messages."""
-        return replace(self, stamps_ns=self.stamps_ns[chosen], frames=self.frames[chosen],
-                       values=self.values[chosen])
+    def rows(self, chosen: slice | NDArray[np.bool_]) -> Messages:
+        """Return a selection of the messages, with the frame_ids that these have."""
+        used, frames = np.unique(self.frames[chosen], return_inverse=True)
+        return replace(self, stamps_ns=self.stamps_ns[chosen], frames=frames,
+                       names=[self.names[code] for code in used], values=self.values[chosen])
 
     @property
     def frame_ids(self) -> list[str]:
@@ -198,6 +206,9 @@ class Source:
                 number += len(raw.starts)
                 if not len(block):  # no transform between the frames
                     continue
+                if self._skip_ns and any(map(messages.is_epoch_marker, block.names)):
+                    raise InputError(f'{self._path}: {self.topic}: --start: expected no time to '
+                                     'skip, because the log of a node begins at its start state')
                 first_ns = int(block.stamps_ns.min()) if first_ns is None else first_ns
                 rows = block.stamps_ns >= first_ns + self._skip_ns
                 if not self._skip_ns or rows.all():
@@ -221,7 +232,8 @@ class Source:
             stamps = raw.publish_ns
         elif self._time_source == 'log' or not self.kind.has_header:
             stamps = raw.log_ns
-        return Messages(self.topic, stamps, decoded.frames, decoded.names, decoded.values)
+        return Messages(self.topic, stamps, decoded.frames, decoded.names, decoded.values,
+                        before=number)
 
     def _decompressed(self, raw: Raw, topic: str, number: int) -> Raw:
         """Return messages without compression; `number` messages of the topic came before."""

@@ -12,21 +12,25 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Turn recorded torques into a torque log, at once or in pieces."""
+"""Turn recorded torques into a torque log, at once or in pieces; divide them into epochs."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
+import re
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.frames import Frames, NO_FRAMES
 from rigid_body_ros.recording.source import Messages
+from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
 
 #: Ten years: longer than any simulation, and earlier than any wall-clock time.
@@ -35,14 +39,82 @@ _SIMULATED_NS = 315_576_000 * 10 ** 9
 _SAMPLES = 2 ** 16
 #: Samples on each side that interpolation needs, for the slopes of the cubic.
 _NEIGHBOURS = 2
+#: The topics on which a node logs the torques that it accepts.
+_NODE_LOG = re.compile(r'(.*/)?(accepted_torque(_[0-9]+)?|accepted_wheel_torque)')
+
+
+def epochs(path: str | Path, recorded: Messages) -> list[Messages]:
+    """
+    Return the torques of each epoch of a node, with its start state; others are returned whole.
+
+    A node begins every epoch in its log with a marker; see `messages.epoch_marker`.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording, for error messages.
+    recorded : Messages
+        Torques, as `read` returns them.
+
+    Raises
+    ------
+    InputError
+        The log of a node does not begin with a marker, or a marker is not valid.
+
+    """
+    is_marker = np.array([messages.is_epoch_marker(name) for name in recorded.names], np.bool_)
+    markers = np.flatnonzero(is_marker[recorded.frames]).tolist()
+    if markers[:1] != [0] and len(recorded) and (markers or _NODE_LOG.fullmatch(recorded.topic)):
+        found = f'the first marker in message {recorded.before + markers[0] + 1}' if markers \
+            else 'no marker'
+        raise InputError(f'{path}: {recorded.topic}: expected the log of a node to begin with the '
+                         f'marker and the start state of an epoch, found {found}: the recording '
+                         'began in the middle of an epoch, or an older version of rigid_body_ros '
+                         'made it')
+    return [replace(recorded.rows(slice(row + 1, end)), before=recorded.before + row + 1,
+                    start=_start(path, recorded, row))
+            for row, end in zip(markers, [*markers[1:], len(recorded)])] or [recorded]
+
+
+def _start(path: str | Path, recorded: Messages, row: int) -> State:
+    """Return the start state in a marker; raise InputError if the marker is not valid."""
+    frame_id, values = recorded.names[recorded.frames[row]], recorded.values[row]
+    try:
+        if values.any():
+            raise ValueError(f'expected a wrench of zeros, found {values.tolist()}')
+        return messages.epoch_start(int(recorded.stamps_ns[row]), frame_id)
+    except ValueError as error:
+        raise InputError(f'{path}: {recorded.topic}: message {recorded.before + row + 1}: marker '
+                         f'of an epoch: {reason(error)}') from error
+
+
+def first_epoch(path: str | Path, blocks: Iterator[Messages]
+                ) -> tuple[State | None, Iterator[Messages]]:
+    """
+    Return the start state of the first epoch of a node, None for other torques, and the torques.
+
+    Both with the errors of `epochs`. If a block has the marker of another epoch, `torque_pieces`
+    raises NotInOrderError.
+
+    Raises
+    ------
+    NotInOrderError
+        The first block has several epochs.
+
+    """
+    block = next(blocks, None)
+    if block is None:
+        return None, blocks
+    first, *others = epochs(path, block)
+    if others:
+        raise NotInOrderError
+    return first.start, chain([first] if len(first) else [], blocks)
 
 
 def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_frame: str,
                interpolation: str = 'hold', links: Frames = NO_FRAMES) -> TorqueLog:
     """
-    Return the torque log of WrenchStamped messages; if they form several logs, the last one.
-
-    A node starts a new log with a marker; see `messages.new_log`.
+    Return the torque log of WrenchStamped messages, which are those of one epoch (see `epochs`).
 
     Parameters
     ----------
@@ -65,41 +137,39 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
     Raises
     ------
     InputError
-        There is no message; a message has an unknown frame_id, no stamp or a torque that is not
-        finite; or torques of both frames are to be interpolated.
+        There is no message, although a start state is not known; a message has an unknown
+        frame_id, no stamp or a torque that is not finite; or torques of both frames are to be
+        interpolated.
 
     """
     where = f'{path}: {recorded.topic}'
-    if not len(recorded.stamps_ns):
+    if not len(recorded) and not recorded.start:
         lost = f' ({recorded.damage})' if recorded.damage else ''
         raise InputError(f'{where}: expected torques, found no messages{lost}')
     torques, axes = _torques(where, recorded, (body_frame, space_frame, links))
-    # The log begins with the torque after the last marker or, if no torque follows, with the
-    # marker itself, a zero torque.
-    first = min(int(np.append(0, new_logs(recorded) + 1)[-1]), len(torques) - 1)
-    _check_stamped(where, recorded.stamps_ns, first)
-    frames = axes[0] if len(set(axes)) == 1 else \
-        [axes[code] for code in recorded.frames[first:].tolist()]
+    if not recorded.start:  # a node accepts no torque without a stamp
+        _check_stamped(where, recorded.stamps_ns)
+    in_space = np.array([name == 'space' for name in axes], np.bool_)[recorded.frames]
     try:
-        return TorqueLog(recorded.stamps_ns[first:], torques[first:], frames, interpolation)
+        return TorqueLog(recorded.stamps_ns, torques, in_space, interpolation)
     except ValueError as error:
         raise InputError(f'{where}: {error}') from error
 
 
-def _torques(where: str, recorded: Messages, frames: tuple[str, str, Frames],
-             before: int = 0) -> tuple[Floats, list[str]]:
+def _torques(where: str, recorded: Messages,
+             frames: tuple[str, str, Frames]) -> tuple[Floats, list[str]]:
     """
     Return the torques about the centre of mass, N m, shape (n, 3), and the axes of each frame.
 
     `frames` are the body frame, the space frame and the links that are fixed to the body. Raise
-    InputError that names the first invalid message; `before` messages of the topic came before.
+    InputError that names the first invalid message.
     """
     torques, axes, moved = recorded.values[:, 3:], [], {}
     for code, frame_id in enumerate(recorded.names):
         try:
             one, frame = messages.wrench_frame(frame_id, *frames)
         except ValueError as error:
-            number = before + int(np.argmax(recorded.frames == code)) + 1
+            number = recorded.before + int(np.argmax(recorded.frames == code)) + 1
             raise InputError(f'{where}: message {number}: {error}') from error
         axes.append(one)
         if frame:
@@ -109,38 +179,32 @@ def _torques(where: str, recorded: Messages, frames: tuple[str, str, Frames],
     for code, frame in moved.items():
         rows = recorded.frames == code
         torques[rows] = frame.torque(recorded.values[rows, :3], recorded.values[rows, 3:])
-    _check_finite(where, recorded, torques, moved, before)
+    _check_finite(where, recorded, torques, moved)
     return torques, axes
 
 
-def _check_finite(where: str, recorded: Messages, torques: Floats, moved: Collection[int],
-                  before: int) -> None:
+def _check_finite(where: str, recorded: Messages, torques: Floats,
+                  moved: Collection[int]) -> None:
     """Raise InputError that names the first message whose torque is not finite."""
     if np.isfinite(torques).all():
         return
     row = int(np.flatnonzero(~np.isfinite(torques).all(axis=1))[0])
     source = f', from the wrench {recorded.values[row].tolist()} in frame ' \
              f'{recorded.names[recorded.frames[row]]!r}' if recorded.frames[row] in moved else ''
-    raise InputError(f'{where}: message {before + row + 1} at {recorded.stamps_ns[row]} ns: '
-                     f'expected a finite torque, found {torques[row].tolist()}{source}')
+    raise InputError(f'{where}: message {recorded.before + row + 1} at '
+                     f'{recorded.stamps_ns[row]} ns: expected a finite torque, '
+                     f'found {torques[row].tolist()}{source}')
 
 
-def _check_stamped(where: str, stamps_ns: NDArray[np.int64], first: int) -> None:
-    """Raise InputError if a torque from row `first` on has no stamp."""
-    unstamped = first + np.flatnonzero(stamps_ns[first:] == 0)
+def _check_stamped(where: str, stamps_ns: NDArray[np.int64]) -> None:
+    """Raise InputError if a torque has no stamp."""
+    unstamped = np.flatnonzero(stamps_ns == 0)
     # A log of simulated time may begin with the stamp 0.
-    begins = stamps_ns[first] == 0 < stamps_ns.max() < _SIMULATED_NS
+    begins = stamps_ns[0] == 0 < stamps_ns.max() < _SIMULATED_NS
     if unstamped.size and not begins and len(stamps_ns) > 1:
         raise InputError(f'{where}: message {unstamped[0] + 1}: expected a stamp in the header, '
                          f'found 0, as in {np.sum(stamps_ns == 0)} of {len(stamps_ns)} messages; '
                          'use --time-source log for the times of the recording')
-
-
-def new_logs(recorded: Messages) -> NDArray[np.intp]:
-    """Return the rows of the markers that start a new log (see `messages.new_log`)."""
-    without_frame = np.array([not name for name in recorded.names], bool)[recorded.frames]
-    markers = (recorded.stamps_ns == 0) & ~recorded.values.any(axis=1) & without_frame
-    return np.flatnonzero(markers[1:]) + 1
 
 
 class NotInOrderError(Exception):
@@ -200,7 +264,8 @@ def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str, space
     InputError
         A message has an unknown frame_id or a torque that is not finite.
     NotInOrderError
-        A message has no stamp, or its stamp is not after the samples of earlier pieces.
+        A message begins another epoch or has no stamp, or its stamp is not after the samples of
+        earlier pieces.
 
     """
     piece, dropped = _EMPTY, 0
@@ -221,10 +286,11 @@ def _ascending(where: str, blocks: Iterable[Messages],
 
     Of two neighbouring blocks, only the samples before the first stamp of the second are ready.
     """
-    waiting, last_ns, number = _EMPTY, -2 ** 63, 0
+    waiting, last_ns = _EMPTY, -2 ** 63
     for block in blocks:
-        torques, axes = _torques(where, block, frames, number)
-        number += len(block)
+        if any(map(messages.is_epoch_marker, block.names)):
+            raise NotInOrderError
+        torques, axes = _torques(where, block, frames)
         in_space = np.array([name == 'space' for name in axes])[block.frames]
         first_ns = int(block.stamps_ns.min())
         if first_ns <= last_ns or not block.stamps_ns.all():

@@ -146,19 +146,25 @@ class Writer:
         if len(self._records) > _CHUNK:
             self._flush()
 
-    def write_columns(self, times_ns: NDArray[np.int64], columns: Sequence[Column]) -> None:
-        """Append one message per column at each time, which is also the stamp of the message."""
+    def write_columns(self, stamps_ns: NDArray[np.int64], columns: Sequence[Column],
+                      delay_ns: int = 0) -> None:
+        """
+        Append one message per column at each stamp, ns.
+
+        Its log time and its publish time are `delay_ns` later than the stamp.
+        """
         self._flush()
         fields = [(str(k), self._fields(column)) for k, column in enumerate(columns)]
         layout = np.dtype(fields)
         step = max(1, _CHUNK // layout.itemsize)
-        for first in range(0, len(times_ns), step):
+        for first in range(0, len(stamps_ns), step):
             block = slice(first, first + step)
-            times = times_ns[block]
+            stamps = stamps_ns[block]
+            times = stamps + delay_ns
             rows = np.empty(len(times), layout)
             indexed, position = [], 0
             for (name, field), column in zip(fields, columns):
-                self._fill(rows[name], times, column, column.values[block])
+                self._fill(rows[name], stamps, times, column, column.values[block])
                 offsets = position + np.arange(len(times)) * layout.itemsize
                 indexed.append(Indexed(self._channels[column.topic], times, offsets))
                 position += field.itemsize
@@ -169,8 +175,8 @@ class Writer:
         return np.dtype([('head', _HEAD_FIELDS),
                          ('message', kind.layout(column.frame_id, column.child_frame_id))])
 
-    def _fill(self, rows: NDArray[np.void], times_ns: NDArray[np.int64], column: Column,
-              values: Floats) -> None:
+    def _fill(self, rows: NDArray[np.void], stamps_ns: NDArray[np.int64],
+              times_ns: NDArray[np.int64], column: Column, values: Floats) -> None:
         head, message = rows['head'], rows['message']
         first = self._sequence[column.topic]
         self._sequence[column.topic] += len(times_ns)
@@ -179,7 +185,7 @@ class Writer:
         head['channel'] = self._channels[column.topic]
         head['sequence'] = np.arange(first, first + len(times_ns))
         head['log'] = head['publish'] = times_ns
-        self._kinds[column.topic].fill(message, times_ns, values, column.frame_id,
+        self._kinds[column.topic].fill(message, stamps_ns, values, column.frame_id,
                                        column.child_frame_id)
 
     def _flush(self) -> None:

@@ -35,6 +35,7 @@ from rigid_body_ros.propagation.combined import CombinedMotion
 from rigid_body_ros.recording import NotInOrderError, Piece
 from rigid_body_ros.replay.sources import Sources
 from rigid_body_ros.scene import Scene
+from rigid_body_ros.state import State
 from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
 
 #: Largest number of outputs in a batch.
@@ -76,32 +77,42 @@ class Batch(NamedTuple):
 
     @property
     def last_ns(self) -> int:
-        """Return the last stamp of the logs."""
+        """Return the last stamp of the logs, ns; 0 without torques."""
         logs = [self.log] if isinstance(self.log, TorqueLog) else [*self.log, self.wheels]
-        return max(int(log.times_ns[-1]) for log in logs if log)
+        return max((int(log.times_ns[-1]) for log in logs if log), default=0)
 
 
 class Batches:
     """
     The motion under a torque log that is read piece by piece; iteration yields each `Batch`.
 
+    Parameters
+    ----------
+    request : Request
+    topic : str
+    pieces : iterator of Piece
+    start : State, optional
+        Start of an epoch of a node, which may have no torques; otherwise that of the scene.
+
     Attributes
     ----------
     start : State
     first_ns : int
-        Stamp of the first torque.
+        Stamp of the first torque; that of the start if there is none.
 
     """
 
-    def __init__(self, request: Request, topic: str, pieces: Iterator[Piece]) -> None:
+    def __init__(self, request: Request, topic: str, pieces: Iterator[Piece],
+                 start: State | None = None) -> None:
         self._where = f'{request.path}: {topic}'
         self._request, self._pieces = request, pieces
         self._piece = next(pieces)
-        if not len(self._piece.times_ns):
+        first = self._piece.times_ns[:1].tolist() or ([start.time_ns] if start else [])
+        if not first:
             raise InputError(f'{self._where}: expected torques, found no messages')
-        self.first_ns = int(self._piece.times_ns[0])
-        start = request.scene.start
-        self.start = replace(start, time_ns=start.time_ns or self.first_ns)
+        self.first_ns = first[0]
+        self.start = start or replace(
+            request.scene.start, time_ns=request.scene.start.time_ns or self.first_ns)
         self._integration = Integration(request.scene.body, self.start, **request.scene.options)
         names = [name for name in INTERPOLATIONS if name != request.interpolation]
         #: Motions with the other interpolations; removed if the body spins too fast.
@@ -116,7 +127,7 @@ class Batches:
         self._thread: Thread | None = None
         #: The exception that the thread raised.
         self._failure: BaseException | None = None
-        self._outputs = _OutputTimes(request, self.start.time_ns)
+        self._outputs = _OutputTimes(request, self.start.time_ns, start is not None)
         self._until_ns = None if request.until is None else \
             end_of(request.path, 0, self.start.time_ns, request.until)
 
@@ -196,7 +207,7 @@ class CombinedBatches:
     ----------
     start : State
     first_ns : int
-        Stamp of the first torque.
+        Stamp of the first torque; that of the start if there is none.
 
     """
 
@@ -204,9 +215,8 @@ class CombinedBatches:
         self._where, self._request, self._sources = f'{request.path}: {topics}', request, sources
         self.start, self._stamps_ns = sources.start, sources.times_ns
         self.first_ns = int(self._stamps_ns[0])
-        self._outputs = _OutputTimes(request, self.start.time_ns)
-        self._end_ns = end_of(request.path, int(self._stamps_ns[-1]), self.start.time_ns,
-                              request.until)
+        self._outputs = _OutputTimes(request, self.start.time_ns, sources.is_epoch)
+        self._end_ns = self._outputs.end_ns(self._stamps_ns)
 
     def __iter__(self) -> Iterator[Batch]:
         began = time.perf_counter()
@@ -242,12 +252,24 @@ class CombinedBatches:
 
 
 class _OutputTimes:
-    """The times of the outputs, from one piece of the log to the next."""
+    """
+    The times of the outputs, from one piece of the log to the next.
 
-    def __init__(self, request: Request, start_ns: int) -> None:
-        self._request, self._start_ns = request, start_ns
+    Those of an epoch of a node begin at its start, like the states that a node commits. Its
+    torques may all be older than the start, or there may be none.
+    """
+
+    def __init__(self, request: Request, start_ns: int, is_epoch: bool) -> None:
+        self._request, self._start_ns, self._is_epoch = request, start_ns, is_epoch
         #: End of the motion so far, and number of its outputs.
         self._end_ns, self._count = start_ns, 0
+
+    def end_ns(self, stamps_ns: NDArray[np.int64]) -> int:
+        """Return the end of the motion under a log with these stamps, with errors of `end_of`."""
+        last_ns = int(stamps_ns[-1]) if stamps_ns.size else self._start_ns
+        if self._is_epoch:
+            last_ns = max(last_ns, self._start_ns)
+        return end_of(self._request.path, last_ns, self._start_ns, self._request.until)
 
     def up_to(self, stamps_ns: NDArray[np.int64], stop: int | None
               ) -> tuple[range, Callable[[range], NDArray[np.int64]]]:
@@ -258,13 +280,13 @@ class _OutputTimes:
         of them would not fit in memory.
         """
         start_ns, rate = self._start_ns, self._request.rate
-        end_ns = int(stamps_ns[-1 if stop is None else stop])
-        if stop is None:
-            end_ns = end_of(self._request.path, end_ns, start_ns, self._request.until)
+        end_ns = self.end_ns(stamps_ns) if stop is None else int(stamps_ns[stop])
         if rate is None:
             first = np.searchsorted(stamps_ns, self._end_ns, 'right' if self._count else 'left')
             times = stamps_ns[first:np.searchsorted(stamps_ns, end_ns, 'right')]
-            times = times if stop is not None else np.union1d(times, [end_ns])
+            more = [start_ns] if self._is_epoch and not self._count and end_ns >= start_ns else []
+            more += [end_ns] if stop is None else []
+            times = np.union1d(times, np.array(more, np.int64)) if more else times
             numbers = range(len(times))
 
             def times_of(part: range) -> NDArray[np.int64]:

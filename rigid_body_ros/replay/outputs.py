@@ -81,8 +81,9 @@ def add_topics(writer: recording.Writer, request: Request) -> None:
         'torques': Path(request.path).name.encode(errors='replace').decode()})
 
 
-def write(writer: recording.Writer, request: Request, trajectory: Trajectory) -> None:
-    """Write a part of a motion."""
+def write(writer: recording.Writer, request: Request, trajectory: Trajectory,
+          delay_ns: int = 0) -> None:
+    """Write a part of a motion; it is logged `delay_ns` later than its stamps."""
     scene = request.scene
     space, body, sequence = scene.space_frame, scene.body_frame, scene.values['euler_sequence']
     attitude, rates = trajectory.attitude, trajectory.angular_velocity
@@ -97,4 +98,4 @@ def write(writer: recording.Writer, request: Request, trajectory: Trajectory) ->
         columns.append(Column(_TF, space, messages.transform_values(attitude), body))
     if MARKERS in request.also:
         columns += markers.columns(trajectory, space)
-    writer.write_columns(trajectory.times_ns, columns)
+    writer.write_columns(trajectory.times_ns, columns, delay_ns)

@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import recording
+from rigid_body_ros.replay.epochs import chosen
 from rigid_body_ros.replay.progress import progress
 from rigid_body_ros.replay.sources import absolute, read_sources, Sources, Topics
 from rigid_body_ros.scene import Scene
@@ -35,17 +36,37 @@ def torques(path: str | Path, scene: Scene, topics: Topics, interpolation: str |
     """
     Return the torques on body and rotors, the stamps of all, and the initial state.
 
+    Of several epochs of a node, those of the last one that begins at the start_time of the scene.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read or does not fit the scene, or no epoch begins there.
+
+    """
+    epochs = read_epochs(path, scene, topics, interpolation)
+    sources = epochs[chosen(path, scene, [one.start for one in epochs])]
+    return sources.logs, sources.wheels, sources.times_ns, sources.start
+
+
+def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: str | None = None
+                ) -> list[Sources]:
+    """
+    Return the torques of each epoch of a node; other recordings have one.
+
     Raises
     ------
     InputError
         The recording cannot be read or does not fit the scene.
 
     """
-    if topics.is_plain(scene):
-        _, log, start = read(path, scene, next(iter(topics.torques), None), interpolation)
-        return [log], None, log.times_ns, start
-    sources = _read_all(path, scene, topics, interpolation)
-    return sources.logs, sources.wheels, sources.times_ns, sources.start
+    if not topics.is_plain(scene):
+        return _read_all(path, scene, topics, interpolation)
+    return [Sources((log,), None, False, start, len(recorded),
+                    int(np.sum(np.diff(recorded.stamps_ns) <= 0)), recorded.start is not None,
+                    recorded.damage)
+            for recorded, log, start in _read_plain(path, scene, next(iter(topics.torques), None),
+                                                    interpolation)]
 
 
 def read(path: str | Path, scene: Scene, topic: str | None = None,
@@ -53,22 +74,34 @@ def read(path: str | Path, scene: Scene, topic: str | None = None,
     """
     Return the torques of a recording, their log, and the initial state of the motion.
 
+    Of several epochs of a node, those of the last one that begins at the start_time of the scene.
+
     Raises
     ------
     InputError
-        The recording cannot be read or does not fit the scene.
+        The recording cannot be read or does not fit the scene, or no epoch begins there.
 
     """
+    epochs = _read_plain(path, scene, topic, interpolation)
+    return epochs[chosen(path, scene, [start for _, _, start in epochs])]
+
+
+def _read_plain(path: str | Path, scene: Scene, topic: str | None, interpolation: str | None
+                ) -> list[tuple[recording.Messages, TorqueLog, State]]:
+    """Return the torques of a single topic in each epoch, their log, and the initial state."""
     recorded = recording.read(path, topic, track=progress('reading', size=len),
                               preferred=absolute(scene.torque_topics[0]))
-    log = recording.torque_log(path, recorded, scene.body_frame, scene.space_frame,
-                               interpolation or scene.values['interpolation'], scene.links)
-    start = replace(scene.start, time_ns=scene.start.time_ns or int(log.times_ns[0]))
-    return recorded, log, start
+    found = []
+    for part in recording.epochs(path, recorded):
+        log = recording.torque_log(path, part, scene.body_frame, scene.space_frame,
+                                   interpolation or scene.values['interpolation'], scene.links)
+        found.append((part, log, part.start or replace(
+            scene.start, time_ns=scene.start.time_ns or int(log.times_ns[0]))))
+    return found
 
 
 def _read_all(path: str | Path, scene: Scene, topics: Topics,
-              interpolation: str | None = None) -> Sources:
+              interpolation: str | None = None) -> list[Sources]:
     """Return the torques of a scene that is not plain, with the errors of `read`."""
     return read_sources(path, scene, topics.found_in(path, scene),
                         interpolation or scene.values['interpolation'],

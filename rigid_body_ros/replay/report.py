@@ -33,15 +33,15 @@ def summary(result: Replay) -> str:
 
 def rows(result: Replay) -> list[tuple[str, object]]:
     """Return the facts of a summary: names and texts."""
-    last = result.last
+    last, epochs = result.last, (*result.earlier, result)
     sequence = result.scene.values['euler_sequence']
-    span = (last.time_ns - result.start.time_ns) * 1e-9
-    total = sum(result.seconds.values())
-    split = ', '.join(f'{name} {seconds:.2g} s' for name, seconds in result.seconds.items())
+    seconds = {name: sum(one.seconds[name] for one in epochs) for name in result.seconds}
+    split = ', '.join(f'{name} {taken:.2g} s' for name, taken in seconds.items())
+    speed = sum(map(_span, epochs)) / sum(seconds.values())
     return [
+        *_earlier(result),
         ('torques', f'{result.messages} on {result.topic}, over '
-                    f'{(result.last_ns - result.first_ns) * 1e-9:.9g} s'
-                    + (f'; the last of {result.logs} epochs' if result.logs > 1 else '')),
+                    f'{(result.last_ns - result.first_ns) * 1e-9:.9g} s'),
         *([('lost', result.damage)] if result.damage else []),
         *([('order', f'{result.unordered} of {result.messages} stamps were not later than the '
                      'previous one: sorted; of messages with equal stamps, the last is used')]
@@ -51,7 +51,7 @@ def rows(result: Replay) -> list[tuple[str, object]]:
         ('body', result.scene.body.symmetry),
         *([('rotors', result.wheel_source)] if result.scene.has_rotors else []),
         *(('solver', text) for text in _solvers(result)),
-        ('final state', f'{span:.9g} s after the start'),
+        ('final state', f'{_span(result):.9g} s after the start'),
         ('  attitude', f'{_numbers(last.attitude)}  (x y z w)'),
         (f'  {sequence}', f'{_numbers(euler.from_quaternion(last.attitude, sequence))}  rad'),
         ('  body rates', f'{_numbers(last.angular_velocity)}  rad/s'),
@@ -59,8 +59,24 @@ def rows(result: Replay) -> list[tuple[str, object]]:
           if result.scene.has_rotors else []),
         ('check', result.check),
         *([('last digits', result.last_digits)] if _is_reported(result.last_digits) else []),
-        ('speed', f'{span / total:.3g} times real time ({split})'),
+        ('speed', f'{speed:.3g} times real time ({split})'),
     ]
+
+
+def _earlier(result: Replay) -> list[tuple[str, object]]:
+    """Return the facts of the earlier epochs, if there are any, a line for each."""
+    if not result.earlier:
+        return []
+    return [('epochs', f'{len(result.earlier) + 1}, each from its own start state; the rows after '
+                       'these, plots and pages are of the last one'),
+            *((f'  epoch {number}', f'from {one.start.time_ns} ns on, over {_span(one):.9g} s, to '
+               f'attitude {_numbers(one.last.attitude)} (x y z w) and body rates '
+               f'{_numbers(one.last.angular_velocity)} rad/s')
+              for number, one in enumerate(result.earlier, 1))]
+
+
+def _span(result: Replay) -> float:
+    return (result.last.time_ns - result.start.time_ns) * 1e-9
 
 
 def _is_reported(digits: LastDigits | None) -> bool:

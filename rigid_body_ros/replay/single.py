@@ -16,7 +16,7 @@
 Replay one recording: read torques, compute the motion, write it.
 
 Torques are read and the motion is computed piece by piece, so neither has to fit in memory. Only
-recordings with stamps far out of order, or with several logs of a node, are read as a whole.
+recordings with stamps far out of order, or with several epochs of a node, are read as a whole.
 """
 
 from __future__ import annotations
@@ -71,8 +71,6 @@ class Replay:
         Number of torque messages.
     unordered : int
         Number of messages whose stamp is not later than the stamp of the previous message.
-    logs : int
-        Number of logs in the recording, of which the last was replayed.
     first_ns, last_ns : int
         First and last torque stamp, ns.
     damage : str
@@ -98,6 +96,9 @@ class Replay:
         The torque on the rotors, if `keep` was set and the recording has it.
     collected : optional
         What `collect` returned.
+    earlier : tuple of Replay
+        Those of the earlier epochs, if the recording has several epochs of a node: this one is of
+        the last epoch.
 
     """
 
@@ -107,7 +108,6 @@ class Replay:
     wheel_source: str = ''
     messages: int = 0
     unordered: int = 0
-    logs: int = 1
     first_ns: int = 0
     last_ns: int = 0
     damage: str = ''
@@ -123,6 +123,11 @@ class Replay:
     wheels: TorqueLog | None = None
     trajectory: Trajectory | None = None
     collected: Collector | None = None
+    earlier: tuple[Replay, ...] = ()
+
+
+#: An epoch of a node, or a whole recording, before its motion is computed.
+Epoch = tuple[Replay, Batches | CombinedBatches]
 
 
 def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
@@ -134,12 +139,16 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     """
     Compute the motion of a body from the torques of a recording.
 
+    The log of a node may have several epochs. Each has a motion of its own from its start state,
+    and these follow each other in the output.
+
     Parameters
     ----------
     path : str or Path
         The recording; see `recording.Source`.
     scene : Scene
-        If its start_time is 0, the motion starts at the earliest stamp of all topics.
+        If its start_time is 0, the motion starts at the earliest stamp of all topics. The log of a
+        node has its own start.
     output : str or Path, optional
         Where to write attitude, Euler angles, angular velocity and, if there are rotors, their
         momentum: an MCAP file, which may exist, or, if the name does not end in .mcap, a new
@@ -152,11 +161,12 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         Interpolation between samples; otherwise the scene's.
     rate : float, optional, Hz
         Output rate; otherwise there is an output at every torque stamp from the start on, and at
-        `until`.
+        `until`, and of the log of a node at the start of each epoch.
     until : float, optional, s
-        End of the motion after its start; otherwise the last stamp.
+        End of the motion, or of each epoch, after its start; otherwise the last stamp.
     start : float, s
-        Skip this many seconds of the recording. Only for one topic of torques.
+        Skip this many seconds of the recording. Only for one topic of torques, and not for the log
+        of a node.
     time_source : str
         When a torque takes effect: 'header' (its stamp), 'log' or 'publish'.
     also : collection of str
@@ -171,8 +181,8 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         Topic of the measured momentum of the rotors, which is linear between samples. The motion
         starts with the measured momentum.
     collect : callable, optional
-        Returns an object whose method `add` takes each `Batch` of the motion. It is called once
-        more if the recording has to be read again.
+        Returns an object whose method `add` takes each `Batch` of the motion, or of the last
+        epoch. It is called once more if the recording has to be read again.
 
     Returns
     -------
@@ -233,31 +243,38 @@ def plot(path: str | Path, result: Replay, name: str) -> None:
                        f'{name}: {result.topic}', result.scene.timeout_ns)
 
 
-def _pieces(request: Request, source: Source, result: Replay) -> Iterator[Piece]:
-    """Return the log piece by piece."""
+def _pieces(request: Request, source: Source) -> Sequence[Epoch]:
+    """Return the motion of a log that is read piece by piece; it has one epoch."""
+    result = Replay(request.scene, request.interpolation, source.topic)
+    start, blocks = recording.first_epoch(
+        request.path, iter(progress('replaying', size=len)(source, source.count)))
+
     def counted() -> Iterator[Messages]:
         last: list[int] = []
-        for block in progress('replaying', size=len)(source, source.count):
+        for block in blocks:
             result.messages += len(block)
             result.unordered += int(np.sum(np.diff(block.stamps_ns, prepend=last) <= 0))
             last = [int(block.stamps_ns[-1])]
             yield block
     scene = request.scene
-    return recording.torque_pieces(f'{request.path}: {source.topic}', counted(),
-                                   scene.body_frame, scene.space_frame, scene.links)
+    pieces = recording.torque_pieces(f'{request.path}: {source.topic}', counted(),
+                                     scene.body_frame, scene.space_frame, scene.links)
+    return [(result, Batches(request, source.topic, pieces, start))]
 
 
-def _whole(request: Request, source: Source, result: Replay) -> Iterator[Piece]:
-    """Return the log as one piece."""
+def _whole(request: Request, source: Source) -> Sequence[Epoch]:
+    """Return the motions of all epochs, each with its log as one piece."""
     blocks = [*progress('reading', size=len)(source, source.count)]
     recorded = recording.joined(source.topic, source.kind, blocks, source.damage)
-    scene = request.scene
-    log = recording.torque_log(request.path, recorded, scene.body_frame, scene.space_frame,
-                               links=scene.links)
-    result.messages, result.logs = len(recorded), len(recording.new_logs(recorded)) + 1
-    if result.logs == 1:
-        result.unordered = int(np.sum(np.diff(recorded.stamps_ns) <= 0))
-    yield Piece(log.times_ns, log.torques, log.in_space)
+    scene, found = request.scene, []
+    for part in recording.epochs(request.path, recorded):
+        log = recording.torque_log(request.path, part, scene.body_frame, scene.space_frame,
+                                   links=scene.links)
+        piece = Piece(log.times_ns, log.torques, log.in_space)
+        result = Replay(scene, request.interpolation, source.topic, messages=len(part),
+                        unordered=int(np.sum(np.diff(part.stamps_ns) <= 0)))
+        found.append((result, Batches(request, source.topic, iter([piece]), part.start)))
+    return found
 
 
 def _in_pieces_or_whole(request: Request, source: Source, output: str | Path | None,
@@ -266,13 +283,10 @@ def _in_pieces_or_whole(request: Request, source: Source, output: str | Path | N
     if INPUT in request.also:
         source.check_copied(outputs.topics_of(request))
 
-    def read_by(pieces: Callable[[Request, Source, Replay], Iterator[Piece]]
-                ) -> Callable[[Replay], Batches]:
-        return lambda result: Batches(request, source.topic, pieces(request, source, result))
     if not keep:
         with suppress(NotInOrderError):
-            return _replayed(request, source, source.topic, read_by(_pieces), output)
-    return _replayed(request, source, source.topic, read_by(_whole), output, keep)
+            return _replayed(request, source, _pieces, output)
+    return _replayed(request, source, _whole, output, keep)
 
 
 def _combined(request: Request, topics: Topics, output: str | Path | None, keep: bool,
@@ -284,62 +298,73 @@ def _combined(request: Request, topics: Topics, output: str | Path | None, keep:
     names = [*topics.torques, *filter(None, [topics.wheel_torque, topics.wheel_momentum])]
     named = ', '.join(names)
 
-    def begin(result: Replay) -> CombinedBatches:
-        result.wheel_source = topics.wheel_source
-        sources = read_sources(request.path, request.scene, topics, request.interpolation,
-                               progress('reading', size=len), time_source, skip)
-        result.messages, result.unordered = sources.messages, sources.unordered
-        result.logs, result.damage = sources.epochs, sources.damage
-        return CombinedBatches(request, named, sources)
+    def begin(request: Request, source: Source) -> Sequence[Epoch]:
+        scene, interpolation = request.scene, request.interpolation
+        return [(Replay(scene, interpolation, named, topics.wheel_source, one.messages,
+                        one.unordered, damage=one.damage), CombinedBatches(request, named, one))
+                for one in read_sources(request.path, scene, topics, interpolation,
+                                        progress('reading', size=len), time_source, skip)]
     with Source(request.path, names[0], _KINDS, time_source) as source:
         if INPUT in request.also:
             source.check_copied(outputs.topics_of(request))
-        return _replayed(request, source, named, begin, output, keep)
+        return _replayed(request, source, begin, output, keep)
 
 
-def _replayed(request: Request, source: Source, topic: str,
-              begin: Callable[[Replay], Batches | CombinedBatches],
+def _replayed(request: Request, source: Source,
+              begin: Callable[[Request, Source], Sequence[Epoch]],
               output: str | Path | None, keep: bool = False) -> Replay:
-    result = Replay(request.scene, request.interpolation, topic)
-    began, kept = time.perf_counter(), []
-    batches = begin(result)
+    began = time.perf_counter()
+    epochs = begin(request, source)
+    *earlier, result = [found for found, _ in epochs]
     result.collected = request.collect() if request.collect else None
-    result.start = result.last = batches.start
-    result.first_ns = batches.first_ns
     with ExitStack() as stack:
         writer = stack.enter_context(outputs.writer_of(output)) if output is not None else None
         if writer:
             outputs.add_topics(writer, request)
-        for batch in batches:
-            interrupts.check()
-            _update(result, batch)
-            interrupts.check()
-            if writer:
-                writing = time.perf_counter()
-                outputs.write(writer, request, batch.trajectory)
-                result.seconds['write'] += time.perf_counter() - writing
-            if result.collected:
-                result.collected.add(batch)
-            if keep:
-                kept.append(batch)
+        logged_ns = epochs[0][1].start.time_ns
+        for found, batches in epochs:
+            delay_ns = max(logged_ns - batches.start.time_ns, 0)
+            _compute(request, found, batches, writer, keep, delay_ns)
+            logged_ns = found.last.time_ns + delay_ns
         if writer and INPUT in request.also:
             source.copy_to(writer)
         interrupts.check()  # last chance before the output gets its final name
-    result.seconds['read'] = time.perf_counter() - began - result.seconds['propagate'] \
-        - result.seconds['write']
+    result.earlier = tuple(earlier)
+    result.seconds['read'] = time.perf_counter() - began - sum(
+        found.seconds['propagate'] + found.seconds['write'] for found, _ in epochs)
     result.damage = result.damage or source.damage
+    return result
+
+
+def _compute(request: Request, result: Replay, batches: Batches | CombinedBatches,
+             writer: recording.Writer | None, keep: bool, delay_ns: int) -> None:
+    """Compute the motion of an epoch, which is logged `delay_ns` later than its stamps."""
+    kept: list[Batch] = []
+    result.start = result.last = batches.start
+    result.first_ns = batches.first_ns
+    for batch in batches:
+        interrupts.check()
+        _update(result, batch)
+        interrupts.check()
+        if writer:
+            writing = time.perf_counter()
+            outputs.write(writer, request, batch.trajectory, delay_ns)
+            result.seconds['write'] += time.perf_counter() - writing
+        if result.collected:
+            result.collected.add(batch)
+        if keep:
+            kept.append(batch)
     result.interpolation_differences = batches.differences(result.last.attitude)
     if keep:
         result.log, result.wheels = kept[0].log, kept[0].wheels
         result.trajectory = _joined(kept)
-    return result
 
 
 def _update(result: Replay, batch: Batch) -> None:
     """Update the result with a batch of the motion."""
     began = time.perf_counter()
     log, trajectory = batch.log, batch.trajectory
-    result.last_ns = batch.last_ns
+    result.last_ns = max(batch.last_ns, result.first_ns)
     if trajectory.times_ns.size:
         result.last = State(int(trajectory.times_ns[-1]), trajectory.attitude[-1],
                             trajectory.angular_velocity[-1], trajectory.rotor_momentum[-1])

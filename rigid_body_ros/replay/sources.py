@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The torques of a scene with several torque topics, rotors or damping."""
+"""The torques of a scene with several torque topics, rotors or damping, in each epoch."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from rigid_body_ros import messages, recording
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted
 from rigid_body_ros.recording import Messages, Track
+from rigid_body_ros.replay.epochs import aligned
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
@@ -119,7 +120,7 @@ class Topics:
 
 
 class Sources(NamedTuple):
-    """The torques of a motion, as they were recorded, and its initial state."""
+    """The torques of a motion, or of an epoch of a node, as recorded, and its initial state."""
 
     #: Their torques add up.
     logs: tuple[TorqueLog, ...]
@@ -131,14 +132,15 @@ class Sources(NamedTuple):
     messages: int
     #: Number of messages whose stamp is not later than the stamp of the previous message.
     unordered: int
-    #: Number of logs in the recording, of which the last is used.
-    epochs: int
+    #: Whether the start is that of an epoch, and not that of the scene.
+    is_epoch: bool
     damage: str
 
     @property
     def times_ns(self) -> NDArray[np.int64]:
-        """Return the stamps of all samples in ascending order."""
-        return _stamps(self.logs, self.wheels)
+        """Return the stamps of all samples in ascending order; that of the start if none."""
+        stamps = _stamps(self.logs, self.wheels)
+        return stamps if stamps.size else np.array([self.start.time_ns])
 
     def interpolated(self, interpolation: str) -> Sources:
         """Return the same torques with another interpolation between the samples."""
@@ -163,9 +165,9 @@ def absolute(topic: str) -> str:
 
 
 def read_sources(path: str | Path, scene: Scene, topics: Topics, interpolation: str,
-                 track: Track, time_source: str = 'header', skip: float = 0.0) -> Sources:
+                 track: Track, time_source: str = 'header', skip: float = 0.0) -> list[Sources]:
     """
-    Read the torques of a motion, and its initial state.
+    Read the torques of a motion, or of each epoch of a node, and the initial state.
 
     Parameters
     ----------
@@ -184,41 +186,50 @@ def read_sources(path: str | Path, scene: Scene, topics: Topics, interpolation: 
 
     Returns
     -------
-    Sources
+    list of Sources
+        In the order of the recording.
 
     Raises
     ------
     InputError
-        The recording cannot be read, or does not fit the scene.
+        The recording cannot be read, does not fit the scene, or the topics have other epochs.
 
     """
-    torques = [recording.read(path, topic, None, track, time_source, skip)
-               for topic in topics.torques]
-    logs = tuple(_log(path, one, scene, interpolation) for one in torques)
-    measured = None
-    if topics.wheel_momentum:
-        torques.append(recording.read(path, topics.wheel_momentum, messages.VECTOR3, track,
-                                      time_source))
-        measured = _momentum(path, torques[-1], scene)
-        wheels: TorqueLog | None = _from_momentum(path, torques[-1], measured, scene)
-    elif topics.wheel_torque:
-        torques.append(recording.read(path, topics.wheel_torque, None, track, time_source))
-        wheels = _wheel_log(path, torques[-1], scene, interpolation)
-    else:
-        wheels = None
-    damage = '; '.join(dict.fromkeys(one.damage for one in torques if one.damage))
+    names = [*topics.torques, *filter(None, [topics.wheel_torque])]
+    torques = [recording.read(path, topic, None, track, time_source, skip) for topic in names]
+    momentum = recording.read(path, topics.wheel_momentum, messages.VECTOR3, track, time_source) \
+        if topics.wheel_momentum else None
+    found = aligned(path, [recording.epochs(path, one) for one in torques],
+                    time_source == 'header')
+    if momentum is not None and len(found) > 1:
+        raise InputError(f'{path}: --wheel-momentum: expected one epoch, found {len(found)}')
+    return [_sources(path, scene, parts, momentum, bool(topics.wheel_torque), interpolation)
+            for parts in found]
+
+
+def _sources(path: str | Path, scene: Scene, torques: Sequence[Messages],
+             momentum: Messages | None, has_wheels: bool, interpolation: str) -> Sources:
+    """Return the torques of a motion; those on the rotors are the last ones, if there are any."""
+    body = torques[:-1] if has_wheels else torques
+    logs = tuple(_log(path, one, scene, interpolation) for one in body)
+    every, measured = [*torques, *([] if momentum is None else [momentum])], None
+    wheels = _wheel_log(path, torques[-1], scene, interpolation) if has_wheels else None
+    if momentum is not None:
+        measured = _momentum(path, momentum, scene)
+        wheels = _from_momentum(path, momentum, measured, scene)
+    damage = '; '.join(dict.fromkeys(one.damage for one in every if one.damage))
     stamps = _stamps(logs, wheels)
-    if not stamps.size:
+    begin = next((one.start for one in torques if one.start), None)
+    if not stamps.size and not begin:
         lost = f' ({damage})' if damage else ''
         raise InputError(f'{path}: expected torques, found no messages on '
-                         f'{listed([one.topic for one in torques])}{lost}')
-    start = replace(scene.start, time_ns=scene.start.time_ns or int(stamps[0]))
+                         f'{listed([one.topic for one in every])}{lost}')
+    start = begin or replace(scene.start, time_ns=scene.start.time_ns or int(stamps[0]))
     if measured is not None:
         start = _started(start, measured)
-    epochs = max(_epochs(one) for one in torques)
-    unordered = sum(int(np.sum(np.diff(one.stamps_ns) <= 0)) for one in torques)
-    return Sources(logs, wheels, measured is not None, start, sum(len(one) for one in torques),
-                   unordered if epochs == 1 else 0, epochs, damage)
+    unordered = sum(int(np.sum(np.diff(one.stamps_ns) <= 0)) for one in every)
+    return Sources(logs, wheels, measured is not None, start, sum(len(one) for one in every),
+                   unordered, begin is not None, damage)
 
 
 def _match(name: str, recorded: Sequence[str]) -> str | None:
@@ -251,22 +262,10 @@ def _stamps(logs: Sequence[TorqueLog], wheels: TorqueLog | None) -> NDArray[np.i
 
 def _log(path: str | Path, recorded: Messages, scene: Scene, interpolation: str) -> TorqueLog:
     """Return the log of a topic; a source without messages has no torque."""
-    if not len(recorded) or _ends_with_marker(recorded):
-        return TorqueLog([], [])
+    if not len(recorded):
+        return TorqueLog([], [], interpolation=interpolation)
     return recording.torque_log(path, recorded, scene.body_frame, scene.space_frame,
                                 interpolation, scene.links)
-
-
-def _ends_with_marker(recorded: Messages) -> bool:
-    # A node marks a new log on each topic; a source may send nothing after it.
-    last = len(recorded) - 1
-    return last in recording.new_logs(recorded) or (
-        last == 0 and recorded.stamps_ns[0] == 0 and not recorded.values.any())
-
-
-def _epochs(recorded: Messages) -> int:
-    is_torque = recorded.values.shape[1] == messages.WRENCH.doubles and len(recorded)
-    return len(recording.new_logs(recorded)) + 1 if is_torque else 1
 
 
 def _wheel_log(path: str | Path, recorded: Messages, scene: Scene,
@@ -280,7 +279,7 @@ def _check_axes(path: str | Path, recorded: Messages, scene: Scene) -> None:
     body = scene.body_frame
     for code, name in enumerate(recorded.names):
         if name not in ('', body):
-            number = int(np.argmax(recorded.frames == code)) + 1
+            number = recorded.before + int(np.argmax(recorded.frames == code)) + 1
             raise InputError(f'{path}: {recorded.topic}: message {number}: frame_id: '
                              f"expected '{body}' or '' (body axes), found {quoted(name)}")
 

@@ -26,10 +26,12 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages, recording, so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, shortened
+from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.propagation import propagate
 from rigid_body_ros.recording import Source
-from rigid_body_ros.replay.reading import torques
-from rigid_body_ros.replay.sources import topics_of
+from rigid_body_ros.replay.epochs import groups
+from rigid_body_ros.replay.reading import read_epochs
+from rigid_body_ros.replay.sources import Sources, topics_of
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, PROCESSOR, processor
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
@@ -55,6 +57,12 @@ class Verified:
         Angles between the two attitudes.
     versions : dict
         By package, the version that made the recording and the one in use, if they differ.
+    epochs : int
+        Number of epochs in the log of a node; 0 if the torques are not the log of a node.
+    compared_epochs : int
+        Number of those that have a state.
+    pending : int
+        Number of stamps of torques without a committed state.
 
     """
 
@@ -63,21 +71,25 @@ class Verified:
     same: NDArray[np.bool_]
     angles: Floats
     versions: dict[str, tuple[str, str]]
+    epochs: int = 0
+    compared_epochs: int = 0
+    pending: int = 0
 
 
 def verify(path: str | Path, scene: Scene, motion_path: str | Path, *,
            topic: str | Sequence[str] | None = None, motion_topic: str | None = None,
            interpolation: str | None = None, wheel_torque: str | None = None,
-           wheel_momentum: str | None = None) -> Verified:
+           wheel_momentum: str | None = None, until: float | None = None) -> Verified:
     """
-    Compute a recorded motion again and compare the two.
+    Compute a recorded motion again and compare the two; of a node, in every epoch.
 
     Parameters
     ----------
     path : str or Path
         Recording of the torques, such as the accepted_torque of a node.
     scene : Scene
-        Scene of the recorded motion; its start and its options affect every bit.
+        Scene of the recorded motion; its options affect every bit, and so does its start, unless
+        the torques are the log of a node, which has its own.
     motion_path : str or Path
         Recording of the motion: the committed states of a node, or the attitude of a replay.
     topic, wheel_torque, wheel_momentum
@@ -86,6 +98,8 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *,
         Required if the recording of the motion has several suitable topics.
     interpolation : str, optional
         Interpolation between samples; otherwise the scene's.
+    until : float, optional, s
+        Compare only the states up to this long after the start, or the start of each epoch.
 
     Returns
     -------
@@ -94,41 +108,96 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *,
     Raises
     ------
     InputError
-        A recording cannot be read, does not match the scene, or has no states after the start.
+        A recording cannot be read, does not match the scene, has no states after the start, or a
+        committed state has no counterpart in the log.
+    ValueError
+        `until` is negative or longer than 1e9 s.
 
     """
-    logs, wheels, torques_ns, start = torques(
-        path, scene, topics_of(topic, wheel_torque, wheel_momentum), interpolation)
+    epochs = read_epochs(path, scene, topics_of(topic, wheel_torque, wheel_momentum),
+                         interpolation)
+    until_ns = messages.LAST_NS if until is None else duration_ns(until, 'until')
     with Source(motion_path, motion_topic, _KINDS) as source:
         recorded = recording.joined(source.topic, source.kind, list(source), source.damage)
         made_by = source.metadata(NAME)
     is_state = source.kind is messages.ODOMETRY
-    begun = np.flatnonzero(recorded.stamps_ns == start.time_ns)
-    # A node records the start of each epoch; only the last epoch is compared.
-    first = int(begun[-1]) if is_state and begun.size else 0
-    stamps, values = recorded.stamps_ns[first:], recorded.values[first:]
+    values = np.hstack([recorded.values[:, messages.ORIENTATION],
+                        recorded.values[:, messages.ANGULAR_VELOCITY]]) \
+        if is_state else recorded.values
     try:
-        _check_begins(start, torques_ns, stamps)
-        if is_state:
-            _check_complete(start, torques_ns, stamps, values[0, messages.ORIENTATION])
+        parts = []
+        for one, rows in zip(epochs, _rows(epochs, recorded.stamps_ns, values)):
+            stamps, states = _until(one.start.time_ns + until_ns, recorded.stamps_ns[rows],
+                                    values[rows])
+            if is_state:
+                _check_torques(one, stamps)
+            parts.append((one, stamps, states))
     except InputError as error:
         raise InputError(f'{motion_path}: {source.topic}: {error}') from error
-    motion = propagate(scene.body, start, logs, at=stamps, wheels=wheels, **scene.options)
-    attitude = values[:, messages.ORIENTATION] if is_state else values
-    found, expected = attitude, motion.attitude
+    compared = [_compared(path, scene, *part) for part in parts]
+    same, angles = (np.concatenate(each) for each in zip(*compared))
+    is_node = epochs[0].is_epoch
+    return Verified(source.topic, np.concatenate([stamps for _, stamps, _ in parts]), same, angles,
+                    _different_versions(made_by), len(epochs) if is_node else 0,
+                    sum(len(stamps) > 0 for _, stamps, _ in parts) if is_node else 0,
+                    sum(_pending(one, stamps, until_ns) for one, stamps, _ in parts)
+                    if is_node and is_state else 0)
+
+
+def _rows(epochs: Sequence[Sources], stamps_ns: NDArray[np.int64], values: Floats) -> list[slice]:
+    """
+    Return the rows of each epoch in a recorded motion, or of the one motion to compare.
+
+    `values` are attitudes, shape (n, 4), or attitudes and body rates of a node, shape (n, 7).
+    """
+    if not stamps_ns.size:
+        raise InputError('expected states, found no messages')
+    start, is_state = epochs[0].start, values.shape[1] > 4
+    if epochs[0].is_epoch:
+        return groups([one.start for one in epochs], stamps_ns, values)
+    # A node records the start of each epoch; without markers the last one is that of the scene.
+    begun = np.flatnonzero(stamps_ns == start.time_ns)
+    first = int(begun[-1]) if is_state and begun.size else 0
+    _check_begins(start, epochs[0].times_ns, stamps_ns[first:])
     if is_state:
-        found = np.hstack([attitude, values[:, messages.ANGULAR_VELOCITY]])
-        expected = np.hstack([motion.attitude, motion.angular_velocity])
-    same = np.all(np.ascontiguousarray(found).view(np.int64) == expected.view(np.int64), axis=1)
-    angles = so3.angle_between(attitude, motion.attitude)
-    return Verified(source.topic, stamps, same, angles, _different_versions(made_by))
+        _check_start(start, stamps_ns[first:], values[first, :4])
+    return [slice(first, None)]
+
+
+def _until(end_ns: int, stamps_ns: NDArray[np.int64],
+           values: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Return the states up to a time; raise InputError if there were only later ones."""
+    chosen = stamps_ns <= end_ns
+    if stamps_ns.size and not chosen.any():
+        raise InputError(f'expected states up to --until, at {end_ns} ns, found the first at '
+                         f'{stamps_ns.min()} ns')
+    return stamps_ns[chosen], values[chosen]
+
+
+def _compared(path: str | Path, scene: Scene, epoch: Sources, stamps_ns: NDArray[np.int64],
+              values: Floats) -> tuple[NDArray[np.bool_], Floats]:
+    """Return whether all bits of each state are those of the motion, and the angle, rad."""
+    try:
+        motion = propagate(scene.body, epoch.start, epoch.logs, at=stamps_ns, wheels=epoch.wheels,
+                           **scene.options)
+    except ValueError as error:
+        raise InputError(f'{path}: {error}') from error
+    expected = np.hstack([motion.attitude, motion.angular_velocity])[:, :values.shape[1]]
+    same = np.ascontiguousarray(values).view(np.int64) \
+        == np.ascontiguousarray(expected).view(np.int64)
+    return same.all(axis=1), so3.angle_between(values[:, :4], motion.attitude)
+
+
+def _pending(epoch: Sources, stamps_ns: NDArray[np.int64], until_ns: int) -> int:
+    """Return the number of stamps of torques, up to `until`, without a committed state."""
+    start_ns, times = epoch.start.time_ns, epoch.times_ns
+    due = times[(times > start_ns) & (times <= start_ns + until_ns)]
+    return len(np.setdiff1d(due, stamps_ns))
 
 
 def _check_begins(start: State, torques_ns: NDArray[np.int64],
                   stamps_ns: NDArray[np.int64]) -> None:
-    """Raise InputError if a recorded motion has no states or begins before its torques."""
-    if not stamps_ns.size:
-        raise InputError('expected states, found no messages')
+    """Raise InputError if a recorded motion begins before its torques."""
     first_ns, torque_ns = int(stamps_ns.min()), int(torques_ns[0])
     if first_ns >= start.time_ns:
         return
@@ -141,13 +210,8 @@ def _check_begins(start: State, torques_ns: NDArray[np.int64],
                      f'{start.time_ns} ns, found it at {first_ns} ns')
 
 
-def _check_complete(start: State, torques_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64],
-                    first: Floats) -> None:
-    """
-    Raise InputError if the committed states of a node, or their torques, are incomplete.
-
-    A node commits the start of an epoch first, then the state at every torque that it accepted.
-    """
+def _check_start(start: State, stamps_ns: NDArray[np.int64], first: Floats) -> None:
+    """Raise InputError if the committed states of a node do not begin with the start state."""
     late = 'the recorder started late, or the scene or its start_time is not that of the run'
     if start.time_ns not in stamps_ns:
         raise InputError(f'expected the first state at the start of the motion, {start.time_ns} '
@@ -156,7 +220,16 @@ def _check_complete(start: State, torques_ns: NDArray[np.int64], stamps_ns: NDAr
     if angle > _SAME_START:
         raise InputError(f'expected the initial attitude of the scene at {start.time_ns} ns, '
                          f'found an attitude {angle:.2g} rad away: {late}')
-    missing = np.setdiff1d(stamps_ns, [start.time_ns, *torques_ns])
+
+
+def _check_torques(epoch: Sources, stamps_ns: NDArray[np.int64]) -> None:
+    """
+    Raise InputError if torques of committed states are missing.
+
+    A node commits the start of an epoch first, then the state at every torque that it accepted.
+    """
+    torques_ns = epoch.times_ns
+    missing = np.setdiff1d(stamps_ns, np.append(torques_ns, epoch.start.time_ns))
     if missing.size:
         where = 'the beginning' if missing[0] < torques_ns[0] else 'a part'
         raise InputError(
@@ -168,7 +241,7 @@ def _check_complete(start: State, torques_ns: NDArray[np.int64], stamps_ns: NDAr
 def summary(result: Verified) -> str:
     """Return how far the two motions agree, one line per fact."""
     count = len(result.same)
-    rows = [('compared', f'{count} states of {result.topic}'),
+    rows = [('compared', f'{count} states of {result.topic}{_epochs(result)}'),
             ('same bits', f'{np.count_nonzero(result.same)} of {count}'),
             ('difference', f'at most {result.angles.max():.2g} rad')]
     if not result.same.all():
@@ -178,6 +251,15 @@ def summary(result: Verified) -> str:
     rows += [('made by', f'{name} {there}, here {here}: the last bits may differ')
              for name, (there, here) in result.versions.items()]
     return '\n'.join(f'{name:14}{text}' for name, text in rows)
+
+
+def _epochs(result: Verified) -> str:
+    """Return in which epochs of a node the states are, and what has no state yet."""
+    if not result.epochs:
+        return ''
+    part = '' if result.compared_epochs == result.epochs else f'{result.compared_epochs} of '
+    pending = f'; {result.pending} torques have no committed state' if result.pending else ''
+    return f' in {part}{result.epochs} epoch{"s" * (result.epochs > 1)}{pending}'
 
 
 def _different_versions(made_by: dict[str, str]) -> dict[str, tuple[str, str]]:

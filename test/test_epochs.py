@@ -1,0 +1,416 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Recordings of a node with several epochs: each is replayed from its own start state."""
+
+from dataclasses import replace
+
+from conftest import CONFIG, memory_limit, SECOND
+import node_logs
+from node_logs import (
+    ACCEPTED,
+    ACCEPTED_1,
+    attitudes,
+    called,
+    COMMANDS,
+    epoch,
+    FIRST,
+    MORE,
+    rows,
+    save,
+    SECOND_START,
+    TORQUES,
+    WHEELS,
+    without,
+)
+import numpy as np
+import pytest
+from rigid_body_ros import cli, messages, recording, scene, State
+from rigid_body_ros.common.errors import LONGEST
+from rigid_body_ros.recording import torques, writer
+from rigid_body_ros.replay import epochs, read, replay
+from rigid_body_ros.replay.many import replay_many
+from rigid_body_ros.replay.report import summary
+from rigid_body_ros.replay.verify import verify
+from rigid_body_ros.scene import InputError
+
+ONE_MOTION = [name for name in COMMANDS if name not in ('replay', 'verify')]
+
+
+@pytest.fixture
+def run():
+    return scene.load(CONFIG / 'tumbler.yaml')
+
+
+@pytest.fixture
+def two(run, tmp_path):
+    """Return a recording of two epochs."""
+    return save(tmp_path / 'two.mcap', [*epoch(run, FIRST, TORQUES),
+                                        *epoch(run, SECOND_START, MORE)])
+
+
+def test_a_node_that_was_killed_and_started_again_has_two_motions(tmp_path, capsys):
+    config = tmp_path / 'scene.yaml'
+    config.write_text('/**:\n  ros__parameters:\n    inertia: {ixx: 1.0, iyy: 1.0, izz: 1.0}\n')
+    run, begin = scene.load(config), 1_700_000_000
+    lives = [
+        (State(begin * SECOND), rows(begin + np.arange(0.0, 6.0, 0.5), (0.0, 0.0, 0.05))),
+        (State((begin + 20) * SECOND), rows(begin + 20 + np.arange(0.0, 10.5, 0.5),
+                                            (0.0, 0.0, 1e-6)))]
+    log = save(tmp_path / 'log.mcap', [one for start, torques in lives
+                                       for one in epoch(run, start, {ACCEPTED: torques})])
+    output = str(tmp_path / 'motion.mcap')
+    assert cli.attitude_replay([log, '--scene', str(config), '-o', output]) == 0
+    rates = recording.read(output, '/angular_velocity', messages.VECTOR3)
+    assert rates.values[-1, 2] == pytest.approx(1e-5, rel=1e-9)
+    assert rates.values[11, 2] == pytest.approx(0.05 * 5.5, rel=1e-9)
+    words = capsys.readouterr().out
+    assert 'epochs        2, each from its own start state' in words
+    assert f'  epoch 1     from {begin * SECOND} ns on, over 5.5 s, to attitude 0 0 ' in words
+    assert 'final state   10 s after the start\n' in words
+    assert cli.attitude_replay([log, '--scene', str(config), '--verify', log]) == 0
+    words = capsys.readouterr().out
+    assert 'compared      33 states of /node/committed in 2 epochs\n' in words
+    assert 'same bits     33 of 33\n' in words
+
+
+@pytest.mark.parametrize('block', [2 ** 20, 2 ** 12], ids=['one block', 'several'])
+@pytest.mark.parametrize('keep', [False, True])
+def test_each_epoch_has_the_motion_from_its_own_start(run, tmp_path, monkeypatch, keep, block):
+    monkeypatch.setattr(writer, '_CHUNK', block)  # what is read at a time
+    two = save(tmp_path / 'two.mcap', [*epoch(run, FIRST, TORQUES),
+                                       *epoch(run, SECOND_START, MORE)])
+    # The start of the scene is neither of the two.
+    result = replay(two, run, tmp_path / 'out.mcap', keep=keep)
+    first, = result.earlier
+    written = attitudes(tmp_path / 'out.mcap')
+    motions = [node_logs.motion_of(run, FIRST, TORQUES),
+               node_logs.motion_of(run, SECOND_START, MORE)]
+    np.testing.assert_array_equal(written.stamps_ns, np.hstack([one.times_ns for one in motions]))
+    np.testing.assert_array_equal(written.values, np.vstack([one.attitude for one in motions]))
+    for found, motion in zip((first, result), motions):
+        np.testing.assert_array_equal(found.last.attitude, motion.attitude[-1])
+        if keep:
+            np.testing.assert_array_equal(found.trajectory.attitude, motion.attitude)
+    assert (first.messages, result.messages) == (40, 30)
+
+
+def test_until_and_rate_are_those_of_each_epoch(run, two, tmp_path):
+    result = replay(two, run, tmp_path / 'out.mcap', until=2.0, rate=10.0)
+    assert attitudes(tmp_path / 'out.mcap').stamps_ns.tolist() == [
+        start.time_ns + k * SECOND // 10 for start in (FIRST, SECOND_START) for k in range(21)]
+    # The second epoch lasts 1.5 s: it is continued, as a single recording is.
+    assert result.last.time_ns == SECOND_START.time_ns + 2 * SECOND
+
+
+@pytest.mark.parametrize('name', COMMANDS)
+@pytest.mark.parametrize('defect', ['older', 'middle'])
+def test_a_log_without_its_start_is_refused_by_every_command(run, tmp_path, capsys, name, defect):
+    sent = [*epoch(run, FIRST, TORQUES), *epoch(run, SECOND_START, MORE)]
+    if defect == 'older':  # a marker without a start state, in later epochs only
+        sent = without(sent, ACCEPTED, 0)
+        sent[sent.index((ACCEPTED, messages.epoch_marker(SECOND_START)))] = (
+            ACCEPTED, messages.wrench(0, '', np.zeros(3)))
+        found = 'found no marker'
+    else:
+        sent = without(sent, ACCEPTED, 0, 1, 2)
+        found = 'found the first marker in message 39'
+    log = save(tmp_path / 'log.mcap', sent)
+    assert called(tmp_path, name, log) == 2
+    captured = capsys.readouterr()
+    line, = captured.err.splitlines()
+    assert (f'log.mcap: {ACCEPTED}: expected the log of a node to begin with the marker and the '
+            f'start state of an epoch, {found}: the recording began in the middle') in line
+    assert not captured.out
+    assert not [*tmp_path.glob('out*')]
+
+
+def test_a_log_of_another_name_needs_its_start_if_it_has_a_marker(run, tmp_path):
+    sent = [(topic.replace(ACCEPTED, '/torque'), data) for topic, data in
+            without([*epoch(run, FIRST, TORQUES), *epoch(run, SECOND_START, MORE)], ACCEPTED, 0)]
+    log = save(tmp_path / 'log.mcap', sent, ['/torque'])
+    with pytest.raises(InputError, match='/torque: expected the log of a node to begin .* marker '
+                                         'in message 41: '):
+        replay(log, run)
+
+
+@pytest.mark.parametrize('name', ['/accepted_torque', '/a/accepted_torque_12',
+                                  'accepted_wheel_torque'])
+def test_the_log_of_a_node_is_known_by_its_name(run, tmp_path, name):
+    log = save(tmp_path / 'log.mcap', [(name, messages.wrench(5, '', np.ones(3)))], [name])
+    with pytest.raises(InputError, match=f'{name}: expected the log of a node to begin'):
+        replay(log, run, topic=name)
+
+
+@pytest.mark.parametrize('name', ['/torque', '/accepted_torques', '/not_accepted_torque',
+                                  '/accepted_torque/raw'])
+def test_other_torques_need_no_marker(run, tmp_path, name):
+    log = save(tmp_path / 'log.mcap', [(name, messages.wrench(5, '', np.ones(3)))], [name])
+    assert replay(log, run, topic=name).start.time_ns == 5
+
+
+@pytest.mark.parametrize(('frame_id', 'values', 'message'), [
+    ('/epoch attitude 0 0 0 1', np.zeros(6), 'frame_id: expected the start state of an epoch'),
+    ('/epoch attitude 0 0 0 x rates 0 0 0 rotors 0 0 0', np.zeros(6), 'could not convert'),
+    ('/epoch attitude 0 0 0 0 rates 0 0 0 rotors 0 0 0', np.zeros(6), 'expected a non-zero quat'),
+    ('/epoch attitude 0 0 0 1 rates 0 nan 0 rotors 0 0 0', np.zeros(6), 'expected 3 finite numb'),
+    ('/epoch attitude 0 0 0 1 rates 0 0 0 rotors 0 0 0', np.ones(6), 'expected a wrench of zeros'),
+    ('/epoch ' + 9999 * 'x', np.zeros(6), 'frame_id: expected the start state of an epoch')])
+@pytest.mark.parametrize('first', [True, False])
+def test_a_marker_that_is_not_valid_is_named(run, tmp_path, frame_id, values, message, first):
+    marker = ACCEPTED, messages.WRENCH.encode(5 * SECOND, frame_id, values)
+    sent = [marker] if first else [*epoch(run, FIRST, TORQUES), marker]
+    log = save(tmp_path / 'log.mcap', sent)
+    number = 1 if first else 42
+    with pytest.raises(InputError, match=f'log.mcap: {ACCEPTED}: message {number}: marker of an '
+                                         f'epoch: .*{message}') as error:
+        replay(log, run, tmp_path / 'out.mcap')
+    assert len(str(error.value)) <= LONGEST
+
+
+def test_a_torque_of_a_later_epoch_is_named_by_its_number(run, tmp_path):
+    sent = [*epoch(run, FIRST, TORQUES), (ACCEPTED, messages.epoch_marker(SECOND_START)),
+            (ACCEPTED, messages.wrench(21 * SECOND, 'map', np.ones(3)))]
+    with pytest.raises(InputError, match="message 43: frame_id: expected .* found 'map'"):
+        replay(save(tmp_path / 'log.mcap', sent), run)
+
+
+def test_the_log_of_a_node_is_not_skipped(two, tmp_path, capsys):
+    output = str(tmp_path / 'out.mcap')
+    assert cli.attitude_replay([two, '--scene', str(CONFIG / 'tumbler.yaml'), '--start', '1',
+                                '-o', output]) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert f'two.mcap: {ACCEPTED}: --start: expected no time to skip, because the log' in line
+
+
+@pytest.mark.parametrize('options', [{}, {'interpolation': 'cubic'}, {'until': 2.5}], ids=str)
+def test_an_epoch_may_have_no_torques(run, tmp_path, options):
+    log = save(tmp_path / 'log.mcap', [*epoch(run, FIRST, {ACCEPTED: []}),
+                                       *epoch(run, SECOND_START, {ACCEPTED: []})])
+    result = replay(log, run, tmp_path / 'out.mcap', **options)
+    seconds = options.get('until', 0.0)
+    for found, start in zip((*result.earlier, result), (FIRST, SECOND_START)):
+        motion = node_logs.motion_of(run, start, {}, [start.time_ns + round(seconds * SECOND)])
+        np.testing.assert_array_equal(found.last.attitude, motion.attitude[0])
+        assert found.last.time_ns == motion.times_ns[0]
+    assert 'torques       0 on /node/accepted_torque, over 0 s\n' in summary(result)
+    assert verify(log, run, log, until=options.get('until')).same.tolist() == [True, True]
+    assert verify(log, run, tmp_path / 'out.mcap').same.all()
+
+
+@pytest.mark.parametrize('later', [[], [(6 * SECOND, (0.0, 0.02, 0.0))]])
+def test_a_torque_from_before_the_start_acts_from_there_on(run, tmp_path, later):
+    torques = {ACCEPTED: [(4 * SECOND, (0.01, 0.0, 0.0)), *later]}
+    log = save(tmp_path / 'log.mcap', epoch(run, FIRST, torques))
+    for output in (tmp_path / 'out.mcap', None):
+        result = replay(log, run, output, until=3.0)
+        motion = node_logs.motion_of(run, FIRST, torques, [8 * SECOND])
+        np.testing.assert_array_equal(result.last.attitude, motion.attitude[0])
+    assert replay(log, run).last.time_ns == (later[0][0] if later else FIRST.time_ns)
+    assert verify(log, run, log).same.all()
+
+
+@pytest.mark.parametrize('begin', [7, 5, 3])
+def test_epochs_that_overlap_keep_their_stamps_and_log_times_ascend(run, tmp_path, begin):
+    start = replace(SECOND_START, time_ns=begin * SECOND)
+    more = {ACCEPTED: rows(begin + 0.05 * np.arange(1, 31), (0.0, 0.01, 0.0))}
+    log = save(tmp_path / 'log.mcap', [*epoch(run, FIRST, TORQUES), *epoch(run, start, more),
+                                       *epoch(run, FIRST, TORQUES)])
+    output = tmp_path / 'out.mcap'
+    replay(log, run, output)
+    written = attitudes(output)
+    assert written.stamps_ns.tolist() == [
+        stamp for one in ((FIRST, TORQUES), (start, more), (FIRST, TORQUES))
+        for stamp in node_logs.motion_of(run, *one).times_ns]
+    logged = recording.read(output, '/attitude', messages.QUATERNION, time_source='log').stamps_ns
+    assert np.diff(logged).min() >= 0
+    np.testing.assert_array_equal(logged[:40], written.stamps_ns[:40])
+    for motion in (log, output):
+        result = verify(log, run, motion)
+        assert (len(result.same), result.same.all(), result.epochs) == (111, True, 3)
+
+
+def test_an_epoch_of_simulated_time_may_begin_at_zero(run, tmp_path):
+    start = replace(FIRST, time_ns=0)
+    log = save(tmp_path / 'log.mcap', epoch(run, start, {ACCEPTED: rows([0.5, 1.0], (0, 0, 0.1))}))
+    result = replay(log, run, tmp_path / 'out.mcap')
+    assert (result.start.time_ns, attitudes(tmp_path / 'out.mcap').stamps_ns.tolist()) \
+        == (0, [0, SECOND // 2, SECOND])
+
+
+@pytest.mark.slow
+def test_one_epoch_is_replayed_in_pieces(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(torques, '_SAMPLES', 100)
+    monkeypatch.setattr(writer, '_CHUNK', 2 ** 12)  # what is read at a time
+    begin = FIRST.time_ns / SECOND
+    values = 1e-3 * np.random.default_rng(5).normal(size=(20_000, 3))
+    many = {ACCEPTED: rows(begin + 1e-3 * np.arange(1, 20_001), values)}
+    sent = epoch(run, FIRST, many)
+    log = save(tmp_path / 'log.mcap', sent)
+    with memory_limit(1.5e6):
+        result = replay(log, run, tmp_path / 'out.mcap')
+    whole = replay(log, run)
+    np.testing.assert_array_equal(attitudes(tmp_path / 'out.mcap').values,
+                                  whole.trajectory.attitude)
+    assert (result.messages, result.unordered) == (whole.messages, whole.unordered) == (20_000, 0)
+
+
+def sources(run, start, count, first=0.1):
+    """Return torques on two topics and on the rotors, after the start."""
+    begin = start.time_ns / SECOND
+    values = 0.01 * np.random.default_rng(count).normal(size=(3, count, 3))
+    return {topic: rows(begin + first * (k + 1) + 0.1 * np.arange(count), values[k])
+            for k, topic in enumerate((ACCEPTED, ACCEPTED_1, WHEELS))}
+
+
+TOPICS = {'topic': [ACCEPTED, ACCEPTED_1], 'wheel_torque': WHEELS}
+
+
+@pytest.fixture
+def wheeled(tmp_path):
+    path = tmp_path / 'wheels.yaml'
+    path.write_text((CONFIG / 'tumbler.yaml').read_text()
+                    + '    torque_topics: [a, b]\n    wheels: true\n')
+    return scene.load(path)
+
+
+def with_rotors(start):
+    return State(start.time_ns, start.attitude, start.angular_velocity, (0.01, -0.02, 0.03))
+
+
+def test_several_topics_have_the_same_epochs(wheeled, tmp_path):
+    starts = with_rotors(FIRST), SECOND_START
+    given = [sources(wheeled, start, 20 + k) for k, start in enumerate(starts)]
+    log = save(tmp_path / 'log.mcap', [one for each in zip(starts, given)
+                                       for one in epoch(wheeled, *each)], given[0])
+    result = replay(log, wheeled, tmp_path / 'out.mcap', **TOPICS)
+    for found, start, one in zip((*result.earlier, result), starts, given):
+        motion = node_logs.motion_of(wheeled, start, one)
+        np.testing.assert_array_equal(found.last.attitude, motion.attitude[-1])
+        np.testing.assert_array_equal(found.last.rotor_momentum, motion.rotor_momentum[-1])
+    for motion in (log, tmp_path / 'out.mcap'):
+        compared = verify(log, wheeled, motion, **TOPICS)
+        assert (compared.same.all(), compared.compared_epochs, compared.pending) == (True, 2, 0)
+
+
+def test_a_process_may_be_killed_between_the_markers_of_two_topics(wheeled, tmp_path):
+    given = sources(wheeled, FIRST, 20)
+    log = save(tmp_path / 'log.mcap', [
+        *epoch(wheeled, FIRST, given), (ACCEPTED, messages.epoch_marker(SECOND_START)),
+        (ACCEPTED, messages.wrench(21 * SECOND, '', (0.01, 0.0, 0.0)))], given)
+    result = replay(log, wheeled, **TOPICS)
+    motion = node_logs.motion_of(wheeled, SECOND_START, {ACCEPTED: rows([21.0], (0.01, 0, 0))})
+    np.testing.assert_array_equal(result.last.attitude, motion.attitude[-1])
+    compared = verify(log, wheeled, log, **TOPICS)
+    assert (compared.same.all(), compared.compared_epochs, compared.pending) == (True, 1, 1)
+
+
+@pytest.mark.parametrize(('topic', 'marked', 'found'), [
+    (ACCEPTED_1, FIRST, replace(FIRST, angular_velocity=(1.0, 0.0, 0.0))),
+    (WHEELS, SECOND_START, replace(SECOND_START, time_ns=SECOND)),
+    (ACCEPTED, FIRST, with_rotors(FIRST))], ids=['rates', 'stamp', 'rotors'])
+def test_topics_with_other_epochs_are_refused(wheeled, tmp_path, topic, marked, found):
+    given = [sources(wheeled, FIRST, 20), sources(wheeled, SECOND_START, 10)]
+    sent = [*epoch(wheeled, FIRST, given[0]), *epoch(wheeled, SECOND_START, given[1])]
+    sent[sent.index((topic, messages.epoch_marker(marked)))] = topic, messages.epoch_marker(found)
+    log = save(tmp_path / 'log.mcap', sent, given[0])
+    other = ACCEPTED_1 if topic == ACCEPTED else topic
+    with pytest.raises(InputError, match=f'log.mcap: {other}: expected the epoch that begins at '
+                                         f'.* ns, with the same start state as on {ACCEPTED}, '):
+        replay(log, wheeled, **TOPICS)
+
+
+def test_ordinary_torques_have_no_epochs_next_to_a_log(run, tmp_path):
+    sent = [*epoch(run, FIRST, TORQUES), ('/torque', messages.wrench(6 * SECOND, '', np.ones(3)))]
+    log = save(tmp_path / 'log.mcap', sent, [ACCEPTED, '/torque'])
+    with pytest.raises(InputError, match=f'/torque: expected the epoch that begins at '
+                                         f'{FIRST.time_ns} ns, .* found torques without epochs'):
+        replay(log, run, topic=[ACCEPTED, '/torque'])
+
+
+def test_a_topic_without_messages_has_no_torques_in_any_epoch(run, tmp_path):
+    sent = [*epoch(run, FIRST, TORQUES), *epoch(run, SECOND_START, MORE)]
+    log = save(tmp_path / 'log.mcap', sent, [ACCEPTED, ACCEPTED_1])
+    result = replay(log, run, topic=[ACCEPTED, ACCEPTED_1])
+    motion = node_logs.motion_of(run, SECOND_START, MORE)
+    np.testing.assert_array_equal(result.last.attitude, motion.attitude[-1])
+
+
+def test_a_measured_momentum_of_the_rotors_needs_one_epoch(wheeled, tmp_path):
+    sent = [*epoch(wheeled, FIRST, TORQUES), *epoch(wheeled, SECOND_START, MORE)]
+    log = tmp_path / 'log.mcap'
+    save(log, sent)
+    with recording.Writer(tmp_path / 'both.mcap') as both:
+        both.add_topic('/h', messages.VECTOR3)
+        both.write('/h', SECOND, messages.VECTOR3.encode(SECOND, '', (0.0, 0.0, 0.1)))
+        both.add_topic(ACCEPTED, messages.WRENCH)
+        for topic, data in sent:
+            if topic == ACCEPTED:
+                both.write(topic, SECOND, data)
+    with pytest.raises(InputError, match='--wheel-momentum: expected one epoch, found 2'):
+        replay(tmp_path / 'both.mcap', wheeled, topic=ACCEPTED, wheel_momentum='/h')
+
+
+def test_the_rotors_of_an_epoch_are_those_of_its_marker(run, tmp_path):
+    log = save(tmp_path / 'log.mcap', epoch(run, with_rotors(FIRST), TORQUES))
+    result = replay(log, run, tmp_path / 'out.mcap')
+    motion = node_logs.motion_of(run, with_rotors(FIRST), TORQUES)
+    np.testing.assert_array_equal(result.last.attitude, motion.attitude[-1])
+
+
+@pytest.mark.parametrize('begin', [FIRST, SECOND_START])
+def test_one_motion_is_that_of_the_epoch_that_the_scene_names(two, tmp_path, begin):
+    run = scene.load(CONFIG / 'tumbler.yaml')
+    named = replace(run, start=replace(run.start, time_ns=begin.time_ns))
+    _, log, start = read(two, named)
+    given = TORQUES if begin is FIRST else MORE
+    assert [*zip(log.times_ns.tolist(), map(tuple, log.torques.tolist()))] == given[ACCEPTED]
+    assert (start.time_ns, start.attitude.tolist()) == (begin.time_ns, begin.attitude.tolist())
+
+
+def test_of_equal_starts_the_last_epoch_is_meant():
+    same = State(5), State(7), State(5), State(9)
+    run = scene.load(CONFIG / 'tumbler.yaml')
+    assert epochs.chosen('', replace(run, start=State(5)), same) == 2
+    assert epochs.chosen('', replace(run, start=State(1)), same[:1]) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', ONE_MOTION)
+def test_commands_that_need_one_motion_ask_for_its_start(two, tmp_path, capsys, name):
+    assert called(tmp_path, name, two) == 2
+    captured = capsys.readouterr()
+    line, = captured.err.splitlines()
+    assert (f'two.mcap: expected one epoch, or the start_time of one, found 2 epochs, which begin '
+            f'at {FIRST.time_ns}, {SECOND_START.time_ns} ns, and start_time 0; set start_time in '
+            'the scene') in line
+    assert not captured.out
+    assert called(tmp_path, name, two, f'start_time: {SECOND_START.time_ns}') in (0, 3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', COMMANDS)
+def test_every_command_takes_an_epoch_without_torques(run, tmp_path, capsys, name):
+    log = save(tmp_path / 'log.mcap', epoch(run, FIRST, {ACCEPTED: []}))
+    status = called(tmp_path, name, log)
+    captured = capsys.readouterr()
+    # One state determines nothing, and is no motion to measure.
+    assert (status, len(captured.err.splitlines())) in ((0, 0), (2, 1), (3, 0))
+
+
+@pytest.mark.slow
+def test_a_table_of_recordings_says_how_many_epochs_there_are(run, two, tmp_path):
+    outcome, = replay_many([two], run, tmp_path / 'out')
+    assert outcome.summary.startswith('2 epochs, the last: 30 torques, 1.5 s -> ')
+    assert len(attitudes(outcome.output)) == 71
