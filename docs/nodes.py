@@ -50,7 +50,8 @@ SUBSCRIBED = [
           'The default of `torque_topics`; every topic listed there is read in the same way. '
           'Torque, N m, and force, N, that act from its stamp on. `header.frame_id` empty or the '
           'body frame: body axes; the space frame: space axes; a link that fixed joints of '
-          '`robot_description` connect to the body: its axes and origin; any other is rejected. '
+          '`robot_description` connect to the body: its axes and origin; the child link of a '
+          'continuous joint: the same, along the axis of the joint; any other is rejected. '
           'Stamp 0: acts on arrival. A force without a lever arm is ignored, counted, and logged '
           'once.'),
     Topic('initial_state', ODOMETRY, STATE,
@@ -114,7 +115,8 @@ OPTIONAL = [
 CAUSES = {
     'malformed': 'The bytes are not a WrenchStamped, or its stamp is invalid.',
     'unknown frame': '`header.frame_id` is neither empty nor the body frame (`frame_prefix` and '
-                     '`body_frame`) nor `space_frame`, nor a link fixed to the body; on '
+                     '`body_frame`) nor `space_frame`, nor a link fixed to the body or turned by '
+                     'a continuous joint; or the wrench is not along the axis of that joint; on '
                      '`wheel_torque`: neither empty nor the body frame.',
     'not finite': 'A component of the torque is NaN or infinite.',
     'too large': 'The torque would accelerate this inertia beyond 1e9 rad/s^2.',
@@ -250,9 +252,13 @@ body axes, and adds the torque of the force about the centre of mass, which is a
 A force of 3 N along x in the frame `left_thruster` is a torque of -0.6 N m about z, and in
 `tail_thruster`, whose x axis is the y axis of the body, of -0.9 N m. `~/accepted_torque` has these
 torques, in body axes and without a force, so that it is the log of the run. A replay of the
-original messages computes the same bits. A frame that a joint moves relative to the body is
-rejected (`unknown frame`), and the log names the joint. [Conventions](conventions.md#force) has
-the formula and all cases.
+original messages computes the same bits.
+
+A propeller publishes thrust and drag in the frame of its link, the child of a `continuous` joint.
+Forces at the origin of a continuous joint, along its axis, are accepted like those of fixed
+joints. A message with a force or torque across the axis is rejected (`unknown frame`), because the
+angle of the propeller is unknown. So is one in a frame that any other joint moves relative to the
+body. The log names the joint. [Conventions](conventions.md#force) has the formula and all cases.
 
 ### Which torques add up?
 

@@ -338,8 +338,8 @@ def wrench_frame(frame_id: str, body_frame: str, space_frame: str,
     """
     Return the axes, 'body' or 'space', of the torque of a WrenchStamped, and its frame.
 
-    The frame is one of `links`, which are fixed to the body; it converts the wrench to a torque
-    about the centre of mass. Without a frame the torque is about the centre of mass already, and
+    The frame is one of `links`; it converts the wrench to a torque about the centre of mass.
+    Without a frame the torque is about the centre of mass already, and
     the force has no effect.
 
     Raises
@@ -356,7 +356,7 @@ def wrench_frame(frame_id: str, body_frame: str, space_frame: str,
     except ValueError as error:
         if links:
             others = listed([repr(name) for name in links if name != links.link])
-            raise ValueError(f'{error}; links fixed to {quoted(links.link)}: {others}') from error
+            raise ValueError(f'{error}; links whose forces are accepted: {others}') from error
         raise
     return axes, links.of_body(body_frame) if axes == 'body' else None
 

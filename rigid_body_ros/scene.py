@@ -139,7 +139,7 @@ class Scene:
     path : Path or None
         Absolute path of the scene file, None if the scene was not read from a file.
     links : Frames
-        The links of robot_description that are fixed to the body, with frame_prefix.
+        The frames of robot_description in which forces are accepted, with frame_prefix.
     ignored : tuple of str
         Names of the given parameters that are those of other nodes.
 

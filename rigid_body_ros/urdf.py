@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The inertia of a link in a URDF file, and the frames that are fixed to the link.
+The inertia of a link in a URDF file, and the frames in which forces on it are accepted.
 
 The format is specified in http://wiki.ros.org/urdf/XML/link and
 http://wiki.ros.org/urdf/XML/joint. Where the specification leaves a choice, this module follows
@@ -34,13 +34,13 @@ import numpy as np
 from rigid_body_ros import euler, so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import listed, quoted, shortened
-from rigid_body_ros.frames import Frame, Frames
+from rigid_body_ros.frames import Frame, Frames, TurningFrame
 
 #: Attributes of <inertia>, row by row.
 _ENTRIES = ('ixx', 'ixy', 'ixz', 'ixy', 'iyy', 'iyz', 'ixz', 'iyz', 'izz')
-_FIXED = 'fixed'
+_FIXED, _CONTINUOUS = 'fixed', 'continuous'
 #: Types of joints that move.
-_MOVING = ('revolute', 'continuous', 'prismatic', 'floating', 'planar')
+_MOVING = ('revolute', _CONTINUOUS, 'prismatic', 'floating', 'planar')
 #: m; beyond it, products of positions may not fit a double.
 _FARTHEST = 1e300
 #: Numbers as urdfdom reads them; `float` also accepts 1_000 and digits of other scripts.
@@ -96,6 +96,9 @@ def fixed_frames(text: str, link: str = '') -> Frames:
     """
     Return the frames of the links that fixed joints connect to a link, in either direction.
 
+    The child link of a continuous joint on one of these, such as a propeller, has a frame as well,
+    for forces and torques along the axis of the joint. Links attached to the child have none.
+
     Parameters
     ----------
     text : str
@@ -109,7 +112,8 @@ def fixed_frames(text: str, link: str = '') -> Frames:
     Frames
         By name of the link; that of the body is included. Any other name raises
         UnknownFrameError, a KeyError and ValueError, with the reason: the joint that moves the
-        link, the joint that has no valid <origin>, or that no joints connect the link to the body.
+        link, the joint that has no valid <origin> or <axis>, or that no joints connect the link to
+        the body. The frame of a continuous joint is a `frames.TurningFrame`.
 
     Raises
     ------
@@ -123,10 +127,10 @@ def fixed_frames(text: str, link: str = '') -> Frames:
     centre, _ = _origin(inertial, f'URDF link {quoted(body)}')
     links = [element.get('name', '') for element in robot.findall('{*}link')]
     paths = _paths(body, _joints(robot, {*links}, body), [-x for x in centre])
-    fixed = {name: path.frame for name, path in paths.items() if not path.barrier}
+    frames = {name: path.frame for name, path in paths.items() if not path.barrier}
     others = dict.fromkeys(links, f'no joints connect it to {quoted(body)}')
     others |= {name: path.barrier for name, path in paths.items()}
-    return Frames(body, fixed, {name: others[name] for name in links if name not in fixed})
+    return Frames(body, frames, {name: others[name] for name in links if name not in frames})
 
 
 def _check_thickness(tensor: Floats, where: str) -> None:
@@ -179,21 +183,26 @@ class _Joint(NamedTuple):
 
     Attributes
     ----------
-    parent, child : str
+    name, parent, child : str
     shift : list of 3 floats, m
         Position of the child relative to the parent, in the axes of the parent.
     turn : list of 3 rows of 3 floats
         Rotation matrix from the axes of the child to those of the parent.
     barrier : str
         Why it does not fix the child to the parent; '' if it does.
+    axis : list of 3 floats
+        Unit vector about which it turns the child, in the axes of the child; empty if it does
+        anything else.
 
     """
 
+    name: str
     parent: str
     child: str
     shift: list[float]
     turn: list[list[float]]
     barrier: str
+    axis: list[float]
 
 
 class _Path(NamedTuple):
@@ -207,7 +216,9 @@ class _Path(NamedTuple):
     position, rest : list of 3 floats, m, body axes
         Position of the link relative to the centre of mass, and the rounding error of that sum.
     barrier : str
-        Why the link is not fixed to the body; '' if it is.
+        Why forces at the link are not accepted; '' if they are.
+    turning : _Joint, optional
+        The continuous joint of which the link is the child; None if the body fixes the link.
 
     """
 
@@ -215,15 +226,20 @@ class _Path(NamedTuple):
     position: list[float]
     rest: list[float]
     barrier: str = ''
+    turning: _Joint | None = None
 
     @property
     def frame(self) -> Frame:
         """Return the frame of the link."""
-        return Frame(np.array(self.rotation), np.add(self.position, self.rest))
+        rotation, position = np.array(self.rotation), np.add(self.position, self.rest)
+        if self.turning:
+            return TurningFrame(rotation, position, self.turning.name, np.array(self.turning.axis))
+        return Frame(rotation, position)
 
     def across(self, joint: _Joint, to_child: bool) -> _Path:
         """Return the path to the other link of a joint."""
-        barrier = self.barrier or joint.barrier
+        turning = joint if joint.axis and to_child and not self.turning else None
+        barrier = self.barrier or ('' if turning else (self.turning or joint).barrier)
         if barrier:
             return self._replace(barrier=barrier)
         back = [list(row) for row in zip(*joint.turn)]
@@ -235,7 +251,7 @@ class _Path(NamedTuple):
                 for rest, total, (x,) in zip(self.rest, self.position, column)]
         if not all(abs(x) <= _FARTHEST for x in sums):
             barrier = f'expected a position of at most {_FARTHEST:g} m'
-        return _Path(rotation, sums, rest, barrier)
+        return _Path(rotation, sums, rest, barrier, turning)
 
 
 def _paths(body: str, joints: list[_Joint], start: list[float]) -> dict[str, _Path]:
@@ -263,26 +279,43 @@ def _joints(robot: Element, links: set[str], body: str) -> list[_Joint]:
     for element in robot.findall('{*}joint'):
         parent, child = (_child(element, end).get('link', '') for end in ('parent', 'child'))
         if {parent, child} <= links:
-            shift, turn, barrier = _attachment(element, body)
+            shift, turn, barrier, axis = _attachment(element, body)
             angles.append(turn)
-            joints.append(_Joint(parent, child, shift, [], barrier))
+            name = element.get('name', '')
+            joints.append(_Joint(name, parent, child, shift, [], barrier, axis))
     turns = so3.matrix(euler.to_quaternion(np.reshape(angles, (-1, 3)), 'xyz'))  # all at once
     return [joint._replace(turn=turn) for joint, turn in zip(joints, turns.tolist())]
 
 
-def _attachment(joint: Element, body: str) -> tuple[list[float], list[float], str]:
-    """Return the shift and the angles of a joint, and why it does not fix its child, or ''."""
+def _attachment(joint: Element,
+                body: str) -> tuple[list[float], list[float], str, list[float]]:
+    """Return the shift, the angles, the barrier and the axis of a joint."""
     name, kind = quoted(joint.get('name', '')), joint.get('type', '')
-    zero, types = [0.0] * 3, (_FIXED, *_MOVING)
-    if kind in _MOVING:
-        return zero, zero, f'joint {name} ({kind}) moves it relative to {quoted(body)}'
+    zero, types, where = [0.0] * 3, (_FIXED, *_MOVING), f'URDF joint {name}'
+    moves = f'joint {name} ({kind}) moves it relative to {quoted(body)}'
     try:
-        if kind != _FIXED:
-            raise ValueError(f'URDF joint {name}: type: expected one of {", ".join(types)}, '
+        if kind not in types:
+            raise ValueError(f'{where}: type: expected one of {", ".join(types)}, '
                              f'found {quoted(kind)}')
-        return *_origin(joint, f'URDF joint {name}'), ''
+        if kind == _FIXED:
+            return *_origin(joint, where), '', []
+        if kind == _CONTINUOUS:
+            return *_origin(joint, where), moves, _axis(joint, f'{where}: axis')
+        return zero, zero, moves, []
     except ValueError as error:
-        return zero, zero, str(error)
+        return zero, zero, str(error), []
+
+
+def _axis(joint: Element, where: str) -> list[float]:
+    """Return the unit vector along the <axis> of a joint."""
+    default = '1 0 0' if joint.find('{*}axis') is None else None
+    numbers = _numbers(_child(joint, 'axis'), 'xyz', 3, where, default)
+    largest = max(map(abs, numbers))
+    if not largest:
+        raise ValueError(f'{where}: xyz: expected a vector other than zero, found {numbers}')
+    # By a power of two, which rounds nothing; without it the norm may not fit a double.
+    scaled = [math.ldexp(x, -math.frexp(largest)[1]) for x in numbers]
+    return [x / math.hypot(*scaled) for x in scaled]
 
 
 def _product(one: list[list[float]], other: list[list[float]]) -> list[list[float]]:

@@ -25,18 +25,20 @@ JOINTS = (THRUSTER, ('fixed', 'base_link', 'mast', '0 0 0.5', '0 0 0'),
           ('fixed', 'mast', 'lamp', '0 0.5 0', '0.1 0.2 0.3'),
           ('fixed', 'footprint', 'base_link', '0 0 2', '0 0 0'),
           ('revolute', 'mast', 'arm', '0 0 1', '0 0 0'),
-          ('fixed', 'arm', 'hand', '1 0 0', '0 0 0'))
+          ('fixed', 'arm', 'hand', '1 0 0', '0 0 0'),
+          ('continuous', 'mast', 'propeller', '0 0.2 0.1', '0.4 -0.1 0.3', '1 2 2'))
 
 
 def robot(*joints, body='base_link', origin=SHIFT, loose=()):
-    """Return a URDF with the given joints: type, parent, child, xyz, rpy."""
+    """Return a URDF with the given joints: type, parent, child, xyz, rpy and perhaps axis."""
     names = dict.fromkeys([body, *(name for joint in joints for name in joint[1:3]), *loose])
     inertial = (f'<inertial><origin{origin}/><mass value="2"/><inertia ixx="0.05" iyy="0.12" '
                 'izz="0.14" ixy="0.002" ixz="0" iyz="0"/></inertial>')
     links = [f'<link name="{name}">{inertial if name == body else ""}</link>' for name in names]
     parts = [f'<joint name="to_{child}" type="{kind}"><parent link="{parent}"/>'
-             f'<child link="{child}"/><origin xyz="{xyz}" rpy="{rpy}"/></joint>'
-             for kind, parent, child, xyz, rpy in joints]
+             f'<child link="{child}"/><origin xyz="{xyz}" rpy="{rpy}"/>'
+             + ''.join(f'<axis xyz="{xyz}"/>' for xyz in axis) + '</joint>'
+             for kind, parent, child, xyz, rpy, *axis in joints]
     return '<robot name="it">' + ''.join(links + parts) + '</robot>'
 
 
@@ -44,11 +46,15 @@ def robot(*joints, body='base_link', origin=SHIFT, loose=()):
 ROBOT = robot(*JOINTS, loose=['label'])
 
 
-def wrenches(count, frames=('base_link', 'world', '', 'thruster', 'mast', 'lamp', 'footprint')):
+def wrenches(count, frames=('base_link', 'world', '', 'thruster', 'mast', 'lamp', 'footprint',
+                            'propeller')):
     """Return small random wrenches in several frames, some without a force."""
     sent = bags.torques(count, frames)
     sent.values[:] = np.random.default_rng(3).normal(size=(count, 6)) * 1e-3
     sent.values[::5, :3] = 0.0
+    turning = np.array(sent.frame_ids) == 'propeller'
+    along = np.repeat(sent.values[turning][:, [0, 3]], 3, axis=1)
+    sent.values[turning] = along * [1.0, 2.0, 2.0, 1.0, 2.0, 2.0]
     return sent
 
 

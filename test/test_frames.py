@@ -93,7 +93,7 @@ def test_a_torque_in_an_aligned_frame_keeps_its_bits(name):
 def test_one_wrench_has_the_bits_that_it_has_among_many():
     wrenches = np.random.default_rng(5).normal(size=(200, 6)) * 10.0 ** np.arange(-3, 3)
     wrenches[::3, :3] = 0.0
-    for frame in urdf.fixed_frames(ROBOT).values():
+    for frame in [*urdf.fixed_frames(ROBOT).values()][:-1]:  # the last is the propeller
         alone = [frame.torque(row[:3], row[3:]) for row in wrenches]
         together = frame.torque(wrenches[:, :3], wrenches[:, 3:])
         assert np.array(alone).tobytes() == together.tobytes()
@@ -101,7 +101,7 @@ def test_one_wrench_has_the_bits_that_it_has_among_many():
 
 def test_frames_survive_the_way_to_another_process():
     frames = pickle.loads(pickle.dumps(urdf.fixed_frames(ROBOT)))
-    assert [*frames] == ['base_link', 'thruster', 'mast', 'footprint', 'lamp']
+    assert [*frames] == ['base_link', 'thruster', 'mast', 'footprint', 'lamp', 'propeller']
     with pytest.raises(KeyError, match='joint .to_arm. .revolute. moves it'):
         frames['hand']
 
@@ -115,10 +115,10 @@ def changed(old, new):
     *((changed('revolute', kind), name,
        f"joint 'to_arm' ({kind}) moves it relative to 'base_link'")
       for kind in ('revolute', 'continuous', 'prismatic', 'floating', 'planar')
-      for name in ('arm', 'hand')),
+      for name in ('arm', 'hand') if (kind, name) != ('continuous', 'arm')),
     (ROBOT, 'label', "no joints connect it to 'base_link'"),
-    (ROBOT, 'map', "expected a link of the URDF that is fixed to 'base_link': 'base_link', "
-                   "'thruster', 'mast', 'footprint', 'lamp'"),
+    (ROBOT, 'map', "expected a link of the URDF whose forces are accepted: 'base_link', "
+                   "'thruster', 'mast', 'footprint', 'lamp', 'propeller'"),
     (changed('revolute', 'weld'), 'hand', "URDF joint 'to_arm': type: expected one of fixed, "
      "revolute, continuous, prismatic, floating, planar, found 'weld'"),
     (changed('xyz="0 0 0.5"', 'xyz="0 0"'), 'lamp',
@@ -127,6 +127,15 @@ def changed(old, new):
      "URDF joint 'to_lamp': rpy: expected 3 finite numbers, found '0 0 nan'"),
     (changed('xyz="0 0.5 0"', 'xyz="0 1e308 0"'), 'lamp',
      'expected a position of at most 1e+300 m'),
+    *((changed('<axis xyz="1 2 2"/>', axis), 'propeller',
+       f"URDF joint 'to_propeller': axis: xyz: expected {expected}")
+      for axis, expected in (
+          ('<axis xyz="0 -0.0 0"/>', 'a vector other than zero, found [0.0, -0.0, 0.0]'),
+          ('<axis xyz="0 0 inf"/>', "3 finite numbers, found '0 0 inf'"),
+          ('<axis xyz="0 1"/>', "3 finite numbers, found '0 1'"),
+          ('<axis/>', '3 finite numbers, found nothing'))),
+    (changed('xyz="0 0.2 0.1"', 'xyz="0 0.2"'), 'propeller',
+     "URDF joint 'to_propeller': xyz: expected 3 finite numbers, found '0 0.2'"),
     (changed('rpy="0.1 0.2 0.3"', 'quat_xyzw="0 0 0 1"'), 'lamp',
      "URDF joint 'to_lamp': expected the rotation as rpy, found quat_xyzw"),
     (robot(*JOINTS, ('fixed', 'thruster', 'lamp', '0 0 0', '0 0 0')), 'mast',
@@ -145,7 +154,7 @@ def test_a_frame_that_is_not_fixed_is_rejected_with_the_reason(robot, frame, rea
     (ROBOT, 'mast', "URDF link 'mast': expected an <inertial>, found none; links with <inertial>: "
                     "'base_link'"),
     (ROBOT, 'map', "URDF: expected one link 'map', found 'base_link', 'thruster', 'mast', 'lamp', "
-                   "'footprint', 'arm' and 2 more"),
+                   "'footprint', 'arm' and 3 more"),
     (changed('0.25 0 -0.5', '0.25 0'), '',
      "URDF link 'base_link': xyz: expected 3 finite numbers, found '0.25 0'")])
 def test_frames_need_a_link_with_a_centre_of_mass(robot, link, message):
@@ -215,7 +224,7 @@ def test_a_replay_reads_and_writes_frames_with_the_prefix(tmp_path, scene_file):
     assert outputs[''] == outputs['one/']
 
 
-@pytest.mark.parametrize('body_frame', ['thruster', 'hand', 'label'])
+@pytest.mark.parametrize('body_frame', ['thruster', 'hand', 'label', 'propeller'])
 def test_a_body_frame_with_other_axes_is_warned_of_and_means_the_link(scene_file, body_frame):
     loaded = scene.load(scene_file(body_frame=body_frame))
     assert loaded.warnings == [
@@ -316,7 +325,8 @@ def test_a_csv_file_has_torques_about_the_centre_of_mass(tmp_path, scene_file):
     ('label', [0, 0, 0, 0, 0, 1], "message 2: frame 'label': no joints connect it to 'base_link'"),
     ('map', [0, 0, 0, 0, 0, 1],
      "message 2: frame_id: expected 'base_link' or '' (body axes) or 'world' (space axes), found "
-     "'map'; links fixed to 'base_link': 'thruster', 'mast', 'footprint', 'lamp'"),
+     "'map'; links whose forces are accepted: 'thruster', 'mast', 'footprint', 'lamp', "
+     "'propeller'"),
     ('mast', [np.nan, 0, 0, 0, 0, 1],
      f'message 2 at {EPOCH_NS + SECOND} ns: expected a finite torque, found [nan, nan, nan], from '
      "the wrench [nan, 0.0, 0.0, 0.0, 0.0, 1.0] in frame 'mast'"),

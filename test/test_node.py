@@ -249,16 +249,17 @@ def test_wrenches_of_links_act_live_as_in_a_replay(tmp_path, domain):
                 zip(stamps.tolist(), sent.frame_ids, sent.values)]
         for number in np.random.default_rng(1).permutation(300):
             live.publish_bytes(rows[number])
-        for frame_id, force in (('arm', 0.0), ('hand', 0.0), ('map', 0.0), ('mast', np.nan)):
+        for frame_id, force in (('arm', 0.0), ('hand', 0.0), ('map', 0.0), ('mast', np.nan),
+                                ('propeller', 1.0)):
             live.publish_bytes(messages.WRENCH.encode(
                 int(stamps[-1]), frame_id, [force, 0.0, 0.0, 0.0, 0.0, 1.0]))
-        live.wait_for_torques(304)
+        live.wait_for_torques(305)
         counts, _, _ = live.diagnosis('torques')
         live.dump_parameters(tmp_path / 'live.yaml')
         words = live.end()
         run = replayed(tmp_path, live)
     assert [counts[name] for name in ('applied', 'rejected: unknown frame',
-                                      'rejected: not finite')] == [300, 3, 1]
+                                      'rejected: not finite')] == [300, 4, 1]
     in_space = np.array(sent.frame_ids) == 'world'
     assert counts['force ignored'] == np.count_nonzero(sent.values[in_space, 0])
     assert "frame 'arm': joint 'to_arm' (revolute) moves it relative to 'base_link'" in words \

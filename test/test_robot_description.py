@@ -27,9 +27,11 @@ import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import messages, scene, urdf
+from rigid_body_ros.node.inputs import FRAME, Inputs, NOT_FINITE, RejectedError
 from robots import ROBOT
 from std_msgs.msg import String
 from test_node import run_node
+import yaml
 
 pytestmark = pytest.mark.ros
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -150,3 +152,21 @@ class LonelySession(DescribedSession):
 def test_a_node_that_waits_says_what_is_missing(domain, parameters):
     with LonelySession(parameters, domain) as live:
         assert live.stop() == 0
+
+
+def test_a_wrench_across_the_axis_of_a_propeller_is_rejected_with_frame_and_joint(parameters):
+    parameters.write_text(yaml.dump({'/**': {'ros__parameters': {
+        'robot_description': ROBOT, 'frame_prefix': 'one/'}}}))
+    loaded, axis = scene.load(parameters), np.array([1.0, 2.0, 2.0])
+    inputs = Inputs(loaded, lambda source: None)
+    along = messages.WRENCH.encode(1, 'one/propeller', [*axis, *(1e-3 * axis)])
+    assert inputs.torque(along, 0).values.tobytes() \
+        == loaded.links['one/propeller'].torque(axis, 1e-3 * axis).tobytes()
+    for values, cause, words in (
+            ([1, 0, 0, 0, 0, 0], FRAME, "^frame 'one/propeller': expected force and torque along"),
+            ([0, 0, 0, 0, 0, 1], FRAME, "of joint 'to_propeller' .continuous., found force"),
+            ([np.nan, 0, 0, 0, 0, 0], NOT_FINITE, 'expected a finite torque'),
+            ([0, 0, 0, 0, np.inf, 0], NOT_FINITE, 'expected a finite torque')):
+        with pytest.raises(RejectedError, match=words) as found:
+            inputs.torque(messages.WRENCH.encode(1, 'one/propeller', values), 0)
+        assert found.value.cause == cause

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from rigid_body_ros import messages
 from rigid_body_ros.common.errors import quoted
-from rigid_body_ros.frames import Frame
+from rigid_body_ros.frames import Frame, OffAxisError
 from rigid_body_ros.node.drain import Sender
 from rigid_body_ros.node.epoch import Torque
 from rigid_body_ros.propagation.options import FASTEST
@@ -82,7 +82,8 @@ class Inputs:
         Raises
         ------
         RejectedError
-            The message is malformed, in an unknown frame, not finite or far too large.
+            The message is malformed, in an unknown frame, not along the axis of its frame, not
+            finite or far too large.
 
         """
         wrench = _decoded(messages.WRENCH, data)
@@ -98,7 +99,10 @@ class Inputs:
             frame = None  # a force does not act on rotors
         force, torque = wrench.values[:3], messages.torque(wrench)
         if frame:
-            torque = frame.torque(force, torque)
+            try:
+                torque = frame.torque(force, torque)
+            except OffAxisError as error:
+                raise RejectedError(FRAME, f'frame {quoted(wrench.frame_id)}: {error}') from error
         x, y, z = torque.tolist()
         if not math.isfinite(x + y + z):
             raise RejectedError(NOT_FINITE, f'expected a finite torque, found {[x, y, z]}'

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -27,8 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError, reason
-from rigid_body_ros.frames import Frames, NO_FRAMES
+from rigid_body_ros.common.errors import InputError, quoted, reason
+from rigid_body_ros.frames import Frame, Frames, NO_FRAMES, OffAxisError
 from rigid_body_ros.recording.source import Messages
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
@@ -127,8 +127,8 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
     interpolation : str
         'hold', 'linear' or 'cubic'.
     links : Frames
-        The links of a URDF that are fixed to the body (see `urdf.fixed_frames`): a wrench in the
-        frame of one acts at its origin.
+        The frames of the links of a URDF (see `urdf.fixed_frames`): a wrench in one acts at its
+        origin.
 
     Returns
     -------
@@ -138,8 +138,8 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
     ------
     InputError
         There is no message, although a start state is not known; a message has an unknown
-        frame_id, no stamp or a torque that is not finite; or torques of both frames are to be
-        interpolated.
+        frame_id, a wrench that is not along the axis of its frame, no stamp or a torque that is
+        not finite; or torques of both frames are to be interpolated.
 
     """
     where = f'{path}: {recorded.topic}'
@@ -161,10 +161,10 @@ def _torques(where: str, recorded: Messages,
     """
     Return the torques about the centre of mass, N m, shape (n, 3), and the axes of each frame.
 
-    `frames` are the body frame, the space frame and the links that are fixed to the body. Raise
-    InputError that names the first invalid message.
+    `frames` are the body frame, the space frame and those of the links. Raise InputError that
+    names the first invalid message.
     """
-    torques, axes, moved = recorded.values[:, 3:], [], {}
+    axes, moved = [], {}
     for code, frame_id in enumerate(recorded.names):
         try:
             one, frame = messages.wrench_frame(frame_id, *frames)
@@ -174,13 +174,25 @@ def _torques(where: str, recorded: Messages,
         axes.append(one)
         if frame:
             moved[code] = frame
-    if moved:
-        torques = torques.copy()
-    for code, frame in moved.items():
-        rows = recorded.frames == code
-        torques[rows] = frame.torque(recorded.values[rows, :3], recorded.values[rows, 3:])
+    torques = _moved(where, recorded, moved) if moved else recorded.values[:, 3:]
     _check_finite(where, recorded, torques, moved)
     return torques, axes
+
+
+def _moved(where: str, recorded: Messages, frames: Mapping[int, Frame]) -> Floats:
+    """Return the torques about the centre of mass, N m, shape (n, 3), of wrenches in frames."""
+    torques, off_axis = recorded.values[:, 3:].copy(), {}
+    for code, frame in frames.items():
+        rows = recorded.frames == code
+        try:
+            torques[rows] = frame.torque(recorded.values[rows, :3], recorded.values[rows, 3:])
+        except OffAxisError as error:
+            row = int(np.flatnonzero(rows)[error.row])
+            off_axis[row] = f'frame {quoted(recorded.names[code])}: {error}'
+    if off_axis:
+        row = min(off_axis)
+        raise InputError(f'{where}: message {recorded.before + row + 1}: {off_axis[row]}')
+    return torques
 
 
 def _check_finite(where: str, recorded: Messages, torques: Floats,
@@ -262,7 +274,8 @@ def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str, space
     Raises
     ------
     InputError
-        A message has an unknown frame_id or a torque that is not finite.
+        A message has an unknown frame_id, a wrench that is not along the axis of its frame, or a
+        torque that is not finite.
     NotInOrderError
         A message begins another epoch or has no stamp, or its stamp is not after the samples of
         earlier pieces.
