@@ -33,6 +33,9 @@ def generate_launch_description():
 
 def _closed_loop(context):
     given = context.launch_configurations
+    if given['mode'] not in ('', 'lockstep'):
+        raise RuntimeError("mode: expected 'lockstep' or no value, because the controller waits "
+                           f"for the reply to each torque, found {given['mode']!r}")
     node = launching.attitude_node(context, {'mode': 'lockstep', 'step': 0.01})
     controller = Node(
         package=launching.NAME, executable='attitude_controller', namespace=given['namespace'],

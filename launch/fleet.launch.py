@@ -13,28 +13,46 @@
 # limitations under the License.
 
 """
-Eight bodies, each with a node in a namespace of its own: body_1 to body_8.
+Several bodies, each with a node in a namespace of its own: body_1, body_2 and so on.
 
 An example of a launch file that includes another one several times. Every body here is the same;
 for different ones give each its own scene.
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+)
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import FindPackageShare
 
 ATTITUDE_NODE = PathJoinSubstitution(
     [FindPackageShare('rigid_body_ros'), 'launch', 'attitude_node.launch.py'])
-BODIES = 8
+#: DDS has ports for about this number of processes in a domain on one machine.
+MOST = 100
 
 
 def generate_launch_description():
-    return LaunchDescription([
+    return LaunchDescription([GroupAction([
         DeclareLaunchArgument('scene', description='parameter file, or the name of an example: '
                               'tumbler or iss'),
-        *(_body(f'body_{number}') for number in range(1, BODIES + 1))])
+        DeclareLaunchArgument('bodies', default_value='8', description='number of bodies'),
+        OpaqueFunction(function=_fleet)])])
+
+
+def _fleet(context):
+    given = context.launch_configurations
+    count, checkpoint = given['bodies'], given.get('checkpoint', '')
+    if count not in map(str, range(1, MOST + 1)):
+        raise RuntimeError(f'bodies: expected a whole number from 1 to {MOST}, found {count!r}')
+    if checkpoint:
+        raise RuntimeError('checkpoint: expected no value, because each body needs a file of its '
+                           f'own, found {checkpoint!r}')
+    return [_body(f'body_{number}') for number in range(1, int(count) + 1)]
 
 
 def _body(namespace):

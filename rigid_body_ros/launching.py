@@ -46,6 +46,8 @@ RELATIVE_TF = (('/tf', 'tf'), ('/tf_static', 'tf_static'))
 _FLAG = ('false', 'true')
 #: Default of an argument that is not given: the scene decides.
 _AS_IN_SCENE = ''
+#: Arguments that are parameters of the node with a text, and with a flag.
+_TEXTS, _FLAGS = ('frame_prefix', 'mode', 'checkpoint'), ('use_sim_time', 'autostart')
 
 
 def scoped(*entities: Any, **defaults: str) -> GroupAction:
@@ -78,16 +80,15 @@ def attitude_node(context: LaunchContext, more: Mapping[str, Any] | None = None)
     Raises
     ------
     RuntimeError
-        The scene is neither a file nor the name of an example, or a remapping is malformed.
+        The scene is neither a file nor the name of an example, a remapping is malformed, the rate
+        is not a number, or `autostart` is given for a node without a life cycle.
 
     """
-    given, parameters = context.launch_configurations, dict(more or {})
-    if given['frame_prefix']:
-        parameters['frame_prefix'] = given['frame_prefix']
-    if given['use_sim_time']:
-        parameters['use_sim_time'] = given['use_sim_time'] == 'true'
+    given = context.launch_configurations
+    executable = 'attitude_lifecycle_node' if given['lifecycle'] == 'true' else 'attitude_node'
+    parameters = {**(more or {}), **_parameters(given)}
     return Node(
-        package=NAME, executable='attitude_node', name=given['name'], namespace=given['namespace'],
+        package=NAME, executable=executable, name=given['name'], namespace=given['namespace'],
         parameters=[str(scene(given['scene'])), *([parameters] if parameters else [])],
         remappings=[*remappings(given), *RELATIVE_TF],
         ros_arguments=['--log-level', given['log_level']],
@@ -117,6 +118,24 @@ def remappings(given: Mapping[str, str]) -> list[tuple[str, str]]:
     return [('torque', given['torque']), *((name, target) for name, _, target in rules)]
 
 
+def _parameters(given: Mapping[str, str]) -> dict[str, Any]:
+    """Return the parameters of the node that the arguments set."""
+    if given['autostart'] and given['lifecycle'] == 'false':
+        raise RuntimeError('autostart: expected no value without lifecycle:=true, because a plain '
+                           f'node always starts by itself, found {given["autostart"]!r}')
+    texts = {name: given[name] for name in _TEXTS if given[name]}
+    flags = {name: given[name] == 'true' for name in _FLAGS if given[name]}
+    rate = {'publish_rate': _rate(given['publish_rate'])} if given['publish_rate'] else {}
+    return {**texts, **flags, **rate}
+
+
+def _rate(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise RuntimeError(f'publish_rate: expected a number, Hz, found {text!r}') from None
+
+
 def end(*processes: ExecuteLocal) -> list[EmitEvent]:
     """Return actions that end processes, as Ctrl-C does; those that have ended are ignored."""
     return [EmitEvent(event=ShutdownProcess(process_matcher=matches_action(process)))
@@ -144,6 +163,18 @@ def _arguments(defaults: Mapping[str, str]) -> list[DeclareLaunchArgument]:
                  'links of robot_description (default: as in the scene)'),
         argument('use_sim_time', _AS_IN_SCENE, 'whether to follow /clock (default: as the scene '
                  'or the including launch file says)', (_AS_IN_SCENE, *_FLAG)),
+        argument('mode', _AS_IN_SCENE, 'whether to publish the motion in real time, or to reply '
+                 'to each torque (default: as in the scene)',
+                 (_AS_IN_SCENE, 'realtime', 'lockstep')),
+        argument('publish_rate', _AS_IN_SCENE, 'rate at which the motion is published, Hz '
+                 '(default: as in the scene)'),
+        argument('checkpoint', _AS_IN_SCENE, 'parameter checkpoint of the node, a file of its own '
+                 '(default: as in the scene)'),
+        argument('lifecycle', 'false', 'whether to start attitude_lifecycle_node, whose life a '
+                 'manager controls', _FLAG),
+        argument('autostart', _AS_IN_SCENE, 'with lifecycle: whether the node configures and '
+                 'activates itself, without a manager (default: as in the scene, otherwise false)',
+                 (_AS_IN_SCENE, *_FLAG)),
         argument('log_level', 'info', 'the least severe messages to log',
                  ('debug', 'info', 'warn', 'error', 'fatal')),
         argument('respawn', 'false', 'whether to start the node again 1 s after it ended', _FLAG),

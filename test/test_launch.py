@@ -17,6 +17,7 @@
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 import os
+from pathlib import Path
 import shutil
 import signal
 import subprocess
@@ -24,12 +25,17 @@ import sys
 import time
 
 from ament_index_python.packages import get_packages_with_prefixes
-from conftest import CONFIG, NAME, RECORDINGS
+from conftest import at_night, CONFIG, NAME, RECORDINGS
 from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
+from lifecycle_msgs.srv import GetState
 import psutil
 import pytest
+from rcl_interfaces.srv import GetParameters
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import parameter_value_to_python
 from rclpy.wait_for_message import wait_for_message
+import yaml
 
 pytestmark = [pytest.mark.ros, pytest.mark.skipif(
     find_spec('launch_ros') is None, reason='launch_ros is not installed, and PyPI does not have '
@@ -37,7 +43,8 @@ pytestmark = [pytest.mark.ros, pytest.mark.skipif(
 #: s; the first start on a machine compiles the kernels.
 PATIENCE = 300
 ARGUMENTS = ('scene', 'namespace', 'name', 'torque', 'remappings', 'frame_prefix',
-             'use_sim_time', 'log_level', 'respawn')
+             'mode', 'publish_rate', 'checkpoint', 'lifecycle', 'autostart', 'use_sim_time',
+             'log_level', 'respawn')
 INDEX = 'share/ament_index/resource_index/packages'
 #: Logs its arguments. `ros2 bag play` ends once it is resumed, which is all that matters to the
 #: launch file.
@@ -204,6 +211,88 @@ def test_the_node_alone_uses_its_arguments(listener):
     assert '[INFO] [1' not in words.replace('[INFO] [launch', '')  # of the node: its log level
 
 
+@pytest.mark.parametrize(('name', 'arguments', 'error'), [
+    ('attitude_node', ('publish_rate:=fast',),
+     "publish_rate: expected a number, Hz, found 'fast'"),
+    ('attitude_node', ('autostart:=false',),
+     'autostart: expected no value without lifecycle:=true, because a plain node always starts by '
+     "itself, found 'false'"),
+    ('closed_loop', ('mode:=realtime',), "mode: expected 'lockstep' or no value, because the "
+     "controller waits for the reply to each torque, found 'realtime'"),
+    *(('fleet', (f'bodies:={bodies}',),
+       f'bodies: expected a whole number from 1 to 100, found {bodies!r}')
+      for bodies in ('0', '-1', '2.5', 'many', '101')),
+    ('fleet', ('checkpoint:=one.json',), 'checkpoint: expected no value, because each body needs '
+     "a file of its own, found 'one.json'")])
+def test_an_argument_that_makes_no_sense_is_an_error(name, arguments, error):
+    words, status = run(name, 'scene:=tumbler', *arguments)
+    assert status == 1
+    line, = (line for line in words.splitlines() if error in line)
+    assert line.endswith(error)
+    assert 'Traceback' not in words
+    assert 'process started' not in words
+
+
+def response(listener, kind, service, **request):
+    """Call a service, and return its response."""
+    client = listener.create_client(kind, service)
+    assert client.wait_for_service(PATIENCE)
+    future = client.call_async(kind.Request(**request))
+    executor = SingleThreadedExecutor(context=listener.context)
+    rclpy.spin_until_future_complete(listener, future, executor, PATIENCE)
+    executor.shutdown()
+    return future.result()
+
+
+def values_of(listener, node, *names):
+    """Return the values of parameters of a node."""
+    values = response(listener, GetParameters, f'{node}/get_parameters', names=names).values
+    return [parameter_value_to_python(value) for value in values]
+
+
+def state_of(listener):
+    """Return the state of a managed node."""
+    return response(listener, GetState, '/attitude_node/get_state').current_state.label
+
+
+def test_parameters_of_the_node_are_arguments(listener):
+    with launched('attitude_node', 'scene:=tumbler', 'mode:=lockstep', 'publish_rate:=7',
+                  'frame_prefix:=1') as process:
+        assert values_of(listener, '/attitude_node', 'mode', 'publish_rate', 'frame_prefix') == [
+            'lockstep', 7.0, '1']
+        words, status = interrupt(process)
+    assert status == 0, words
+
+
+def test_a_checkpoint_is_a_parameter(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with launched('attitude_node', 'scene:=tumbler', 'checkpoint:=2026') as process:
+        def files():
+            words = [word for child in psutil.Process(process.pid).children()
+                     for word in child.cmdline()]
+            return [word for word, before in zip(words[1:], words) if before == '--params-file']
+        wait_for(files)
+        given, = yaml.safe_load(Path(files()[-1]).read_text()).values()
+    assert given == {'ros__parameters': {'checkpoint': '2026'}}
+
+
+def test_a_managed_node_waits_for_its_manager(listener):
+    with launched('attitude_node', 'scene:=tumbler', 'lifecycle:=true') as process:
+        assert state_of(listener) == 'unconfigured'
+        words, status = interrupt(process)
+    assert status == 0, words
+    assert 'attitude_lifecycle_node-1]: process has finished cleanly' in words
+
+
+def test_a_managed_node_starts_by_itself_if_it_shall(listener):
+    with launched('attitude_node', 'scene:=tumbler', 'lifecycle:=true',
+                  'autostart:=true') as process:
+        first_attitude(listener, '/attitude')
+        assert state_of(listener) == 'active'
+        words, status = interrupt(process)
+    assert status == 0, words
+
+
 def test_a_node_that_ends_starts_again_if_it_shall(listener):
     with launched('attitude_node', 'scene:=tumbler', 'respawn:=true') as process:
         first_attitude(listener, '/attitude')
@@ -244,13 +333,18 @@ def test_launch_files_included_twice_leave_nothing_to_the_file_that_includes_the
     assert set(configurations.split()) <= {'scene', 'namespace', 'stop_after'}
 
 
-def test_each_body_of_a_fleet_has_its_own_topics(listener):
-    with launched('fleet', 'scene:=tumbler') as process:
-        for number in range(1, 9):
+@pytest.mark.parametrize(('arguments', 'count'), [
+    (('bodies:=2', 'publish_rate:=7'), 2), at_night(((), 8))[0]])
+def test_each_body_of_a_fleet_has_its_own_topics(listener, arguments, count):
+    with launched('fleet', 'scene:=tumbler', *arguments) as process:
+        for number in range(1, count + 1):
             frame = first(Vector3Stamped, listener, f'/body_{number}/angular_velocity')
             assert frame.header.frame_id == f'body_{number}/base_link'
             assert listener.count_publishers(f'/body_{number}/attitude') == 1
         assert listener.count_publishers('/tf') == 0
+        assert listener.count_publishers(f'/body_{count + 1}/attitude') == 0
+        if arguments:
+            assert values_of(listener, '/body_2/attitude_node', 'publish_rate') == [7.0]
         words, status = interrupt(process)
     assert status == 0, words
 
