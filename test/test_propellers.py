@@ -14,6 +14,7 @@
 
 """Wrenches in the frames of propellers, which continuous joints turn about an axis."""
 
+from dataclasses import replace
 import re
 
 from conftest import EPOCH_NS, SECOND
@@ -205,6 +206,6 @@ def test_messages_are_counted_from_the_first_of_a_recording_in_pieces(tmp_path, 
     for across in (0.0, 1.0):
         path = tmp_path / f'{across}.mcap'
         write(path, ('one/second', [0, 0, 1, 0, 0, 1]), ('one/second', [0, across, 1, 0, 0, 0]))
-        blocks.append(recording.read(path))
+        blocks.append(replace(recording.read(path), before=2 * len(blocks)))
     with pytest.raises(InputError, match="^log: message 4: frame 'one/second': expected force"):
         list(torque_pieces('log', blocks, 'base_link', 'world', scene.load(described).links))

@@ -95,7 +95,8 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *,
     topic, wheel_torque, wheel_momentum
         As for `replay`.
     motion_topic : str, optional
-        Required if the recording of the motion has several suitable topics.
+        By default the committed states of the node whose log `topic` is. Required if the recording
+        of the motion lacks these, and has several suitable topics.
     interpolation : str, optional
         Interpolation between samples; otherwise the scene's.
     until : float, optional, s
@@ -114,10 +115,12 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *,
         `until` is negative or longer than 1e9 s.
 
     """
-    epochs = read_epochs(path, scene, topics_of(topic, wheel_torque, wheel_momentum),
-                         interpolation)
+    topics = topics_of(topic, wheel_torque, wheel_momentum)
+    epochs = read_epochs(path, scene, topics, interpolation)
+    # Beside the log of a node; a recording of all topics has its outputs, too.
+    committed = f'{topics.torques[0].rpartition("/")[0]}/committed' if topics.torques else ''
     until_ns = messages.LAST_NS if until is None else duration_ns(until, 'until')
-    with Source(motion_path, motion_topic, _KINDS) as source:
+    with Source(motion_path, motion_topic, _KINDS, preferred=committed) as source:
         recorded = recording.joined(source.topic, source.kind, list(source), source.damage)
         made_by = source.metadata(NAME)
     is_state = source.kind is messages.ODOMETRY
@@ -258,7 +261,9 @@ def _epochs(result: Verified) -> str:
     if not result.epochs:
         return ''
     part = '' if result.compared_epochs == result.epochs else f'{result.compared_epochs} of '
-    pending = f'; {result.pending} torques have no committed state' if result.pending else ''
+    one = result.pending == 1
+    pending = f'; {result.pending} torque{" has" if one else "s have"} no committed state' \
+        if result.pending else ''
     return f' in {part}{result.epochs} epoch{"s" * (result.epochs > 1)}{pending}'
 
 
