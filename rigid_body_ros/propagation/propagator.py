@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 import bisect
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 import math
 import operator
@@ -75,6 +76,31 @@ class Propagator:
     def earliest_ns(self) -> int:
         """Return the earliest time that `at` accepts."""
         return self._changes[0].time_ns
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Return the newest stamp of all torques, ns, or None before the first torque."""
+        return self._newest_ns
+
+    def held(self, time_ns: int) -> Mapping[int, Sample]:
+        """Return by source the sample in force at a time, also if it has timed out."""
+        return self._changes[max(self._index_of(time_ns), 0)].samples
+
+    def stamps(self, after_ns: int, until_ns: int) -> list[int]:
+        """
+        Return the stamps of torques in (after_ns, until_ns], ns, ascending.
+
+        Those before `earliest_ns` are forgotten.
+        """
+        first, end = self._index_of(after_ns) + 1, self._index_of(until_ns) + 1
+        return [change.time_ns for change in self._changes[first:end]]
+
+    def samples_since(self, time_ns: int) -> list[tuple[int, Sample]]:
+        """Return source and sample of the torques in force at a time, and of all later ones."""
+        index = max(self._index_of(time_ns), 0)
+        return [*self._changes[index].samples.items(), *(
+            (source, sample) for change in self._changes[index + 1:]
+            for source, sample in change.samples.items() if sample.stamp_ns == change.time_ns)]
 
     def apply(self, time_ns: int, torque: ArrayLike, frame: str = 'body',
               source: int = 0) -> bool:
@@ -184,7 +210,7 @@ class Propagator:
 
     def _checked_torque(self, time_ns: int, torque: ArrayLike) -> Floats:
         values = np.array(torque, float).reshape(1, -1)
-        if values.shape != (1, 3) or not np.all(np.isfinite(values)):
+        if values.shape != (1, 3) or not all(map(math.isfinite, values[0].tolist())):
             raise ValueError(f'torque at {time_ns} ns: expected 3 finite numbers, '
                              f'found {values[0].tolist()}')
         if not self._options.record.takes_torque and values.any():
@@ -236,6 +262,8 @@ class Propagator:
 
     def _index_of(self, time_ns: int) -> int:
         """Return the index of the change in force at a time, or -1."""
+        if time_ns >= self._changes[-1].time_ns:  # as most torques are
+            return len(self._changes) - 1
         return bisect.bisect_right(self._changes, time_ns, key=_time_ns) - 1
 
     def _sum(self, change: _Change, time_ns: int) -> Sum:
