@@ -40,16 +40,19 @@ import numpy as np
 from rcl_interfaces.srv import GetParameters
 from rclpy.time import Time
 from rigid_body_ros import messages
-from rigid_body_ros.node.diagnostics import (
+from rigid_body_ros.live.events import (
     APPLIED,
+    CAUSES,
+    FRAME,
     LOST,
+    MALFORMED,
     MISSED,
+    NOT_FINITE,
     OVERFLOW,
     RECEIVED,
     rejections,
     WAITING,
 )
-from rigid_body_ros.node.inputs import CAUSES, FRAME, MALFORMED, NOT_FINITE
 
 sys.path.extend(str(Path(__file__).resolve().parent.parent / name)
                 for name in ('examples', 'test'))

@@ -36,24 +36,22 @@ from typing import NamedTuple
 import numpy as np
 import psutil
 from rigid_body_ros import messages
-from rigid_body_ros.node.diagnostics import (
+from rigid_body_ros.live.events import (
     APPLIED,
+    CAUSES,
     FORCE,
+    FRAME,
+    FUTURE,
+    LATE,
     LOST,
+    MALFORMED,
+    NOT_FINITE,
     OVERFLOW,
     RECEIVED,
     rejections,
     REPLACED,
-    WAITING,
-)
-from rigid_body_ros.node.inputs import (
-    CAUSES,
-    FRAME,
-    FUTURE,
-    LATE,
-    MALFORMED,
-    NOT_FINITE,
     TOO_LARGE,
+    WAITING,
 )
 from rigid_body_ros.scene import InputError
 
@@ -259,7 +257,7 @@ def counted(live, plan):
             Line(REPLACED, counts[REPLACED], valid.size - np.unique(valid).size),
             Line(FORCE, counts[FORCE], plan.causes.count(FORCED)),
             *(Line(name, counts[name], 0) for name in (LOST, OVERFLOW)),
-            Line('messages accepted', len(live.received[ACCEPTED]), counts[APPLIED])]
+            Line('messages accepted', len(live.torques), counts[APPLIED])]
 
 
 def published(live, plan, folder):

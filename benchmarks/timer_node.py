@@ -19,7 +19,7 @@ from geometry_msgs.msg import QuaternionStamped, WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rigid_body_ros.node.diagnostics import APPLIED
+from rigid_body_ros.live.events import APPLIED
 from rigid_body_ros.node.process import main
 
 

@@ -81,8 +81,9 @@ PUBLISHED = [
           'to body frame.'),
     Topic('~/accepted_torque', WRENCH, LOG,
           'Every accepted torque, about the centre of mass, with the stamp from which it acts. '
-          'Together with the scene it is the log of the run. A zero torque without stamp and '
-          'frame marks a new epoch.'),
+          'Together with the scene it is the log of the run. Each epoch, the first of a process '
+          'included, begins with a marker: a wrench of zeros whose `frame_id` has the numbers of '
+          'the start state.'),
     Topic('~/committed', ODOMETRY, LOG,
           'The start state of every epoch, then the final state at each stamp of an accepted '
           'torque, once for all topics: when the stamp is older than `history`, or at the end of '
@@ -93,9 +94,10 @@ PUBLISHED = [
           'or level ERROR and why the state is rejected. `values` has the `stamp` of the message, '
           'ns.'),
     Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', STATE,
-          'Once a second: counts of torques received, applied, waiting, lost, and rejected by '
-          'cause; which nodes are not connected, and why. Names and hardware_id have the name of '
-          'the node with its namespace.'),
+          'Once a second, and when a source falls silent or sends again: counts of torques '
+          'received, applied, waiting, lost, and rejected by cause; the age of the newest torque '
+          'of each source; which nodes are not connected, and why. Names and hardware_id have '
+          'the name of the node with its namespace.'),
 ]
 OPTIONAL = [
     Topic('rotor_momentum', VECTOR3, STATE,
@@ -191,10 +193,15 @@ most every 5 s.
 
 `/diagnostics` counts every torque sent exactly once: as applied, waiting, rejected by cause (see
 [below](#why-is-a-torque-rejected)), lost in transit, or dropped because the queue of the
-subscription was full. In `realtime`, while more
-than 5000 torques wait and the first of them has waited for more than 2 s, new torques are rejected
-(`overload`), so that the motion catches up with real time. Torques that still wait when their
-epoch ends are rejected, too (`epoch ended`).
+subscription was full. Losses show as gaps in the numbers of a publisher's messages, so the node
+cannot know of those before the first message that it receives from a publisher. Torques that still
+wait when their epoch ends are rejected (`epoch ended`).
+
+If torques arrive faster than the node can apply them, they wait in a queue. Meanwhile the node
+publishes the present state under the torques that it has applied, at a lower rate. The torques
+that wait change the committed states afterwards, as late ones always do. In `realtime`,
+while more than 5000 torques wait and the first of them has waited for more than 2 s, new torques
+are rejected (`overload`), so that the motion catches up with real time.
 
 A torque without a stamp, or with `time_source:=arrival`, acts from its arrival on. Each such
 torque gets its own stamp. Between two ticks of simulated time these stamps advance at the rate of
@@ -202,6 +209,36 @@ the previous ticks.
 
 With `use_sim_time` the node waits for `/clock`. For a bag that is played without `--clock`, use
 `time_source:=arrival`.
+
+### What if a controller falls silent?
+
+A source holds its last torque. If that torque is not zero and its source has sent none for longer
+than `stale_after` (1 s), diagnostics warn, and the log says so once, with the torque that still
+acts. The next torque ends the warning. Raise `stale_after` for a source that sends at a slow rate
+on purpose, or set it to 0. To end the torque itself, set `torque_timeout`. In `lockstep` the age
+of a torque is in the time of the loop.
+
+### What if the node is killed?
+
+Every epoch of every process begins with a marker in the logs of torques. A replay of a recording
+with several lives of a node computes each of them from its own start state, as
+[Recordings](recordings.md#a-recording-with-several-runs-of-a-node) explains.
+
+Without more, a node that is started again begins from the initial state of the scene; the first
+line of its log says from which state, and when. With `checkpoint:=FILE` it goes on instead: once a
+second and at the end, the node writes the last state that it has published on `~/committed`, which
+no later torque can change, to this file. The file is replaced as a whole. A node that finds it at
+the start begins an epoch with exactly this state at its stamp, and warns how long it was away; the
+motion in between is that without torques. In `lockstep` the loop goes on at that stamp.
+
+A file that is damaged, that was written under another scene or by another node, or whose stamp is
+ahead of the clock, is an error that names the file; the node ends, and leaves the file as it is.
+Remove the file to begin from the initial state. Nodes of a fleet need a file each. If another
+program changes the file while the node runs, the node no longer writes it, and diagnostics report
+an error. `~/reset` begins with the initial state, as without a checkpoint.
+
+After a process was killed, the shared memory of Fast DDS may delay messages to other processes by
+seconds. `FASTDDS_BUILTIN_TRANSPORTS=UDPv4` in the environment of all of them avoids it.
 
 ### When does the clock jump?
 
@@ -368,8 +405,8 @@ manager or `ros2 lifecycle set /attitude_node configure` controls it. In a proce
 - *deactivate* unsubscribes and stops publishing, but keeps the motion: at the next *activate* the
   body has turned on under the last torques. Torques that are sent in between are not received.
 - *cleanup* publishes the end of the log on `~/committed`, and forgets the motion. Parameters have
-  the values that they had before *configure*, and the given ones can be changed until the next,
-  except `mode`.
+  the values that they had before *configure*, and all can be changed until the next, except
+  `mode`. Until they are set, those that were not given have no value.
 - *shutdown*, and a signal, publish the end of the log, too.
 
 For launch files without a manager, `autostart:=true` configures and activates the node when it

@@ -167,8 +167,14 @@ class LiveSession:
         self.wait_until(lambda: self.diagnostics, 'diagnostics')
         status = next(status for array in reversed(self.diagnostics) for status in array.status
                       if status.name == f'/{NODE}: {name}')
-        values = {pair.key: int(pair.value) for pair in status.values}
+        values = {pair.key: int(pair.value) for pair in status.values if pair.value.isdigit()}
         return values, int.from_bytes(status.level, 'little'), status.message
+
+    @property
+    def torques(self):
+        """Return the serialized torques that the node accepted, of all epochs."""
+        return [data for data in self.received[ACCEPTED]
+                if not messages.is_epoch_marker(messages.WRENCH.decode(data).frame_id)]
 
     @property
     def torque_subscriptions(self):
@@ -242,6 +248,15 @@ class LiveSession:
         while count != (count := sum(map(len, self.received.values()))):
             self.spin(0.3)
         return self.process.returncode
+
+    def restart(self):
+        """Kill the node as a crash does, start it again, and wait for its start state."""
+        self.process.kill()
+        self.process.wait()
+        self.spin(0.3)  # receive what it has sent
+        count = len(self.received[COMMITTED])
+        self.process = subprocess.Popen(self.command, env=self.environment, stderr=self._stderr)
+        self.wait_until(lambda: len(self.received[COMMITTED]) > count, 'a start state')
 
     def end(self):
         """Stop the node with SIGINT, receive its last messages, return its log."""

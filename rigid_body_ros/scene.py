@@ -109,6 +109,11 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps back, or ahead by more '
               'than history: reset (start again), rebase (continue from the current state) or '
               'ignore', choices=TIME_JUMPS),
+    Parameter('checkpoint', '', '', 'file in which the node keeps its last committed state, '
+              'written once a second and at the end; a node that finds it goes on from there; '
+              'empty: none'),
+    Parameter('stale_after', 1.0, 's', 'a source whose torque acts, and that has sent none for '
+              'longer, is a warning in diagnostics and in the log; 0: never', (0.0, LONGEST)),
     Parameter('publish_clock', False, '', 'lockstep: publish the time of each state on /clock'),
     Parameter('publish_tf', False, '', 'publish the attitude on /tf as well (needs tf2_msgs)'),
     Parameter('publish_rate', 100.0, 'Hz', 'rate at which the motion is published; may change '

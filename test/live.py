@@ -33,7 +33,9 @@ PATIENCE = 300.0
 
 
 def decoded(live, topic, kind):
-    return [kind.decode(data) for data in live.received[topic]]
+    """Return the messages of a topic, without the markers that begin epochs."""
+    found = [kind.decode(data) for data in live.received[topic]]
+    return [message for message in found if not messages.is_epoch_marker(message.frame_id)]
 
 
 class LateTorque(NamedTuple):
@@ -76,18 +78,20 @@ class Run(NamedTuple):
 def replayed(tmp_path, live):
     """Replay what a session accepted, with the parameters in live.yaml."""
     live.write(tmp_path / 'live.mcap')
-    run = scene.load(tmp_path / 'live.yaml')
-    accepted = recording.read(tmp_path / 'live.mcap', ACCEPTED)
-    log = recording.torque_log('live.mcap', accepted, run.body_frame, run.space_frame)
-    committed = recording.read(tmp_path / 'live.mcap', COMMITTED, messages.ODOMETRY)
-    # --verify accepts it, too: the log has all torques of the states.
-    verify(tmp_path / 'live.mcap', run, tmp_path / 'live.mcap', topic=ACCEPTED,
-           motion_topic=COMMITTED)
+    path, run = tmp_path / 'live.mcap', scene.load(tmp_path / 'live.yaml')
+    recorded = recording.read(path, ACCEPTED)
+    is_torque = ~np.array([*map(messages.is_epoch_marker, recorded.frame_ids)])
+    *_, last = recording.epochs(path, recorded)
+    log = recording.torque_log(path, last, run.body_frame, run.space_frame)
+    committed = recording.read(path, COMMITTED, messages.ODOMETRY)
+    # --verify accepts every epoch.
+    assert verify(path, run, path, topic=ACCEPTED, motion_topic=COMMITTED).same.all()
     # Of several states at the start time, the last is the start of the last epoch.
     begin = int(np.flatnonzero(committed.stamps_ns == run.start.time_ns)[-1])
     stamps_ns, values = committed.stamps_ns[begin:], live_values(committed)[begin:]
     motion = propagate(run.body, run.start, log, at=stamps_ns, **run.options)
-    return Run(stamps_ns, values, np.hstack([motion.attitude, motion.angular_velocity]), accepted)
+    return Run(stamps_ns, values, np.hstack([motion.attitude, motion.angular_velocity]),
+               recorded.rows(is_torque))
 
 
 def live_values(committed):

@@ -21,7 +21,7 @@ import time
 from conftest import SECOND
 from geometry_msgs.msg import QuaternionStamped, WrenchStamped
 from live import decoded, get_parameters, replayed, TUMBLER
-from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
+from live_session import ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -86,7 +86,7 @@ def torques_of(live):
 
 
 def test_every_rejection_is_counted_under_its_cause(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
+    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'stale_after:=0.0') as live:
         now_ns = live.now_ns()
         faults = {
             'malformed': [b'\0\1\0\0', b'\0\1\0\0' + bytes(40),
@@ -129,7 +129,7 @@ def test_duplicates_and_bursts_are_taken(tmp_path, domain):
             live.publish(stamp_ns, '', [1e-3 * np.sin(stamp_ns * 1e-8), 0.01, 0.0])
         for stamp_ns in burst[::100]:
             live.publish(stamp_ns, '', [0.0, 0.0, 0.02])
-        live.wait_until(lambda: len(live.received[ACCEPTED]) == 909, 'all torques')
+        live.wait_until(lambda: len(live.torques) == 909, 'all torques')
         live.spin(1.5)
         live.publish(live.now_ns(), '', [0.0, 0.0, 0.0])  # makes the others final
         live.wait_until(lambda: len(live.received[COMMITTED]) == 901, 'all states')
@@ -154,7 +154,7 @@ def test_silence_ends_the_torque_and_is_reported(tmp_path, domain):
 
 
 def test_a_publisher_dies_and_returns_and_two_are_named(tmp_path, domain):
-    with LiveSession(TUMBLER, domain, *RELIABLE) as live:
+    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'stale_after:=0.0') as live:
         live.publish(live.now_ns(), '', [0.01, 0.0, 0.0])
         live.wait_for_torques(1)
         live.disconnect()
@@ -204,7 +204,7 @@ def test_nothing_is_lost_at_1_khz_through_a_stall(tmp_path, domain, reliability)
 
         def is_accepted():  # each side discovers the other in its own time
             publisher.publish(messages.wrench(live.now_ns(), '', [1e-3, 0.0, 0.0]))
-            return live.received[ACCEPTED]
+            return live.torques
         live.wait_until(is_accepted, 'the first torque')
         live.spin(0.5)
         for _ in range(10):  # a busy machine may stop the node, or this process, for longer

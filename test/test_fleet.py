@@ -60,7 +60,7 @@ def test_the_nodes_of_a_fleet_differ_in_diagnostics_and_frames(tmp_path, domain)
                                            'two/base_link')):
             live.publish(start_ns + number, frame_id, [0.01, 0.02, number * 0.01])
         live.wait_until(lambda: live.diagnosis('torques')[0]['received'] == 6, 'all torques')
-        live.wait_until(lambda: len(live.received[ACCEPTED]) == 3, 'three torques')
+        live.wait_until(lambda: len(live.torques) == 3, 'three torques')
         counts, _, _ = live.diagnosis('torques')
         assert counts['rejected: unknown frame'] == 3
         assert [torque.frame_id for torque in decoded(live, ACCEPTED, messages.WRENCH)] == [

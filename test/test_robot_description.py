@@ -27,7 +27,8 @@ import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import messages, scene, urdf
-from rigid_body_ros.node.inputs import FRAME, Inputs, NOT_FINITE, RejectedError
+from rigid_body_ros.live.events import FRAME, NOT_FINITE, RejectedError
+from rigid_body_ros.live.inputs import Inputs
 from robots import ROBOT
 from std_msgs.msg import String
 from test_node import run_node
@@ -158,7 +159,7 @@ def test_a_wrench_across_the_axis_of_a_propeller_is_rejected_with_frame_and_join
     parameters.write_text(yaml.dump({'/**': {'ros__parameters': {
         'robot_description': ROBOT, 'frame_prefix': 'one/'}}}))
     loaded, axis = scene.load(parameters), np.array([1.0, 2.0, 2.0])
-    inputs = Inputs(loaded, lambda source: None)
+    inputs = Inputs(loaded, None)  # no force without a lever arm is counted here
     along = messages.WRENCH.encode(1, 'one/propeller', [*axis, *(1e-3 * axis)])
     assert inputs.torque(along, 0).values.tobytes() \
         == loaded.links['one/propeller'].torque(axis, 1e-3 * axis).tobytes()

@@ -88,7 +88,7 @@ def warm():
 @pytest.mark.usefixtures('warm')
 def test_the_warm_up_leaves_nothing_to_compile_for_any_scene():
     script = """
-from rigid_body_ros.node.epoch import warm_up_for
+from rigid_body_ros.live.epoch import warm_up_for
 from rigid_body_ros.scene import Scene
 moments = {'inertia.ixx': 1.0, 'inertia.iyy': 2.0, 'inertia.izz': 2.5}
 for more in ({}, {'wheels': True}, {'torque_topics': ['a', 'b']}, {'damping.dxx': 0.1},

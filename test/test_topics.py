@@ -21,7 +21,7 @@ from live_session import LiveSession
 import nodes
 import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from rigid_body_ros.node.inputs import CAUSES
+from rigid_body_ros.live.events import CAUSES
 
 pytestmark = pytest.mark.ros
 NODE = 'attitude_node'

@@ -14,11 +14,12 @@
 
 """attitude_node with several topics of torques, and with torques on rotors."""
 
+import re
 import subprocess
 
 from conftest import at_night, SECOND
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
-from live import commit, live_values, PATIENT, replayed, run_clock, TUMBLER
+from live import commit, decoded, live_values, PATIENT, replayed, run_clock, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
@@ -64,8 +65,8 @@ class Sources(LiveSession):
         self.publishers[topic].publish(messages.wrench(stamp_ns, frame_id, torque))
 
     def accepted(self, topic):
-        """Return the decoded messages of the log of a topic."""
-        return [messages.WRENCH.decode(data) for data in self.received[LOGS[topic]]]
+        """Return the accepted torques of a topic, decoded, of all epochs."""
+        return decoded(self, LOGS[topic], messages.WRENCH)
 
     def write(self, path):
         """Write the logs and the committed states to a recording."""
@@ -84,7 +85,7 @@ def replayed_sources(tmp_path, live):
     run = scene.load(tmp_path / 'live.yaml')
     result = verify(path, run, path, topic=topics[:-1], wheel_torque=topics[-1])
     assert result.same.all()
-    logs = [recording.torque_log(log, recording.read(path, log),
+    logs = [recording.torque_log(log, recording.epochs(path, recording.read(path, log))[-1],
                                  run.values['body_frame'], run.values['space_frame'])
             for log in topics]
     committed = recording.read(path, COMMITTED, messages.ODOMETRY)
@@ -189,10 +190,12 @@ def test_faults_are_counted_by_cause_and_publishers_named_by_topic(domain):
         live.publish_on(WHEELS, live.now_ns(), [0.1, 0.0, 0.0], 'world')
         second = live.node.create_publisher(WrenchStamped, 'disturbance', 10)
         live.wait_until(lambda: '/disturbance: 2 publishers: /live_session, /live_session; '
-                        'torques of several publishers' in torques_of(live)[2], 'a warning')
+                        'torques of several publishers' in live.diagnosis('torques_1')[2],
+                        'a warning')
         live.node.destroy_publisher(second)
         live.node.destroy_publisher(live.publishers[WHEELS])
-        live.wait_until(lambda: '/wheel_torque: no publisher' in torques_of(live)[2], 'a warning')
+        live.wait_until(lambda: '/wheel_torque: no publisher'
+                        in live.diagnosis('wheel torques')[2], 'a warning')
         found = [live.diagnosis(name)[0] for name in ('torques', 'torques_1', 'wheel torques')]
         words = live.end()
     counts = [{name.removeprefix('rejected: '): count for name, count in values.items()
@@ -213,22 +216,22 @@ def test_a_reset_keeps_the_torques_and_a_new_state_the_rotor_momentum(tmp_path, 
         live.publish_on('disturbance', live.now_ns(), [0.0, 0.0, 0.01])
         live.wait_until(lambda: live.accepted('disturbance'), 'the torque')
         live.set_state(State(0, (0, 0, 1, 0), (0.1, 0.2, 0.3)))
-        live.wait_until(lambda: len(live.accepted(WHEELS)) == 3, 'the new epoch')
+        live.wait_until(lambda: len(live.accepted(WHEELS)) == 2, 'the new epoch')
         live.dump_parameters(tmp_path / 'live.yaml')
         start = scene.load(tmp_path / 'live.yaml').start
         assert start.attitude.tolist() == [0, 0, 1, 0]
         expected = 0.1 * (start.time_ns - begin_ns) * 1e-9
         np.testing.assert_allclose(start.rotor_momentum, [0.01, expected, -0.02], rtol=1e-14)
         assert live.reset().success
-        live.wait_until(lambda: len(live.accepted(WHEELS)) == 5, 'the torques of the new epoch')
+        live.wait_until(lambda: len(live.accepted(WHEELS)) == 3, 'the torques of the new epoch')
         live.publish_on('torque', live.now_ns(), [0.01, 0.0, 0.0])
-        live.wait_until(lambda: len(live.accepted('torque')) == 3, 'the torque')
+        live.wait_until(lambda: live.accepted('torque'), 'the torque')
         live.dump_parameters(tmp_path / 'live.yaml')
         assert live.stop() == 0
         _, committed, expected, logs, run = replayed_sources(tmp_path, live)
     assert run.start.rotor_momentum.tolist() == [0.01, 0.0, -0.02]
-    # Marker and torque of each epoch.
-    assert [len(live.accepted(topic)) for topic in LOGS] == [3, 5, 5]
+    # Those in force are logged again in each epoch.
+    assert [len(live.accepted(topic)) for topic in LOGS] == [1, 3, 3]
     assert [len(log.times_ns) for log in logs] == [1, 1, 1]
     np.testing.assert_array_equal(committed, expected)
 
@@ -250,9 +253,9 @@ def test_lockstep_waits_for_every_topic_that_has_a_publisher(tmp_path, domain):
             live.wait_until(lambda due=stamp_ns + STEP_NS: answers(live)[-1] == due, 'a response')
         live.publish_on(WHEELS, 21 * STEP_NS, [0.0, 0.0, 1e-3])
         live.publish_on('torque', 21 * STEP_NS, [0.0, 0.0, 1e-3])
-        live.wait_until(lambda: 'no torque on /disturbance for ' in torques_of(live)[2]
-                        and 'has not responded to the state at 420000000' in torques_of(live)[2],
-                        'a warning')
+        live.wait_until(lambda: re.search(
+            '/disturbance: no torque for .* has not responded to the state at 420000000',
+            live.diagnosis('torques_1')[2]), 'a warning')
         live.node.destroy_publisher(live.publishers['disturbance'])
 
         def has_responded():  # no longer waits for that topic; a controller repeats its torque

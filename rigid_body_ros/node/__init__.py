@@ -17,10 +17,9 @@ The ROS node: it receives torques on a topic and publishes the attitude.
 
 `attitude_node` has the plain node and `lifecycle` the managed one; `component` is what they share
 and connects the modules; `process` and `spinning` run a node as a command. Input: `drain` (the
-queue of the subscription), `inputs` (messages to torques), `parameters` (the scene). Processing:
-`realtime` or `lockstep` (when to compute the motion), `closed_loop` (duplicates and republishing
-in lockstep), `pipeline` (the queue of torques, and the final states), `epoch` (one start state and
-its torques). Output: `outputs` (topics), `diagnostics`. `attitude_controller` is an example of a
+queue of the subscription), `parameters` (the scene). Processing, on top of the package `live`:
+`mode` (slices of work), `realtime` or `lockstep` (which torques are accepted, and when a state is
+published). Output: `outputs` (topics), `diagnostics`. `attitude_controller` is an example of a
 controller in lockstep.
 """
 

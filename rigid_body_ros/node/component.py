@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import copy
 from functools import partial
@@ -32,17 +32,22 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rigid_body_ros import scene
+from rigid_body_ros.common.arrays import written
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.node.diagnostics import Diagnostics, RECEIVED
-from rigid_body_ros.node.drain import DrainCallback, Sender
-from rigid_body_ros.node.epoch import warm_up_for
-from rigid_body_ros.node.inputs import Inputs, RejectedError
+from rigid_body_ros.live.checkpoint import Checkpoint
+from rigid_body_ros.live.epoch import warm_up_for
+from rigid_body_ros.live.events import RECEIVED, RejectedError, UNSAVED
+from rigid_body_ros.live.inputs import Inputs, Torque
+from rigid_body_ros.live.torque_queue import Sender
+from rigid_body_ros.node.diagnostics import Diagnostics
+from rigid_body_ros.node.drain import DrainCallback
 from rigid_body_ros.node.lockstep import Lockstep
 from rigid_body_ros.node.outputs import Outputs
 from rigid_body_ros.node.parameters import check_qos_overrides, Parameters
 from rigid_body_ros.node.realtime import Realtime
 from rigid_body_ros.node.sources import check_topics, Source, sources_of
 from rigid_body_ros.scene import LOCKSTEP
+from rigid_body_ros.state import State
 from std_srvs.srv import Trigger
 
 try:
@@ -55,6 +60,8 @@ _TORQUE_QOS = {scene.REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPol
                LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
 #: s; how long publishing the pending states may take.
 _END_TIME = 0.8
+#: s; period of the search for silent sources, and that of diagnostics, which is a multiple of it.
+_WATCH_PERIOD, _REPORT_PERIOD = 0.1, 1.0
 #: s; period of the worker. A slice of work takes longer, so slices follow each other immediately.
 #: The worker is idle between slices only while all torques wait for the clock.
 _WORK_PERIOD = 0.001
@@ -95,15 +102,21 @@ class AttitudeComponent:
     def _configure(self) -> None:
         self._scene = self._parameters.scene
         self._sources = sources_of(self._scene)
+        path, name = self._scene.values['checkpoint'], self._node.get_fully_qualified_name()
+        self._checkpoint = Checkpoint(path, self._scene, name) if path else None
         self._announce()
         warm_up_for(self._scene, self._node.get_logger().info)
         with _one_line_errors():
             self._diagnostics = Diagnostics(self._node, self._sources)
-            self._inputs = Inputs(self._scene, self._diagnostics.count_force)
+            self._inputs = Inputs(self._scene, self._diagnostics)
             self._outputs = Outputs(self._node, self._scene, self._sources, self._diagnostics)
             mode = Lockstep if self._scene.values['mode'] == LOCKSTEP else Realtime
             self._mode = mode(self._node, self._parameters, self._inputs, self._outputs,
-                              self._diagnostics)
+                              self._diagnostics, self._checkpoint)
+        #: The sources that were silent at the last look.
+        self._silent: set[int] = set()
+        #: s, monotonic clock; when the next diagnostics are due.
+        self._report_at = 0.0
 
     @property
     def mode(self) -> str:
@@ -130,21 +143,20 @@ class AttitudeComponent:
     def _connect(self) -> None:
         self._mode.activate()
         self._subscribe()
-        self._mode.connect(self._torques)
+        self._mode.connect(self._torques, self._start_worker)
         others = check_qos_overrides(self._node, self._listening, self._outputs.publishers)
         if others:
             self._node.get_logger().info(
                 f'QoS overrides of other nodes are ignored: {listed(others)}')
         self._node.create_service(Trigger, '~/reset', self._on_reset)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._node.create_timer(1.0, self._publish_diagnostics, clock=steady)
+        self._node.create_timer(_WATCH_PERIOD, self._watch, clock=steady)
         #: Active while torques or a state wait: one slice of work in each cycle of the executor.
         self._worker = self._node.create_timer(_WORK_PERIOD, self._work, clock=steady)
-        self._mode.pipeline.wake = self._start_worker
 
     def deactivate(self) -> None:
         """Unsubscribe and stop publishing, but keep the motion."""
-        self._mode.pipeline.wake = lambda: None
+        self._mode.connect({}, lambda: None)
         self._mode.deactivate()
         self._destroy(self._active)
 
@@ -156,10 +168,13 @@ class AttitudeComponent:
             return
         begin = time.monotonic()
         until, half_time = begin + _END_TIME, begin + 0.5 * _END_TIME
-        while not self._mode.pipeline.process() and time.monotonic() < half_time:
+        while not self._mode.process() and time.monotonic() < half_time:
             pass  # the rest of the time is for the states held back
-        self._mode.pipeline.end(until)
-        self._report([])
+        now_ns = self._mode.now_ns() if self._mode.run.epoch else 0
+        self._mode.end(until)
+        if self._checkpoint:
+            self._save(self._checkpoint.save_last)
+        self._report({}, now_ns)
         if not self._outputs.deliver(until):
             self._node.get_logger().warning('the end of the log may be lost: its subscribers have '
                                             f'not acknowledged it within {_END_TIME:g} s')
@@ -180,9 +195,15 @@ class AttitudeComponent:
                 node.destroy_publisher))
 
     def _announce(self) -> None:
-        body = self._scene.body
-        self._node.get_logger().info(
-            f'{body.symmetry}, principal moments {body.principal_moments.tolist()} kg m^2')
+        body, log = self._scene.body, self._node.get_logger().info
+        saved = self._checkpoint and self._checkpoint.start
+        start, source = (saved, f'the checkpoint {self._checkpoint}') if saved else \
+            (self._scene.start, 'the initial state of the scene')
+        first = 'stamp of the first torque' if self.mode == LOCKSTEP else 'first clock reading'
+        when = f'{start.time_ns} ns' if start.time_ns else f'the {first}'
+        log(f'starts at {when} from {source}: attitude {written(start.attitude)} (x y z w), '
+            f'angular velocity {written(start.angular_velocity)} rad/s')
+        log(f'{body.symmetry}, principal moments {written(body.principal_moments)} kg m^2')
         for note in self._scene.notes:
             self._node.get_logger().info(note)
         for warning in self._scene.warnings:
@@ -195,14 +216,14 @@ class AttitudeComponent:
                 kind, topic, callback, copy(qos), raw=True, event_callbacks=events,
                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
-        def torques(source: Source) -> Subscription:
+        def torques(source: Source) -> DrainCallback:
             callback = DrainCallback(partial(self._on_torque, source.number), self._start_work,
                                      partial(self._diagnostics.count_missing, source.number))
             callback.subscription = subscription(
                 WrenchStamped, source.topic, callback, _TORQUE_QOS[self._scene.values['mode']],
                 SubscriptionEventCallbacks(message_lost=partial(self._on_lost, source.number),
                                            use_default_callbacks=False))
-            return callback.subscription
+            return callback
         self._states = subscription(
             Odometry, 'initial_state', self._on_state,
             QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE),
@@ -210,7 +231,8 @@ class AttitudeComponent:
         check_topics(self._node, self._sources, [self._states.topic_name, *(
             publisher.topic_name for publisher in self._outputs.publishers)])
         #: By number of the source.
-        self._torques = {source.number: torques(source) for source in self._sources}
+        self._drains = {source.number: torques(source) for source in self._sources}
+        self._torques = {number: drain.subscription for number, drain in self._drains.items()}
 
     @property
     def _listening(self) -> list[Subscription]:
@@ -226,9 +248,11 @@ class AttitudeComponent:
     def _start_work(self) -> None:
         if self._worker.is_canceled():  # otherwise the timer continues the work
             self._work()
+        else:
+            self._mode.catch_up()
 
     def _work(self) -> None:
-        if self._mode.pipeline.process():
+        if self._mode.process():
             self._worker.cancel()
         else:
             self._start_worker()
@@ -258,18 +282,46 @@ class AttitudeComponent:
     def _on_lost(self, source: int, event: Any) -> None:
         self._diagnostics.count_lost(source, event.total_count_change)
 
-    def _publish_diagnostics(self) -> None:
-        problems = self._mode.problems() + self._diagnostics.connection_problems(
-            self._torques.values(), self._listening, self._outputs.publishers,
-            self._mode.several_publishers)
-        self._report(problems)
+    def _watch(self) -> None:
+        """Once a second, and when a source falls silent or sends again: report, and save."""
+        now_ns = self._mode.now_ns()
+        silent = {torque.source: torque for torque in self._mode.run.silent(now_ns)}
+        for source in silent.keys() - self._silent:
+            self._node.get_logger().warning(self._silence(silent[source], now_ns))
+        now = time.monotonic()
+        # The timer is not exact, and on a busy machine it skips periods.
+        is_due = now > self._report_at - 0.5 * _WATCH_PERIOD
+        if is_due:
+            self._report_at = max(self._report_at, now - 0.5 * _REPORT_PERIOD) + _REPORT_PERIOD
+        if is_due or silent.keys() != self._silent:
+            problems = self._mode.problems()
+            for source, torque in silent.items():
+                problems[source].append(self._silence(torque, now_ns))
+            self._report(self._diagnostics.connection_problems(
+                problems, self._drains, self._listening, self._outputs.publishers,
+                self._mode.several_publishers), now_ns)
+        self._silent = {*silent}
+        if is_due and self._checkpoint:
+            self._save(self._checkpoint.save)
 
-    def _report(self, problems: list[str]) -> None:
-        pipeline = self._mode.pipeline
-        epoch = 'waiting for the first torque or clock reading' if pipeline.epoch is None else \
-            f'epoch from {pipeline.epoch.start.time_ns} ns'
-        self._diagnostics.publish(problems, pipeline.waiting_by_source(), epoch,
-                                  self._mode.stamp())
+    def _silence(self, torque: Torque, now_ns: int) -> str:
+        topic = self._torques[torque.source].topic_name
+        return (f'{topic}: no torque for {self._mode.run.age(torque.source, now_ns):.3g} s: the '
+                f'last one, {torque.values.tolist()} N m in {torque.frame} axes, still acts '
+                f'(stale_after: {self._scene.values["stale_after"]:g} s)')
+
+    def _save(self, save: Callable[[State | None], None]) -> None:
+        try:
+            save(self._mode.run.committed)
+        except InputError as error:
+            self._diagnostics.event(UNSAVED, str(error))
+
+    def _report(self, problems: Mapping[int, list[str]], now_ns: int) -> None:
+        run = self._mode.run
+        epoch = 'waiting for the first torque or clock reading' if run.epoch is None else \
+            f'epoch from {run.epoch.start.time_ns} ns'
+        ages = {source.number: run.age(source.number, now_ns) for source in self._sources}
+        self._diagnostics.publish(problems, self._mode.waiting, ages, epoch, self._mode.stamp())
 
 
 def _entities(node: Node) -> set[Any]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+import math
 import time
 from typing import TYPE_CHECKING
 
@@ -27,32 +28,44 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, qos_check_compatible, QoSCompatibility, QoSProfile
 from rclpy.subscription import Subscription
-from rigid_body_ros.node.inputs import CAUSES, RejectedError
+from rigid_body_ros.live.events import (
+    APPLIED,
+    CAUSES,
+    FORCE,
+    LOST,
+    MISSED,
+    NOT_COMPUTABLE,
+    OF_RESETS,
+    OVERFLOW,
+    RECEIVED,
+    RejectedError,
+    rejections,
+    REPLACED,
+    STATES,
+    STATES_REJECTED,
+    TIME_JUMP,
+    UNSAVED,
+    UNSENT,
+    WAITING,
+)
+from rigid_body_ros.live.torque_queue import Sender
+from rigid_body_ros.node.drain import DrainCallback
 from rigid_body_ros.node.sources import Source
 
 if TYPE_CHECKING:  # Lyrical has it in rclpy.endpoint_info
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-RECEIVED, APPLIED, WAITING = 'received', 'applied', 'waiting'
-#: Names of the counts other than those of rejected torques.
-REPLACED, FORCE = 'replaced (same stamp)', 'force ignored'
-LOST, OVERFLOW = 'lost in transit', 'dropped (queue full)'
-MISSED, NOT_COMPUTABLE, UNSENT = 'deadlines missed', 'states not computable', 'publish failures'
-TIME_JUMP = 'clock jumps'
-STATES, STATES_REJECTED = 'initial states', 'initial states rejected'
 _SEVERAL_PUBLISHERS, _QOS = 'several publishers', 'incompatible QoS'
 _OF_TORQUES = (REPLACED, FORCE, LOST, OVERFLOW)
-_OF_MOTION = (MISSED, NOT_COMPUTABLE, UNSENT, TIME_JUMP, STATES, STATES_REJECTED)
+_OF_MOTION = (MISSED, NOT_COMPUTABLE, UNSENT, UNSAVED, TIME_JUMP, STATES, STATES_REJECTED)
+#: The time since the newest torque of a source arrived.
+AGE = 'age of the newest torque (s)'
 #: Counts that make a status an error, or a warning, in any second in which they increase.
-_ERRORS, _WARNINGS = (MISSED, NOT_COMPUTABLE, UNSENT, STATES_REJECTED), (TIME_JUMP,)
+_ERRORS = (MISSED, NOT_COMPUTABLE, UNSENT, UNSAVED, STATES_REJECTED)
+_WARNINGS = (TIME_JUMP,)
 _TORQUE_WARNINGS = (REPLACED, LOST, OVERFLOW)
 #: s; shortest time between two log messages of one kind.
 _LOG_PERIOD = 5.0
-
-
-def rejections(cause: str) -> str:
-    """Return the key under which torques rejected for a cause are counted."""
-    return f'rejected: {cause}'
 
 
 class _Counts(Counter[str]):
@@ -156,15 +169,19 @@ class Diagnostics:
     def _place(self, source: int) -> str:
         return f' on {self._sources[source].topic}' if len(self._sources) > 1 else ''
 
-    def connection_problems(self, torques: Iterable[Subscription], inputs: Iterable[Subscription],
-                            outputs: Iterable[Publisher], several: str) -> list[str]:
+    def connection_problems(self, problems: Mapping[int, list[str]],
+                            torques: Mapping[int, DrainCallback],
+                            inputs: Iterable[Subscription], outputs: Iterable[Publisher],
+                            several: str) -> Mapping[int, list[str]]:
         """
-        Return missing, surplus and incompatible connections.
+        Add missing, surplus and incompatible connections to problems, and return these.
 
         Parameters
         ----------
-        torques : iterable of Subscription
-            The subscriptions to torques.
+        problems : mapping of int to list of str
+            By source.
+        torques : mapping of int to DrainCallback
+            Those of the subscriptions to torques by source.
         inputs : iterable of Subscription
             All subscriptions of the node.
         outputs : iterable of Publisher
@@ -174,25 +191,34 @@ class Diagnostics:
 
         Returns
         -------
-        list of str
+        mapping of int to list of str
 
         """
-        problems = []
-        for topic in [subscription.topic_name for subscription in torques]:
-            found = self._node.get_publishers_info_by_topic(topic)
-            if not found:
-                problems.append(f'{topic}: no publisher')
-            if len(found) > 1:
-                names = ', '.join(sorted(_full_name(info) for info in found))
-                problems.append(f'{topic}: {len(found)} publishers: {names}; {several}')
-                self._log(f'{_SEVERAL_PUBLISHERS} {topic}', problems[-1])
+        for source, drain in torques.items():
+            problems[source].extend(self._surplus(drain, several))
+        topics = {drain.subscription.topic_name: source for source, drain in torques.items()}
+        first = next(iter(problems))
         for subscription in inputs:
             peers = self._node.get_publishers_info_by_topic(subscription.topic_name)
-            problems += self._incompatible(subscription.topic_name, peers, 'subscriptions')
+            problems[topics.get(subscription.topic_name, first)].extend(
+                self._incompatible(subscription.topic_name, peers, 'subscriptions'))
         for publisher in outputs:
             peers = self._node.get_subscriptions_info_by_topic(publisher.topic_name)
-            problems += self._incompatible(publisher.topic_name, peers, 'publishers')
+            problems[first].extend(self._incompatible(publisher.topic_name, peers, 'publishers'))
         return problems
+
+    def _surplus(self, drain: DrainCallback, several: str) -> list[str]:
+        topic = drain.subscription.topic_name
+        found = self._node.get_publishers_info_by_topic(topic)
+        if not found:
+            return [f'{topic}: no publisher']
+        found = [info for info in found if not _is_replaced(info, found, drain.heard)]
+        if len(found) == 1:
+            return []
+        names = ', '.join(sorted(_full_name(info) for info in found))
+        problem = f'{topic}: {len(found)} publishers: {names}; {several}'
+        self._log(f'{_SEVERAL_PUBLISHERS} {topic}', problem)
+        return [problem]
 
     def _incompatible(self, topic: str, peers: Iterable[TopicEndpointInfo],
                       own: str) -> list[str]:
@@ -212,16 +238,15 @@ class Diagnostics:
             self._log(f'{_QOS} {topic}', '; '.join(problems))
         return problems
 
-    def publish(self, problems: list[str], waiting: Mapping[int, int], epoch: str,
-                stamp: Time) -> None:
+    def publish(self, problems: Mapping[int, list[str]], waiting: Mapping[int, int],
+                ages: Mapping[int, float | None], epoch: str, stamp: Time) -> None:
         """
         Publish all counts; those that have increased since the last call set the levels.
 
-        The problems become part of the status of the first source; the waiting torques are
-        counted by source.
+        Problems, numbers of waiting torques, and ages of the newest torques, s, are by source.
         """
-        statuses = [self._torque_status(source, problems if not number else [], waiting[source])
-                    for number, source in enumerate(self._sources)]
+        statuses = [self._torque_status(source, problems.get(source, []), {
+            WAITING: waiting[source], AGE: _age(ages[source])}) for source in self._sources]
         counts, new = self._motion, self._motion.increments()
         errors = [f'{name}: {new[name]}' for name in _ERRORS if new[name]]
         warnings = [f'{name}: {new[name]}' for name in _WARNINGS if new[name]]
@@ -232,19 +257,21 @@ class Diagnostics:
         array.header.stamp = stamp
         self._publisher.publish(array)
 
-    def _torque_status(self, source: int, problems: list[str], waiting: int) -> DiagnosticStatus:
+    def _torque_status(self, source: int, problems: list[str],
+                       present: Mapping[str, object]) -> DiagnosticStatus:
         counts, new = self._torques[source], self._torques[source].increments()
         rejected = [f'{rejections(cause)}: {new[cause]}' for cause in CAUSES if new[cause]]
         warnings = problems + [f'{name}: {new[name]}' for name in _TORQUE_WARNINGS if new[name]]
+        is_error = any(new[cause] for cause in CAUSES if cause not in OF_RESETS)
         return self._status(
-            self._sources[source].status, bool(rejected), bool(warnings),
+            self._sources[source].status, is_error, bool(rejected or warnings),
             '; '.join(rejected + warnings) or 'OK',
             {RECEIVED: counts[RECEIVED], APPLIED: counts[APPLIED],
-             **{rejections(cause): counts[cause] for cause in CAUSES}, WAITING: waiting,
+             **{rejections(cause): counts[cause] for cause in CAUSES}, **present,
              **{name: counts[name] for name in _OF_TORQUES}})
 
     def _status(self, name: str, is_error: bool, is_warning: bool, message: str,
-                values: Mapping[str, int]) -> DiagnosticStatus:
+                values: Mapping[str, object]) -> DiagnosticStatus:
         # With the namespace: aggregators know a status by its name, and nodes of a fleet differ
         # in their namespaces alone. Without the leading slash it would not be the name of a node.
         node = self._node.get_fully_qualified_name()
@@ -259,6 +286,19 @@ class Diagnostics:
         if last is None or now - last > _LOG_PERIOD:
             self._logged_at[kind] = now
             self._node.get_logger().warning(text)
+
+
+def _age(seconds: float | None) -> str:
+    return 'none yet' if seconds is None else f'{seconds:.3f}'
+
+
+def _is_replaced(info: TopicEndpointInfo, peers: Iterable[TopicEndpointInfo],
+                 heard: Mapping[Sender, tuple[float, float]]) -> bool:
+    """Return whether a publisher has been silent since another of the same name sends."""
+    # The middleware lists a publisher that was killed until its lease ends.
+    _, last = heard.get(bytes(info.endpoint_gid), (0.0, math.inf))
+    return any(heard.get(bytes(peer.endpoint_gid), (0.0, 0.0))[0] > last
+               for peer in peers if _full_name(peer) == _full_name(info))
 
 
 def _full_name(info: TopicEndpointInfo) -> str:

@@ -22,16 +22,12 @@ import time
 from typing import Any
 
 from rclpy.subscription import Subscription
+from rigid_body_ros.live.torque_queue import Sender, UNKNOWN_SENDER
 
 #: s; time limit for taking messages in one call.
 _BUDGET = 0.02
 #: Largest number of known publishers; the one that was silent for longest is removed first.
 _MAX_SENDERS = 100
-
-#: Identity of a publisher; None if the middleware does not report it.
-Sender = bytes | None
-#: One of several publishers that the middleware does not distinguish.
-UNKNOWN_SENDER: Sender = b''
 
 
 class DrainCallback:
@@ -56,6 +52,8 @@ class DrainCallback:
     ----------
     subscription : Subscription
         To be set when the subscription exists.
+    heard : dict
+        When each publisher was heard first and last, s, monotonic clock.
 
     """
 
@@ -66,6 +64,7 @@ class DrainCallback:
                  on_gap: Callable[[int], None]) -> None:
         self._on_message, self._on_empty, self._on_gap = on_message, on_empty, on_gap
         self._last_number: dict[Sender, int] = {}
+        self.heard: dict[Sender, tuple[float, float]] = {}
         self.subscription: Subscription
 
     def __call__(self, *taken: Any) -> None:
@@ -94,8 +93,11 @@ class DrainCallback:
             return UNKNOWN_SENDER
         previous = self._last_number.pop(sender, number - 1)
         self._last_number[sender] = number
+        now = time.monotonic()
+        self.heard[sender] = self.heard.get(sender, (now, now))[0], now
         if len(self._last_number) > _MAX_SENDERS:
-            del self._last_number[next(iter(self._last_number))]
+            oldest = next(iter(self._last_number))
+            del self._last_number[oldest], self.heard[oldest]
         if number > previous + 1:
             self._on_gap(number - previous - 1)
         return sender

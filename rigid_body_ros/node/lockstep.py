@@ -21,35 +21,24 @@ torque with this stamp. So the order in which they arrive does not change the re
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 import time
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
-from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
 from rigid_body_ros import messages
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
+from rigid_body_ros.live.closed_loop import DuplicateFilter, RepublishPolicy
+from rigid_body_ros.live.events import APPLIED, DIFFERS, FUTURE, RejectedError, REPLACED, STALE
+from rigid_body_ros.live.inputs import Torque
+from rigid_body_ros.live.torque_queue import Queued, Sender
 from rigid_body_ros.node.clocks import ClockMonitor
-from rigid_body_ros.node.closed_loop import DuplicateFilter, RepublishPolicy
-from rigid_body_ros.node.diagnostics import APPLIED, Diagnostics, REPLACED
-from rigid_body_ros.node.drain import Sender
-from rigid_body_ros.node.epoch import Torque
-from rigid_body_ros.node.inputs import (
-    DIFFERS,
-    FUTURE,
-    Inputs,
-    QueuedMessage,
-    RejectedError,
-    STALE,
-)
-from rigid_body_ros.node.outputs import Outputs
-from rigid_body_ros.node.parameters import Parameters
-from rigid_body_ros.node.pipeline import Pipeline
+from rigid_body_ros.node.mode import Mode
 from rigid_body_ros.node.sources import sources_of
 from rigid_body_ros.state import State
 from rosgraph_msgs.msg import Clock
@@ -64,34 +53,33 @@ _DISCOVERY_TIME, _NAME_DELAY = 3.0, 0.5
 _CLOCK = '/clock'
 
 
-class Lockstep:
+class Lockstep(Mode):
     """Publish the state `step` after a stamp as soon as all torques of this stamp are there."""
 
     several_publishers = 'only the first torque for each state is used'
 
-    def __init__(self, node: Node, parameters: Parameters, inputs: Inputs, outputs: Outputs,
-                 diagnostics: Diagnostics) -> None:
-        self._node, self._parameters = node, parameters
-        self._inputs, self._outputs, self._diagnostics = inputs, outputs, diagnostics
-        values = parameters.scene.values
-        self._given_start_ns = parameters.scene.start.time_ns
-        self._clock = self._clock_publisher() if values['publish_clock'] else None
-        self._monitor = ClockMonitor(node)
-        self._step_ns = max(1, duration_ns(values['step'], 'step'))
-        self.pipeline = Pipeline(parameters.scene, outputs, diagnostics, self._read,
-                                 self._respond, self._is_due, self._step_ns)
-        history_ns = duration_ns(values['history'], 'history')
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._clock = self._clock_publisher() if self._values['publish_clock'] else None
+        self._monitor = ClockMonitor(self._node)
+        self._step_ns = max(1, duration_ns(self._values['step'], 'step'))
+        history_ns = duration_ns(self._values['history'], 'history')
         #: By source, as the subscriptions to torques.
         self._duplicates = {source.number: DuplicateFilter(history_ns)
-                            for source in sources_of(parameters.scene)}
-        self._torques: Mapping[int, Subscription] = {}
-        self._republishing = RepublishPolicy(self._connected)
+                            for source in sources_of(self._parameters.scene)}
+        self._republishing = RepublishPolicy()
+        #: Whether torques wait in the queue until this is false again.
+        self._is_paused = False
+        saved = self._checkpoint and self._checkpoint.start
         #: The state that waits for a torque, the start state, and since when it waits, s.
-        self._latest = self._start = self.pipeline.initial(self._given_start_ns)
+        self._latest = self._start = saved or self.run.initial(self._given_start_ns)
         self._since = time.monotonic()
         #: The stamp of the state that waited for a torque when the motion was reset.
         self._stale_ns: int | None = None
-        self._begin_at_given_start()
+        if saved or self._given_start_ns:
+            self._begin(self._start)
+        if saved:
+            self._warn_away(self._checkpoint.age)
 
     def activate(self) -> None:
         """Begin to publish the state until torques come, and to pause on request."""
@@ -102,10 +90,6 @@ class Lockstep:
 
     def deactivate(self) -> None:
         """Do nothing: the owner of the node destroys timer and service."""
-
-    def connect(self, torques: Mapping[int, Subscription]) -> None:
-        """Set the subscriptions to torques by source; their publishers are counted."""
-        self._torques = torques
 
     def set_rate(self, rate: float) -> None:
         """Do nothing: torques set the pace."""
@@ -120,7 +104,12 @@ class Lockstep:
             Too many torques wait.
 
         """
-        self.pipeline.enqueue(data, sender, 0, source)
+        self._queue.check_room()
+        self._queue.put(Queued(source, data, sender, 0, time.monotonic()))
+
+    def process(self) -> bool:
+        """Apply waiting torques for one slice of time; return whether no work is left."""
+        return self._is_paused or super().process()
 
     def set_state(self, state: State) -> str:
         """
@@ -135,13 +124,13 @@ class Lockstep:
             The state is older than the newest torque by `history` or more.
 
         """
-        torques = self.pipeline.torques_since(state.time_ns) if state.time_ns else []
-        state = self.pipeline.with_rotor_momentum(
+        torques = self.run.torques_since(state.time_ns) if state.time_ns else []
+        state = self.run.with_rotor_momentum(
             state, state.time_ns or self._latest.time_ns, self._start)
         if state.time_ns:
             self._begin(state, torques)
         else:
-            self.pipeline.end()
+            self.end()
             self._start = state
         self._clear_duplicates()
         self._publish(self._start, self._start)
@@ -150,35 +139,50 @@ class Lockstep:
 
     def reset(self) -> str:
         """Return to the state before the first torque, and return a description."""
-        self.pipeline.end()
-        self._start = self.pipeline.initial(self._given_start_ns)
-        self._begin_at_given_start()
+        self.end()
+        self._start = self.run.initial(self._given_start_ns)
+        if self._given_start_ns:
+            self._begin(self._start)
         self._clear_duplicates()
         # The torque that responds to this state may be in transit.
         self._stale_ns = self._latest.time_ns
         self._publish(self._start, self._start)
         return 'reset to the initial state; waiting for the first torque'
 
-    def problems(self) -> list[str]:
-        """Return the present problems."""
+    def now_ns(self) -> int:
+        """Return the stamp to which the latest state is the response, ns: the time of the loop."""
+        return max(0, self._latest.time_ns - self._step_ns)
+
+    def problems(self) -> dict[int, list[str]]:
+        """Return the present problems by source; those of the loop are of the first."""
         if self._clock is not None and self._node.count_publishers(_CLOCK) > 1:
             self._node.destroy_publisher(self._clock)
             self._clock = None
             self._node.get_logger().error(f'{_CLOCK}: another node publishes it, too; this node '
                                           'stops publishing it')
-        problems = self._monitor.problems()
+        problems = {source: [] for source in self._torques}
+        problems[next(iter(problems))] = self._monitor.problems() + self._stalls()
         silence = time.monotonic() - self._since
-        if self.pipeline.is_paused:
-            problems.append('paused: torques wait')
-        elif self.pipeline.waiting_time > _WARN_AFTER:
-            problems.append('computing the response to a torque has taken '
-                            f'{self.pipeline.waiting_time:.0f} s so far')
-        elif not self.pipeline.waiting and silence > _WARN_AFTER:
-            missing = self._missing(self._latest.time_ns, self._torques)
-            topics = f' on {", ".join(missing)}' if len(self._torques) > 1 and missing else ''
-            problems.append(f'no torque{topics} for {silence:.0f} s: the controller has not '
-                            f'responded to the state at {self._latest.time_ns} ns')
+        if not (self._is_paused or self.waiting.total()) and silence > _WARN_AFTER:
+            for source in self._awaited():
+                problems[source].append(
+                    f'{self._torques[source].topic_name}: no torque for {silence:.0f} s: the '
+                    'controller has not responded to the state at '
+                    f'{self._latest.time_ns} ns')
         return problems
+
+    def _stalls(self) -> list[str]:
+        waited = self._queue.waiting_time if not self._current else \
+            time.monotonic() - self._current[1].since
+        if self._is_paused:
+            return ['paused: torques wait']
+        if waited > _WARN_AFTER:
+            return [f'computing the response to a torque has taken {waited:.0f} s so far']
+        return []
+
+    def _awaited(self) -> list[int]:
+        """Return the sources whose torques the state waits for, all if none has a publisher."""
+        return self._missing(self._latest.time_ns, self._torques) or [*self._torques]
 
     def stamp(self) -> Time:
         """Return the present time; if this node publishes /clock, the time published last."""
@@ -187,30 +191,28 @@ class Lockstep:
         return _time(self._latest.time_ns)
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self.pipeline.is_paused = request.data
-        self.pipeline.wake()
+        self._is_paused = request.data
+        self._wake()
         response.success = True
         response.message = 'paused: torques wait' if request.data else 'resumed'
         return response
 
-    def _begin_at_given_start(self) -> None:
-        if self._given_start_ns:
-            self._begin(self._start)
-
     def _begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
         self._start = start
-        self.pipeline.begin(start, torques)
+        if self.run.epoch is not None:  # otherwise the queued torques belong to the new one
+            self.end()
+        self.run.begin(start, torques)
         self._parameters.set_start(start)
 
-    def _read(self, message: QueuedMessage) -> Torque | None:
-        torque, sender = self._inputs.torque(message.data, message.source), message.sender
+    def _read(self, queued: Queued) -> Torque | None:
+        torque, sender = self._inputs.torque(queued.data, queued.source), queued.sender
         self._check_stamp(torque.stamp_ns)
         duplicates = self._duplicates[torque.source]
         if duplicates.is_duplicate(torque, sender) and not (
                 duplicates.is_waiting(torque) and self._is_due(torque)):
             self._skip_duplicate(torque)
             return None
-        if self.pipeline.epoch is None:
+        if self.run.epoch is None:
             self._begin(replace(self._start, time_ns=torque.stamp_ns))
         duplicates.accepted(torque, sender)
         return torque
@@ -219,10 +221,10 @@ class Lockstep:
         # A publisher that a response waited for may have ended: then a repeated torque gets it.
         return not self._missing(torque.stamp_ns, self._torques.keys() - {torque.source})
 
-    def _missing(self, stamp_ns: int, sources: Iterable[int]) -> list[str]:
-        """Return the topics, of sources with a publisher, that have no torque of this stamp."""
-        epoch = self.pipeline.epoch
-        return [self._torques[source].topic_name for source in sources
+    def _missing(self, stamp_ns: int, sources: Iterable[int]) -> list[int]:
+        """Return the sources that have a publisher, but no torque of this stamp."""
+        epoch = self.run.epoch
+        return [source for source in sources
                 if self._torques[source].handle.get_publisher_count()
                 and not (epoch and epoch.has_torque_at(stamp_ns, source))]
 
@@ -243,13 +245,19 @@ class Lockstep:
         self._diagnostics.count(APPLIED, torque.source)
         self._diagnostics.count(REPLACED, torque.source)
 
-    def _respond(self, torque: Torque, state: State | None) -> None:
+    def _respond(self, torque: Torque, until: float) -> None:
+        if not self._is_due(torque):
+            return
+        state = self.run.state(torque.stamp_ns + self._step_ns, until)
         if state is None:
-            self._duplicates[torque.source].discard(torque)
+            self._refuse(torque)
             return
         self._publish(state, max(state, self._latest, key=lambda state: state.time_ns))
         for duplicates in self._duplicates.values():
             duplicates.responded(torque)
+
+    def _refuse(self, torque: Torque) -> None:
+        self._duplicates[torque.source].discard(torque)
 
     def _publish(self, state: State, latest: State) -> None:
         self._latest, self._since = latest, time.monotonic()
@@ -258,7 +266,7 @@ class Lockstep:
         self._send(state, is_repeated=False)
 
     def _republish(self) -> None:
-        if self._republishing.is_due() and not self.pipeline.waiting:
+        if self._republishing.is_due(*self._connected()) and not self.waiting.total():
             self._send(self._latest, is_repeated=True)
 
     def _send(self, state: State, is_repeated: bool) -> None:
@@ -266,7 +274,7 @@ class Lockstep:
             self._clock.publish(Clock(clock=_time(state.time_ns)))
         self._outputs.publish(state)
         self._republishing.published(is_repeated)
-        if self._republishing.has_controller or self.pipeline.epoch is not None:
+        if self._republishing.has_controller or self.run.epoch is not None:
             for duplicates in self._duplicates.values():
                 duplicates.published(state.time_ns)
 

@@ -30,8 +30,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rigid_body_ros import euler, messages
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.node.diagnostics import Diagnostics, UNSENT
-from rigid_body_ros.node.epoch import Torque
+from rigid_body_ros.live.events import UNSENT
+from rigid_body_ros.live.inputs import Torque
+from rigid_body_ros.live.run import LOG_DEPTH
+from rigid_body_ros.node.diagnostics import Diagnostics
 from rigid_body_ros.node.sources import Source
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
@@ -45,10 +47,8 @@ except ModuleNotFoundError:  # Humble
 _STATE_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 # No message of the log of a run may be lost, not even to a recorder that starts a moment later;
 # the states of the last `history` are published in one burst at the end.
-_LOG_QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE,
+_LOG_QOS = QoSProfile(depth=LOG_DEPTH, reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)
-#: Largest number of messages in one burst.
-LOG_DEPTH = _LOG_QOS.depth
 
 
 class Outputs:
@@ -106,7 +106,7 @@ class Outputs:
                 self._send(publisher, encode(state))
 
     def begin_log(self, start: State) -> None:
-        """Mark in the logs of torques that an epoch follows, with its start state."""
+        """Mark in the logs of torques that an epoch begins with a state."""
         for publisher in self._accepted.values():
             self._send(publisher, messages.epoch_marker(start))
 

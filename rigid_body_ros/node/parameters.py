@@ -75,11 +75,15 @@ class Parameters:
         #: Values that cannot be changed from now on, except by `set_start`.
         self._fixed = {name: value for name, value in self.scene.values.items() if name != _RATE}
         node.add_on_set_parameters_callback(self._on_set)
+        if hasattr(node, 'add_pre_set_parameters_callback'):  # not on Humble
+            node.add_pre_set_parameters_callback(_with_float_rate)
 
     def release(self) -> None:
         """If the node is managed, restore the given parameters, which may change again."""
         if self._is_managed:
             self._node.remove_on_set_parameters_callback(self._on_set)
+            if hasattr(self._node, 'remove_pre_set_parameters_callback'):
+                self._node.remove_pre_set_parameters_callback(_with_float_rate)
             for name in self.scene.values:
                 self._node.undeclare_parameter(name)
             declare(self._node, self._given)
@@ -90,8 +94,15 @@ class Parameters:
                   *start.rotor_momentum.tolist()]
         epoch = dict(zip(_EPOCH, values))
         self._fixed |= epoch
+        # The descriptors are those that the node has stored: only users may not set the values.
+        descriptors = self._node.describe_parameters(list(epoch))
+        is_fixed = [descriptor.read_only for descriptor in descriptors]
+        for descriptor in descriptors:
+            descriptor.read_only = False
         result = self._node.set_parameters_atomically(
             [Parameter(name, value=value) for name, value in epoch.items()])
+        for descriptor, read_only in zip(descriptors, is_fixed):
+            descriptor.read_only = read_only
         if not result.successful:
             raise RuntimeError(f'cannot set the parameters of the start state: {result.reason}')
 
@@ -99,7 +110,8 @@ class Parameters:
         # Those of a managed node are declared, and may have changed since the start.
         declared = {name: self._node.get_parameter(name).value for name in scene.PARAMETERS
                     if self._node.has_parameter(name)}
-        given = given_parameters(self._node) | declared
+        given = given_parameters(self._node) | {
+            name: value for name, value in declared.items() if value is not None}
         checked = Scene.from_values(with_robot_description(self._node, given))
         solver = solver_named(checked.values['solver'])
         if not solver.takes_torque:
@@ -135,10 +147,10 @@ class Parameters:
 
 
 def declare(node: Node, given: Mapping[str, Any]) -> None:
-    """Declare those of the given parameters that are of a scene, so that they can be set."""
-    for name in scene.PARAMETERS.keys() & given.keys():
-        node.declare_parameter(name, given[name], ParameterDescriptor(dynamic_typing=True),
-                               ignore_override=True)
+    """Declare the parameters of a scene, so that they can be set; others than given have none."""
+    for name, parameter in scene.PARAMETERS.items():
+        node.declare_parameter(name, given.get(name), ParameterDescriptor(
+            description=_described(parameter), dynamic_typing=True), ignore_override=True)
 
 
 def given_parameters(node: Node) -> dict[str, Any]:
@@ -175,13 +187,22 @@ def check_qos_overrides(node: Node, subscriptions: Iterable[Subscription],
     return others
 
 
+def _with_float_rate(parameters: list[Parameter]) -> list[Parameter]:
+    """Return parameters to set, with a float in place of an integer rate such as 50."""
+    return [Parameter(_RATE, value=float(one.value))
+            if one.name == _RATE and one.type_ == Parameter.Type.INTEGER else one
+            for one in parameters]
+
+
+def _described(parameter: scene.Parameter) -> str:
+    return parameter.description + (f' ({parameter.unit})' if parameter.unit else '')
+
+
 def _descriptor(parameter: scene.Parameter) -> ParameterDescriptor:
     fixed = parameter.name != _RATE
-    unit = f' ({parameter.unit})' if parameter.unit else ''
     limits = ', '.join(parameter.choices)
     descriptor = ParameterDescriptor(
-        name=parameter.name, description=parameter.description + unit,
-        read_only=fixed and parameter.name not in _EPOCH,
+        name=parameter.name, description=_described(parameter), read_only=fixed,
         # While the node runs, 50 is accepted for 50.0.
         dynamic_typing=not fixed,
         additional_constraints='; '.join(filter(None, [

@@ -16,33 +16,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 import time
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.clock import Clock, ClockType, JumpHandle, JumpThreshold
 from rclpy.duration import Duration
-from rclpy.node import Node
-from rclpy.subscription import Subscription
 from rclpy.timer import Timer
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
-from rigid_body_ros.node.clocks import ArrivalStamps, ClockMonitor, JumpDetector
-from rigid_body_ros.node.diagnostics import Diagnostics, NOT_COMPUTABLE, TIME_JUMP
-from rigid_body_ros.node.drain import Sender
-from rigid_body_ros.node.epoch import Torque
-from rigid_body_ros.node.inputs import (
+from rigid_body_ros.live.events import (
     EarlyError,
     FUTURE,
-    Inputs,
     LATE,
+    MISSED,
     NO_CLOCK,
-    QueuedMessage,
+    NOT_COMPUTABLE,
     RejectedError,
+    TIME_JUMP,
 )
-from rigid_body_ros.node.outputs import Outputs
-from rigid_body_ros.node.parameters import Parameters
-from rigid_body_ros.node.pipeline import Pipeline
+from rigid_body_ros.live.inputs import Torque
+from rigid_body_ros.live.torque_queue import Queued, Sender
+from rigid_body_ros.node.clocks import ArrivalStamps, ClockMonitor, JumpDetector
+from rigid_body_ros.node.mode import BUDGET, Mode
 from rigid_body_ros.scene import ARRIVAL, REBASE, RESET
 from rigid_body_ros.state import State
 
@@ -54,28 +52,26 @@ _ADVICE = ('; if the torques come from a bag, play it with --clock and set use_s
 _CLOCK_DELAY = 0.5
 
 
-class Realtime:
+class Realtime(Mode):
     """Publish the state at the present time, at a rate."""
 
     several_publishers = ('torques of several publishers of one topic are not summed, and each '
                           'replaces the previous one; list a topic for each in torque_topics')
 
-    def __init__(self, node: Node, parameters: Parameters, inputs: Inputs, outputs: Outputs,
-                 diagnostics: Diagnostics) -> None:
-        self._node, self._parameters = node, parameters
-        self._inputs, self._diagnostics = inputs, diagnostics
-        self._values = parameters.scene.values
-        self._given_start_ns = parameters.scene.start.time_ns
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
         self._max_future_ns = duration_ns(self._values['max_future'], 'max_future')
-        self.pipeline = Pipeline(parameters.scene, outputs, diagnostics, self._read)
-        self._arrivals, self._monitor = ArrivalStamps(), ClockMonitor(node)
-        self._torques: Mapping[int, Subscription] = {}
-        self._is_simulated = node.get_parameter('use_sim_time').value
-        self._clock = JumpDetector(node.get_clock(), self._is_simulated,
+        self._arrivals, self._monitor = ArrivalStamps(), ClockMonitor(self._node)
+        self._is_simulated = self._node.get_parameter('use_sim_time').value
+        self._clock = JumpDetector(self._node.get_clock(), self._is_simulated,
                                    duration_ns(self._values['history'], 'history'))
         self._rate = self._values['publish_rate']
         self._timer: Timer | None = None
         self._jumps: JumpHandle | None = None
+        #: Time, ns, of the state to publish as soon as it is known; 0 if there is none.
+        self._deferred_ns = 0
+        #: s, monotonic clock; when the next state is overdue.
+        self._overdue_at = 0.0
 
     def activate(self) -> None:
         """Begin to publish, with an epoch if there is none."""
@@ -85,11 +81,11 @@ class Realtime:
             self._jumps = node_clock.create_jump_callback(
                 JumpThreshold(min_forward=ahead, min_backward=Duration(nanoseconds=-1),
                               on_clock_change=False),
-                pre_callback=self.pipeline.hold_early_torques,
+                pre_callback=self._hold_early_torques,
                 post_callback=lambda jump: self._update())
         # If a wall clock is set back, a timer that follows it stops; a steady timer does not.
         clock = node_clock if self._is_simulated else Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self._node.create_timer(1.0 / self._rate, self._publish, clock=clock)
+        self._timer = self._node.create_timer(1.0 / self._rate, self._publish_now, clock=clock)
         self._update()
 
     def deactivate(self) -> None:
@@ -97,10 +93,6 @@ class Realtime:
         self._timer = None
         if self._jumps:
             self._jumps.unregister()
-
-    def connect(self, torques: Mapping[int, Subscription]) -> None:
-        """Set the subscriptions to torques by source; the timer runs without publishers, too."""
-        self._torques = torques
 
     def set_rate(self, rate: float) -> None:
         """Publish at another rate, Hz."""
@@ -120,7 +112,27 @@ class Realtime:
 
         """
         self._valid_now_ns()
-        self.pipeline.enqueue(data, sender, self._arrivals.stamp(), source)
+        self._queue.check_room()
+        self._queue.put(Queued(source, data, sender, self._arrivals.stamp(), time.monotonic()))
+
+    def process(self) -> bool:
+        """Apply waiting torques for one slice of time; return whether no work is left."""
+        for cause in (FUTURE, LATE):
+            while (first := self._queue.first_early(cause)) and not self._early_cause(first):
+                self._queue.release(cause)
+        is_done = super().process()
+        if self._deferred_ns and not (self._current or self._queue):
+            self._publish(self._deferred_ns)
+        else:
+            self.catch_up()
+        return is_done and not self._deferred_ns
+
+    def catch_up(self) -> None:
+        """Publish the present state if the timer is late by a period, as many messages arrive."""
+        # Simulated time, which the timer then follows, may stand still.
+        if self._timer and not self._is_simulated \
+                and time.monotonic() > self._overdue_at:
+            self._publish_now()
 
     def set_state(self, state: State) -> str:
         """
@@ -138,8 +150,8 @@ class Realtime:
         now_ns = self._valid_now_ns()
         start = replace(state, time_ns=state.time_ns or now_ns)
         self._check_stamp(start.time_ns, now_ns)
-        torques = self.pipeline.torques_since(start.time_ns)
-        start = self.pipeline.with_rotor_momentum(start, start.time_ns, self.pipeline.epoch.start)
+        torques = self.run.torques_since(start.time_ns)
+        start = self.run.with_rotor_momentum(start, start.time_ns, self.run.epoch.start)
         return self._begin(start, torques, 'initial_state received')
 
     def reset(self) -> str:
@@ -154,58 +166,125 @@ class Realtime:
         """
         now_ns = self._valid_now_ns()
         try:
-            torques = self.pipeline.torques_since(now_ns)
+            torques = self.run.torques_since(now_ns)
         except RejectedError:  # the clock was set back by `history` or more
             torques = []
-        return self._begin(self.pipeline.initial(now_ns), torques, 'reset')
+        return self._begin(self.run.initial(now_ns), torques, 'reset')
 
-    def problems(self) -> list[str]:
-        """Return the present problems."""
-        problems = self._monitor.problems()
-        now_ns = self._update()
-        if not now_ns:
-            return problems
-        timeout = self._values['torque_timeout']
-        for source, subscription in self._torques.items():
-            newest_ns = self.pipeline.epoch.newest_of(source)
-            silence = 0.0 if newest_ns is None else (now_ns - newest_ns) * 1e-9
+    def now_ns(self) -> int:
+        """Return the present time, ns, or 0 if there is none yet."""
+        return self._update()
+
+    def problems(self) -> dict[int, list[str]]:
+        """Return the present problems by source; those of the clock are of the first."""
+        now_ns, timeout = self._update(), self._values['torque_timeout']
+        problems = {source: [] for source in self._torques}
+        problems[next(iter(problems))] = self._monitor.problems()
+        for source, subscription in self._torques.items() if now_ns else ():
+            newest = self.run.epoch.newest_of(source)
+            silence = (now_ns - newest.stamp_ns) * 1e-9 if newest else 0.0
             if silence > timeout > 0.0:
-                problems.append(f'{subscription.topic_name}: no torque for {silence:.3g} s: the '
-                                f'torque is zero, because torque_timeout ({timeout:g} s) has '
-                                'passed')
+                problems[source].append(
+                    f'{subscription.topic_name}: no torque for {silence:.3g} s: the torque is '
+                    f'zero, because torque_timeout ({timeout:g} s) has passed')
         return problems
 
     def stamp(self) -> Time:
         """Return the present time."""
         return self._node.get_clock().now().to_msg()
 
-    def _read(self, message: QueuedMessage) -> Torque:
-        torque = self._inputs.torque(message.data, message.source)
+    def end(self, until: float | None = None, kept: str = LATE) -> None:
+        """End the epoch, as `Mode.end`; states that wait to be published are dropped."""
+        self._deferred_ns = 0
+        super().end(until, kept)
+
+    def _read(self, queued: Queued) -> Torque | None:
+        try:
+            return self._decoded(queued)
+        except EarlyError as early:
+            self._queue.hold(queued, early.cause)
+            return None
+
+    def _early_cause(self, queued: Queued) -> str | None:
+        """Return why a torque is early, or None if it is not."""
+        try:
+            self._decoded(queued)
+        except EarlyError as early:
+            return early.cause
+        except RejectedError:
+            pass  # counted when its turn comes
+        return None
+
+    def _hold_early_torques(self) -> None:
+        """Before the epoch ends, let torques wait that are early for the present clock."""
+        for queued in self._queue.pop_all():
+            cause = self._early_cause(queued)
+            if cause:
+                self._queue.hold(queued, cause)
+            else:
+                self._queue.put(queued)
+
+    def _decoded(self, queued: Queued) -> Torque:
+        """Return a torque whose stamp is valid; raise RejectedError, or EarlyError."""
+        torque = self._inputs.torque(queued.data, queued.source)
         if not torque.stamp_ns or self._values['time_source'] == ARRIVAL:
-            torque = torque._replace(stamp_ns=message.time_ns)
+            torque = torque._replace(stamp_ns=queued.arrived_ns)
         if self._is_simulated:
-            self._check_early(torque.stamp_ns, message)
+            self._check_early(torque.stamp_ns, queued)
         else:
-            self._check_stamp(torque.stamp_ns, message.time_ns)
+            self._check_stamp(torque.stamp_ns, queued.arrived_ns)
         return torque
 
-    def _check_early(self, stamp_ns: int, message: QueuedMessage) -> None:
+    def _check_early(self, stamp_ns: int, queued: Queued) -> None:
         # A torque may overtake the /clock message that was sent before it. It is then ahead of
         # the clock, or, if that message sets the clock back, too old for the present epoch.
         now_ns = self._node.get_clock().now().nanoseconds
         try:
             self._check_stamp(stamp_ns, now_ns)
-            self.pipeline.check_age(stamp_ns)
+            self.run.check_age(stamp_ns)
         except RejectedError as rejected:
             is_other_clock = stamp_ns - now_ns >= _OTHER_CLOCK_NS
-            if is_other_clock or time.monotonic() - message.since >= _CLOCK_DELAY:
+            if is_other_clock or time.monotonic() - queued.since >= _CLOCK_DELAY:
                 raise
             raise EarlyError(rejected.cause, str(rejected)) from rejected
 
-    def _publish(self) -> None:
+    def _publish_now(self) -> None:
         now_ns = self._update()
-        if now_ns and now_ns >= self.pipeline.epoch.start.time_ns:
-            self.pipeline.publish(now_ns)
+        if not now_ns or now_ns < self.run.epoch.start.time_ns:
+            return
+        # A torque that waits is applied first, unless there are always some: then a state that
+        # does not contain them is better than none.
+        if (self._current or self._queue) and not self._deferred_ns:
+            self._deferred_ns = now_ns
+        else:
+            self._publish(now_ns)
+
+    def _publish(self, time_ns: int) -> None:
+        """
+        Publish the state at a time, immediately if one slice of work is enough to compute it.
+
+        Otherwise `process` publishes it: if simulated time stands still, there is no further call.
+        So it does if torques wait that may change the state.
+        """
+        self._deferred_ns = time_ns if self._current or self._queue else 0
+        began = time.monotonic()
+        try:
+            state = self.run.state(time_ns, began + BUDGET)
+        except TimeoutError as error:
+            self._miss_deadline(error)
+            self._deferred_ns = time_ns
+            # Most of the time is for messages, services and torques.
+            self._overdue_at = began + 10.0 * BUDGET
+            self._wake()
+            return
+        now = time.monotonic()
+        self._overdue_at = now + 2.0 / self._rate + 2.0 * (now - began)
+        if state is not None:
+            self._outputs.publish(state)
+
+    def _miss_deadline(self, error: TimeoutError) -> None:
+        self._diagnostics.event(MISSED, 'cannot keep up: the body spins too fast, or late torques '
+                                f'force too much recomputation; {error}')
 
     def _valid_now_ns(self) -> int:
         now_ns = self._update()
@@ -219,11 +298,25 @@ class Realtime:
         if not now_ns:  # simulated time before the first message on /clock
             return 0
         self._arrivals.tick(now_ns)
-        if self.pipeline.epoch is None:
-            self._begin(self.pipeline.initial(self._given_start_ns or now_ns), (), 'start')
+        if self.run.epoch is None:
+            self._start(now_ns)
         elif jump_ns:
             self._jump(now_ns - jump_ns, now_ns)
         return now_ns
+
+    def _start(self, now_ns: int) -> None:
+        """Begin the first epoch: from the checkpoint if it has a state, else from the scene."""
+        state = self._checkpoint and self._checkpoint.start
+        if not state:
+            self._begin(self.run.initial(self._given_start_ns or now_ns), (), 'start')
+            return
+        away_ns = now_ns - state.time_ns
+        if away_ns < -self._max_future_ns:
+            raise InputError(f'checkpoint {self._checkpoint}: expected a state from before '
+                             f'{now_ns} ns, the present time, found one from {state.time_ns} ns; '
+                             'remove the file to start from the initial state')
+        self._begin(state, (), f'start from the checkpoint {self._checkpoint}')
+        self._warn_away(max(0, away_ns) * 1e-9)
 
     def _jump(self, latest_ns: int, now_ns: int) -> None:
         action, is_ahead = self._values['on_time_jump'], now_ns > latest_ns
@@ -236,17 +329,17 @@ class Realtime:
             start_ns = self._given_start_ns if self._is_simulated else 0
             # A start before a jump ahead would integrate all the time between them.
             start_ns = max(start_ns, now_ns) if is_ahead else start_ns or now_ns
-            self._begin(self.pipeline.initial(start_ns), (), text, is_ahead)
+            self._begin(self.run.initial(start_ns), (), text, is_ahead)
 
     def _rebase(self, latest_ns: int, now_ns: int, text: str) -> bool:
-        state = self.pipeline.last_state(latest_ns)
+        state = self.run.last_state(latest_ns)
         if state is None:
             self._diagnostics.event(NOT_COMPUTABLE, 'on_time_jump: the current state cannot be '
                                     'computed; the motion starts again from the initial state')
             return False
         # Shift the stamp, so that the torque keeps its age for torque_timeout.
         torques = [torque._replace(stamp_ns=max(1, torque.stamp_ns + now_ns - latest_ns))
-                   for torque in self.pipeline.epoch.torques_since(latest_ns)
+                   for torque in self.run.epoch.torques_since(latest_ns)
                    if torque.stamp_ns <= latest_ns]
         start = State(now_ns, state.attitude, state.angular_velocity, state.rotor_momentum)
         self._begin(start, torques, f'{text}, state kept', now_ns > latest_ns)
@@ -254,7 +347,15 @@ class Realtime:
 
     def _begin(self, start: State, torques: Sequence[Torque], reason: str,
                is_ahead: bool = False) -> str:
-        self.pipeline.begin(start, torques, is_ahead)
+        """
+        Begin an epoch; `torques` are earlier ones that still act.
+
+        Torques that wait for the clock, and come from after it jumped, are kept: those ahead of
+        the clock if it jumped ahead, otherwise those that are too old for the present epoch.
+        """
+        if self.run.epoch is not None:  # otherwise the queued torques belong to the new one
+            self.end(kept=FUTURE if is_ahead else LATE)
+        self.run.begin(start, torques)
         self._parameters.set_start(start)
         text = f'{reason}: a new epoch begins at {start.time_ns} ns'
         self._node.get_logger().info(text)

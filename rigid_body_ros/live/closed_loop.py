@@ -22,15 +22,14 @@ If the node does not respond, or a message is lost, the loop stops.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 import math
 import time
 from typing import Any
 
 import numpy as np
-from rigid_body_ros.node.drain import Sender, UNKNOWN_SENDER
-from rigid_body_ros.node.epoch import Torque
+from rigid_body_ros.live.inputs import Torque
+from rigid_body_ros.live.torque_queue import Sender, UNKNOWN_SENDER
 
 #: s; a torque that is repeated within this time after its response was published is assumed to
 #: have been sent before the response arrived.
@@ -150,21 +149,15 @@ class RepublishPolicy:
     published immediately after a connection, because the subscription of a controller may be
     connected before its publisher is.
 
-    Parameters
-    ----------
-    count : callable
-        Returns the number of connected publishers of torques and of subscriptions to states.
-
     """
 
-    def __init__(self, count: Callable[[], tuple[int, int]]) -> None:
-        self._count = count
+    def __init__(self) -> None:
+        #: Numbers of connected publishers of torques and of subscriptions to states.
         self._connected = 0, 0
         self._changed_at = time.monotonic()
         self._published_at = -math.inf
-        #: Whether a state was published since the connections settled.
-        self._is_delivered = False
-        self._timeout = _TIMEOUT
+        #: s; the longest silence. The shortest one until a new controller has received a state.
+        self._timeout = _CONNECTION_TIME
 
     @property
     def has_controller(self) -> bool:
@@ -174,22 +167,29 @@ class RepublishPolicy:
     def published(self, is_repeated: bool) -> None:
         """Record that a state was published, for the first time or again."""
         self._published_at = time.monotonic()
-        self._timeout = min(2.0 * self._timeout, _MAX_TIMEOUT) \
-            if is_repeated and self._is_delivered else _TIMEOUT
-        self._is_delivered |= self._published_at - self._changed_at >= _CONNECTION_TIME
+        if self._timeout > _CONNECTION_TIME and is_repeated:
+            self._timeout = min(2.0 * self._timeout, _MAX_TIMEOUT)
+        elif (self._timeout > _CONNECTION_TIME
+                or self._published_at - self._changed_at >= _CONNECTION_TIME):
+            self._timeout = _TIMEOUT
 
-    def is_due(self) -> bool:
-        """Return whether to publish the latest state again now; call this regularly."""
-        now, (publishers, subscriptions) = time.monotonic(), self._count()
+    def is_due(self, publishers: int, subscriptions: int) -> bool:
+        """
+        Return whether to publish the latest state again now; call this regularly.
+
+        Parameters
+        ----------
+        publishers, subscriptions : int
+            The numbers of connected publishers of torques and of subscriptions to states.
+
+        """
+        now = time.monotonic()
         if publishers > self._connected[0] or subscriptions > self._connected[1]:
             self._changed_at = now
         if publishers > self._connected[0]:  # a subscription alone may be an observer
-            self._is_delivered = False
+            self._timeout = _CONNECTION_TIME
         self._connected = publishers, subscriptions
         if now - self._changed_at < _CONNECTION_TIME:
             return False
-        if not publishers:
-            return now - self._published_at >= _IDLE_PERIOD
         # A running loop requires no repetition, even if another controller joins.
-        return now - self._published_at >= (
-            self._timeout if self._is_delivered else _CONNECTION_TIME)
+        return now - self._published_at >= (self._timeout if publishers else _IDLE_PERIOD)

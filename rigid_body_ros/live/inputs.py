@@ -16,15 +16,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import math
 from typing import NamedTuple
 
 from rigid_body_ros import messages
+from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import quoted
 from rigid_body_ros.frames import Frame, OffAxisError
-from rigid_body_ros.node.drain import Sender
-from rigid_body_ros.node.epoch import Torque
+from rigid_body_ros.live.events import (
+    Events,
+    FRAME,
+    MALFORMED,
+    NOT_FINITE,
+    RejectedError,
+    TOO_LARGE,
+)
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.propagation.segment import WHEELS
 from rigid_body_ros.scene import Scene
@@ -32,43 +38,23 @@ from rigid_body_ros.state import State
 
 #: rad/s^2; an acceleration that reaches FASTEST, a radian per nanosecond, within a second.
 _LARGEST_ACCELERATION = 1e9
-#: Causes of rejection.
-MALFORMED, FRAME, NOT_FINITE, TOO_LARGE = 'malformed', 'unknown frame', 'not finite', 'too large'
-NO_CLOCK, FUTURE, LATE, OVERLOAD = 'no clock', 'future', 'late', 'overload'
-NO_STATE, ENDED, STALE = 'state not computable', 'epoch ended', 'before the reset'
-DIFFERS = 'duplicate, differs (same stamp)'
-CAUSES = (MALFORMED, FRAME, NOT_FINITE, TOO_LARGE, NO_CLOCK, FUTURE, LATE, OVERLOAD, NO_STATE,
-          ENDED, DIFFERS, STALE)
 
 
-class QueuedMessage(NamedTuple):
-    """A received message: bytes, sender, and time of arrival, ns and monotonic clock, s."""
+class Torque(NamedTuple):
+    """A torque, N m, that acts from its stamp on; the frame is 'body' or 'space'."""
 
-    data: bytes
-    sender: Sender
-    time_ns: int
-    since: float
-    #: As in `Torque`.
-    source: int
-
-
-class RejectedError(ValueError):
-    """A message is rejected; `cause` is the name under which it is counted."""
-
-    def __init__(self, cause: str, text: str) -> None:
-        super().__init__(text)
-        self.cause = cause
-
-
-class EarlyError(RejectedError):
-    """A torque may have overtaken the /clock message that was sent before it."""
+    stamp_ns: int
+    values: Floats
+    frame: str
+    #: Of `Propagator.apply`; WHEELS for a torque on the rotors.
+    source: int = 0
 
 
 class Inputs:
     """Decode messages in the frames of a scene."""
 
-    def __init__(self, scene: Scene, on_force: Callable[[int], None]) -> None:
-        self._on_force = on_force
+    def __init__(self, scene: Scene, events: Events) -> None:
+        self._events = events
         self._frames = scene.body_frame, scene.space_frame
         self._links = scene.links
         self._largest = _LARGEST_ACCELERATION * scene.body.principal_moments[0]
@@ -87,16 +73,7 @@ class Inputs:
 
         """
         wrench = _decoded(messages.WRENCH, data)
-        try:
-            axes, frame = messages.wrench_frame(wrench.frame_id, *self._frames, self._links)
-        except ValueError as error:
-            raise RejectedError(FRAME, str(error)) from error
-        if source == WHEELS:
-            if wrench.frame_id not in ('', self._frames[0]):
-                raise RejectedError(FRAME, f"frame_id: expected '{self._frames[0]}' or '', "
-                                    'because the torque on rotors is in body axes, '
-                                    f"found '{wrench.frame_id}'")
-            frame = None  # a force does not act on rotors
+        axes, frame = self._wheel_frame(wrench) if source == WHEELS else self._frame(wrench)
         force, torque = wrench.values[:3], messages.torque(wrench)
         if frame:
             try:
@@ -112,8 +89,21 @@ class Inputs:
                                 f'for this inertia, found {[x, y, z]}'
                                 + _source(wrench, frame))
         if force.any() and not (frame and frame.has_arm):
-            self._on_force(source)
+            self._events.count_force(source)
         return Torque(wrench.stamp_ns, torque, axes, source)
+
+    def _frame(self, wrench: messages.Stamped) -> tuple[str, Frame | None]:
+        try:
+            return messages.wrench_frame(wrench.frame_id, *self._frames, self._links)
+        except ValueError as error:
+            raise RejectedError(FRAME, str(error)) from error
+
+    def _wheel_frame(self, wrench: messages.Stamped) -> tuple[str, None]:
+        if wrench.frame_id not in ('', self._frames[0]):
+            raise RejectedError(FRAME, f"frame_id: expected '{self._frames[0]}' or '', because "
+                                'the torque on rotors is in body axes, found '
+                                f'{quoted(wrench.frame_id)}')
+        return 'body', None  # a force does not act on rotors
 
     def odometry(self, data: bytes) -> messages.Stamped:
         """Decode an Odometry in CDR; raise RejectedError if it is malformed."""

@@ -1,0 +1,181 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The last committed state in a file, from which a node that is started again goes on."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+import hashlib
+import json
+import os
+from pathlib import Path
+import time
+from typing import Any
+
+from rigid_body_ros.common.errors import InputError, quoted
+from rigid_body_ros.runtime import files
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.state import State
+
+_FORMAT, _SUFFIX = 'rigid_body_ros checkpoint 1', '.json'
+#: Parameters of a scene that do not change its motion under given torques.
+_OTHERS = frozenset([
+    'checkpoint', 'euler_sequence', 'history', 'max_future', 'mode', 'on_time_jump',
+    'publish_clock', 'publish_rate', 'publish_tf', 'stale_after', 'step', 'time_source'])
+#: Characters of a longer text, such as that of a URDF, are replaced by their hash.
+_LONGEST_TEXT = 200
+
+
+class Checkpoint:
+    """
+    A file with the last committed state of a node.
+
+    It is written by a thread, because a disk may take longer than a period of the outputs. It is
+    replaced as a whole, so it has either the old state or the new one.
+
+    Parameters
+    ----------
+    path : str
+        The file; it may not exist yet.
+    scene : Scene
+    node : str
+        The full name of the node, because nodes that share their parameters must not share a file.
+
+    Attributes
+    ----------
+    start : State or None
+        The state in the file; None if there is no file.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, or is not a checkpoint of this node and scene, or cannot be written.
+
+    """
+
+    def __init__(self, path: str, scene: Scene, node: str) -> None:
+        self._path = Path(path).expanduser().absolute()
+        self._defining = {'node': node, **_defining(scene)}
+        self.start = self._read()
+        files.check((self._path, _SUFFIX))
+        #: The file as it was read or written last; None before the first.
+        self._identity = _identity(self._path)
+        self._saved = self.start
+        self._pool = ThreadPoolExecutor(1, 'checkpoint')
+        self._writing: Future[None] | None = None
+
+    def __str__(self) -> str:
+        return str(self._path)
+
+    @property
+    def age(self) -> float:
+        """Return the time since the file was written, s."""
+        return max(0.0, time.time() - os.stat(self._path).st_mtime)
+
+    def save(self, state: State | None) -> None:
+        """
+        Begin to write a state, unless the last one is still being written or is the same.
+
+        Raises
+        ------
+        InputError
+            The last state could not be written.
+
+        """
+        if state is None or state is self._saved or (
+                self._writing and not self._writing.done()):
+            return
+        self.finish()
+        self._saved = state
+        self._writing = self._pool.submit(self._write, state)
+
+    def save_last(self, state: State | None) -> None:
+        """Write a state, and wait until that is done; raise InputError as `save` does."""
+        self.finish()
+        self.save(state)
+        self.finish()
+
+    def finish(self) -> None:
+        """Wait until the last state is written; raise InputError if it could not be."""
+        writing, self._writing = self._writing, None
+        if writing:
+            try:
+                writing.result()
+            except InputError:
+                self._saved = None  # so that it is tried again
+                raise
+
+    def _write(self, state: State) -> None:
+        if _identity(self._path) != self._identity:
+            raise InputError(f'checkpoint {self._path}: another program has changed the file; it '
+                             'is left as it is')
+        with files.atomic_output(self._path, _SUFFIX) as part:
+            part.write_text(_text(self._defining, state), encoding='utf-8')
+        self._identity = _identity(self._path)
+
+    def _read(self) -> State | None:
+        try:
+            text = self._path.read_text(encoding='utf-8')
+        except FileNotFoundError:
+            return None
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f'checkpoint {self._path}: cannot read: {error}') from error
+        state, defining = self._parsed(text)
+        for name in sorted(self._defining.keys() | defining.keys()):
+            here, there = self._defining.get(name), defining.get(name)
+            if here != there:
+                raise InputError(
+                    f'checkpoint {self._path}: expected a checkpoint of this node and scene, '
+                    f'found one with another {name}: {quoted(there)} there, {quoted(here)} here; '
+                    'remove the file to start from the initial state')
+        return state
+
+    def _parsed(self, text: str) -> tuple[State, dict[str, Any]]:
+        """Return state and defining values, if every byte is as `_text` has written it."""
+        try:
+            data = json.loads(text)
+            state = State(data['time_ns'], data['attitude'], data['angular_velocity'],
+                          data['rotor_momentum'])
+            if _text(data['defining'], state) == text:
+                return state, data['defining']
+        except (ValueError, TypeError, KeyError, RecursionError):
+            pass
+        raise InputError(f'checkpoint {self._path}: expected a checkpoint that a node has '
+                         f'written, found a damaged or other file of {len(text)} characters; '
+                         'remove it to start from the initial state')
+
+
+def _text(defining: dict[str, Any], state: State) -> str:
+    data = {'format': _FORMAT, 'time_ns': state.time_ns, 'attitude': state.attitude.tolist(),
+            'angular_velocity': state.angular_velocity.tolist(),
+            'rotor_momentum': state.rotor_momentum.tolist(), 'defining': defining}
+    # A hash of all that comes before it.
+    digest = hashlib.sha256(json.dumps(data).encode()).hexdigest()
+    return f'{json.dumps({**data, "sha256": digest}, indent=1)}\n'
+
+
+def _defining(scene: Scene) -> dict[str, Any]:
+    """Return the parameters of a scene that define its motion; long texts as their hashes."""
+    return {name: f'sha256 {hashlib.sha256(value.encode()).hexdigest()}'
+            if isinstance(value, str) and len(value) > _LONGEST_TEXT else value
+            for name, value in scene.values.items() if name not in _OTHERS}
+
+
+def _identity(path: Path) -> tuple[int, int, int] | None:
+    with suppress(FileNotFoundError):
+        found = os.stat(path)
+        return found.st_dev, found.st_ino, found.st_mtime_ns
+    return None

@@ -1,0 +1,153 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""One start state, and the torques applied since."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+from rigid_body_ros import euler
+from rigid_body_ros.kernels.jit import announced
+from rigid_body_ros.live.inputs import Torque
+from rigid_body_ros.propagation import Propagator
+from rigid_body_ros.propagation.segment import Sample, WHEELS
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.state import State
+
+#: Logged before the compilation.
+_COMPILING = ('compiling the kernels, or waiting for a process that does: usually up to a minute, '
+              'once after each installation; python3 -m rigid_body_ros.warm_up does it in '
+              'advance')
+
+
+def warm_up_for(scene: Scene, log: Callable[[str], None]) -> None:
+    """
+    Compile the kernels that a scene needs, or load the code of an earlier process.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    log : callable
+        Receives a message before a kernel is compiled.
+
+    """
+    always_has_terms = scene.body.is_damped or scene.start.rotor_momentum.any()
+    with announced(partial(log, _COMPILING)):
+        if not always_has_terms:
+            start = Propagator(scene.body, State()).at(1)
+        if always_has_terms or scene.wheels or len(scene.torque_topics) > 1:
+            start = Propagator(scene.body, State(rotor_momentum=(1.0, 0.0, 0.0))).at(1)
+        euler.from_quaternion(start.attitude, scene.values['euler_sequence'])
+
+
+class Epoch:
+    """
+    The motion from one start state on.
+
+    Parameters
+    ----------
+    scene : Scene
+    start : State
+    torques : sequence of Torque
+        Torques of an earlier epoch that still act.
+
+    """
+
+    def __init__(self, scene: Scene, start: State, torques: Sequence[Torque] = ()) -> None:
+        self.start, self._timeout_ns = start, scene.timeout_ns
+        self._propagator = Propagator(scene.body, start, **scene.options,
+                                      history=scene.values['history'])
+        self._committed_ns = start.time_ns
+        #: Source and stamp of the torques of the earlier epoch.
+        self._carried = {(torque.source, torque.stamp_ns) for torque in torques}
+        for torque in torques:
+            self._put(torque)
+
+    @property
+    def history_ns(self) -> int:
+        """Return how much older than the newest stamp a torque may be, ns."""
+        return self._propagator.history_ns
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Return the newest stamp of all sources, ns, or None before the first torque."""
+        return self._propagator.newest_ns
+
+    def at(self, time_ns: int, within: float) -> State:
+        """Return the state at a time; arguments and errors are those of `Propagator.at`."""
+        return self._propagator.at(time_ns, within)
+
+    def apply(self, torque: Torque) -> bool:
+        """
+        Apply a torque that is not too old; return whether it replaces one of its publisher.
+
+        Raises
+        ------
+        ValueError
+            As `Propagator.apply` does.
+
+        """
+        key = torque.source, torque.stamp_ns
+        is_replacement = self.has_torque_at(torque.stamp_ns, torque.source) \
+            and key not in self._carried
+        self._put(torque)
+        self._carried.discard(key)
+        return is_replacement
+
+    def _put(self, torque: Torque) -> None:
+        if torque.source == WHEELS:
+            self._propagator.apply_wheels(torque.stamp_ns, torque.values)
+        else:
+            self._propagator.apply(*torque)
+
+    def has_torque_at(self, stamp_ns: int, source: int) -> bool:
+        """Return whether a source has a torque of this stamp that may still be replaced."""
+        held = self._propagator.held(stamp_ns).get(source)
+        return held is not None and held.stamp_ns == stamp_ns
+
+    def newest_of(self, source: int) -> Torque | None:
+        """Return the torque of a source with the newest stamp, or None before its first."""
+        if self.newest_ns is None:
+            return None
+        held = self._propagator.held(self.newest_ns).get(source)
+        return None if held is None else _torque(source, held)
+
+    def acting_at(self, time_ns: int) -> list[Torque]:
+        """Return the torques other than zero that act at a time."""
+        return [_torque(source, held)
+                for source, held in self._propagator.held(time_ns).items()
+                if held.torque.any()
+                and not 0 < self._timeout_ns <= time_ns - held.stamp_ns]
+
+    def torques_since(self, time_ns: int) -> list[Torque]:
+        """Return, sorted by stamp, the torques that are in force at a time, and all later ones."""
+        found = [_torque(*pair) for pair in self._propagator.samples_since(time_ns)]
+        return sorted(found, key=lambda torque: torque.stamp_ns)
+
+    def uncommitted(self, until_ns: int) -> list[int]:
+        """Return the stamps up to a time, ascending, whose states are not committed yet."""
+        return self._propagator.stamps(self._committed_ns, until_ns)
+
+    def mark_committed(self, time_ns: int) -> None:
+        """Record that the states at the stamps up to a time are committed."""
+        self._committed_ns = time_ns
+
+
+def _torque(source: int, sample: Sample) -> Torque:
+    return Torque(sample.stamp_ns, np.ravel(sample.torque), 'space' if sample.in_space else 'body',
+                  source)

@@ -1,0 +1,70 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What may happen to torques and to the motion: the names under which it is counted."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+RECEIVED, APPLIED, WAITING = 'received', 'applied', 'waiting'
+#: Causes of rejection.
+MALFORMED, FRAME, NOT_FINITE, TOO_LARGE = 'malformed', 'unknown frame', 'not finite', 'too large'
+NO_CLOCK, FUTURE, LATE, OVERLOAD = 'no clock', 'future', 'late', 'overload'
+NO_STATE, ENDED, STALE = 'state not computable', 'epoch ended', 'before the reset'
+DIFFERS = 'duplicate, differs (same stamp)'
+CAUSES = (MALFORMED, FRAME, NOT_FINITE, TOO_LARGE, NO_CLOCK, FUTURE, LATE, OVERLOAD, NO_STATE,
+          ENDED, DIFFERS, STALE)
+#: Causes that follow from a reset, and are nobody's mistake.
+OF_RESETS = (ENDED, STALE)
+#: Other counts of torques.
+REPLACED, FORCE = 'replaced (same stamp)', 'force ignored'
+LOST, OVERFLOW = 'lost in transit', 'dropped (queue full)'
+#: Counts of the motion.
+MISSED, NOT_COMPUTABLE, UNSENT = 'deadlines missed', 'states not computable', 'publish failures'
+UNSAVED, TIME_JUMP = 'checkpoint failures', 'clock jumps'
+STATES, STATES_REJECTED = 'initial states', 'initial states rejected'
+
+
+def rejections(cause: str) -> str:
+    """Return the key under which torques rejected for a cause are counted."""
+    return f'rejected: {cause}'
+
+
+class RejectedError(ValueError):
+    """A message is rejected; `cause` is the name under which it is counted."""
+
+    def __init__(self, cause: str, text: str) -> None:
+        super().__init__(text)
+        self.cause = cause
+
+
+class EarlyError(RejectedError):
+    """A torque may have overtaken the /clock message that was sent before it."""
+
+
+class Events(Protocol):
+    """Counts and reports what happens."""
+
+    def count(self, name: str, source: int) -> None:
+        """Count an event of a torque of a source without logging it."""
+
+    def count_force(self, source: int) -> None:
+        """Count an ignored force."""
+
+    def reject(self, rejected: RejectedError, source: int) -> None:
+        """Count a rejected torque of a source and log the reason."""
+
+    def event(self, name: str, text: str, kind: str = '') -> None:
+        """Count a problem of the motion and log it; each kind is logged at a limited rate."""

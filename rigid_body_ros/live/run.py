@@ -1,0 +1,253 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The run of a node: one epoch after the other, and the log of what it accepts and commits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+import time
+from typing import Protocol
+
+from rigid_body_ros.live.epoch import Epoch
+from rigid_body_ros.live.events import (
+    APPLIED,
+    ENDED,
+    Events,
+    LATE,
+    MISSED,
+    NO_STATE,
+    NOT_COMPUTABLE,
+    RejectedError,
+    REPLACED,
+)
+from rigid_body_ros.live.inputs import Torque
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.state import State
+
+#: Largest number of messages in one burst.
+LOG_DEPTH = 10_000
+#: s; how long computing the last states of an epoch may take.
+_END_BUDGET = 0.2
+
+
+class Log(Protocol):
+    """Publishes the log of a run."""
+
+    def begin_log(self, start: State) -> None:
+        """Mark in the logs of torques that an epoch begins with a state."""
+
+    def log_torque(self, torque: Torque) -> None:
+        """Log an accepted torque."""
+
+    def log_state(self, state: State) -> None:
+        """Log a final state."""
+
+    def deliver(self, until: float) -> bool:
+        """Wait until subscribers acknowledge the log, at most to `until`, s, monotonic clock."""
+
+
+class Run:
+    """
+    The present epoch of a node, and the log of all.
+
+    `apply` and `state` may take longer than the caller can wait. They then raise TimeoutError; the
+    next call with the same arguments continues. Neither order nor results depend on how the work
+    is divided.
+
+    Parameters
+    ----------
+    scene : Scene
+    log : Log
+    events : Events
+
+    Attributes
+    ----------
+    epoch : Epoch or None
+    committed : State or None
+        The final state that was logged last; no later torque can change it.
+
+    """
+
+    def __init__(self, scene: Scene, log: Log, events: Events) -> None:
+        self._scene, self._sink, self._events = scene, log, events
+        self.epoch: Epoch | None = None
+        self.committed: State | None = None
+        #: Final states that are not logged yet.
+        self._final: list[State] = []
+        #: When the newest torque of each source arrived, ns.
+        self._arrived_ns: dict[int, int] = {}
+
+    def initial(self, time_ns: int) -> State:
+        """Return the initial state of the scene, stamped with a time."""
+        return replace(self._scene.start, time_ns=time_ns)
+
+    def begin(self, start: State, torques: Sequence[Torque] = ()) -> None:
+        """Begin an epoch and its log; `torques` are those of an earlier one that still act."""
+        self.epoch = Epoch(self._scene, start, torques)
+        self._arrived_ns = dict.fromkeys((torque.source for torque in torques), start.time_ns)
+        self._sink.begin_log(start)
+        for torque in torques:
+            self._sink.log_torque(torque)
+        self._log_state(start)
+
+    def end(self, until: float | None = None) -> None:
+        """End the epoch; its states are committed by `until`, s, monotonic clock, or in 0.2 s."""
+        if self.epoch is not None:
+            self._finish(self.epoch, time.monotonic() + _END_BUDGET if until is None else until)
+        self.epoch = None
+
+    def apply(self, torque: Torque, arrived_ns: int, until: float) -> bool:
+        """
+        Commit what can change no more, and apply a torque; return False if it is rejected.
+
+        `log` logs it. The time at which it arrived, ns, is that of `silent`.
+
+        Raises
+        ------
+        TimeoutError
+            It takes longer than `until`, s, monotonic clock.
+
+        """
+        epoch = self._present()
+        self._commit(epoch, torque.stamp_ns - epoch.history_ns, until)
+        try:
+            self.check_age(torque.stamp_ns)
+            is_replacement = epoch.apply(torque)
+        except RejectedError as rejected:
+            self._events.reject(rejected, torque.source)
+            return False
+        except ValueError as error:  # the motion before it is too fast to compute
+            self._events.reject(RejectedError(NO_STATE, str(error)), torque.source)
+            return False
+        self._arrived_ns[torque.source] = arrived_ns
+        self._events.count(APPLIED, torque.source)
+        if is_replacement:
+            self._events.count(REPLACED, torque.source)
+        return True
+
+    def log(self, torque: Torque) -> None:
+        """Log an applied torque, and the states that it committed."""
+        self._sink.log_torque(torque)
+        self._log_final()
+
+    def state(self, time_ns: int, until: float) -> State | None:
+        """
+        Return the state at a time, or report that it cannot be computed and return None.
+
+        Raises
+        ------
+        TimeoutError
+            The state is not computed by `until`, s, monotonic clock.
+
+        """
+        try:
+            return self._present().at(time_ns, until - time.monotonic())
+        except ValueError as error:
+            self._events.event(NOT_COMPUTABLE,
+                               f'cannot compute the state at {time_ns} ns: {error}')
+            return None
+
+    def last_state(self, time_ns: int) -> State | None:
+        """Return the state at a time, or None if it takes too long or cannot be computed."""
+        try:
+            return self.state(time_ns, time.monotonic() + _END_BUDGET)
+        except TimeoutError as error:
+            self._events.event(MISSED, f'the present state takes too long: {error}')
+            return None
+
+    def check_age(self, stamp_ns: int) -> None:
+        """Raise RejectedError if a stamp is older than the newest torque by `history` or more."""
+        epoch = self._present()
+        newest_ns, history_ns = epoch.newest_ns, epoch.history_ns
+        if newest_ns is not None and newest_ns - stamp_ns >= history_ns:
+            raise RejectedError(
+                LATE, f'{(newest_ns - stamp_ns) * 1e-9:.9g} s older than the newest torque '
+                f'({newest_ns} ns), expected less than history ({history_ns * 1e-9:g} s)')
+
+    def torques_since(self, time_ns: int) -> list[Torque]:
+        """
+        Return the torques that act at a time, and all later ones.
+
+        Raises
+        ------
+        RejectedError
+            The time is older than the newest torque by `history` or more.
+
+        """
+        if self.epoch is None or self.epoch.newest_ns is None:
+            return []
+        self.check_age(time_ns)
+        return self.epoch.torques_since(time_ns)
+
+    def with_rotor_momentum(self, start: State, time_ns: int, default: State) -> State:
+        """
+        Return a start state with the rotor momentum at a time of the present epoch.
+
+        If there is no epoch, or no motor on the rotors, the momentum is that of a default state.
+        """
+        if self.epoch is not None and self._scene.wheels and time_ns > self.epoch.start.time_ns:
+            default = self.last_state(time_ns) or default
+        return replace(start, rotor_momentum=default.rotor_momentum)
+
+    def age(self, source: int, now_ns: int) -> float | None:
+        """Return the time since the newest torque of a source, s, or None before its first."""
+        arrived_ns = self._arrived_ns.get(source)
+        return None if arrived_ns is None else max(0.0, (now_ns - arrived_ns) * 1e-9)
+
+    def silent(self, now_ns: int) -> list[Torque]:
+        """Return the torques that act though their sources have sent none for `stale_after`."""
+        longest = self._scene.values['stale_after']
+        if self.epoch is None or not longest:
+            return []
+        return [torque for torque in self.epoch.acting_at(now_ns)
+                if (self.age(torque.source, now_ns) or 0.0) > longest]
+
+    def _present(self) -> Epoch:
+        assert self.epoch is not None, 'no epoch has begun'
+        return self.epoch
+
+    def _commit(self, epoch: Epoch, until_ns: int, until: float) -> None:
+        """Compute the states up to a time, which no torque can change any more."""
+        for stamp_ns in epoch.uncommitted(until_ns):
+            state = self.state(stamp_ns, until)
+            epoch.mark_committed(stamp_ns)
+            if state is not None:
+                self._final.append(state)
+            if time.monotonic() > until:  # the next call continues from here
+                raise TimeoutError(f'the committed states are computed up to {stamp_ns} ns')
+
+    def _finish(self, epoch: Epoch, until: float) -> None:
+        """Commit the states that late torques could still change."""
+        last_ns = epoch.start.time_ns if epoch.newest_ns is None else epoch.newest_ns
+        try:
+            while stamps := epoch.uncommitted(last_ns)[:LOG_DEPTH]:  # what the queue holds
+                self._commit(epoch, stamps[-1], until)
+                self._log_final()
+                self._sink.deliver(until)
+        except TimeoutError as error:
+            self._log_final()
+            self._events.event(
+                MISSED, f'{len(epoch.uncommitted(last_ns))} states are missing on ~/committed, '
+                f'because computing them at the end of the epoch took too long: {error}', ENDED)
+
+    def _log_final(self) -> None:
+        for state in self._final:
+            self._log_state(state)
+        self._final.clear()
+
+    def _log_state(self, state: State) -> None:
+        self._sink.log_state(state)
+        self.committed = state

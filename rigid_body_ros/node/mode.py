@@ -1,0 +1,154 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What both modes share: the run, the queue of torques, and the work on it in short slices."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+import time
+
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+from rigid_body_ros.live.checkpoint import Checkpoint
+from rigid_body_ros.live.events import LATE, RejectedError
+from rigid_body_ros.live.inputs import Inputs, Torque
+from rigid_body_ros.live.run import Run
+from rigid_body_ros.live.torque_queue import Queued, TorqueQueue
+from rigid_body_ros.node.diagnostics import Diagnostics
+from rigid_body_ros.node.outputs import Outputs
+from rigid_body_ros.node.parameters import Parameters
+from rigid_body_ros.scene import LOCKSTEP
+
+#: s; length of a slice of work, after which all other callbacks run.
+BUDGET = 0.02
+
+
+class Mode:
+    """
+    Apply and log the torques of a queue, in slices short enough for other callbacks.
+
+    A mode decides which torques are accepted, and when a state is published.
+
+    Parameters
+    ----------
+    node : Node
+    parameters : Parameters
+    inputs : Inputs
+    outputs : Outputs
+    diagnostics : Diagnostics
+    checkpoint : Checkpoint, optional
+        If it has a state, the run goes on from it.
+
+    """
+
+    def __init__(self, node: Node, parameters: Parameters, inputs: Inputs, outputs: Outputs,
+                 diagnostics: Diagnostics, checkpoint: Checkpoint | None) -> None:
+        scene = parameters.scene
+        self._node, self._parameters, self._outputs = node, parameters, outputs
+        self._diagnostics, self._checkpoint = diagnostics, checkpoint
+        self._inputs, self._values = inputs, scene.values
+        self._given_start_ns = scene.start.time_ns
+        self.run = Run(scene, outputs, diagnostics)
+        self._queue = TorqueQueue(diagnostics, is_patient=self._values['mode'] == LOCKSTEP)
+        #: By source, as their publishers are counted.
+        self._torques: Mapping[int, Subscription] = {}
+        #: The torque that is being applied, and whether only the response and the log are left.
+        self._current: tuple[Torque, Queued] | None = None
+        self._is_applied = False
+        self._wake: Callable[[], None] = lambda: None
+
+    def connect(self, torques: Mapping[int, Subscription], wake: Callable[[], None]) -> None:
+        """Set the subscriptions to torques by source, and what starts work without a message."""
+        self._torques, self._wake = torques, wake
+
+    @property
+    def waiting(self) -> Counter[int]:
+        """Return the number of torques of each source that wait to be applied or for the clock."""
+        waiting = self._queue.by_source()
+        if self._current and not self._is_applied:
+            waiting[self._current[1].source] += 1
+        return waiting
+
+    def catch_up(self) -> None:
+        """Publish what is overdue, because many messages arrive and delay all timers."""
+
+    def process(self) -> bool:
+        """Apply waiting torques for one slice of time; return whether no work is left."""
+        until = time.monotonic() + BUDGET
+        try:
+            while (self._current or self._queue) and time.monotonic() < until:
+                self._current = self._current or self._next()
+                if self._current:
+                    self._finish(*self._current, until)
+                    self._current = None
+        except TimeoutError as error:
+            self._miss_deadline(error)
+        return not (self._current or len(self._queue))
+
+    def end(self, until: float | None = None, kept: str = LATE) -> None:
+        """
+        End the epoch, if there is one, and reject all torques that still wait.
+
+        Those that are early for the cause `kept` stay for the next epoch. The states of the epoch
+        are committed by `until`, s, monotonic clock, or within 0.2 s.
+        """
+        if self._current and self._is_applied:  # its response takes too long
+            self.run.log(self._current[0])
+        elif self._current:
+            self._queue.put(self._current[1])  # to be rejected
+        self._current, self._is_applied = None, False
+        self._queue.end(kept)
+        self.run.end(until)
+
+    def _next(self) -> tuple[Torque, Queued] | None:
+        """Return the first torque of the queue, or None if it is not to be applied now."""
+        queued = self._queue.pop()
+        try:
+            torque = self._read(queued)
+        except RejectedError as rejected:
+            self._diagnostics.reject(rejected, queued.source)
+            return None
+        return (torque, queued) if torque else None
+
+    def _finish(self, torque: Torque, queued: Queued, until: float) -> None:
+        # Apply, respond, log: the response comes first, because a controller waits for it.
+        if not self._is_applied:
+            self._is_applied = self.run.apply(torque, queued.arrived_ns or torque.stamp_ns, until)
+            if not self._is_applied:
+                self._refuse(torque)
+                return
+        self._respond(torque, until)
+        self._is_applied = False
+        self.run.log(torque)
+
+    def _read(self, queued: Queued) -> Torque | None:
+        """Return the torque to apply, None if there is none; raise RejectedError to reject it."""
+        raise NotImplementedError
+
+    def _respond(self, torque: Torque, until: float) -> None:
+        """Respond to an applied torque."""
+
+    def _refuse(self, torque: Torque) -> None:
+        """Respond to a torque that cannot be applied."""
+
+    def _miss_deadline(self, error: TimeoutError) -> None:
+        """Report that a slice of work was not enough."""
+
+    def _warn_away(self, seconds: float) -> None:
+        """Warn of the time between the last life of the node and this one."""
+        self._node.get_logger().warning(
+            f'the node goes on from the checkpoint {self._checkpoint}, after it was away for '
+            f'{seconds:.3g} s: the motion in between is that without torques')

@@ -1,0 +1,197 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A node that is killed and started again: its log, and its checkpoint."""
+
+from contextlib import contextmanager
+import json
+import re
+import subprocess
+import time
+
+from conftest import at_night, SECOND
+from geometry_msgs.msg import QuaternionStamped
+from live import decoded, live_values, TUMBLER
+from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
+import numpy as np
+import pytest
+from rigid_body_ros import cli, messages, recording, scene
+from rigid_body_ros.replay.verify import verify
+
+pytestmark = pytest.mark.ros
+RATE, STEP_NS = 200, SECOND // 200
+MODES = {'realtime': RELIABLE,
+         'lockstep': ('-p', 'mode:=lockstep', '-p', f'step:={1 / RATE}', '-p',
+                      f'start_time:={SECOND}', '-p', 'history:=0.2', '-p', 'max_future:=0.1')}
+
+
+def wobble(number):
+    return [0.01 * np.sin(0.1 * number), 0.005, 0.01 * np.cos(0.03 * number)]
+
+
+@pytest.fixture(autouse=True)
+def _no_shared_memory(monkeypatch):
+    # After a process was killed, shared memory of Fast DDS may delay messages by seconds, and
+    # crash the recorder.
+    monkeypatch.setenv('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')
+
+
+@contextmanager
+def driven(mode, domain, *arguments):
+    """Yield a session and a function that drives it at 200 Hz, or in lockstep, for some time."""
+    with LiveSession(TUMBLER, domain, *MODES[mode], *arguments) as live:
+        number = 0
+
+        def on_state(data):
+            stamp_ns = messages.QUATERNION.decode(data).stamp_ns
+            live.publish(stamp_ns, '', wobble(stamp_ns // STEP_NS))
+        if mode == 'lockstep':
+            live.node.create_subscription(QuaternionStamped, 'attitude', on_state, 10, raw=True)
+
+        def drive(seconds):
+            nonlocal number
+            until = time.monotonic() + seconds
+            while (rest := until - time.monotonic()) > 0.0:
+                if mode == 'realtime':
+                    live.publish(live.now_ns(), '', wobble(number))
+                number += 1
+                live.spin(min(rest, 1 / RATE))
+        yield live, drive
+
+
+def epochs_of(live):
+    """Return the start states in the markers of the log."""
+    found = [messages.WRENCH.decode(data) for data in live.received[ACCEPTED]]
+    return [messages.epoch_start(message.stamp_ns, message.frame_id) for message in found
+            if messages.is_epoch_marker(message.frame_id)]
+
+
+def numbers(state):
+    return [*state.attitude.tolist(), *state.angular_velocity.tolist()]
+
+
+@pytest.mark.parametrize('second', [1, *at_night(0, 2, 3, 4)])
+@pytest.mark.parametrize('saved', [False, True], ids=['no checkpoint', 'checkpoint'])
+@pytest.mark.parametrize('mode', MODES)
+def test_every_committed_state_of_both_lives_is_replayed(tmp_path, domain, mode, saved, second):
+    random = np.random.default_rng([second, saved, len(mode)])
+    path, file = tmp_path / 'live.mcap', tmp_path / 'checkpoint.json'
+    arguments = ('-p', f'checkpoint:={file}') if saved else ()
+    with driven(mode, domain, *arguments) as (live, drive):
+        drive(second + random.random())
+        live.restart()
+        count = len(live.received[COMMITTED])
+        while len(live.received[COMMITTED]) == count:
+            drive(0.5)
+        # Fast DDS may deliver the first messages of a topic after its next heartbeat, in 3 s.
+        live.wait_until(lambda: len(epochs_of(live)) == 2, 'the marker of the second life')
+        assert live.stop() == 0
+        live.write(path)
+    result = verify(path, scene.load(TUMBLER), path, topic=ACCEPTED, motion_topic=COMMITTED)
+    assert result.same.all()
+    assert len(result.same) == len(live.received[COMMITTED])
+    begin, again = epochs_of(live)
+    assert numbers(begin) == numbers(scene.load(TUMBLER).start)
+    committed = recording.read(path, COMMITTED, messages.ODOMETRY)
+    states = [*zip(committed.stamps_ns.tolist(), live_values(committed).tolist())]
+    if saved:  # the second life begins with a state that the first has committed
+        assert states.count((again.time_ns, numbers(again))) == 2
+    else:
+        assert numbers(again) == numbers(begin)
+
+
+def test_two_lives_are_not_one_motion(tmp_path, domain, capsys):
+    path = tmp_path / 'live.mcap'
+    with LiveSession(TUMBLER, domain, *RELIABLE, '-p', 'initial_angular_velocity.x:=0.0', '-p',
+                     'initial_angular_velocity.y:=0.0', '-p', 'initial_angular_velocity.z:=0.0',
+                     ) as live:
+        live.publish(live.now_ns(), '', [0.05, 0.0, 0.0])
+        live.wait_until(lambda: len(live.torques) == 1, 'the torque')
+        live.restart()
+        while len(live.torques) < 3:
+            live.publish(live.now_ns(), '', [1e-6, 0.0, 0.0])
+            live.spin(0.1)
+        assert live.stop() == 0
+        live.write(path)
+    arguments = [str(path), '--scene', str(TUMBLER), '--topic', ACCEPTED]
+    assert cli.attitude_replay([*arguments, '-o', str(tmp_path / 'motion.mcap')]) == 0
+    rates = recording.read(tmp_path / 'motion.mcap', '/angular_velocity', messages.VECTOR3).values
+    assert np.linalg.norm(rates[-1]) < 1e-3
+    capsys.readouterr()
+    assert cli.attitude_replay([*arguments, '--verify', str(path)]) == 0
+    # The first life was killed before it committed its only torque.
+    assert re.search(r'compared +[4-9] states .* in 2 epochs; 1 torque has no committed state',
+                     capsys.readouterr().out)
+
+
+def test_without_a_checkpoint_the_first_line_names_the_start(domain):
+    with LiveSession(TUMBLER, domain) as live:
+        start, = epochs_of(live)
+        words = live.end()
+    assert re.match(r'\[INFO\] .*: starts at the first clock reading from the initial state of '
+                    r'the scene: attitude \(0, 0, 0, 1\) \(x y z w\), angular velocity', words)
+    assert f'start: a new epoch begins at {start.time_ns} ns' in words
+
+
+@pytest.mark.parametrize('mode', MODES)
+def test_a_node_goes_on_from_its_checkpoint_and_says_how_long_it_was_away(tmp_path, domain, mode):
+    file = tmp_path / 'checkpoint.json'
+    with driven(mode, domain, '-p', f'checkpoint:={file}') as (live, drive):
+        drive(1.0)
+        assert live.stop() == 0
+        saved = json.loads(file.read_text())
+        last = decoded(live, COMMITTED, messages.ODOMETRY)[-1]
+    # At the end, that is the last committed state.
+    assert saved['time_ns'] == last.stamp_ns
+    assert [*saved['attitude'], *saved['angular_velocity']] == [
+        *last.values[messages.ORIENTATION], *last.values[messages.ANGULAR_VELOCITY]]
+    with driven(mode, domain, '-p', f'checkpoint:={file}') as (live, drive):
+        drive(0.5)
+        if mode == 'lockstep':  # the loop goes on at that stamp
+            live.wait_until(lambda: live.torques, 'a torque')
+            stamps = [message.stamp_ns for message in decoded(live, ACCEPTED, messages.WRENCH)]
+            assert stamps == [*range(last.stamp_ns, last.stamp_ns + len(stamps) * STEP_NS,
+                                     STEP_NS)]
+        words = live.end()
+        first = decoded(live, COMMITTED, messages.ODOMETRY)[0]
+    assert first.stamp_ns == last.stamp_ns
+    np.testing.assert_array_equal(first.values, last.values)
+    assert words.splitlines()[0].split(': ', 1)[1].startswith(
+        f'starts at {last.stamp_ns} ns from the checkpoint {file}: attitude')
+    assert re.search(rf'WARN.* goes on from the checkpoint {file}, after it was away for '
+                     r'[0-9.]+ s: the motion in between is that without torques', words)
+
+
+def test_a_checkpoint_from_the_future_ends_the_node_and_stays(tmp_path, domain):
+    file = tmp_path / 'checkpoint.json'
+    with driven('lockstep', domain, '-p', 'start_time:=2000000000000000000', '-p',
+                f'checkpoint:={file}') as (live, _):
+        live.wait_until(lambda: live.received[ATTITUDE], 'a state')
+        assert live.stop() == 0
+    before = file.read_bytes()
+    session = LiveSession(TUMBLER, domain, '-p', 'start_time:=2000000000000000000', '-p',
+                          f'checkpoint:={file}')
+    line = rejected(session)
+    assert re.match(rf'attitude_node: error: checkpoint {file}: expected a state from before '
+                    r'[0-9]+ ns, the present time, found one from 20000000000[0-9]+ ns', line)
+    assert file.read_bytes() == before
+
+
+def rejected(session):
+    """Return the last line of a node that ends with status 2."""
+    result = subprocess.run(session.command, env=session.environment, capture_output=True,
+                            text=True, timeout=300, check=False)
+    assert result.returncode == 2, result.stderr
+    assert 'Traceback' not in result.stderr
+    return result.stderr.splitlines()[-1]
