@@ -72,7 +72,7 @@ def run_live():
     """Stream the recording into the node and record its outputs."""
     source = recording.read(RECORDINGS / 'tumbler.mcap')
     start_ns, end_ns = source.stamps_ns[[0, -1]].tolist()
-    domain = 1 + os.getpid() % 100
+    domain = int(os.environ.get('ROS_DOMAIN_ID', 1 + os.getpid() % 100))
     with LiveSession(CONFIG / 'tumbler.yaml', domain, *RELIABLE, '-p', 'use_sim_time:=true',
                      '-p', f'start_time:={start_ns}') as live:
         while not live.received[COMMITTED]:  # the start state
@@ -95,7 +95,7 @@ def run_live():
         status = live.stop()
         live.write(OUTPUT / 'live.mcap')
         print(f'attitude_node exited with status {status}; it accepted '
-              f'{len(live.received[ACCEPTED])} of {row} torques and published '
+              f'{len(live.torques)} of {row} torques and published '
               f'{len(live.received[COMMITTED])} committed states')
 
 
