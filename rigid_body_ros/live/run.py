@@ -43,7 +43,7 @@ LOG_DEPTH = 10_000
 _END_BUDGET = 0.2
 
 
-class Log(Protocol):
+class RunLog(Protocol):
     """Publishes the log of a run."""
 
     def begin_log(self, start: State) -> None:
@@ -70,7 +70,7 @@ class Run:
     Parameters
     ----------
     scene : Scene
-    log : Log
+    log : RunLog
     events : Events
 
     Attributes
@@ -81,7 +81,7 @@ class Run:
 
     """
 
-    def __init__(self, scene: Scene, log: Log, events: Events) -> None:
+    def __init__(self, scene: Scene, log: RunLog, events: Events) -> None:
         self._scene, self._sink, self._events = scene, log, events
         self.epoch: Epoch | None = None
         self.committed: State | None = None

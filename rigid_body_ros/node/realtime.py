@@ -263,8 +263,8 @@ class Realtime(Mode):
         """
         Publish the state at a time, immediately if one slice of work is enough to compute it.
 
-        Otherwise `process` publishes it: if simulated time stands still, there is no further call.
-        So it does if torques wait that may change the state.
+        Otherwise `process` publishes it, because there is no further call if simulated time stands
+        still. `process` also publishes it again after the torques that wait, which may change it.
         """
         self._deferred_ns = time_ns if self._current or self._queue else 0
         began = time.monotonic()
