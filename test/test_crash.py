@@ -131,7 +131,7 @@ def test_two_lives_are_not_one_motion(tmp_path, domain, capsys):
     capsys.readouterr()
     assert cli.attitude_replay([*arguments, '--verify', str(path)]) == 0
     # The first life was killed before it committed its only torque.
-    assert re.search(r'compared +[4-9] states .* in 2 epochs; 1 torque has no committed state',
+    assert re.search(r'compared +[0-9]+ states .* in 2 epochs; 1 torque has no committed state',
                      capsys.readouterr().out)
 
 

@@ -31,6 +31,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from rigid_body_ros import scene
 from rigid_body_ros.common.arrays import written
 from rigid_body_ros.common.errors import InputError, listed
@@ -149,10 +150,15 @@ class AttitudeComponent:
             self._node.get_logger().info(
                 f'QoS overrides of other nodes are ignored: {listed(others)}')
         self._node.create_service(Trigger, '~/reset', self._on_reset)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._node.create_timer(_WATCH_PERIOD, self._watch, clock=steady)
+        self._timer(_WATCH_PERIOD, self._watch)
         #: Active while torques or a state wait: one slice of work in each cycle of the executor.
-        self._worker = self._node.create_timer(_WORK_PERIOD, self._work, clock=steady)
+        self._worker = self._timer(_WORK_PERIOD, self._work)
+
+    def _timer(self, period: float, callback: Callable[[], None]) -> Timer:
+        # Each has a clock of its own, because the reset of a timer makes EventsExecutor call
+        # overdue timers of the same clock twice, which then pause to make up for it.
+        return self._node.create_timer(period, callback,
+                                       clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def deactivate(self) -> None:
         """Unsubscribe and stop publishing, but keep the motion."""

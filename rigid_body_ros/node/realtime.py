@@ -128,10 +128,9 @@ class Realtime(Mode):
         return is_done and not self._deferred_ns
 
     def catch_up(self) -> None:
-        """Publish the present state if the timer is late by a period, as many messages arrive."""
+        """Publish the present state if the timer is late, because many messages arrive."""
         # Simulated time, which the timer then follows, may stand still.
-        if self._timer and not self._is_simulated \
-                and time.monotonic() > self._overdue_at:
+        if self._timer and not self._is_simulated and self._is_overdue:
             self._publish_now()
 
     def set_state(self, state: State) -> str:
@@ -248,13 +247,17 @@ class Realtime(Mode):
                 raise
             raise EarlyError(rejected.cause, str(rejected)) from rejected
 
+    @property
+    def _is_overdue(self) -> bool:
+        return time.monotonic() > self._overdue_at
+
     def _publish_now(self) -> None:
         now_ns = self._update()
         if not now_ns or now_ns < self.run.epoch.start.time_ns:
             return
         # A torque that waits is applied first, unless there are always some: then a state that
         # does not contain them is better than none.
-        if (self._current or self._queue) and not self._deferred_ns:
+        if (self._current or self._queue) and not self._is_overdue:
             self._deferred_ns = now_ns
         else:
             self._publish(now_ns)
@@ -278,7 +281,7 @@ class Realtime(Mode):
             self._wake()
             return
         now = time.monotonic()
-        self._overdue_at = now + 2.0 / self._rate + 2.0 * (now - began)
+        self._overdue_at = now + 1.0 / self._rate + 2.0 * (now - began)
         if state is not None:
             self._outputs.publish(state)
 
