@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.state import State
     from rigid_body_ros.torque import TorqueLog
     from rigid_body_ros.tradeoff import Tradeoff
-    from rigid_body_ros.tradeoff.ensemble import Spread
+    from rigid_body_ros.tradeoff.choices import Spread
 
 #: Exit statuses; docs/nodes.md has their meaning.
 OK, DIFFERENT = 0, 1

@@ -23,7 +23,8 @@ from pyarrow import parquet
 import pytest
 from rigid_body_ros import cli, RigidBody, so3, State, TorqueLog
 from rigid_body_ros.tradeoff import ensemble, measure
-from rigid_body_ros.tradeoff.ensemble import Advice, read, Spread
+from rigid_body_ros.tradeoff.choices import Advice, Spread
+from rigid_body_ros.tradeoff.ensemble import read
 
 SCENE = CONFIG / 'tumbler.yaml'
 LOGS = (TorqueLog([0, 5 * 10 ** 8], [[0.1, 0.0, 0.2], [0.0, 0.1, 0.0]]),

@@ -24,16 +24,9 @@ than the floor, no solver guarantees a smaller error than that. A setting that m
 the stretch is recommended only if it also meets the target on the whole motion.
 """
 
+from rigid_body_ros.tradeoff.choices import Choice, Error, Measurement, recommend
 from rigid_body_ros.tradeoff.settings import Setting
-from rigid_body_ros.tradeoff.trade import (
-    Choice,
-    Error,
-    measure,
-    Measurement,
-    recommend,
-    TARGET,
-    Tradeoff,
-)
+from rigid_body_ros.tradeoff.trade import measure, TARGET, Tradeoff
 
 __all__ = ['TARGET', 'Choice', 'Error', 'Measurement', 'Setting', 'Tradeoff', 'measure',
            'recommend']

@@ -22,7 +22,6 @@ from functools import partial
 import math
 from pathlib import Path
 import time
-from typing import NamedTuple
 
 import numpy as np
 from rigid_body_ros.bodies import RigidBodies
@@ -30,51 +29,13 @@ from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.propagation import propagate_many
 from rigid_body_ros.runtime.reading import read_json
 from rigid_body_ros.states import States
+from rigid_body_ros.tradeoff.choices import Advice, Choice, recommend, Spread
 from rigid_body_ros.tradeoff.problem import Problem
 from rigid_body_ros.tradeoff.settings import DEFAULT, Setting
-from rigid_body_ros.tradeoff.trade import Choice, recommend, Tradeoff
+from rigid_body_ros.tradeoff.trade import Tradeoff
 
-#: Part of the spread that the error of the integration may be.
-_PART = 0.1
 #: s; about how long runs are timed, in how many rounds, and how many runs at most.
 _TIMED, _ROUNDS, _MOST_RUNS = 0.01, 5, 256
-
-
-class Spread(NamedTuple):
-    """How far the runs of an ensemble end from the nominal motion, and which motion it is."""
-
-    runs: int
-    #: Median angle, rad.
-    median: float
-    start_ns: int
-    end_ns: int
-    #: Hash of the torques.
-    recording: str
-
-    @property
-    def target(self) -> float:
-        """Return the largest error that does not matter beside the spread, rad."""
-        return _PART * self.median
-
-
-class Advice(NamedTuple):
-    """
-    What the recommended setting costs in an ensemble.
-
-    The times are wall times, s, of one run among many on one core, up to its final state.
-    """
-
-    spread: Spread
-    #: None if no setting is recommended.
-    seconds: float | None
-    #: With the default setting.
-    default_seconds: float
-
-    @property
-    def saved_seconds(self) -> float:
-        """Return the time that the setting saves in all runs, at least 0."""
-        per_run = 0.0 if self.seconds is None else self.default_seconds - self.seconds
-        return self.spread.runs * max(per_run, 0.0)
 
 
 def read(folder: str | Path) -> Spread:

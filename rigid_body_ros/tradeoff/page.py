@@ -23,7 +23,8 @@ from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.tradeoff import report
-from rigid_body_ros.tradeoff.trade import Choice, Tradeoff
+from rigid_body_ros.tradeoff.choices import Choice
+from rigid_body_ros.tradeoff.trade import Tradeoff
 
 #: Smaller errors are not meaningful.
 _LEAST = float(np.finfo(float).eps)

@@ -22,9 +22,9 @@ import platform
 from typing import Any
 
 from rigid_body_ros.report.text import interpolation_row
-from rigid_body_ros.tradeoff.ensemble import Advice
+from rigid_body_ros.tradeoff.choices import Advice, Choice, Measurement
 from rigid_body_ros.tradeoff.settings import Setting
-from rigid_body_ros.tradeoff.trade import Choice, Measurement, Tradeoff
+from rigid_body_ros.tradeoff.trade import Tradeoff
 
 _WIDTH = 18
 #: What the floor is without rotors and damping, and with them.

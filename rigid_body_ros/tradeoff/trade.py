@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 import math
 import time
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from rigid_body_ros import so3
@@ -29,6 +29,7 @@ from rigid_body_ros.body import RigidBody
 from rigid_body_ros.propagation import Trajectory, warm_up
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import torque_logs, TorqueLog
+from rigid_body_ros.tradeoff.choices import Advice, Choice, Error, Measurement, NO_ERROR, recommend
 from rigid_body_ros.tradeoff.interpolation import (
     better_interpolation,
     final_differences,
@@ -37,9 +38,6 @@ from rigid_body_ros.tradeoff.interpolation import (
 )
 from rigid_body_ros.tradeoff.problem import Problem, Reference, TIGHTEST, turned_angle, whole
 from rigid_body_ros.tradeoff.settings import Setting, settings_of
-
-if TYPE_CHECKING:
-    from rigid_body_ros.tradeoff.ensemble import Advice
 
 #: Wraps an iterable of a given length to show progress.
 Track = Callable[[Iterable[Any], int], Iterable[Any]]
@@ -51,62 +49,6 @@ _FEWEST_REPEATS, _MOST_REPEATS = 3, 15
 _REFERENCE_COST = 14.0
 #: s; shorter runs depend on what ran before, so each is repeated once before it is timed.
 _BRIEF = 0.01
-
-
-class Error(NamedTuple):
-    """Largest differences from the reference, and the difference of the final attitude."""
-
-    #: rad
-    attitude_final: float
-    attitude: float
-    #: rad/s
-    angular_velocity: float
-    #: Relative to the largest value; without torque, the relative change since the start.
-    momentum: float
-    energy: float
-
-
-_NO_ERROR = Error(*5 * [math.nan])
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """
-    The error and the cost of a setting.
-
-    Attributes
-    ----------
-    setting : Setting
-    error : Error
-        NaN if the run failed.
-    seconds : float
-        Wall time: the fastest of several runs, because other load on the machine only adds to it.
-        NaN if the run failed.
-    first_seconds : float
-        Wall time of the first run, with the kernels loaded.
-    failure : str
-        Why the run failed; empty if it did not.
-    pareto_optimal : bool
-        Whether no other setting is both faster and more accurate.
-
-    """
-
-    setting: Setting
-    error: Error
-    seconds: float
-    first_seconds: float
-    failure: str = ''
-    pareto_optimal: bool = False
-
-
-class Choice(NamedTuple):
-    """The cheapest setting that meets a target."""
-
-    measurement: Measurement
-    #: Expected attitude error over the whole log, rad.
-    error: float
-    #: Whether that error was measured on the whole log or scaled from the stretch.
-    measured: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,39 +181,6 @@ def measure(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
                     error_on_whole, load_seconds)
 
 
-def recommend(measurements: Sequence[Measurement], target: float, floor: float, growth: float,
-              error_on_whole: Callable[[Measurement], float | None]) -> Choice | None:
-    """
-    Return the cheapest setting that meets a target on the whole log, or None.
-
-    Parameters
-    ----------
-    measurements : sequence of Measurement
-        On the stretch. A setting that misses the target there also misses it on the whole log.
-    target, floor : float, rad
-        The floor is added to the error of every setting. It is `Reference.guaranteed_error`:
-        rounding, or the effect of the last digits if that is larger.
-    growth : float
-        Length of the whole log relative to the stretch.
-    error_on_whole : callable
-        Returns the attitude error on the whole log, rad, or None if that takes too long to
-        compute. The error of the stretch is then assumed to grow with the square of the time: a
-        rate error that grows linearly, as that of RK4 does with its energy error, gives such an
-        attitude error. Errors grow faster only near a separatrix, where rounding grows
-        exponentially.
-
-    """
-    fitting = [one for one in measurements if one.error.attitude + floor <= target]  # no NaN
-    for measurement in sorted(fitting, key=lambda one: one.seconds):
-        error = error_on_whole(measurement)
-        measured = error is not None
-        if error is None:
-            error = (measurement.error.attitude + floor) * growth ** 2
-        if error <= target:
-            return Choice(measurement, error, measured)
-    return None
-
-
 def _measure_all(problem: Problem, settings: Sequence[Setting], reference: Reference,
                  seconds: float, track: Track) -> list[Measurement]:
     """Run every setting once to get its error, then repeatedly, in turns, to get its time."""
@@ -298,7 +207,7 @@ def _first_run(problem: Problem, setting: Setting, reference: Reference) -> Meas
     try:
         motion = problem.run(**setting.options)
     except ValueError as error:
-        return Measurement(setting, _NO_ERROR, math.nan, math.nan, str(error))
+        return Measurement(setting, NO_ERROR, math.nan, math.nan, str(error))
     seconds = time.perf_counter() - began
     return Measurement(setting, _error(problem, motion, reference.trajectory), seconds, seconds)
 

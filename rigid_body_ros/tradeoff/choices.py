@@ -1,0 +1,153 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What was measured, and the choice: the cheapest setting that is accurate enough."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+import math
+from typing import NamedTuple
+
+from rigid_body_ros.tradeoff.settings import Setting
+
+#: Part of the spread that the error of the integration may be.
+_PART = 0.1
+
+
+class Error(NamedTuple):
+    """Largest differences from the reference, and the difference of the final attitude."""
+
+    #: rad
+    attitude_final: float
+    attitude: float
+    #: rad/s
+    angular_velocity: float
+    #: Relative to the largest value; without torque, the relative change since the start.
+    momentum: float
+    energy: float
+
+
+NO_ERROR = Error(*5 * [math.nan])
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """
+    The error and the cost of a setting.
+
+    Attributes
+    ----------
+    setting : Setting
+    error : Error
+        NaN if the run failed.
+    seconds : float
+        Wall time: the fastest of several runs, because other load on the machine only adds to it.
+        NaN if the run failed.
+    first_seconds : float
+        Wall time of the first run, with the kernels loaded.
+    failure : str
+        Why the run failed; empty if it did not.
+    pareto_optimal : bool
+        Whether no other setting is both faster and more accurate.
+
+    """
+
+    setting: Setting
+    error: Error
+    seconds: float
+    first_seconds: float
+    failure: str = ''
+    pareto_optimal: bool = False
+
+
+class Choice(NamedTuple):
+    """The cheapest setting that meets a target."""
+
+    measurement: Measurement
+    #: Expected attitude error over the whole log, rad.
+    error: float
+    #: Whether that error was measured on the whole log or scaled from the stretch.
+    measured: bool
+
+
+class Spread(NamedTuple):
+    """How far the runs of an ensemble end from the nominal motion, and which motion it is."""
+
+    runs: int
+    #: Median angle, rad.
+    median: float
+    start_ns: int
+    end_ns: int
+    #: Hash of the torques.
+    recording: str
+
+    @property
+    def target(self) -> float:
+        """Return the largest error that does not matter beside the spread, rad."""
+        return _PART * self.median
+
+
+class Advice(NamedTuple):
+    """
+    What the recommended setting costs in an ensemble.
+
+    The times are wall times, s, of one run among many on one core, up to its final state.
+    """
+
+    spread: Spread
+    #: None if no setting is recommended.
+    seconds: float | None
+    #: With the default setting.
+    default_seconds: float
+
+    @property
+    def saved_seconds(self) -> float:
+        """Return the time that the setting saves in all runs, at least 0."""
+        per_run = 0.0 if self.seconds is None else self.default_seconds - self.seconds
+        return self.spread.runs * max(per_run, 0.0)
+
+
+def recommend(measurements: Sequence[Measurement], target: float, floor: float, growth: float,
+              error_on_whole: Callable[[Measurement], float | None]) -> Choice | None:
+    """
+    Return the cheapest setting that meets a target on the whole log, or None.
+
+    Parameters
+    ----------
+    measurements : sequence of Measurement
+        On the stretch. A setting that misses the target there also misses it on the whole log.
+    target, floor : float, rad
+        The floor is added to the error of every setting. It is `Reference.guaranteed_error`:
+        rounding, or the effect of the last digits if that is larger.
+    growth : float
+        Length of the whole log relative to the stretch.
+    error_on_whole : callable
+        Returns the attitude error on the whole log, rad, or None if that takes too long to
+        compute. The error of the stretch is then assumed to grow with the square of the time: a
+        rate error that grows linearly, as that of RK4 does with its energy error, gives such an
+        attitude error. Errors grow faster only near a separatrix, where rounding grows
+        exponentially.
+
+    """
+    fitting = [one for one in measurements if one.error.attitude + floor <= target]  # no NaN
+    for measurement in sorted(fitting, key=lambda one: one.seconds):
+        error = error_on_whole(measurement)
+        measured = error is not None
+        if error is None:
+            error = (measurement.error.attitude + floor) * growth ** 2
+        if error <= target:
+            return Choice(measurement, error, measured)
+    return None
