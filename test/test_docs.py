@@ -107,6 +107,20 @@ def test_the_source_files_that_a_page_names_are_there(page):
             if not any((folder / name).exists() for folder in (ROOT, PACKAGE))] == []
 
 
+def test_the_page_of_the_design_lists_the_layers_of_the_contract():
+    layers = re.findall(r'^layers = \[\n(.*?)^\]', (ROOT / 'pyproject.toml').read_text(),
+                        re.DOTALL | re.MULTILINE)[0].splitlines()
+    contract = [sorted(re.findall(r'rigid_body_ros\.(\w+)', layer)) for layer in layers]
+    listed, number = [], None
+    for row in re.findall(r'^\| (\d*) ?\| ((?:`[\w/.]+`(?:, )?)+) \|', (
+            ROOT / 'docs' / 'design.md').read_text(), re.MULTILINE):
+        number = row[0] or number
+        listed += [(int(number), name) for name in re.findall(r'`(\w+)', row[1])]
+    count = len(contract)
+    assert listed == [(count - 1 - place, name)
+                      for place, names in enumerate(contract) for name in names]
+
+
 def test_the_page_of_nodes_is_what_the_code_declares():
     page = ROOT / 'docs' / 'nodes.md'
     printed = subprocess.run([sys.executable, page.with_suffix('.py')], capture_output=True,
