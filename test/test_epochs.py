@@ -249,7 +249,7 @@ def test_an_epoch_of_simulated_time_may_begin_at_zero(run, tmp_path):
         == (0, [0, SECOND // 2, SECOND])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_epoch_is_replayed_in_pieces(run, tmp_path, monkeypatch):
     monkeypatch.setattr(torques, '_SAMPLES', 100)
     monkeypatch.setattr(writer, '_CHUNK', 2 ** 12)  # what is read at a time

@@ -64,6 +64,7 @@ def test_a_connected_publisher_that_falls_silent_is_reported_until_its_next_torq
     assert sorted(delays)[1] < 1.5  # a busy machine may delay one
 
 
+@pytest.mark.nightly
 def test_a_slow_source_can_raise_the_limit_or_switch_it_off(domain):
     for limit in ('30.0', '0.0'):
         with LiveSession(TUMBLER, domain, '-p', f'stale_after:={limit}') as live:
