@@ -267,7 +267,7 @@ def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
     try:
         result = measure(scene.body, start, logs, wheels=wheels, targets=targets,
                          end_ns=spread.end_ns if spread else None,
-                         torque_timeout=scene.values['torque_timeout'],
+                         torque_timeout=scene.torque_timeout,
                          track=replay.progress('measuring', ' runs'))
     except ValueError as error:
         raise InputError(f'{source}: {f"{name}: " if logs or wheels else ""}{error}') from error

@@ -95,7 +95,7 @@ def _identified(options: argparse.Namespace,
         found = identify(scene.body, experiments, estimate=options.estimate,
                          attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
                          validate=options.validate,
-                         torque_timeout=scene.values['torque_timeout'])
+                         torque_timeout=scene.torque_timeout)
     except ValueError as error:
         raise InputError(f'{options.recording[0]}: {error}') from error
     return found, experiments[0]

@@ -21,12 +21,12 @@ parameters, so a file means the same to all of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
 import re
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from rigid_body_ros import euler, urdf
 from rigid_body_ros.body import RigidBody
@@ -40,6 +40,8 @@ from rigid_body_ros.runtime.parameters import BIG, checked, is_foreign, Paramete
 from rigid_body_ros.runtime.reading import read_yaml
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import INTERPOLATIONS
+
+T = TypeVar('T')
 
 #: The name of the node whose parameters a scene file has.
 NODE = 'attitude_node'
@@ -129,10 +131,23 @@ PARAMETERS = {parameter.name: parameter for parameter in (
 _ROS, QOS = ('use_sim_time', 'start_type_description_service', 'autostart'), 'qos_overrides.'
 
 
+class _Value(Generic[T]):
+    """The value of the parameter of the same name."""
+
+    def __set_name__(self, scene: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, scene: Scene, kind: type) -> T:
+        value: T = scene.values[self._name]
+        return value
+
+
 @dataclass(frozen=True)
 class Scene:
     """
     The validated inputs of a motion, except the torques.
+
+    Parameters that have no dot in their name are attributes.
 
     Attributes
     ----------
@@ -157,34 +172,34 @@ class Scene:
     links: Frames = field(default_factory=Frames)
     ignored: tuple[str, ...] = ()
 
+    mode, step, time_source = _Value[str](), _Value[float](), _Value[str]()
+    solver, tolerance, max_step = _Value[str](), _Value[float](), _Value[float]()
+    interpolation, torque_timeout = _Value[str](), _Value[float]()
+    history, max_future, on_time_jump = _Value[float](), _Value[float](), _Value[str]()
+    checkpoint, stale_after = _Value[str](), _Value[float]()
+    publish_clock, publish_tf, publish_rate = _Value[bool](), _Value[bool](), _Value[float]()
+    euler_sequence, space_frame, wheels = _Value[str](), _Value[str](), _Value[bool]()
+    frame_prefix = _Value[str]()
+
     def __repr__(self) -> str:
         source = self.path.name if self.path else 'no file'
-        return f"Scene({source}: {self.body}, {self.start}, solver '{self.values['solver']}')"
+        return f"Scene({source}: {self.body}, {self.start}, solver '{self.solver}')"
 
     @property
     def options(self) -> dict[str, Any]:
         """Return the keyword arguments of `propagate`."""
-        return _options(self.values)
+        return {'solver': self.solver, 'tolerance': self.tolerance,
+                'max_step': self.max_step or None, 'torque_timeout': self.torque_timeout}
 
     @property
     def body_frame(self) -> str:
         """Return the frame_id of the body axes."""
-        return _body_frame(self.values)
-
-    @property
-    def space_frame(self) -> str:
-        """Return the frame_id of the space axes, which all bodies share: it has no prefix."""
-        return str(self.values['space_frame'])
+        return self.frame_prefix + str(self.values['body_frame'])
 
     @property
     def torque_topics(self) -> tuple[str, ...]:
         """Return the topics of the torques, in the order in which they add up."""
         return tuple(self.values['torque_topics'])
-
-    @property
-    def wheels(self) -> bool:
-        """Return whether there are rotors with motors."""
-        return bool(self.values['wheels'])
 
     @property
     def has_rotors(self) -> bool:
@@ -194,12 +209,12 @@ class Scene:
     @property
     def timeout_ns(self) -> int:
         """Return the torque timeout, ns; 0 if a torque is held for ever."""
-        return duration_ns(self.values['torque_timeout'], 'torque_timeout')
+        return duration_ns(self.torque_timeout, 'torque_timeout')
 
     @property
     def warnings(self) -> list[str]:
         """Return one line for each value that is allowed but probably a mistake."""
-        return [*_warnings(self.values, self.body, self.links)]
+        return [*self._warnings()]
 
     @property
     def notes(self) -> list[str]:
@@ -232,19 +247,57 @@ class Scene:
         values = {name: checked(parameter, given.get(name, parameter.default))
                   for name, parameter in PARAMETERS.items()}
         try:
-            _check_together(values)
-            body = _body(values)
             start = State(values['start_time'], [*_group(values, 'initial_attitude').values()],
                           [*_group(values, 'initial_angular_velocity').values()],
                           [*_group(values, 'initial_rotor_momentum').values()])
-            Options(**_options(values)).check_linear_terms(
-                body.is_damped, values['wheels'] or bool(start.rotor_momentum.any()))
-            robot = values['robot_description']
-            links = urdf.fixed_frames(robot, values['link']) if robot else Frames()
+            scene = cls(_body(values), start, values, links=_links(values), ignored=ignored)
+            scene._check()
         except ValueError as error:
             raise InputError(str(error)) from error
-        return cls(body, start, values, links=links.prefixed(values['frame_prefix']),
-                   ignored=ignored)
+        return scene
+
+    def _check(self) -> None:
+        """Raise ValueError if values contradict each other."""
+        Options(**self.options).check_linear_terms(self.body.is_damped, self.has_rotors)
+        _check_topics(self.torque_topics)
+        euler.check_sequence(self.euler_sequence)
+        for name in ('space_frame', 'body_frame', 'frame_prefix'):
+            _check_frame(name, self.values[name])
+        if self.space_frame == self.body_frame:
+            raise InputError('space_frame, body_frame: expected different names, found '
+                             f'{quoted(self.space_frame)} twice')
+        if self.mode == LOCKSTEP and self.time_source == ARRIVAL:
+            raise InputError(f'time_source: expected {HEADER!r}, because lockstep replies to '
+                             f'stamps, found {ARRIVAL!r}')
+        if self.publish_clock and self.mode != LOCKSTEP:
+            raise InputError(f'publish_clock: expected mode {LOCKSTEP!r}, in which the torques '
+                             f'set the time, found {self.mode!r}')
+        ahead_ns, behind_ns = (duration_ns(self.values[name], name)
+                               for name in ('max_future', 'history'))
+        if not ahead_ns < max(behind_ns, 1):
+            raise InputError(f'max_future: expected less than history ({self.history} s), found '
+                             f'{self.max_future} s')
+
+    def _warnings(self) -> Iterator[str]:
+        if self.body.triangle_excess:
+            yield ('inertia: the largest principal moment exceeds the sum of the other two by '
+                   f'{100.0 * self.body.triangle_excess:.2g} %, which no body can have; are the '
+                   'numbers rounded?')
+        name, links = self.body_frame, self.links
+        if name in links.others or (name in links and not links[name].is_aligned):
+            link = quoted(links.link.removeprefix(self.frame_prefix))
+            yield (f'body_frame: {quoted(name.removeprefix(self.frame_prefix))} is a link of '
+                   f'robot_description, but its axes are not those of link {link}, whose axes '
+                   f'are the body axes; expected {link}')
+        norm = math.hypot(*_group(self.values, 'initial_attitude').values())
+        if abs(norm - 1.0) > _UNIT:
+            yield ('initial_attitude: expected a quaternion x y z w of norm 1, found norm '
+                   f'{norm:.3g}; it is normalised; are the numbers angles?')
+        rate = math.hypot(*_group(self.values, 'initial_angular_velocity').values())
+        if rate > _FAST:
+            yield (f'initial_angular_velocity: {rate:.4g} rad/s is {rate / (2.0 * math.pi):.3g} '
+                   'turns per second; if the numbers are degrees per second, multiply them by '
+                   'pi / 180 = 0.0174533')
 
 
 def load(path: str | Path) -> Scene:
@@ -265,11 +318,6 @@ def load(path: str | Path) -> Scene:
         return replace(Scene.from_values(node_parameters(root, NODE)), path=Path(path).absolute())
     except InputError as error:
         raise InputError(f'{path}: {error}') from error
-
-
-def _options(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {'solver': values['solver'], 'tolerance': values['tolerance'],
-            'max_step': values['max_step'] or None, 'torque_timeout': values['torque_timeout']}
 
 
 def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
@@ -303,31 +351,14 @@ def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
     return entries
 
 
-def _check_together(values: Mapping[str, Any]) -> None:
-    _check_topics(values['torque_topics'])
-    euler.check_sequence(values['euler_sequence'])
-    for name in ('space_frame', 'body_frame', 'frame_prefix'):
-        if not values[name] and name != 'frame_prefix':
-            raise InputError(f'{name}: expected the name of a frame, found an empty text')
-        if '\0' in values[name] or values[name].encode(errors='ignore').decode() != values[name]:
-            raise InputError(f'{name}: expected UTF-8 text without NUL, '
-                             f'found {quoted(values[name])}')
-    if values['space_frame'] == _body_frame(values):
-        found = quoted(values['space_frame'])
-        raise InputError(f'space_frame, body_frame: expected different names, found {found} twice')
-    if values['mode'] == LOCKSTEP and values['time_source'] == ARRIVAL:
-        raise InputError(f'time_source: expected {HEADER!r}, because lockstep replies to stamps, '
-                         f'found {ARRIVAL!r}')
-    if values['publish_clock'] and values['mode'] != LOCKSTEP:
-        raise InputError(f'publish_clock: expected mode {LOCKSTEP!r}, in which the torques set '
-                         f'the time, found {values["mode"]!r}')
-    ahead_ns, behind_ns = (duration_ns(values[name], name) for name in ('max_future', 'history'))
-    if not ahead_ns < max(behind_ns, 1):
-        raise InputError('max_future: expected less than history '
-                         f'({values["history"]} s), found {values["max_future"]} s')
+def _check_frame(name: str, frame: str) -> None:
+    if not frame and name != 'frame_prefix':
+        raise InputError(f'{name}: expected the name of a frame, found an empty text')
+    if '\0' in frame or frame.encode(errors='ignore').decode() != frame:
+        raise InputError(f'{name}: expected UTF-8 text without NUL, found {quoted(frame)}')
 
 
-def _check_topics(names: list[Any]) -> None:
+def _check_topics(names: Sequence[Any]) -> None:
     if not names:
         raise InputError('torque_topics: expected at least one topic, found an empty list')
     for number, name in enumerate(names):
@@ -338,35 +369,15 @@ def _check_topics(names: list[Any]) -> None:
             raise InputError(f'torque_topics: expected each topic once, found {name!r} twice')
 
 
-def _warnings(values: Mapping[str, Any], body: RigidBody, links: Frames) -> Iterator[str]:
-    if body.triangle_excess:
-        yield ('inertia: the largest principal moment exceeds the sum of the other two by '
-               f'{100.0 * body.triangle_excess:.2g} %, which no body can have; are the numbers '
-               'rounded?')
-    name = _body_frame(values)
-    if name in links.others or (name in links and not links[name].is_aligned):
-        link = quoted(links.link.removeprefix(values['frame_prefix']))
-        yield (f'body_frame: {quoted(values["body_frame"])} is a link of robot_description, but '
-               f'its axes are not those of link {link}, whose axes are the body axes; expected '
-               f'{link}')
-    norm = math.hypot(*_group(values, 'initial_attitude').values())
-    if abs(norm - 1.0) > _UNIT:
-        yield ('initial_attitude: expected a quaternion x y z w of norm 1, found norm '
-               f'{norm:.3g}; it is normalised; are the numbers angles?')
-    rate = math.hypot(*_group(values, 'initial_angular_velocity').values())
-    if rate > _FAST:
-        yield (f'initial_angular_velocity: {rate:.4g} rad/s is {rate / (2.0 * math.pi):.3g} '
-               'turns per second; if the numbers are degrees per second, multiply them by '
-               'pi / 180 = 0.0174533')
-
-
-def _body_frame(values: Mapping[str, Any]) -> str:
-    return str(values['frame_prefix'] + values['body_frame'])
-
-
 def _group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     return {name.split('.')[1]: value for name, value in values.items()
             if name.startswith(prefix + '.')}
+
+
+def _links(values: Mapping[str, Any]) -> Frames:
+    robot = values['robot_description']
+    links = urdf.fixed_frames(robot, values['link']) if robot else Frames()
+    return links.prefixed(values['frame_prefix'])
 
 
 def _body(values: Mapping[str, Any]) -> RigidBody:

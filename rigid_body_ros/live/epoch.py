@@ -52,7 +52,7 @@ def warm_up_for(scene: Scene, log: Callable[[str], None]) -> None:
             start = Propagator(scene.body, State()).at(1)
         if always_has_terms or scene.wheels or len(scene.torque_topics) > 1:
             start = Propagator(scene.body, State(rotor_momentum=(1.0, 0.0, 0.0))).at(1)
-        euler.from_quaternion(start.attitude, scene.values['euler_sequence'])
+        euler.from_quaternion(start.attitude, scene.euler_sequence)
 
 
 class Epoch:
@@ -71,7 +71,7 @@ class Epoch:
     def __init__(self, scene: Scene, start: State, torques: Sequence[Torque] = ()) -> None:
         self.start, self._timeout_ns = start, scene.timeout_ns
         self._propagator = Propagator(scene.body, start, **scene.options,
-                                      history=scene.values['history'])
+                                      history=scene.history)
         self._committed_ns = start.time_ns
         #: Source and stamp of the torques of the earlier epoch.
         self._carried = {(torque.source, torque.stamp_ns) for torque in torques}

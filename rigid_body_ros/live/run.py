@@ -209,7 +209,7 @@ class Run:
 
     def silent(self, now_ns: int) -> list[Torque]:
         """Return the torques that act though their sources have sent none for `stale_after`."""
-        longest = self._scene.values['stale_after']
+        longest = self._scene.stale_after
         if self.epoch is None or not longest:
             return []
         return [torque for torque in self.epoch.acting_at(now_ns)

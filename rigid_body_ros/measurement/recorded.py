@@ -139,7 +139,7 @@ def read_model(path: str | Path, scene: Scene, topics: Topics, reading: Reading,
         start = replace(scene.start, time_ns=scene.start.time_ns or first_ns)
         return Model(scene.body, start, options=scene.options)
     epochs = read_sources(path, scene, topics.found_in(path, scene),
-                          reading.interpolation or scene.values['interpolation'], reading.track,
+                          reading.interpolation or scene.interpolation, reading.track,
                           reading.time_source)
     sources = epochs[chosen(path, scene, [one.start for one in epochs])]
     return Model(scene.body, sources.start, sources.logs, sources.wheels, scene.options)

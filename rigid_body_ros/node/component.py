@@ -103,7 +103,7 @@ class AttitudeComponent:
     def _configure(self) -> None:
         self._scene = self._parameters.scene
         self._sources = sources_of(self._scene)
-        path, name = self._scene.values['checkpoint'], self._node.get_fully_qualified_name()
+        path, name = self._scene.checkpoint, self._node.get_fully_qualified_name()
         self._checkpoint = Checkpoint(path, self._scene, name) if path else None
         self._announce()
         warm_up_for(self._scene, self._node.get_logger().info)
@@ -111,7 +111,7 @@ class AttitudeComponent:
             self._diagnostics = Diagnostics(self._node, self._sources)
             self._inputs = Inputs(self._scene, self._diagnostics)
             self._outputs = Outputs(self._node, self._scene, self._sources, self._diagnostics)
-            mode = Lockstep if self._scene.values['mode'] == LOCKSTEP else Realtime
+            mode = Lockstep if self._scene.mode == LOCKSTEP else Realtime
             self._mode = mode(self._node, self._parameters, self._inputs, self._outputs,
                               self._diagnostics, self._checkpoint)
         #: The sources that were silent at the last look.
@@ -122,7 +122,7 @@ class AttitudeComponent:
     @property
     def mode(self) -> str:
         """Return the mode of the scene."""
-        return str(self._scene.values['mode'])
+        return self._scene.mode
 
     def activate(self) -> None:
         """
@@ -226,7 +226,7 @@ class AttitudeComponent:
             callback = DrainCallback(partial(self._on_torque, source.number), self._start_work,
                                      partial(self._diagnostics.count_missing, source.number))
             callback.subscription = subscription(
-                WrenchStamped, source.topic, callback, _TORQUE_QOS[self._scene.values['mode']],
+                WrenchStamped, source.topic, callback, _TORQUE_QOS[self._scene.mode],
                 SubscriptionEventCallbacks(message_lost=partial(self._on_lost, source.number),
                                            use_default_callbacks=False))
             return callback
@@ -314,7 +314,7 @@ class AttitudeComponent:
         topic = self._torques[torque.source].topic_name
         return (f'{topic}: no torque for {self._mode.run.age(torque.source, now_ns):.3g} s: the '
                 f'last one, {torque.values.tolist()} N m in {torque.frame} axes, still acts '
-                f'(stale_after: {self._scene.values["stale_after"]:g} s)')
+                f'(stale_after: {self._scene.stale_after:g} s)')
 
     def _save(self, save: Callable[[State | None], None]) -> None:
         try:

@@ -60,10 +60,10 @@ class Lockstep(Mode):
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self._clock = self._clock_publisher() if self._values['publish_clock'] else None
+        self._clock = self._clock_publisher() if self._scene.publish_clock else None
         self._monitor = ClockMonitor(self._node)
-        self._step_ns = max(1, duration_ns(self._values['step'], 'step'))
-        history_ns = duration_ns(self._values['history'], 'history')
+        self._step_ns = max(1, duration_ns(self._scene.step, 'step'))
+        history_ns = duration_ns(self._scene.history, 'history')
         #: By source, as the subscriptions to torques.
         self._duplicates = {source.number: DuplicateFilter(history_ns)
                             for source in sources_of(self._parameters.scene)}

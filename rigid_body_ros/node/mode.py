@@ -59,10 +59,10 @@ class Mode:
         scene = parameters.scene
         self._node, self._parameters, self._outputs = node, parameters, outputs
         self._diagnostics, self._checkpoint = diagnostics, checkpoint
-        self._inputs, self._values = inputs, scene.values
+        self._inputs, self._scene = inputs, scene
         self._given_start_ns = scene.start.time_ns
         self.run = Run(scene, outputs, diagnostics)
-        self._queue = TorqueQueue(diagnostics, is_patient=self._values['mode'] == LOCKSTEP)
+        self._queue = TorqueQueue(diagnostics, is_patient=self._scene.mode == LOCKSTEP)
         #: By source, as their publishers are counted.
         self._torques: Mapping[int, Subscription] = {}
         #: The torque that is being applied, and whether only the response and the log are left.

@@ -62,8 +62,7 @@ class Outputs:
     def __init__(self, node: Node, scene: Scene, sources: Iterable[Source],
                  diagnostics: Diagnostics) -> None:
         self._node, self._diagnostics = node, diagnostics
-        values = scene.values
-        space, body, sequence = scene.space_frame, scene.body_frame, values['euler_sequence']
+        space, body, sequence = scene.space_frame, scene.body_frame, scene.euler_sequence
         self._frames = {'body': body, 'space': space}
         #: The publisher of each topic, and how it encodes a state.
         self._states: list[tuple[Publisher, Callable[[State], bytes]]] = [
@@ -80,7 +79,7 @@ class Outputs:
         if scene.wheels:
             self._states.append((self._publisher(Vector3Stamped, 'rotor_momentum'), lambda state: (
                 messages.VECTOR3.encode(state.time_ns, body, state.rotor_momentum))))
-        if values['publish_tf']:
+        if scene.publish_tf:
             self._states.append((self._publisher(_transform_type(), '/tf'), lambda state: (
                 messages.transform(state, space, body))))
         #: By number of the source.

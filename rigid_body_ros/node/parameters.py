@@ -113,12 +113,12 @@ class Parameters:
         given = given_parameters(self._node) | {
             name: value for name, value in declared.items() if value is not None}
         checked = Scene.from_values(with_robot_description(self._node, given))
-        solver = solver_named(checked.values['solver'])
+        solver = solver_named(checked.solver)
         if not solver.takes_torque:
             raise InputError(f'solver: {solver.name!r} handles torque-free motion only')
-        if checked.values['interpolation'] != 'hold':
+        if checked.interpolation != 'hold':
             raise InputError("interpolation: expected 'hold', because a node does not know the "
-                             f'next torque, found {checked.values["interpolation"]!r}')
+                             f'next torque, found {checked.interpolation!r}')
         self._given = {name: value for name, value in given.items() if name in checked.values}
         for name, value in checked.values.items():
             if name in declared:

@@ -60,12 +60,12 @@ class Realtime(Mode):
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self._max_future_ns = duration_ns(self._values['max_future'], 'max_future')
+        self._max_future_ns = duration_ns(self._scene.max_future, 'max_future')
         self._arrivals, self._monitor = ArrivalStamps(), ClockMonitor(self._node)
         self._is_simulated = self._node.get_parameter('use_sim_time').value
         self._clock = JumpDetector(self._node.get_clock(), self._is_simulated,
-                                   duration_ns(self._values['history'], 'history'))
-        self._rate = self._values['publish_rate']
+                                   duration_ns(self._scene.history, 'history'))
+        self._rate = self._scene.publish_rate
         self._timer: Timer | None = None
         self._jumps: JumpHandle | None = None
         #: Time, ns, of the state to publish as soon as it is known; 0 if there is none.
@@ -176,7 +176,7 @@ class Realtime(Mode):
 
     def problems(self) -> dict[int, list[str]]:
         """Return the present problems by source; those of the clock are of the first."""
-        now_ns, timeout = self._update(), self._values['torque_timeout']
+        now_ns, timeout = self._update(), self._scene.torque_timeout
         problems = {source: [] for source in self._torques}
         problems[next(iter(problems))] = self._monitor.problems()
         for source, subscription in self._torques.items() if now_ns else ():
@@ -226,7 +226,7 @@ class Realtime(Mode):
     def _decoded(self, queued: Queued) -> Torque:
         """Return a torque whose stamp is valid; raise RejectedError, or EarlyError."""
         torque = self._inputs.torque(queued.data, queued.source)
-        if not torque.stamp_ns or self._values['time_source'] == ARRIVAL:
+        if not torque.stamp_ns or self._scene.time_source == ARRIVAL:
             torque = torque._replace(stamp_ns=queued.arrived_ns)
         if self._is_simulated:
             self._check_early(torque.stamp_ns, queued)
@@ -322,7 +322,7 @@ class Realtime(Mode):
         self._warn_away(max(0, away_ns) * 1e-9)
 
     def _jump(self, latest_ns: int, now_ns: int) -> None:
-        action, is_ahead = self._values['on_time_jump'], now_ns > latest_ns
+        action, is_ahead = self._scene.on_time_jump, now_ns > latest_ns
         text = f'clock jumped {"ahead" if is_ahead else "back"}'
         self._diagnostics.event(TIME_JUMP, f'the {text} by {abs(now_ns - latest_ns) * 1e-9:.9g} s '
                                 f'to {now_ns} ns; on_time_jump: {action}')
@@ -370,7 +370,7 @@ class Realtime(Mode):
         if ahead_ns > self._max_future_ns:
             raise RejectedError(FUTURE, f'stamped {ahead_ns * 1e-9:.9g} s ahead of the clock, '
                                 f'expected at most max_future '
-                                f'({self._values["max_future"]:g} s){advice}')
+                                f'({self._scene.max_future:g} s){advice}')
         if advice:
             raise RejectedError(LATE,
                                 f'stamped {-ahead_ns * 1e-9:.9g} s behind the clock{advice}')

@@ -101,7 +101,7 @@ def last_digits(scene: Scene, log: TorqueLog | Sequence[TorqueLog], start: State
         effect = last_digit_effect(scene.body, start, [one.between(*span) for one in logs],
                                    at=begin_ns + times,
                                    wheels=wheels.between(*span) if wheels else None,
-                                   torque_timeout=scene.values['torque_timeout'])
+                                   torque_timeout=scene.torque_timeout)
     except ValueError:  # the body spins too fast
         return None
     if not covered_ns:

@@ -85,7 +85,7 @@ def write(writer: recording.Writer, request: Request, trajectory: Trajectory,
           delay_ns: int = 0) -> None:
     """Write a part of a motion; it is logged `delay_ns` later than its stamps."""
     scene = request.scene
-    space, body, sequence = scene.space_frame, scene.body_frame, scene.values['euler_sequence']
+    space, body, sequence = scene.space_frame, scene.body_frame, scene.euler_sequence
     attitude, rates = trajectory.attitude, trajectory.angular_velocity
     columns = [Column(ATTITUDE, space, attitude),
                Column(EULER_ANGLES, space, trajectory.euler_angles(sequence)),

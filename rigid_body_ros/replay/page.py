@@ -59,7 +59,7 @@ class Collector:
         if self._start_ns is None:
             self._start_ns = int(motion.times_ns[0])
             self._torques = [ThinnedTorque(scene.timeout_ns) for _ in logs]
-        columns = [motion.euler_angles(scene.values['euler_sequence']), motion.attitude,
+        columns = [motion.euler_angles(scene.euler_sequence), motion.attitude,
                    motion.angular_velocity]
         if scene.has_rotors:
             columns.append(motion.rotor_momentum)
@@ -85,7 +85,7 @@ class Collector:
                     scene=result.scene, command=command)
 
     def _panels(self) -> list[Panel]:
-        start_ns, sequence = self._start_ns or 0, self._scene.values['euler_sequence']
+        start_ns, sequence = self._start_ns or 0, self._scene.euler_sequence
         times, low, high = self._motion.result()
         seconds = np.asarray((times - start_ns) * 1e-9, np.float64)
 

@@ -94,7 +94,7 @@ def _read_plain(path: str | Path, scene: Scene, topic: str | None, interpolation
     found = []
     for part in recording.epochs(path, recorded):
         log = recording.torque_log(path, part, scene.body_frame, scene.space_frame,
-                                   interpolation or scene.values['interpolation'], scene.links)
+                                   interpolation or scene.interpolation, scene.links)
         found.append((part, log, part.start or replace(
             scene.start, time_ns=scene.start.time_ns or int(log.times_ns[0]))))
     return found
@@ -104,5 +104,5 @@ def _read_all(path: str | Path, scene: Scene, topics: Topics,
               interpolation: str | None = None) -> list[Sources]:
     """Return the torques of a scene that is not plain, with the errors of `read`."""
     return read_sources(path, scene, topics.found_in(path, scene),
-                        interpolation or scene.values['interpolation'],
+                        interpolation or scene.interpolation,
                         progress('reading', size=len))

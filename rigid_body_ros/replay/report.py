@@ -34,7 +34,7 @@ def summary(result: Replay) -> str:
 def rows(result: Replay) -> list[tuple[str, object]]:
     """Return the facts of a summary: names and texts."""
     last, epochs = result.last, (*result.earlier, result)
-    sequence = result.scene.values['euler_sequence']
+    sequence = result.scene.euler_sequence
     seconds = {name: sum(one.seconds[name] for one in epochs) for name in result.seconds}
     split = ', '.join(f'{name} {taken:.2g} s' for name, taken in seconds.items())
     speed = sum(map(_span, epochs)) / sum(seconds.values())

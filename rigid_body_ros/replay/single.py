@@ -200,7 +200,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     given = topics_of(topic, wheel_torque, wheel_momentum)
     is_plain = given.is_plain(scene)
     keep = output is None if keep is None else keep
-    interpolation = interpolation or scene.values['interpolation']
+    interpolation = interpolation or scene.interpolation
     request = Request(path, scene, interpolation, rate, until, also, collect)
     with files.reading(path), files.protected('scene', scene.path):
         if output is not None:
@@ -237,7 +237,7 @@ def plot(path: str | Path, result: Replay, name: str) -> None:
     from rigid_body_ros.report import figures  # matplotlib takes longer to load than most replays
     assert result.trajectory is not None
     assert result.log is not None
-    sequence = result.scene.values['euler_sequence']
+    sequence = result.scene.euler_sequence
     with files.atomic_output(path, '.png') as temporary:
         figures.motion(temporary, result.trajectory, result.log, sequence,
                        f'{name}: {result.topic}', result.scene.timeout_ns)

@@ -309,7 +309,7 @@ def _from_momentum(path: str | Path, recorded: Messages, measured: TorqueLog,
     longest = int(np.diff(measured.times_ns).max(initial=0))
     if 0 < scene.timeout_ns < longest:
         raise InputError(f'{where}: expected samples at most torque_timeout '
-                         f'({scene.values["torque_timeout"]} s) apart, found a gap of '
+                         f'({scene.torque_timeout} s) apart, found a gap of '
                          f'{longest * 1e-9:.9g} s')
     try:
         return TorqueLog.from_momentum(measured.times_ns, measured.torques)
