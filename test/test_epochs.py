@@ -15,6 +15,7 @@
 """Recordings of a node with several epochs: each is replayed from its own start state."""
 
 from dataclasses import replace
+import json
 
 from conftest import CONFIG, memory_limit, SECOND
 import node_logs
@@ -24,6 +25,7 @@ from node_logs import (
     attitudes,
     called,
     COMMANDS,
+    COMMITTED,
     epoch,
     FIRST,
     MORE,
@@ -38,10 +40,13 @@ import numpy as np
 import pytest
 from rigid_body_ros import cli, messages, recording, scene, State
 from rigid_body_ros.common.errors import LONGEST
+from rigid_body_ros.identification.recorded import read_experiment
+from rigid_body_ros.measurement.recorded import Reading
 from rigid_body_ros.recording import torques, writer
 from rigid_body_ros.replay import epochs, read, replay
 from rigid_body_ros.replay.many import replay_many
 from rigid_body_ros.replay.report import summary
+from rigid_body_ros.replay.sources import Topics
 from rigid_body_ros.replay.verify import verify
 from rigid_body_ros.scene import InputError
 
@@ -397,6 +402,17 @@ def test_commands_that_need_one_motion_ask_for_its_start(two, tmp_path, capsys, 
             'the scene') in line
     assert not captured.out
     assert called(tmp_path, name, two, f'start_time: {SECOND_START.time_ns}') in (0, 3)
+
+
+@pytest.mark.parametrize(('start', 'count'), [(FIRST, 40), (SECOND_START, 31)])
+def test_measurements_of_other_epochs_are_left_out(two, tmp_path, start, count):
+    assert called(tmp_path, 'compare', two, f'start_time: {start.time_ns}') == 0
+    found = json.loads((tmp_path / 'out.json').read_text())
+    assert (found['samples'], found['left_out']) == (count, 71 - count)
+    assert found['attitude_error_rad']['max'] < 1e-15
+    sensor, = read_experiment(two, scene.load(tmp_path / 'scene.yaml'), [COMMITTED], Topics(),
+                              Reading()).measured
+    assert np.sum(sensor.stamps >= start.time_ns) == count
 
 
 @pytest.mark.slow

@@ -64,7 +64,8 @@ def read_experiment(path: str | Path, scene: Scene, measured: Sequence[str], top
                        track=reading.track)
     model = read_model(path, scene, topics, reading, min(int(one.stamps[0]) for one in sensors))
     check_overlap(path, model, sensors, False)
-    return Experiment(model.start, model.logs, sensors, model.wheels)
+    inside = [one.rows(one.stamps <= model.last_ns) for one in sensors]
+    return Experiment(model.start, model.logs, inside, model.wheels)
 
 
 def fitted_scene(scene: Scene, found: Identification) -> str:

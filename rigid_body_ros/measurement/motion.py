@@ -55,6 +55,8 @@ class Model:
         Torque of the motors on the rotors, body axes.
     options : dict
         Keyword arguments of `propagate`.
+    last_ns : int
+        Time of the latest state; the motion of an epoch ends where the next one begins.
 
     """
 
@@ -63,16 +65,12 @@ class Model:
     logs: tuple[TorqueLog, ...] = ()
     wheels: TorqueLog | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
+    last_ns: int = NEVER_NS // 2
 
     @property
     def first_ns(self) -> int:
         """Return the time of the earliest state."""
         return self.start.time_ns
-
-    @property
-    def last_ns(self) -> int:
-        """Return the time of the latest possible state."""
-        return NEVER_NS // 2
 
     @property
     def timeout_ns(self) -> int:

@@ -126,7 +126,8 @@ def read_model(path: str | Path, scene: Scene, topics: Topics, reading: Reading,
     Return the body of a scene, its start, and the torques of a recording.
 
     Without torques in the recording, the body is free and starts at `first_ns`, unless the scene
-    has a start_time. Of several epochs of a node, its start_time chooses one.
+    has a start_time. Of several epochs of a node, its start_time chooses one; the motion ends
+    where the next one begins.
 
     Raises
     ------
@@ -141,8 +142,11 @@ def read_model(path: str | Path, scene: Scene, topics: Topics, reading: Reading,
     epochs = read_sources(path, scene, topics.found_in(path, scene),
                           reading.interpolation or scene.interpolation, reading.track,
                           reading.time_source)
-    sources = epochs[chosen(path, scene, [one.start for one in epochs])]
-    return Model(scene.body, sources.start, sources.logs, sources.wheels, scene.options)
+    starts = [one.start for one in epochs]
+    sources = epochs[chosen(path, scene, starts)]
+    later = [start.time_ns for start in starts if start.time_ns > sources.start.time_ns]
+    model = Model(scene.body, sources.start, sources.logs, sources.wheels, scene.options)
+    return replace(model, last_ns=min(later) - 1) if later else model
 
 
 def read_motion(path: str | Path, scene: Scene) -> Recorded:
