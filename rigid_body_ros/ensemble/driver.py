@@ -69,13 +69,9 @@ def compute(ensemble: Ensemble, folder: Folder, pool: Pool, track: Track) -> Non
     """
     spans = folder.missing()
     runs = sum(stop - first for first, stop in spans)
-    try:
-        with closing(pool(ensemble, spans)) as blocks:
-            for block in track(blocks, runs):
-                folder.add(*block)
-    except KeyboardInterrupt as interrupt:
-        interrupt.args += (f'; the same command goes on with what is in {folder.path}',)
-        raise
+    with closing(pool(ensemble, spans)) as blocks:
+        for block in track(blocks, runs):
+            folder.add(*block)
     folder.complete()
 
 
