@@ -501,7 +501,8 @@ EXITS = [
     ('0', 'success'),
     ('1', '`--verify` found states whose bits differ; the summary has the difference in radians'),
     ('2', 'wrong arguments, an input that cannot be read, or an output that cannot be written; '
-          'one line names it'),
+          'one line names it. `attitude_ensemble`: all '
+          'runs failed, too'),
     ('3', '`attitude_identify`: the data does not determine all estimates, or the fit did not '
           'converge; nothing was written, unless with `--force`'),
     ('128 + n', 'signal n ended the command: 130 after Ctrl-C, 143 after SIGTERM (`attitude_node` '

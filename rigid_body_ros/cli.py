@@ -83,7 +83,8 @@ def _run(name: str, arguments: Sequence[str] | None) -> int:
         from rigid_body_ros import commands
         interrupts.check()
         return getattr(commands, name)(arguments)
-    return _guarded(name, command, arguments)
+    status = _guarded(name, command, arguments)
+    return status if arguments is not None else interrupts.end(status)
 
 
 def _guarded(name: str, command: Callable[[], int], arguments: Sequence[str] | None) -> int:

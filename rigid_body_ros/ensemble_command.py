@@ -59,23 +59,27 @@ def attitude_ensemble(arguments: Sequence[str] | None) -> int:
     options = parsed(ensemble_parser(), arguments)
     from rigid_body_ros import replay
     from rigid_body_ros.ensemble import driver, summary
-    from rigid_body_ros.ensemble.folder import Folder
+    from rigid_body_ros.ensemble.folder import opened
     with files.reading(options.recording), files.protected('input', options.scene, options.vary):
         ensemble = _ensemble(options)
         identity = _identity(ensemble, options.times)
-        folder = Folder(options.output, identity, ensemble.columns, options.runs, ensemble.times)
-        if options.report:
-            with files.overwriting(options.overwrite):
-                files.check((options.report, '.html'))
-        driver.compute(ensemble, folder, _pool(options), replay.progress(
-            'runs', ' runs', driver.runs_of))
-        found = summary.summarized(ensemble, folder)
-        folder.write('summary.json', {**identity, **found})
-        _draw(options, folder.path / 'bands.png', found)
-        if options.report:
-            _write_page(options, found, ensemble.scene)
+        with opened(options.output, identity, ensemble.columns, options.runs, ensemble.times,
+                    note=partial(note, options)) as folder:
+            if options.report:
+                with files.overwriting(options.overwrite):
+                    files.check((options.report, '.html'))
+            driver.compute(ensemble, folder, _pool(options), replay.progress(
+                'runs', ' runs', driver.runs_of))
+            found = summary.summarized(ensemble, folder)
+            _draw(options, folder.picture, found)
+            folder.finish({**identity, **found})
+            if options.report:
+                _write_page(options, found, ensemble.scene)
     written = ', '.join(filter(None, [options.output, options.report]))
     show(f'{summary.text_of(found)}\n{"wrote":17}{written}')
+    if found['failed'] == found['runs']:
+        raise InputError(f'{options.output}: expected runs that can be computed, found that all '
+                         f'{found["runs"]} failed')
     return 0
 
 

@@ -49,8 +49,8 @@ SECOND = 10 ** 9
 #: Test files that need an optional module, by that module.
 NEEDS = {
     'distributed': ['cluster'],
-    'pyarrow': ['cluster', 'ensemble', 'ensemble_motions'],
-    'zarr': ['ensemble_motions'],
+    'pyarrow': ['cluster', 'ensemble', 'ensemble_folder', 'ensemble_motions'],
+    'zarr': ['ensemble_folder', 'ensemble_motions'],
     'rclpy': ['clocks', 'executors', 'faults', 'fleet', 'launch', 'lifecycle', 'lockstep', 'node',
               'robot_description', 'shared_files_live', 'soak', 'sources', 'topics', 'workspace'],
     'colcon_ros': ['workspace'],

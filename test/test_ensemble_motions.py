@@ -153,16 +153,24 @@ def test_times_start_at_the_start_and_include_the_end(end_ns, rate, expected):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures('small_chunks')
-def test_a_damaged_chunk_is_one_line(inputs, capsys):
-    run(inputs, 'out', 58, '--times', HZ)
-    chunk = inputs / 'out' / 'motion.zarr' / 'motion' / '11.0.0'
-    chunk.write_bytes(chunk.read_bytes()[:-9])  # of three runs; the next command adds the others
-    line = error_of(capsys, inputs, 'out', 60, '--times', HZ)
-    assert f'{inputs / "out" / "motion.zarr"}: cannot write the motions' in line
-    shutil.rmtree(inputs / 'out' / 'motion.zarr')
-    run(inputs, 'out', 60, '--times', HZ)
+@pytest.mark.parametrize('change', [
+    lambda chunk, other: chunk.write_bytes(chunk.read_bytes()[:-9]),
+    lambda chunk, other: shutil.copy(other, chunk),
+    lambda chunk, other: chunk.write_bytes(b''),
+], ids=['short', 'of other runs', 'empty'])
+def test_a_chunk_that_does_not_fit_is_computed_again(inputs, capsys, change):
     run(inputs, 'whole', 60, '--times', HZ)
-    assert contents(inputs / 'out') == contents(inputs / 'whole')
+    run(inputs, 'out', 23, '--times', HZ)
+    run(inputs, 'out', 58, '--times', HZ)
+    expected, chunks = contents(inputs / 'whole'), inputs / 'out' / 'motion.zarr' / 'motion'
+    for runs in (58, 60):  # the command may add runs at the same time
+        change(chunks / '4.0.0', chunks / '3.0.0')  # its runs are in two blocks
+        capsys.readouterr()
+        run(inputs, 'out', runs, '--times', HZ)
+        note, = capsys.readouterr().err.splitlines()
+        assert note.startswith(f'attitude_ensemble: note: {inputs / "out"}: ignored blocks that '
+                               'are damaged or from elsewhere, of the runs 20 to 2')
+    assert contents(inputs / 'out') == expected
 
 
 @pytest.mark.slow

@@ -206,9 +206,13 @@ def test_a_page_that_exists_is_kept(arguments, tmp_path, capsys):
 
 def test_no_picture_if_all_runs_failed(arguments, tmp_path, capsys):
     (tmp_path / 'vary.yaml').write_text('inertia.izz: {uniform: [-2.0, -1.0]}\n')
-    assert cli.attitude_ensemble(arguments) == 0
+    assert cli.attitude_ensemble(arguments) == 2
     assert not (tmp_path / 'out' / 'bands.png').exists()
-    assert 'failed           400: inertia' in capsys.readouterr().out
+    printed = capsys.readouterr()
+    assert 'failed           400: inertia' in printed.out
+    assert printed.err == (f'attitude_ensemble: error: {tmp_path / "out"}: expected runs that can '
+                           'be computed, found that all 400 failed\n')
+    assert len(parquet.read_table(tmp_path / 'out' / 'runs.parquet')) == 400
     found = json.loads((tmp_path / 'out' / 'summary.json').read_text())
     assert found['histogram'] == found['angle_from_nominal_rad'] == {}
 

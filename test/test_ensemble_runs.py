@@ -15,11 +15,12 @@
 """Runs of an ensemble: what is drawn is applied, and what is applied is reported."""
 
 from dataclasses import replace
+import time
 
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
-from rigid_body_ros.ensemble import runs
+from rigid_body_ros.ensemble import reach, runs
 from rigid_body_ros.ensemble.dispersions import Dispersion
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.scene import InputError, Scene
@@ -199,7 +200,7 @@ def test_the_moments_vary_by_at_most_the_given_fraction():
     (Dispersion('initial_rotor_momentum.z', 'normal', (1e308,)), {}, 'rotor at'),
     (Dispersion('initial_angular_velocity.x', 'uniform', (2e9, 3e9)), {}, 'at'),
     (Dispersion('torque_gain', 'normal', (1e309 / 2,)), {}, 'torque'),
-    (Dispersion('torque_gain', 'normal', (1e40,)), {}, 'at'),
+    (Dispersion('torque_gain', 'normal', (1e40,)), {}, 'the'),
     (Dispersion('torque_bias.x', 'normal', (1e308,)), {}, 'torque at'),
     (Dispersion('torque_noise', 'normal', (1e308,)), {}, 'torque at'),
     (Dispersion('clock_offset', 'normal', (1e10,)), {}, 'clock_offset'),
@@ -214,6 +215,41 @@ def test_a_run_that_is_not_possible_is_a_row_with_its_reason(one, values, messag
     assert words == set(message.split())
     assert all(np.isnan(row['attitude.x']) for row in failed)
     assert all(row['message'] == '' for row in found if row['status'] == 'ok')
+
+
+def test_a_run_that_turns_too_far_fails_and_leaves_the_others_as_they_are(monkeypatch):
+    found = ensemble(Dispersion('torque_gain', 'normal', (50.0,)), TILT)
+    before = rows(found, 0, 40)
+    monkeypatch.setattr(reach, 'FARTHEST', 20.0)
+    after = rows(found, 0, 40)
+    failed = [row['status'] == 'failed' for row in after]
+    assert 10 < sum(failed) < 30
+    for row, other, fails in zip(before, after, failed):
+        assert row == other or fails
+        assert ('too far to be computed (limit 31.9 rad)' in other['message']) == fails
+
+
+@pytest.mark.parametrize(('one', 'logs'), [
+    (Dispersion('torque_gain', 'normal', (1e12,)), LOGS),
+    (Dispersion('torque_bias.x', 'uniform', (1e9, 2e9)), LOGS),
+    (Dispersion('torque_noise', 'normal', (1e9,)), LOGS),
+    (Dispersion('initial_angular_velocity.y', 'uniform', (1e8, 2e8)), ()),  # with damping
+    (Dispersion('initial_rotor_momentum.x', 'uniform', (1e8, 2e8)), ()),
+    (Dispersion('damping.dxx', 'uniform', (1e7, 2e7)), ()),
+], ids=lambda value: getattr(value, 'key', None))
+def test_runs_that_would_take_days_fail_at_once(one, logs):
+    began = time.monotonic()
+    for row in rows(ensemble(one, logs=logs), 0, 8):
+        assert 'the body may turn by' in row['message']
+    assert time.monotonic() - began < 20.0
+
+
+def test_a_long_coast_is_no_long_way():
+    loud = TorqueLog(np.array([0, 1]) * SECOND, [[1.0, 0.2, 0.1], [0.0, 0.0, 0.0]])
+    found = ensemble(TILT, Dispersion('clock_offset', 'normal', (1e-3,)), logs=(loud,), **{
+        'damping.dxx': 0.0, 'initial_rotor_momentum.z': 0.0})
+    for row in rows(replace(found, end_ns=10 ** 8 * SECOND), 0, 4):
+        assert row['status'] == 'ok'
 
 
 def test_noise_differs_from_sample_to_sample_and_from_run_to_run():

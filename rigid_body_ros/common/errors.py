@@ -26,7 +26,8 @@ LONGEST = 500
 _REASON, _NAME = 200, 60
 #: Maximum number of names in a list.
 _NAMES = 6
-_CUT = ' ... '
+#: What stands for the middle of a text that is cut.
+CUT = ' ... '
 
 _repr = Repr()
 _repr.maxstring = _repr.maxother = _repr.maxlong = 80
@@ -69,5 +70,5 @@ def reason(error: Exception) -> str:
 def _cut(text: str, longest: int) -> str:
     if len(text) <= longest:
         return text
-    tail = (longest - len(_CUT)) // 3
-    return text[:longest - len(_CUT) - tail] + _CUT + text[-tail:]
+    tail = (longest - len(CUT)) // 3
+    return text[:longest - len(CUT) - tail] + CUT + text[-tail:]

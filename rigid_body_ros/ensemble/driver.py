@@ -28,6 +28,7 @@ from typing import Any, NoReturn, TYPE_CHECKING
 import numpy as np
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.ensemble.runs import Columns, Ensemble
+from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.cluster import connected
 
 if TYPE_CHECKING:  # a worker needs no Parquet
@@ -44,6 +45,8 @@ Pool = Callable[[Ensemble, list[Span]], Generator[Block]]
 #: The span of a block, and that of a part of it.
 Part = tuple[Span, Span]
 
+#: s; how often to look for signals.
+_INTERVAL = 0.1
 #: Number of parts of a block, which different workers may compute: a block may take minutes.
 _PARTS = 8
 #: s; how long a task is computed on a worker: long enough for Dask's cost per task, a few
@@ -66,13 +69,9 @@ def compute(ensemble: Ensemble, folder: Folder, pool: Pool, track: Track) -> Non
     """
     spans = folder.missing()
     runs = sum(stop - first for first, stop in spans)
-    try:
-        with closing(pool(ensemble, spans)) as blocks:
-            for block in track(blocks, runs):
-                folder.add(*block)
-    except KeyboardInterrupt as interrupt:
-        interrupt.args += (f'; the same command goes on with what is in {folder.path}',)
-        raise
+    with closing(pool(ensemble, spans)) as blocks:
+        for block in track(blocks, runs):
+            folder.add(*block)
     folder.complete()
 
 
@@ -90,13 +89,17 @@ def threads(workers: int) -> Pool:
             busy: set[Future[Block]] = {pool.submit(_block, ensemble, span)
                                         for span in islice(waiting, 2 * workers)}
             while busy:
-                done, busy = wait(busy, return_when=FIRST_COMPLETED)
+                done, busy = wait(busy, _INTERVAL, FIRST_COMPLETED)
+                interrupts.check()
                 busy |= {pool.submit(_block, ensemble, span)
                          for span in islice(waiting, len(done))}
                 for future in done:
                     yield future.result()
+        except BaseException:  # also if the consumer stops
+            interrupts.abandon_threads()
+            raise
         finally:
-            pool.shutdown(cancel_futures=True)
+            pool.shutdown(wait=False, cancel_futures=True)
     return blocks
 
 

@@ -18,11 +18,16 @@ The folder of an ensemble: which runs it has, their rows as Parquet, and their m
 Runs are computed and written in blocks, each to a file of its own, so that an interrupted ensemble
 goes on where it stopped. A row depends on the number of its run only, and the rows are put
 together in that order: `runs.parquet` has the same bytes whatever the blocks were.
+
+A folder with `summary.json` is complete. The results of fewer runs are removed before anything
+else changes, `summary.json` first, and it is written last.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+import io
 import json
 from pathlib import Path
 import re
@@ -33,8 +38,11 @@ from numpy.typing import NDArray
 import pyarrow as arrow
 from pyarrow import parquet
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError, quoted, reason
-from rigid_body_ros.ensemble.motions import Motions
+from rigid_body_ros.common.errors import InputError, listed, quoted, reason
+from rigid_body_ros.ensemble import lock
+from rigid_body_ros.ensemble.blocks import Blocks
+from rigid_body_ros.ensemble.causes import causes
+from rigid_body_ros.ensemble.motions import Motions, remove_parts
 from rigid_body_ros.ensemble.runs import MOTION
 from rigid_body_ros.runtime import files
 
@@ -45,11 +53,50 @@ BLOCKS, LONGEST = 32, 2048
 GROUP = 2 ** 16
 #: Columns of which many rows are equal; a dictionary of the others takes time and space.
 _REPEATED = ['status', 'message']
-#: Names of blocks, and of the parts of them that a dead process left; no other file is removed.
-_BLOCK = re.compile(r'(\d{9})-(\d{9,10})\.parquet')
-_PART = re.compile(r'\.\d{9}-\d{9,10}\.parquet\.[0-9a-f]{16}\.\d+\.part')
-#: Where the reason of a failure ends and the numbers of its run begin.
-_CAUSE = re.compile(r',? found |[ :]*[-+]?\d')
+_IDENTITY, _SUMMARY, _PICTURE, _TABLE = ('identity.json', 'summary.json', 'bands.png',
+                                         'runs.parquet')
+#: Names of parts of these and of blocks; no other file is removed.
+_PART = re.compile(r'\.(identity\.json|summary\.json|bands\.png|runs\.parquet|\d{9}-[-0-9a-f]+'
+                   r'\.parquet)\.[0-9a-f]{16}\.\d+\.part')
+
+
+@contextmanager
+def opened(path: str | Path, *ensemble: Any, note: Callable[[str], None]) -> Iterator[Folder]:
+    """
+    Open the folder of an ensemble that no other process writes to in the context.
+
+    Parameters
+    ----------
+    path : str or Path
+        Created if it does not exist.
+    ensemble
+        The other arguments of `Folder`.
+    note : function
+        Takes a line for the user.
+
+    Raises
+    ------
+    InputError
+        As for `Folder`, or another process writes to the folder.
+    KeyboardInterrupt
+        A signal was received in the context; the message says how to go on.
+
+    """
+    files.check_apart(path)
+    if not (Path(path) / lock.NAME).exists():  # create none in the folder of something else
+        _check_kind(Path(path))
+    try:
+        with lock.locked(Path(path), note) as is_locked:
+            if is_locked:
+                _remove_parts(Path(path))
+            folder = Folder(path, *ensemble)
+            if folder.misfits:
+                note(f'{path}: ignored blocks that are damaged or from elsewhere, of the runs '
+                     f'{listed(folder.misfits)}; what is missing is computed again')
+            yield folder
+    except KeyboardInterrupt as interrupt:
+        interrupt.args += (f'; the same command goes on with what is in {path}',)
+        raise
 
 
 class Folder:
@@ -69,6 +116,11 @@ class Folder:
     times : array, shape (m,), s, optional
         Times since the start of the states that are kept; none by default.
 
+    Attributes
+    ----------
+    misfits : list of str
+        The runs of blocks that were found, but are not as they were written.
+
     Raises
     ------
     InputError
@@ -84,25 +136,35 @@ class Folder:
             ('run', arrow.int64()), ('status', arrow.string()), ('message', arrow.string()),
             *(arrow.field(name, arrow.float64(), metadata={'unit': unit})
               for name, unit in units.items())])
-        self._blocks = self.path / 'blocks'
-        self._check(identity)
-        with files.reported(path):
-            self._blocks.mkdir(parents=True, exist_ok=True)
-        self.write('identity.json', {'runs': runs, **identity})
+        if self._check(identity) != runs:
+            with files.reported(path):
+                self.path.mkdir(parents=True, exist_ok=True)
+            self._remove_results()
+            self._write(_IDENTITY, {'runs': runs, **identity})
         self._motions = None
         if times is not None:
             self._motions = Motions(self.path / 'motion.zarr', times, runs)
-            with files.reported(path):
-                self._remove_blocks_without(self._motions)
+        self._blocks = Blocks(self.path / 'blocks', json.dumps(identity, sort_keys=True),
+                              self._motions)
+        with files.reported(path):
+            (self.path / 'blocks').mkdir(exist_ok=True)
+            self.misfits = self._blocks.find(runs)
+        if self.missing():
+            self._remove_results()
 
     @property
     def table(self) -> Path:
         """Return the file of all rows."""
-        return self.path / 'runs.parquet'
+        return self.path / _TABLE
+
+    @property
+    def picture(self) -> Path:
+        """Return the file of the picture."""
+        return self.path / _PICTURE
 
     def missing(self) -> list[tuple[int, int]]:
         """Return the first run of each block that has to be computed, and the one after it."""
-        present = self._present()
+        present = self._blocks.spans
         begins, ends = [0, *(stop for _, stop in present)], [first for first, _ in present]
         gaps = [*zip(begins, [*ends, self.runs])]
         runs = sum(end - begin for begin, end in gaps)
@@ -135,26 +197,31 @@ class Folder:
         table = arrow.Table.from_arrays(
             [arrow.array(rows[field.name], field.type, from_pandas=True)
              for field in self._schema], schema=self._schema)
-        with files.atomic_output(self._block(first, stop), '.parquet') as path:
-            parquet.write_table(table, path, use_dictionary=_REPEATED)
-
-    def write(self, name: str, data: Mapping[str, Any]) -> None:
-        """Write a JSON file into the folder; raise InputError if that fails."""
-        with files.atomic_output(self.path / name, '.json') as path:
-            path.write_text(f'{json.dumps(data, indent=1)}\n', encoding='utf-8')
+        buffer = io.BytesIO()
+        parquet.write_table(table, buffer, use_dictionary=_REPEATED)
+        self._blocks.write((first, stop), buffer.getvalue(), rows.get(MOTION))
 
     def complete(self) -> None:
-        """Put the blocks together to `runs.parquet`; raise InputError if that fails."""
-        with files.atomic_output(self.table, '.parquet') as path, \
-                parquet.ParquetWriter(path, self._schema, use_dictionary=_REPEATED) as writer:
-            for group in self._groups():
-                writer.write_table(group, GROUP)
-        kept = {self._block(*span) for span in self._present()}
-        for path in self._blocks.iterdir():
-            if path not in kept and (_BLOCK.fullmatch(path.name) or _PART.fullmatch(path.name)):
-                path.unlink()
-        if self._motions:
-            self._motions.remove_parts()
+        """
+        Put the blocks together to `runs.parquet`.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written, a block has changed, or a run is missing or there twice.
+
+        """
+        with files.atomic_output(self.table, '.parquet') as path:
+            with parquet.ParquetWriter(path, self._schema, use_dictionary=_REPEATED) as writer:
+                for group in self._groups():
+                    writer.write_table(group, GROUP)
+            self._check_runs(path)
+        with files.reported(self.path):
+            self._blocks.remove_others()
+
+    def finish(self, summary: Mapping[str, Any]) -> None:
+        """Write `summary.json`, after all other results; raise InputError if that fails."""
+        self._write(_SUMMARY, summary)
 
     def motions(self) -> Iterator[tuple[int, Floats]]:
         """
@@ -190,25 +257,17 @@ class Folder:
             yield _floats(batch.column(name))
 
     def failures(self) -> dict[str, int]:
-        """Return how many runs failed for each reason, by the text before its numbers."""
-        counts: dict[str, int] = {}
-        for batch in parquet.ParquetFile(self.table).iter_batches(columns=['message']):
-            for message in filter(None, batch.column(0).to_pylist()):
-                cause = _CAUSE.split(message, maxsplit=1)[0]
-                counts[cause] = counts.get(cause, 0) + 1
-        return counts
+        """Return how many runs failed for each cause."""
+        batches = parquet.ParquetFile(self.table).iter_batches(columns=['message'])
+        return causes(message for batch in batches
+                      for message in filter(None, batch.column(0).to_pylist()))
 
-    def _check(self, identity: Mapping[str, Any]) -> None:
-        """Raise InputError if the folder is not that of this ensemble."""
-        files.check_apart(self.path)
-        if not self.path.exists():
-            return
-        record = self.path / 'identity.json'
+    def _check(self, identity: Mapping[str, Any]) -> int:
+        """Return the number of runs of the folder; raise InputError if it is another ensemble."""
+        _check_kind(self.path)
+        record = self.path / _IDENTITY
         if not record.exists():
-            if not self.path.is_dir() or any(self.path.iterdir()):
-                raise InputError(f'{self.path}: expected a new folder or that of an ensemble, '
-                                 'found something else; choose another folder')
-            return
+            return 0
         try:
             known = json.loads(record.read_text(encoding='utf-8'))
             runs = int(known['runs'])
@@ -222,49 +281,66 @@ class Folder:
         if runs > self.runs:
             raise InputError(f'{self.path}: expected at least the {runs} runs that it was begun '
                              f'with, found {self.runs}; choose another folder')
+        return runs
 
-    def _present(self) -> list[tuple[int, int]]:
-        """Return the first run of each block that is complete, and the one after it, in order."""
-        names = (_BLOCK.fullmatch(path.name) for path in self._blocks.iterdir())
-        spans = sorted((int(name[1]), int(name[2])) for name in names if name)
-        present, end = [], 0
-        for first, stop in spans:
-            if end <= first < stop <= self.runs:
-                present.append((first, stop))
-                end = stop
-        return present
+    def _remove_results(self) -> None:
+        """Remove the results of fewer runs, first what says that the folder is complete."""
+        with files.reported(self.path):
+            for name in (_SUMMARY, _PICTURE, _TABLE):
+                (self.path / name).unlink(missing_ok=True)
+                files.flush(self.path)
 
-    def _remove_blocks_without(self, motions: Motions) -> None:
-        """Remove blocks whose motions have been lost, so that they are computed again."""
-        present = self._present()
-        for span in {*present} - {*motions.present(present)}:
-            self._block(*span).unlink()
+    def _write(self, name: str, data: Mapping[str, Any]) -> None:
+        with files.atomic_output(self.path / name, '.json') as path:
+            path.write_text(f'{json.dumps(data, indent=1)}\n', encoding='utf-8')
+
+    def _check_runs(self, path: Path) -> None:
+        """Raise InputError unless the rows of a file are those of all runs, each once."""
+        end = 0
+        for batch in parquet.ParquetFile(path).iter_batches(columns=['run']):
+            numbers = batch.column(0).to_numpy()
+            if not np.array_equal(numbers, np.arange(end, end + len(numbers))):
+                break
+            end += len(numbers)
+        else:
+            if end == self.runs:
+                return
+        raise InputError(f'{self.path}: expected each of {self.runs} runs once, found run {end} '
+                         'missing or twice; the same command computes what is missing')
 
     def _groups(self) -> Iterator[arrow.Table]:
         """Generate all rows, in tables of as many rows as a row group has."""
         waiting = self._schema.empty_table()
-        for span in self._present():
-            waiting = arrow.concat_tables([waiting, self._read(*span)])
+        for span in self._blocks.spans:
+            waiting = arrow.concat_tables([waiting, self._read(span)])
             while waiting.num_rows >= GROUP:
                 yield waiting.slice(0, GROUP).combine_chunks()
                 waiting = waiting.slice(GROUP)
         if waiting.num_rows:
             yield waiting.combine_chunks()
 
-    def _block(self, first: int, stop: int) -> Path:
-        return self._blocks / f'{first:09d}-{stop:09d}.parquet'
+    def _read(self, span: tuple[int, int]) -> arrow.Table:
+        return parquet.ParquetFile(io.BytesIO(self._blocks.read(span))).read().cast(self._schema)
 
-    def _read(self, first: int, stop: int) -> arrow.Table:
-        path = self._block(first, stop)
-        try:
-            table = parquet.ParquetFile(path).read().cast(self._schema)
-        except (OSError, ValueError, arrow.ArrowException) as error:
-            raise InputError(f'{path}: cannot read the runs: {reason(error)}; remove the file to '
-                             'compute them again') from error
-        if table.num_rows != stop - first:
-            raise InputError(f'{path}: expected {stop - first} runs, found {table.num_rows}; '
-                             'remove the file to compute them again')
-        return table
+
+def _check_kind(path: Path) -> None:
+    """Raise InputError if a path is neither new nor the folder of an ensemble."""
+    if not path.exists() or (path / _IDENTITY).exists():
+        return
+    if not path.is_dir() or any(entry.name != lock.NAME and not _PART.fullmatch(entry.name)
+                                for entry in path.iterdir()):
+        raise InputError(f'{path}: expected a new folder or that of an ensemble, found something '
+                         'else; choose another folder')
+
+
+def _remove_parts(path: Path) -> None:
+    """Remove what dead processes left."""
+    with files.reported(path):
+        for folder in (path, path / 'blocks'):
+            for part in folder.glob('.*.part'):
+                if _PART.fullmatch(part.name):
+                    part.unlink()
+        remove_parts(path / 'motion.zarr')
 
 
 def _floats(column: arrow.Array) -> Floats:

@@ -73,6 +73,13 @@ def times_of(start_ns: int, end_ns: int, rate: float) -> NDArray[np.int64]:
     return np.unique(np.append(offsets[offsets < end_ns - start_ns], end_ns - start_ns)) + start_ns
 
 
+def remove_parts(path: Path) -> None:
+    """Remove what dead processes left in a Zarr group."""
+    for part in path.rglob('*.partial'):
+        if _PART.fullmatch(part.name):
+            part.unlink()
+
+
 class Motions:
     """
     The motions of an ensemble, new or to be continued.
@@ -127,16 +134,28 @@ class Motions:
                 files.flush(self._path / 'motion' / name)
             files.flush(self._path / 'motion')
 
-    def present(self, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-        """Return those spans of runs whose chunks all exist."""
-        names = {path.name for path in (self._path / 'motion').iterdir()}
-        return [span for span in spans if names.issuperset(self._names(*span))]
+    def read(self, first: int, stop: int) -> Floats | None:
+        """
+        Return the motions of consecutive runs, or None if a chunk of them is missing or damaged.
 
-    def remove_parts(self) -> None:
-        """Remove what a dead process left."""
-        for path in self._path.rglob('*.partial'):
-            if _PART.fullmatch(path.name):
-                path.unlink()
+        A damaged chunk is removed, so that its runs can be written again.
+
+        Raises
+        ------
+        InputError
+            They cannot be read.
+
+        """
+        chunks = [self._path / 'motion' / name for name in self._names(first, stop)]
+        if not all(chunk.exists() for chunk in chunks):
+            return None
+        with self._reported('read'):
+            try:
+                return np.asarray(self._array[first:stop])
+            except (RuntimeError, ValueError):
+                for row, column in self._chunks(first, stop):
+                    self._remove_damaged(row, column)
+        return None
 
     def chunks(self) -> Iterator[tuple[int, Floats]]:
         """Generate the first run of each chunk, and the motions, shape (n, m, 7)."""
@@ -164,12 +183,25 @@ class Motions:
             attributes={'_ARRAY_DIMENSIONS': ['run', 'time', 'component'], 'long_name':
                         'attitude, body to space, and angular velocity, body axes'})
 
-    def _names(self, first: int, stop: int) -> Iterator[str]:
-        """Generate the names of the chunks of some runs."""
+    def _remove_damaged(self, row: int, column: int) -> None:
+        """Remove a chunk that cannot be read."""
+        runs, times = self._shape
+        try:
+            self._array[row * runs:(row + 1) * runs, column * times:(column + 1) * times]
+        except (RuntimeError, ValueError):
+            (self._path / 'motion' / f'{row}.{column}.0').unlink()
+
+    def _chunks(self, first: int, stop: int) -> Iterator[tuple[int, int]]:
+        """Generate the rows and columns of the chunks of some runs."""
         runs, times = self._shape
         for row in range(first // runs, -(-stop // runs)):
             for column in range(-(-self._times.size // times)):
-                yield f'{row}.{column}.0'
+                yield row, column
+
+    def _names(self, first: int, stop: int) -> Iterator[str]:
+        """Generate the names of the chunks of some runs."""
+        for row, column in self._chunks(first, stop):
+            yield f'{row}.{column}.0'
 
     @contextmanager
     def _reported(self, verb: str) -> Iterator[None]:

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+import math
 from typing import Any
 
 import numpy as np
@@ -45,10 +46,12 @@ from rigid_body_ros.ensemble.dispersions import (
     UNITS,
 )
 from rigid_body_ros.ensemble.fitted import Fitted
+from rigid_body_ros.ensemble.reach import limit, Reach
 from rigid_body_ros.ensemble.streams import stream
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.propagation import propagate, propagate_many
 from rigid_body_ros.propagation.many import Logs
+from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
@@ -149,9 +152,7 @@ class Ensemble:
             Attitude, x y z w, and angular velocity, rad/s, at `times_ns`, or at the end only.
 
         """
-        values = {name: np.array([value]) for name, value in self.nominal.items()}
-        without = replace(self, dispersions=())
-        return without._motion(without._acting(np.zeros(1, np.int64), values, {}), 0)
+        return replace(self, dispersions=())._motion(self._applied_without, 0)
 
     @property
     def nominal_attitude(self) -> Floats:
@@ -200,6 +201,12 @@ class Ensemble:
         if self.fitted:
             values.update(self.fitted.draw(self.seed, runs))
         return self._acting(runs, values, drawn)
+
+    @cached_property
+    def _applied_without(self) -> Applied:
+        """Return what acts in a run without any dispersion."""
+        values = {name: np.array([value]) for name, value in self.nominal.items()}
+        return self._acting(np.zeros(1, np.int64), values, {})
 
     def _acting(self, runs: NDArray[np.int64], values: Mapping[str, Floats],
                 drawn: Mapping[str, Floats]) -> Applied:
@@ -276,7 +283,34 @@ class Ensemble:
                 **({} if self.times_ns is None else {MOTION: motions})}
 
     def _motions(self, applied: Applied) -> _Found:
-        """Return the motions of some runs."""
+        """Return the motions of some runs; those that turn too far fail at once."""
+        messages = self._too_far(applied)
+        rows = np.flatnonzero([not message for message in messages])
+        if len(rows) == len(messages):
+            return self._computed(applied)
+        motions = np.full((len(messages), len(self._at), 7), np.nan)
+        if len(rows):
+            motions[rows], found = self._computed(self.applied(applied.runs[rows]))
+            for row, message in zip(rows.tolist(), found):
+                messages[row] = message
+        return motions, messages
+
+    def _too_far(self, applied: Applied) -> list[str]:
+        """Return the reason for each run that would turn too far to be computed, otherwise ''."""
+        without = replace(self._reach, noise=0.0).turned(self._applied_without)
+        farthest = limit(float(without[0]))
+        text = 'the body may turn by {:.3g} rad, too far to be computed (limit {:.3g} rad): ' \
+            'check the dispersions'
+        return [text.format(turned, farthest) if farthest < turned < math.inf else ''
+                for turned in self._reach.turned(applied).tolist()]
+
+    @cached_property
+    def _reach(self) -> Reach:
+        noise = sum(one.bounds[0] for one in self.dispersions if one.key == NOISE)
+        return Reach(self.logs, self.wheels, self.start.time_ns, self.end_ns, noise,
+                     Options(**self.scene.options))
+
+    def _computed(self, applied: Applied) -> _Found:
         try:
             return self._together(applied)
         except ValueError:  # rejected for all runs; one by one, each has its message

@@ -191,12 +191,12 @@ def atomic_output(path: str | Path, suffix: str) -> Iterator[Path]:
 
 
 @contextmanager
-def reported(path: str | Path) -> Iterator[None]:
-    """Turn an OSError within the context into an InputError that names the output."""
+def reported(path: str | Path, verb: str = 'write') -> Iterator[None]:
+    """Turn an OSError within the context into an InputError that names the file."""
     try:
         yield
     except OSError as error:
-        raise InputError(f'{path}: cannot write: {error.strerror or error}') from error
+        raise InputError(f'{path}: cannot {verb}: {error.strerror or error}') from error
 
 
 class Part:

@@ -26,8 +26,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+import os
 import signal
 import sys
+from threading import Event
 from types import FrameType
 from typing import Any
 
@@ -41,6 +43,8 @@ _SOON = 0.01
 
 #: The number of the first signal.
 _received: list[int] = []
+#: Set if threads may still compute when the command ends.
+_abandoned = Event()
 
 
 @contextmanager
@@ -84,6 +88,18 @@ def check() -> None:
     if _received:
         _set_alarm(0.0)
         raise KeyboardInterrupt(_received[0])
+
+
+def abandon_threads() -> None:
+    """Let `end` not wait for threads: nothing stops one in compiled code."""
+    _abandoned.set()
+
+
+def end(status: int) -> int:
+    """Return an exit status, or end the process with it if there are abandoned threads."""
+    if _abandoned.is_set():
+        os._exit(status)  # in them, Python would free what the compiled code uses
+    return status
 
 
 @contextmanager

@@ -1,0 +1,55 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Why runs failed: messages that differ in their numbers only are one cause."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import zip_longest
+import re
+
+from rigid_body_ros.common.errors import CUT
+
+#: A number that is no part of a word or unit, such as that in 'kg m^2'.
+_NUMBER = re.compile(r'(?<![\w^.])[-+]?(?:\d+\.?\d*(?:e[-+]?\d+)?|inf|nan)(?![\w^])')
+#: What stands for a number that differs, and several of them in a list.
+_OTHER = '...'
+_OTHERS = re.compile(r'\.\.\.(, \.\.\.)+')
+
+
+def causes(messages: Iterable[str]) -> dict[str, int]:
+    """
+    Return how many messages there are of each cause, in the order of the first ones.
+
+    A cause is a message in which '...' stands for the numbers that differ.
+    """
+    counts: dict[str, int] = {}
+    common: dict[str, list[str]] = {}
+    for message in messages:
+        text = message.partition(CUT)[0]  # where a long one is cut depends on its numbers
+        pattern, numbers = _NUMBER.sub('\0', text), _NUMBER.findall(text)
+        counts[pattern] = counts.get(pattern, 0) + 1
+        common[pattern] = [one if one == other else _OTHER for one, other in
+                           zip(common.get(pattern, numbers), numbers)]
+    found: dict[str, int] = {}
+    for pattern, count in counts.items():  # lists of different lengths look the same at last
+        cause = _OTHERS.sub(_OTHER, _filled(pattern, common[pattern]))
+        found[cause] = found.get(cause, 0) + count
+    return found
+
+
+def _filled(pattern: str, numbers: Iterable[str]) -> str:
+    pieces = zip_longest(pattern.split('\0'), numbers, fillvalue='')
+    return ''.join(text + number for text, number in pieces)

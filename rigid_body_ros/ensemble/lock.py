@@ -1,0 +1,96 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The lock of a folder that one process at a time writes to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import datetime, timezone
+import errno
+import os
+from pathlib import Path
+import socket
+import sys
+
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.runtime import files
+
+#: The locked file. It stays in the folder: one that is removed could be locked twice.
+NAME = 'ensemble.lock'
+
+
+@contextmanager
+def locked(folder: Path, note: Callable[[str], None]) -> Iterator[bool]:
+    """
+    Lock a folder in the context; if the process dies, the system releases the lock.
+
+    A file system without locks is no reason to refuse the folder: what another command does to it
+    is still found when the runs are put together.
+
+    Parameters
+    ----------
+    folder : Path
+        Created if it does not exist.
+    note : function
+        Takes a line for the user.
+
+    Yields
+    ------
+    bool
+        Whether the folder is locked; if not, the file system has no locks.
+
+    Raises
+    ------
+    InputError
+        Another process has locked the folder, or the file cannot be written.
+
+    """
+    with files.reported(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder / NAME, os.O_RDWR | os.O_CREAT | getattr(os, 'O_NOFOLLOW', 0),
+                         0o666)
+    try:
+        is_locked = _lock(handle, folder, note)
+        if is_locked:
+            with files.reported(folder / NAME):
+                os.ftruncate(handle, 0)
+                os.write(handle, _description().encode())
+        yield is_locked
+    finally:
+        os.close(handle)
+
+
+def _lock(handle: int, folder: Path, note: Callable[[str], None]) -> bool:
+    try:
+        if sys.platform == 'win32':
+            raise OSError(errno.ENOTSUP, 'no locks on this system')
+        from fcntl import flock, LOCK_EX, LOCK_NB
+        flock(handle, LOCK_EX | LOCK_NB)
+    except BlockingIOError:
+        who, _, since = os.read(handle, 200).decode(errors='replace').strip().partition('\n')
+        known = f', {who},' if who else ''  # it may have just locked the file
+        raise InputError(f'{folder}: another attitude_ensemble{known} writes to it '
+                         f'{since}'.rstrip()) from None
+    except OSError as error:
+        note(f'{folder}: cannot lock it ({error.strerror}); start no other command that writes '
+             'to it')
+        return False
+    return True
+
+
+def _description() -> str:
+    since = datetime.now(timezone.utc).isoformat(' ', 'seconds')
+    return f'process {os.getpid()} on host {socket.gethostname()}\nsince {since}\n'

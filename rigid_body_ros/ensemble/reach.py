@@ -1,0 +1,137 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+How far runs turn at most: a run that turns too far would take days.
+
+The energy of a body bounds its speed. Torques change the square root of twice its energy by at
+most their impulse over that of the smallest moment. Damping only lowers it, and the momentum of
+rotors does not change it. The bounds depend on the values of a run only, not on the machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.ensemble.applied import Applied
+from rigid_body_ros.kernels import body_layout
+from rigid_body_ros.propagation.options import FASTEST, Options
+from rigid_body_ros.torque import TorqueLog
+
+#: rad; how far a run may turn in steps, which take about a microsecond for each radian.
+FARTHEST = 1e7
+#: How many times as far as the nominal run, if that is more.
+_TIMES_NOMINAL = 10.0
+#: Noise in standard deviations.
+_NOISE = 5.0
+
+
+@dataclass(frozen=True)
+class Reach:
+    """
+    What turns the bodies of all runs.
+
+    Parameters
+    ----------
+    logs : iterable of TorqueLog
+    wheels : TorqueLog or None
+    start_ns, end_ns : int, ns
+    noise : float, N m
+        Standard deviation of a component of the torque.
+    options : Options
+
+    """
+
+    logs: Iterable[TorqueLog]
+    wheels: TorqueLog | None
+    start_ns: int
+    end_ns: int
+    noise: float
+    options: Options
+
+    def turned(self, applied: Applied) -> Floats:
+        """
+        Return bounds on the angles by which bodies turn in steps.
+
+        Returns
+        -------
+        array, shape (n,), rad
+            About as many steps are taken. Zero for motions in closed form and for fixed steps.
+            Not finite if that is reported elsewhere: bodies, states or torques are not possible.
+
+        """
+        impossible = [bool(body or start) for body, start in zip(applied.bodies.messages,
+                                                                 applied.starts.messages)]
+        with np.errstate(all='ignore'):
+            turned = self._rates(applied) * self._seconds(applied)
+            too_fast = _norm(applied.starts.angular_velocity) > FASTEST
+        return np.where(impossible | too_fast, np.nan, turned)
+
+    def _rates(self, applied: Applied) -> Floats:
+        """Return bounds on how fast the motions change, rad/s, shape (n,)."""
+        least = applied.bodies._constants[:, body_layout.MOMENTS:body_layout.MOMENTS + 3].min(-1)
+        rates = applied.starts.angular_velocity
+        energy = (applied.bodies.inertia * rates[:, :, None] * rates[:, None]).sum((1, 2))
+        span = (self.end_ns - self.start_ns) / 1e9
+        motors = self._impulse([self.wheels] if self.wheels else [])
+        late = sum(_largest(log) for log in self.logs) * np.minimum(
+            np.abs(applied.clock_offset), span)
+        impulse = (np.abs(applied.torque_gain) * (self._impulse(self.logs) + late) + motors
+                   + (_norm(applied.torque_bias) + _NOISE * self.noise) * span)
+        terms = (_norm(applied.starts.rotor_momentum) + motors
+                 + np.trace(applied.bodies.damping, axis1=1, axis2=2))
+        return np.sqrt(energy / least) + (impulse + terms) / least
+
+    def _seconds(self, applied: Applied) -> Floats:
+        """Return how long each motion is computed in steps, s, shape (n,)."""
+        whole = (self.end_ns - self.start_ns) / 1e9
+        if self.options.record.fixed_step:
+            return np.zeros(len(applied.runs))
+        acting = sum(float(spans[(strengths > 0.0) | (self.noise > 0.0)].sum())
+                     for strengths, spans in map(self._pieces, self.logs))
+        always = (applied.bodies.is_damped | applied.starts.has_rotors | bool(self.wheels)
+                  | applied.torque_bias.any(axis=1)
+                  | (self.options.record.closed_form_beyond == math.inf))
+        return np.where(always, whole, np.minimum(acting + np.abs(applied.clock_offset), whole))
+
+    def _impulse(self, logs: Iterable[TorqueLog]) -> float:
+        """Return a bound on the impulse of torques, N m s."""
+        return sum(float((strengths * spans).sum()) for strengths, spans in map(
+            self._pieces, logs))
+
+    def _pieces(self, log: TorqueLog) -> tuple[Floats, Floats]:
+        """Return how strong a torque is from each sample to the next, N m, and how long, s."""
+        strengths = _norm(log.torques)
+        if log.interpolation != 'hold':
+            strengths = np.maximum(strengths, np.append(strengths[1:], 0.0))
+        ends = np.clip(np.append(log.times_ns, self.end_ns), self.start_ns, self.end_ns)
+        longest = self.options.torque_timeout or math.inf
+        return strengths, np.minimum(np.diff(ends) / 1e9, longest)
+
+
+def limit(nominal: float) -> float:
+    """Return how far a run may turn if the nominal one turns at most by this angle, rad."""
+    return max(FARTHEST, _TIMES_NOMINAL * nominal)
+
+
+def _norm(vectors: Floats) -> Floats:
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1)))
+
+
+def _largest(log: TorqueLog) -> float:
+    return float(_norm(log.torques).max(initial=0.0))

@@ -1,0 +1,312 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The folder of an ensemble: one process at a time, and nothing false under a final name."""
+
+from contextlib import contextmanager, ExitStack
+import errno
+import fcntl
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import time
+
+from conftest import at_night, files_up_to
+import matplotlib.image
+import numpy as np
+import psutil
+from pyarrow import parquet
+import pytest
+from rigid_body_ros.ensemble import lock
+from test_ensemble import (
+    arguments,
+    COMMAND,
+    contents,
+    count,
+    ENVIRONMENT,
+    error_of,
+    inputs,
+    run,
+    small_blocks,
+)
+
+inputs, small_blocks = inputs, small_blocks  # fixtures, used by their names
+#: A body that turns for days, with steps for each radian, unless it is at rest.
+ENDLESS_SCENE = """/**:
+  ros__parameters:
+    inertia: {ixx: 0.1, iyy: 0.12, izz: 0.14}
+    damping: {dxx: 1.0e-15}
+"""
+ENDLESS = 'initial_angular_velocity.y: {uniform: [6.0, 7.0]}\n'
+
+
+@contextmanager
+def started(given):
+    """Start a command, and kill it at the end of the context, even if it is stopped."""
+    with subprocess.Popen([*COMMAND, *given], env=ENVIRONMENT, stdout=subprocess.DEVNULL,
+                          stderr=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def wait_for(condition, seconds=60):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, 'waited too long'
+        time.sleep(0.005)
+
+
+def everything(path):
+    """Return all files in a folder, with their bytes and times."""
+    return {str(found.relative_to(path)): (found.read_bytes(), found.stat().st_mtime_ns)
+            for found in path.rglob('*') if found.is_file()}
+
+
+def check_whole(path):
+    """Check that a folder with results has each run once, and return whether it has a summary."""
+    if (path / 'runs.parquet').exists():
+        identity = json.loads((path / 'identity.json').read_text())
+        rows = parquet.read_table(path / 'runs.parquet')
+        assert rows['run'].to_pylist() == [*range(identity['runs'])]
+    if (path / 'bands.png').exists():
+        assert matplotlib.image.imread(path / 'bands.png').size
+    if not (path / 'summary.json').exists():
+        return False
+    assert json.loads((path / 'summary.json').read_text())['runs'] == len(rows)
+    return True
+
+
+@pytest.mark.slow
+def test_a_second_command_changes_nothing(inputs, capsys):
+    run(inputs, 'whole', 6000)
+    path = inputs / 'out'
+    with started(arguments(inputs, 'out', 6000)) as first:
+        wait_for(lambda: count(path / 'blocks') or first.poll() is not None)
+        first.send_signal(signal.SIGSTOP)
+        before = everything(path)
+        for runs in (6000, 5000, 7000):
+            capsys.readouterr()
+            line = error_of(capsys, inputs, 'out', runs)
+            assert line.startswith(f'attitude_ensemble: error: {path}: another attitude_ensemble, '
+                                   f'process {first.pid} on host {socket.gethostname()}, writes '
+                                   'to it since 20')
+        assert everything(path) == before
+        assert not (path / 'summary.json').exists()
+        first.send_signal(signal.SIGCONT)
+        first.kill()
+    run(inputs, 'out', 6000)
+    assert contents(path) == contents(inputs / 'whole')
+
+
+def test_a_file_system_without_locks_is_reported(inputs, capsys, monkeypatch):
+    def none(handle, operation):
+        raise OSError(errno.ENOLCK, 'No locks available')
+    monkeypatch.setattr(fcntl, 'flock', none)
+    run(inputs, 'out', 5)
+    assert capsys.readouterr().err == (
+        f'attitude_ensemble: note: {inputs / "out"}: cannot lock it (No locks available); start '
+        'no other command that writes to it\n')
+
+
+@pytest.mark.parametrize('name', ['mine', 'lock'])
+def test_a_folder_of_something_else_gets_no_lock(inputs, capsys, name):
+    (inputs / 'out').mkdir()
+    (inputs / 'out' / name).write_text('precious')
+    assert 'expected a new folder' in error_of(capsys, inputs, 'out', 5)
+    assert [path.name for path in (inputs / 'out').iterdir()] == [name]
+
+
+def test_a_link_in_place_of_the_lock_is_not_followed(inputs, capsys):
+    run(inputs, 'out', 5)
+    (inputs / 'mine').write_text('precious')
+    (inputs / 'out' / lock.NAME).unlink()
+    (inputs / 'out' / lock.NAME).symlink_to(inputs / 'mine')
+    assert 'cannot write' in error_of(capsys, inputs, 'out', 5)
+    assert (inputs / 'mine').read_text() == 'precious'
+
+
+@pytest.mark.slow
+def test_results_of_fewer_runs_do_not_outlive_the_begin_of_more(inputs):
+    run(inputs, 'out', 20)
+    assert check_whole(inputs / 'out')
+    with started(arguments(inputs, 'out', 6000)) as process:
+        wait_for(lambda: count(inputs / 'out' / 'blocks') > 20 or process.poll() is not None)
+        process.kill()
+    for name in ('summary.json', 'bands.png', 'runs.parquet'):
+        assert not (inputs / 'out' / name).exists()
+
+
+def flipped(path, other):
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes(data)
+
+
+@pytest.mark.usefixtures('small_blocks')
+@pytest.mark.parametrize('change', [
+    flipped,
+    lambda path, other: path.write_bytes(path.read_bytes()[:-9]),
+    lambda path, other: path.write_bytes(b''),
+    lambda path, other: shutil.copy(other, path),
+    lambda path, other: (path.unlink(), shutil.copy(other, path.parent)),
+    lambda path, other: path.rename(path.with_name(f'{path.name[:19]}.parquet')),
+    lambda path, other: shutil.copy(sorted(path.parent.iterdir())[2], path),
+], ids=['bit', 'short', 'empty', 'content', 'file', 'without digest', 'other runs'])
+def test_a_block_that_does_not_fit_is_computed_again(inputs, capsys, change):
+    run(inputs, 'other', 20, '--seed', 1)
+    run(inputs, 'out', 20)
+    expected = contents(inputs / 'out')
+    change(*(sorted((inputs / name / 'blocks').iterdir())[1] for name in ('out', 'other')))
+    capsys.readouterr()
+    run(inputs, 'out', 20)
+    assert capsys.readouterr().err == (
+        f'attitude_ensemble: note: {inputs / "out"}: ignored blocks that are damaged or from '
+        'elsewhere, of the runs 5 to 9; what is missing is computed again\n')
+    assert contents(inputs / 'out') == expected
+    run(inputs, 'out', 20)
+    assert capsys.readouterr().err == ''
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('number', 'more'), [
+    (signal.SIGINT, []), (signal.SIGTERM, []), *at_night((signal.SIGTERM, ['--times', '1e-3']))])
+def test_a_signal_ends_endless_runs(inputs, number, more):
+    (inputs / 'scene.yaml').write_text(ENDLESS_SCENE)
+    (inputs / 'vary.yaml').write_text(ENDLESS)
+    given = [one for one in arguments(inputs, 'out', 50_000, '--until', 1e6, *more)
+             if one not in ('--recording', str(inputs / 'in.csv'))]
+    with started(given) as process:
+        wait_for(lambda: computes(process) or process.poll() is not None)
+        sent = time.monotonic()
+        process.send_signal(number)
+        _, error = process.communicate(timeout=60)
+        assert time.monotonic() - sent < 2.0
+    assert process.returncode == 128 + number
+    assert error == ('attitude_ensemble: interrupted; the same command goes on with what is in '
+                     f'{inputs / "out"}\n')
+    assert not (inputs / 'out' / 'runs.parquet').exists()
+
+
+def computes(process):
+    """Return whether a process has threads that have computed for a while."""
+    threads = psutil.Process(process.pid).threads()
+    return sum(thread.user_time for thread in threads if thread.id != process.pid) > 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('tries', 'seed'), [(2, 1), *at_night((50, 2))])
+def test_commands_that_race_and_die_leave_nothing_false(inputs, tries, seed):
+    began = time.monotonic()
+    with started(arguments(inputs, 'whole', 3000)) as process:
+        process.communicate()
+    seconds, random = time.monotonic() - began, np.random.default_rng(seed)
+    run(inputs, 'fewer', 2500)
+    expected = {runs: contents(inputs / name) for runs, name in ((3000, 'whole'),
+                                                                 (2500, 'fewer'))}
+    for number in range(tries):
+        name = f'out{number}'
+        race(inputs, name, random, seconds)
+        check_whole(inputs / name)
+        run(inputs, name, 3000)
+        assert check_whole(inputs / name)
+        assert contents(inputs / name) == expected[3000]
+        shutil.rmtree(inputs / name)
+
+
+def race(inputs, name, random, seconds):
+    """Start commands on a folder at random times, and kill them at random times."""
+    count = int(random.integers(2, 4))
+    events = [(float(when), 'start', k) for k, when in enumerate(
+        random.uniform(0.0, 0.5 * seconds, count))]
+    events += [(when + float(random.uniform(0.3, 1.2)) * seconds, 'kill', k)
+               for when, _, k in events]
+    runs, processes = random.choice([2500, 3000], count).tolist(), {}
+    began = time.monotonic()
+    with ExitStack() as stack:
+        for when, kind, k in sorted(events):
+            time.sleep(max(0.0, began + when - time.monotonic()))
+            if kind == 'start':
+                processes[k] = stack.enter_context(started(arguments(inputs, name, runs[k])))
+                continue
+            processes[k].kill()
+            _, error = processes[k].communicate()
+            lines = len(error.splitlines())
+            assert (processes[k].returncode, lines) in (
+                (0, 0), (2, 1), (-signal.SIGKILL, 0), (-signal.SIGKILL, 1)), error
+
+
+@contextmanager
+def small_disk(path, size):
+    """Mount a file system of some size, B, at a new folder; yield a function that enlarges it."""
+    path.mkdir()
+    mount = ['mount', '-t', 'tmpfs', '-o', f'size={size}', 'tmpfs', str(path)]
+    if os.geteuid() or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip('cannot mount a file system here')
+    try:
+        yield lambda: subprocess.run(['mount', '-o', 'remount,size=256m', str(path)], check=True)
+    finally:
+        subprocess.run(['umount', '-l', str(path)], check=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('share', 'more'), [
+    (0.5, []), (0.85, ['--times', 7]),
+    *at_night(*((float(share), more) for more in ([], ['--times', 7])
+                for share in np.random.default_rng(3).uniform(0.0, 1.0, 15).round(3)))])
+def test_a_full_disk_is_one_line_and_the_folder_is_resumed(inputs, capsys, share, more):
+    run(inputs, 'whole', 3000, *more)
+    size = sum(-(-path.stat().st_size // 4096) * 4096 for path in (inputs / 'whole').rglob('*'))
+    with small_disk(inputs / 'disk', max(4096, round(share * size))) as enlarge:
+        path = inputs / 'disk' / 'out'
+        capsys.readouterr()
+        line = error_of(capsys, inputs, 'disk/out', 3000, *more)
+        assert line.startswith(f'attitude_ensemble: error: {path}')
+        assert 'No space left on device' in line
+        assert not check_whole(path)
+        enlarge()
+        run(inputs, 'disk/out', 3000, *more)
+        assert capsys.readouterr().err == ''  # no block was damaged
+        assert contents(path) == contents(inputs / 'whole')
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('share', [0.0, 0.1, 0.9, *at_night(0.01, 0.03, 0.2, 0.3, 0.5, 0.7)])
+def test_a_write_that_fails_is_one_line_and_the_folder_is_resumed(inputs, capsys, share):
+    run(inputs, 'whole', 3000, '--times', 7)
+    largest = max(path.stat().st_size for path in (inputs / 'whole').rglob('*'))
+    capsys.readouterr()
+    with files_up_to(round(share * largest)):
+        line = error_of(capsys, inputs, 'out', 3000, '--times', 7)
+    assert line.startswith(f'attitude_ensemble: error: {inputs / "out"}')
+    assert 'File too large' in line
+    assert not check_whole(inputs / 'out')
+    run(inputs, 'out', 3000, '--times', 7)
+    assert capsys.readouterr().err == ''
+    assert contents(inputs / 'out') == contents(inputs / 'whole')
+
+
+def test_a_run_that_is_missing_is_found_before_the_table_has_its_name(inputs, capsys,
+                                                                      monkeypatch):
+    from rigid_body_ros.ensemble import driver
+    add = driver.threads(1)
+    monkeypatch.setattr(driver, 'threads', lambda workers: lambda ensemble, spans: add(
+        ensemble, spans[:-1]))
+    line = error_of(capsys, inputs, 'out', 320)
+    assert 'expected each of 320 runs once, found run 310 missing or twice' in line
+    assert not (inputs / 'out' / 'runs.parquet').exists()
