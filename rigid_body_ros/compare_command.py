@@ -32,9 +32,9 @@ from rigid_body_ros.arguments import (
     parsed,
     Parser,
     positive,
+    show_summary,
 )
 from rigid_body_ros.runtime import files
-from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
     from rigid_body_ros.measurement import Comparison
@@ -51,8 +51,7 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
         found = _compared(options, scene)
         _write(options, found, scene)
     from rigid_body_ros.measurement.summary import summary
-    written = ', '.join(name for name, _ in _outputs(options))
-    show(summary(found) + (f'\n{"wrote":17}{written}' if written else ''))
+    show_summary(summary(found), 17, [name for name, _ in _outputs(options)])
     return 0
 
 

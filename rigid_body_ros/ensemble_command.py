@@ -38,10 +38,10 @@ from rigid_body_ros.arguments import (
     parsed,
     Parser,
     positive,
+    show_summary,
 )
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime import files
-from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
     from rigid_body_ros.ensemble.driver import Pool
@@ -74,8 +74,7 @@ def attitude_ensemble(arguments: Sequence[str] | None) -> int:
         _draw(options, folder.path / 'bands.png', found)
         if options.report:
             _write_page(options, found, ensemble.scene)
-    written = ', '.join(filter(None, [options.output, options.report]))
-    show(f'{summary.text_of(found)}\n{"wrote":17}{written}')
+    show_summary(summary.text_of(found), 17, filter(None, [options.output, options.report]))
     return 0
 
 

@@ -32,10 +32,11 @@ from rigid_body_ros.arguments import (
     parsed,
     Parser,
     positive,
+    show_summary,
 )
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime import files
-from rigid_body_ros.runtime.terminal import report, show
+from rigid_body_ros.runtime.terminal import report
 
 if TYPE_CHECKING:
     from rigid_body_ros.identification import Experiment, Identification
@@ -56,7 +57,7 @@ def attitude_identify(arguments: Sequence[str] | None) -> int:
         written = _write(options, found, first, scene) if found.is_complete or options.force \
             else []
     from rigid_body_ros.identification.summary import summary
-    show(summary(found) + (f'\n{"wrote":17}{", ".join(written)}' if written else ''))
+    show_summary(summary(found), 17, written)
     if not found.is_complete:
         report(f'{options.command}: {_incomplete(options, found)}')
     return OK if found.is_complete else PARTIAL

@@ -26,11 +26,12 @@ from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.measurement.alignment import Alignment
 from rigid_body_ros.measurement.comparison import Comparison, statistics
 from rigid_body_ros.measurement.motion import Model
+from rigid_body_ros.report.text import lines
 
 
 def summary(found: Comparison) -> str:
     """Return a summary, one line per fact."""
-    return '\n'.join(f'{name:17}{text}' for name, text in rows(found))
+    return lines(f'{name:17}{text}' for name, text in rows(found))
 
 
 def rows(found: Comparison) -> Iterator[tuple[str, str]]:
