@@ -28,6 +28,7 @@ from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.terminal import report, show
 
 if TYPE_CHECKING:
+    from rigid_body_ros.measurement import Measured
     from rigid_body_ros.scene import Scene
 
 
@@ -122,6 +123,13 @@ def load_scene(options: argparse.Namespace) -> Scene:
 def note(options: argparse.Namespace, text: str) -> None:
     """Print a note of the command."""
     report(f'{options.command}: note: {text}')
+
+
+def warn_of_frames(options: argparse.Namespace, path: str, measured: Iterable[Measured]) -> None:
+    """Warn of measurements in other frames than those of the scene."""
+    for one in measured:
+        if one.frames:
+            report(f'{options.command}: warning: {path}: {one.topic}: {one.frames}')
 
 
 def show_summary(summary: str, width: int, outputs: Iterable[str]) -> None:

@@ -33,6 +33,7 @@ from rigid_body_ros.arguments import (
     Parser,
     positive,
     show_summary,
+    warn_of_frames,
 )
 from rigid_body_ros.runtime import files
 
@@ -49,6 +50,7 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
         files.check(*_outputs(options))
         scene = load_scene(options)
         found = _compared(options, scene)
+        warn_of_frames(options, options.recording, found.measured)
         _write(options, found, scene)
     from rigid_body_ros.measurement.summary import summary
     show_summary(summary(found), 17, [name for name, _ in _outputs(options)])
@@ -120,7 +122,8 @@ def compare_parser() -> argparse.ArgumentParser:
                         'or Vector3Stamped, an angular velocity); may be repeated (default: the '
                         'only topic of one of these types but the last)')
     parser.add_argument('--frames', nargs=2, metavar=('PARENT', 'CHILD'),
-                        help='the two frames of measured transforms (default: those of the scene)')
+                        help='the two frames of measured transforms or odometry (default: those '
+                        'of the scene)')
     add_torques(parser)
     parser.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
                         help="interpolation of the torques between samples (default: the scene's)")
