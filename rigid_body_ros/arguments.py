@@ -17,17 +17,18 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 import os
 import shlex
 import sys
-from typing import Any, TYPE_CHECKING
+from typing import Any, NoReturn, TYPE_CHECKING
 
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, printable
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.terminal import report, show
 
 if TYPE_CHECKING:
+    from rigid_body_ros.measurement import Measured
     from rigid_body_ros.scene import Scene
 
 
@@ -60,6 +61,10 @@ class Parser(argparse.ArgumentParser):
         super().__init__(prog=prog, description=description)
         self.register('action', None, _Once)
         self.set_defaults(command=prog)
+
+    def error(self, message: str) -> NoReturn:
+        """Report an error; unlike argparse, escape what a terminal would not print."""
+        super().error(printable(message))
 
     def print_help(self, file: Any = None) -> None:
         """Print the help; unlike argparse, raise InputError if it cannot be written."""
@@ -118,6 +123,19 @@ def load_scene(options: argparse.Namespace) -> Scene:
 def note(options: argparse.Namespace, text: str) -> None:
     """Print a note of the command."""
     report(f'{options.command}: note: {text}')
+
+
+def warn_of_frames(options: argparse.Namespace, path: str, measured: Iterable[Measured]) -> None:
+    """Warn of measurements in other frames than those of the scene."""
+    for one in measured:
+        if one.frames:
+            report(f'{options.command}: warning: {path}: {one.topic}: {one.frames}')
+
+
+def show_summary(summary: str, width: int, outputs: Iterable[str]) -> None:
+    """Print a summary, and the names of the outputs below, in a column of the same width."""
+    names = ', '.join(outputs)
+    show(summary + (f'\n{"wrote":{width}}{printable(names)}' if names else ''))
 
 
 def torque_options(options: argparse.Namespace) -> dict[str, Any]:

@@ -37,6 +37,7 @@ from rigid_body_ros.arguments import (
     parsed,
     Parser,
     positive,
+    show_summary,
     torque_options,
 )
 from rigid_body_ros.common.errors import InputError, listed
@@ -153,8 +154,7 @@ def _replay_one(options: argparse.Namespace) -> int:
     if options.report:
         with files.protected('output', options.output, options.plot):
             _write_page(options, result, Path(path).name)
-    written = ', '.join(name for name, _ in outputs)
-    show(summary(result) + (f'\n{"wrote":14}{written}' if written else ''))
+    show_summary(summary(result), 14, [name for name, _ in outputs])
     return OK
 
 

@@ -32,9 +32,10 @@ from rigid_body_ros.arguments import (
     parsed,
     Parser,
     positive,
+    show_summary,
+    warn_of_frames,
 )
 from rigid_body_ros.runtime import files
-from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
     from rigid_body_ros.measurement import Comparison
@@ -49,10 +50,10 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
         files.check(*_outputs(options))
         scene = load_scene(options)
         found = _compared(options, scene)
+        warn_of_frames(options, options.recording, found.measured)
         _write(options, found, scene)
     from rigid_body_ros.measurement.summary import summary
-    written = ', '.join(name for name, _ in _outputs(options))
-    show(summary(found) + (f'\n{"wrote":17}{written}' if written else ''))
+    show_summary(summary(found), 17, [name for name, _ in _outputs(options)])
     return 0
 
 
@@ -121,7 +122,8 @@ def compare_parser() -> argparse.ArgumentParser:
                         'or Vector3Stamped, an angular velocity); may be repeated (default: the '
                         'only topic of one of these types but the last)')
     parser.add_argument('--frames', nargs=2, metavar=('PARENT', 'CHILD'),
-                        help='the two frames of measured transforms (default: those of the scene)')
+                        help='the two frames of measured transforms or odometry (default: those '
+                        'of the scene)')
     add_torques(parser)
     parser.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
                         help="interpolation of the torques between samples (default: the scene's)")

@@ -38,10 +38,10 @@ from rigid_body_ros.arguments import (
     parsed,
     Parser,
     positive,
+    show_summary,
 )
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime import files
-from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
     from rigid_body_ros.ensemble.driver import Pool
@@ -75,8 +75,7 @@ def attitude_ensemble(arguments: Sequence[str] | None) -> int:
             folder.finish({**identity, **found})
             if options.report:
                 _write_page(options, found, ensemble.scene)
-    written = ', '.join(filter(None, [options.output, options.report]))
-    show(f'{summary.text_of(found)}\n{"wrote":17}{written}')
+    show_summary(summary.text_of(found), 17, filter(None, [options.output, options.report]))
     if found['failed'] == found['runs']:
         raise InputError(f'{options.output}: expected runs that can be computed, found that all '
                          f'{found["runs"]} failed')

@@ -32,10 +32,12 @@ from rigid_body_ros.arguments import (
     parsed,
     Parser,
     positive,
+    show_summary,
+    warn_of_frames,
 )
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime import files
-from rigid_body_ros.runtime.terminal import report, show
+from rigid_body_ros.runtime.terminal import report
 
 if TYPE_CHECKING:
     from rigid_body_ros.identification import Experiment, Identification
@@ -56,7 +58,7 @@ def attitude_identify(arguments: Sequence[str] | None) -> int:
         written = _write(options, found, first, scene) if found.is_complete or options.force \
             else []
     from rigid_body_ros.identification.summary import summary
-    show(summary(found) + (f'\n{"wrote":17}{", ".join(written)}' if written else ''))
+    show_summary(summary(found), 17, written)
     if not found.is_complete:
         report(f'{options.command}: {_incomplete(options, found)}')
     return OK if found.is_complete else PARTIAL
@@ -83,14 +85,16 @@ def _identified(options: argparse.Namespace,
     """Return the result, and the first recording."""
     from rigid_body_ros import replay
     from rigid_body_ros.identification import identify
-    from rigid_body_ros.identification.recorded import read_experiment
+    from rigid_body_ros.identification.recorded import read_experiments
     from rigid_body_ros.measurement.recorded import Reading
     reading = Reading(options.interpolation, options.time_source,
                       options.frames and tuple(options.frames),
                       replay.progress('reading', size=len))
     topics = replay.topics_of(options.topic, options.wheel_torque, options.wheel_momentum)
-    experiments = [read_experiment(path, scene, options.measured or (), topics, reading)
-                   for path in options.recording]
+    experiments = read_experiments(options.recording, scene, options.measured or (), topics,
+                                   reading)
+    for path, experiment in zip(options.recording, experiments):
+        warn_of_frames(options, path, experiment.measured)
     try:
         found = identify(scene.body, experiments, estimate=options.estimate,
                          attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
@@ -150,7 +154,8 @@ def identify_parser() -> argparse.ArgumentParser:
                         help='measured topic, as for attitude_compare; may be repeated (default: '
                         'the only topic of an attitude)')
     parser.add_argument('--frames', nargs=2, metavar=('PARENT', 'CHILD'),
-                        help='the two frames of measured transforms (default: those of the scene)')
+                        help='the two frames of measured transforms or odometry (default: those '
+                        'of the scene)')
     parser.add_argument('--estimate', type=_names, default=('inertia', 'start'), metavar='NAMES',
                         help='what to estimate, separated by commas: inertia or inertia_diagonal, '
                         'start, torque_gain, torque_bias, clock_offset, mount, gyro_bias, '

@@ -16,13 +16,14 @@
 
 from dataclasses import replace
 
-from conftest import at_night
+from conftest import at_night, memory_limit
 from measurements import free, INERTIA, truth
 import numpy as np
 import pytest
 from rigid_body_ros import compare, Measured, RigidBody, so3, State, TorqueLog
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.measurement.motion import Recorded
+from rigid_body_ros.measurement.horizons import horizon
+from rigid_body_ros.measurement.motion import Model, Recorded
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -160,6 +161,15 @@ def test_horizons_see_the_model_not_the_distance():
     assert short < 0.3 * long < found['attitude_error_rad']['rms']
 
 
+def test_horizons_skip_a_gap_of_any_length():
+    known = free()
+    sensor = known.measured(1e-4)
+    sensor.stamps[-2:] += 10 ** 18
+    model = Model(known.body, known.start)
+    with memory_limit(100e6):
+        assert len(horizon(model, [sensor], 0.5).angles) == 39
+
+
 def test_a_recorded_motion_is_interpolated():
     motion = truth()
     states = Recorded(motion.measured().rows(np.arange(0, 2000, 2)))
@@ -210,6 +220,7 @@ def test_rotors_damping_and_torques_in_space_axes_are_known():
     ({'stamps': np.zeros(2000, int)}, '/imu: expected increasing stamps'),
     ({'stamps': np.arange(2000.0)}, '/imu: stamps: expected integer nanoseconds'),
     ({'attitude': None, 'angular_velocity': None}, '/imu: expected attitudes or angular'),
+    ({'angular_velocity': np.full((2000, 3), 2e9)}, r'at most 1e\+09 rad/s, found 2e\+09'),
     ({'attitude': np.zeros((2000, 3))}, r'/imu: attitude: expected finite numbers of shape '),
     ({'attitude': np.ones((2000, 4))}, '/imu: attitude: expected unit quaternions, found norms'),
     ({'angular_velocity': np.full((2000, 3), np.nan)}, '6000 that are not finite')])

@@ -19,10 +19,17 @@ import os
 import socket
 import stat
 
-from conftest import files_up_to
+from conftest import CONFIG, files_up_to, RECORDINGS
 import pytest
+from rigid_body_ros import recording, scene
+from rigid_body_ros.measurement import read_measured
+from rigid_body_ros.measurement.recorded import compare_recording, read_motion
+from rigid_body_ros.replay import replay
 from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime.reading import read_json
 from rigid_body_ros.scene import InputError
+
+TUMBLER = scene.load(CONFIG / 'tumbler.yaml')
 
 
 def write(path, text='new'):
@@ -345,3 +352,18 @@ def test_an_incomplete_file_gets_a_free_name(tmp_path):
         assert (tmp_path / f'out.partial.{number}.mcap').read_text() == str(number)
         part.discard()
     assert len(list(tmp_path.iterdir())) == 3
+
+
+@pytest.mark.parametrize('suffix', ['', '.mcap', '.db3', '.mcap.zst', '.yaml'])
+@pytest.mark.parametrize('use', [
+    recording.read, lambda path: recording.topics(path, recording.TORQUES), read_measured,
+    scene.load, lambda path: replay(path, TUMBLER), lambda path: read_motion(path, TUMBLER),
+    lambda path: compare_recording(path, TUMBLER), lambda path: read_json(path, 'fit'),
+    lambda path: replay(RECORDINGS / 'tumbler.mcap', TUMBLER, path),
+    lambda path: recording.Writer(path).__enter__(),
+    lambda path: recording.FolderWriter(path).__enter__(),
+    lambda path: files.check((path, '.png')),
+    lambda path: files.protected('scene', path).__enter__()])
+def test_a_path_with_a_null_byte_is_one_line(tmp_path, use, suffix):
+    with pytest.raises(InputError, match=r'a\\x00b.*: .*null byte|expected a name ending in'):
+        use(tmp_path / f'a\0b{suffix}')

@@ -16,6 +16,8 @@
 
 from html import escape
 import json
+import os
+import shutil
 
 import measurements
 from measurements import header, INERTIA, messages_of, torque_messages, Vector3, Vector3Stamped
@@ -116,6 +118,21 @@ def test_two_recordings(tumble):
     assert {'initial_attitude.x', 'initial_attitude.x[2]'} <= estimates.keys()
 
 
+@pytest.mark.parametrize('copied', [shutil.copy, os.link, os.symlink, record])
+def test_the_same_measurements_twice_are_not_independent(tumble, capsys, copied):
+    one, two = tumble / 'in.mcap', tumble / 'copy.mcap'
+    if copied is record:  # other bytes
+        truth = measurements.truth()
+        record(two, truth, truth.measured(2e-3, 5e-3), 'Odometry')
+    else:
+        copied(one, two)
+    assert identify(tumble, '-o', tumble / 'fitted.yaml', recordings=('in.mcap', 'copy.mcap')) == 2
+    assert capsys.readouterr().err == (
+        f'attitude_identify: error: {two}: /imu: expected measurements of its own, found those of '
+        f'{one}: /imu\n')
+    assert not (tumble / 'fitted.yaml').exists()
+
+
 @pytest.mark.slow
 def test_an_incomplete_answer_has_exit_status_3_and_no_outputs(tumble, capsys):
     names = 'fitted.yaml', 'out.json', 'errors.png', 'page.html'
@@ -200,6 +217,18 @@ def test_useless_measurements_have_exit_status_2(tumble, capsys, change, message
     assert identify(tumble) == 2
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert message in error
+
+
+def test_measurements_of_another_robot_are_a_warning(tumble, capsys):
+    truth = measurements.truth()
+    path = tumble / 'in.mcap'
+    sent = [*messages_of('Imu', truth.measured(2e-3, 5e-3))]
+    for _, message in sent:
+        message.header.frame_id = 'b/imu'
+    measurements.write(path, torque=torque_messages(truth), imu=sent)
+    assert identify(tumble, '--estimate', 'start') == 0
+    assert capsys.readouterr().err == (f'attitude_identify: warning: {path}: /imu: expected '
+                                       "frame_id 'base_link', found 'b/imu'\n")
 
 
 @pytest.mark.parametrize('text', ['mass', 'inertia,inertia', 'inertia,inertia_diagonal', ''])

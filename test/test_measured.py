@@ -19,7 +19,7 @@ import json
 import shutil
 
 from bags import Sent
-from conftest import EPOCH_NS, SECOND
+from conftest import EPOCH_NS, memory_limit, SECOND
 from measurements import (
     messages_of,
     Quaternion,
@@ -116,6 +116,35 @@ def test_messages_without_a_finite_value_are_rejected(tmp_path, measured):
     assert (len(found), found.rejected) == (97, 3)
 
 
+def test_impossible_rates_are_rejected_like_those_that_are_not_finite(run, tmp_path, measured):
+    bad = measured.rows(np.arange(1000))
+    bad.angular_velocity[3:9:2] = [[1e300, 0.0, 0.0], [0.0, -1.1e9, 0.0], [-np.inf, 0.0, 0.0]]
+    path = write(tmp_path / 'it.mcap', torque=torque_messages(truth()),
+                 imu=messages_of('Imu', bad))
+    status, shown, error = run('--align', 'clock', path=path)
+    assert (status, error) == (0, '')
+    assert 'rejected         3 messages without a finite value up to 1e+09 rad/s\n' in shown
+    bad.angular_velocity[:, 1] = 1e300
+    assert read_measured(only(tmp_path, 'Imu', bad), '/it').angular_velocity is None
+    with pytest.raises(InputError, match='at least 4 messages with a finite .*, found 0 among 1'):
+        read_measured(only(tmp_path, 'Vector3Stamped', bad), '/it')
+
+
+INVALID = [np.diag([-1e-6, 1e-6, 1e-6]), np.full((3, 3), np.nan), np.diag([1e-6, np.nan, 1e-6]),
+           [[1e-6, 1e300, 0.0], [1e300, 1e-6, 0.0], [0.0, 0.0, 1e-6]], np.full((3, 3), 1e-6),
+           [[1e-6, 0.0, 0.0], [0.0, 1e-6, -2e-6], [0.0, -2e-6, 1e-6]]]
+
+
+@pytest.mark.parametrize('covariance', INVALID)
+@pytest.mark.parametrize('kind', [*BOTH, 'PoseWithCovarianceStamped'])
+def test_an_invalid_covariance_is_unknown(tmp_path, measured, kind, covariance):
+    sensor = measured.rows(np.arange(9))
+    found = read_measured(only(tmp_path, kind, sensor, covariance, covariance), '/it')
+    assert len(found) == 9
+    assert found.attitude_covariance is None
+    assert found.rate_covariance is None
+
+
 def test_messages_out_of_order_are_sorted(tmp_path, measured):
     order = np.random.default_rng(1).permutation(50)
     sensor = measured.rows(np.append(order, [5, 6]))
@@ -131,6 +160,57 @@ def test_transforms_of_other_frames_are_ignored(tmp_path, measured):
     assert found.attitude.tolist() == [[1.0, 0.0, 0.0, 0.0]] * 2000
     with pytest.raises(InputError, match="from 'world' to 'x', found none; choose other frames"):
         read_measured(path, '/it', frames=('world', 'x'))
+
+
+def test_frames_are_chosen_from_transforms_alone(run, tmp_path, measured):
+    path = write(tmp_path / 'it.mcap', torque=torque_messages(truth()),
+                 imu=messages_of('Imu', measured), tf=messages_of('TFMessage', measured))
+    frames = '--frames', 'world', 'base_link'
+    status, shown, error = run(*frames, '--measured', '/imu', path=path)
+    assert (status, shown) == (2, '')
+    assert '/imu: --frames: expected a topic of transforms or odometry, found sensor_msgs' in error
+    assert run(*frames, '--measured', '/imu', '--measured', '/tf', path=path)[0] == 0
+    assert 'transforms from' in run('--frames', 'world', 'x', '--measured', '/imu', '--measured',
+                                    '/tf', path=path)[2]
+
+
+def renamed(pairs, parent, child=''):
+    """Change the frames of messages."""
+    for stamp, message in pairs:
+        message.header.frame_id = parent
+        if hasattr(message, 'child_frame_id'):
+            message.child_frame_id = child
+        yield stamp, message
+
+
+@pytest.mark.parametrize(('kind', 'parent', 'child', 'warning'), [
+    ('Odometry', 'odom', 'b/base_link', "frames 'world' to 'base_link', found 'odom' to 'b/base_"),
+    ('TransformStamped', 'world', 'b', "frames 'world' to 'base_link', found 'world' to 'b'"),
+    ('Imu', 'b/imu', '', "frame_id 'base_link', found 'b/imu'"),
+    ('PoseStamped', 'base_link', '', "frame_id 'world', found 'base_link'"),
+    ('Odometry', '', '', ''), ('Odometry', 'world', 'base_link', ''), ('Imu', '', '', '')])
+def test_measurements_of_other_frames_are_a_warning(run, tmp_path, measured, kind, parent, child,
+                                                    warning):
+    sensor = measured.rows(np.arange(200))
+    path = write(tmp_path / 'it.mcap', torque=torque_messages(truth()),
+                 it=renamed(messages_of(kind, sensor), parent, child))
+    status, _, error = run(path=path)
+    assert status == 0
+    assert error.count('\n') == bool(warning)
+    if warning:
+        assert error.startswith(f'attitude_compare: warning: {path}: /it: expected {warning}')
+
+
+@pytest.mark.parametrize('kind', ['Odometry', 'TransformStamped'])
+def test_two_bodies_in_one_topic_are_told_apart(tmp_path, measured, kind):
+    sent = [*messages_of(kind, measured.rows(np.arange(40)))]
+    [*renamed(sent[1::2], 'world', 'b')]
+    path = write(tmp_path / 'it.mcap', it=sent)
+    with pytest.raises(InputError, match="one pair of frames, found 'world' to 'base_link', "
+                                         "'world' to 'b'; choose one with --frames"):
+        read_measured(path)
+    found = read_measured(path, frames=('world', 'b'))
+    np.testing.assert_array_equal(found.stamps, measured.stamps[1:40:2])
 
 
 @pytest.mark.parametrize('little_endian', [True, False])
@@ -179,6 +259,15 @@ def test_the_command_reports_the_noise(run, tmp_path):
     assert found['rate_error_rad_s']['rms'] == pytest.approx(3 ** 0.5 * 2e-3, rel=0.05)
     assert [(each['seconds'], each['windows']) for each in found['horizons']] == [(1, 19), (5, 3)]
     assert found['residual_torque_N_m']['rms'] < 1e-3
+
+
+@pytest.mark.parametrize('seconds', ['1e-9', '1e-6', '0.005'])
+def test_a_horizon_shorter_than_the_spacing_is_an_error(run, bag, seconds):
+    with memory_limit(100e6):
+        status, shown, error = run('--horizon', seconds)
+    assert (status, shown) == (2, '')
+    assert error == (f'attitude_compare: error: {bag}: /imu: expected a horizon of at least 0.01 '
+                     f's, the time between two samples, found {float(seconds):g} s\n')
 
 
 def test_the_command_writes_errors_and_a_plot(run, tmp_path):

@@ -14,13 +14,13 @@
 
 """Figures: data, labels and units."""
 
-from conftest import at_night, EPOCH_NS
+from conftest import at_night, EPOCH_NS, SECOND
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, State, TorqueLog
-from rigid_body_ros.report import figures
+from rigid_body_ros.report import figures, spread
 
 
 @pytest.fixture
@@ -118,3 +118,20 @@ def test_the_labels_of_a_trade_stay_inside_the_picture(tmp_path, monkeypatch):
     texts = [text.get_text() for text in drawn[0].axes[0].get_legend().get_texts()]
     assert texts[-5:] == ['rounding floor 2e-16 rad', 'last digits 2e-16 rad', 'target 1e-06 rad',
                           'target 0.1 rad', 'linear interpolation 3e+00 rad']
+
+
+def test_any_name_is_drawn_as_it_is_and_powers_of_ten_as_formulas(tmp_path, monkeypatch):
+    drawn, name = [], '$\\frac{$ \x1b[2J\n机器😀 العربية'
+    for module in (figures, spread):
+        monkeypatch.setattr(module, 'Figure', lambda *arguments, **options: drawn.append(
+            figure := Figure(*arguments, **options)) or figure)
+    times = np.arange(5) * SECOND
+    panel = figures.Panel(name, 'rad', times, np.geomspace(1e-6, 1.0, 15).reshape(5, 3))
+    figures.errors(tmp_path / 'a.png', [panel], panel, [], {}, name)
+    figures.work_precision(tmp_path / 'b.png', {name: ([1e-9], [1e-3])}, name, {name: 1e-6})
+    found = {'runs': 2, 'failed': 0, 'histogram': {'edges_rad': [0.0, 1.0], 'runs': [2]},
+             'angle_from_nominal_rad': dict.fromkeys(('p5', 'p50', 'p95'), 0.5)}
+    spread.draw(tmp_path / 'c.png', found, [(name, 0.5)], name)
+    assert all(figure.get_suptitle().startswith('$\\frac{$ \\x1b[2J\\n机器😀') for figure in drawn)
+    assert '$\\mathdefault{10^{-6}}$' in [
+        text.get_text() for text in drawn[0].axes[0].get_yticklabels() if text.get_parse_math()]

@@ -43,11 +43,20 @@ class InputError(ValueError):
 
 def shortened(text: str, longest: int = LONGEST) -> str:
     """Return a text as one line: cut in the middle, with nonprintable characters escaped."""
-    text = _cut(text, longest)
+    return _cut(printable(_cut(text, longest)), longest)
+
+
+def printable(text: str) -> str:
+    """
+    Return a text with nonprintable characters escaped, so that a terminal only prints it.
+
+    These are control characters, line breaks of any kind, and characters that change the
+    direction of the text.
+    """
     if text.isprintable():
         return text
-    return _cut(''.join(char if char.isprintable() else char.encode('unicode_escape').decode()
-                        for char in text), longest)
+    return ''.join(char if char.isprintable() else char.encode('unicode_escape').decode()
+                   for char in text)
 
 
 def quoted(value: object) -> str:

@@ -28,6 +28,7 @@ from rigid_body_ros.ensemble.folder import Folder
 from rigid_body_ros.ensemble.histogram import histogram
 from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
+from rigid_body_ros.report.text import lines
 
 _PERCENTILES = (1, 5, 25, 50, 75, 95, 99, 100)
 #: Number of the first runs from which rank correlations are computed.
@@ -65,7 +66,7 @@ def text_of(found: Mapping[str, Any]) -> str:
     depends = [f'{name} (rank correlation {value:.2f})'
                for name, value in ranked(found)[:_PRINTED]]
     names = ['depends on', *[''] * _PRINTED]
-    return '\n'.join(f'{name:17}{text}' for name, text in [*rows(found), *zip(names, depends)])
+    return lines(f'{name:17}{text}' for name, text in [*rows(found), *zip(names, depends)])
 
 
 def rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:

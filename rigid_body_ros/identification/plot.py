@@ -22,6 +22,7 @@ import numpy as np
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.result import Identification
 from rigid_body_ros.report import figures
+from rigid_body_ros.report.labels import literal
 
 
 def draw(path: str | Path, found: Identification, experiment: Experiment, name: str) -> None:
@@ -50,11 +51,12 @@ def draw(path: str | Path, found: Identification, experiment: Experiment, name: 
     parts: dict[str, list[figures.Panel]] = {}
     for one in found.residuals:
         if one.recording == 0 and one.inliers.any():
-            label = f'{one.topic}:\n' + ('attitude' if one.is_attitude else 'rate') + ' error'
-            parts.setdefault(label, []).append(figures.Panel(
-                label, 'rad' if one.is_attitude else 'rad/s', one.stamps[one.inliers], one.kept))
-    panels = [figures.Panel(label, each[0].unit,
+            quantity, unit = ('attitude', 'rad') if one.is_attitude else ('rate', 'rad/s')
+            parts.setdefault(one.name, []).append(figures.Panel(
+                f'{literal(one.topic)}:\n{quantity} error', unit, one.stamps[one.inliers],
+                one.kept))
+    panels = [figures.Panel(each[0].label, each[0].unit,
                             np.concatenate([one.times_ns for one in each]),
                             np.concatenate([one.values for one in each]))
-              for label, each in parts.items()]
+              for each in parts.values()]
     figures.errors(path, panels, None, experiment.logs, {}, name)

@@ -17,9 +17,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.parameters import entries
 from rigid_body_ros.identification.result import Identification
@@ -66,6 +68,32 @@ def read_experiment(path: str | Path, scene: Scene, measured: Sequence[str], top
     check_overlap(path, model, sensors, False)
     inside = [one.rows(one.stamps <= model.last_ns) for one in sensors]
     return Experiment(model.start, model.logs, inside, model.wheels)
+
+
+def read_experiments(paths: Sequence[str | Path], scene: Scene, measured: Sequence[str],
+                     topics: Topics, reading: Reading) -> list[Experiment]:
+    """
+    Read several recordings, with the arguments and errors of `read_experiment`.
+
+    Raises
+    ------
+    InputError
+        Also if the same measurements are read twice, which are not independent.
+
+    """
+    experiments, known = [], dict[bytes, str]()
+    for path in paths:
+        experiments.append(read_experiment(path, scene, measured, topics, reading))
+        for one in experiments[-1].measured:
+            columns = one.stamps, one.attitude, one.angular_velocity
+            digest = sha256(b''.join(column.tobytes() for column in columns
+                                     if column is not None)).digest()
+            name = f'{path}: {one.topic}'
+            if digest in known:
+                raise InputError(f'{name}: expected measurements of its own, found those of '
+                                 f'{known[digest]}')
+            known[digest] = name
+    return experiments
 
 
 def fitted_scene(scene: Scene, found: Identification) -> str:

@@ -21,6 +21,7 @@ from collections.abc import Iterator
 import numpy as np
 from rigid_body_ros.identification.residuals import Misfit
 from rigid_body_ros.identification.result import Estimate, Identification
+from rigid_body_ros.report.text import lines
 
 #: Correlations from which on a pair of estimates is listed, and the largest number of pairs.
 _CORRELATED, _PAIRS = 0.95, 6
@@ -36,7 +37,7 @@ _LARGE = 2.0
 
 def summary(found: Identification) -> str:
     """Return a table of the estimates, and one line for each other fact."""
-    return '\n'.join([*_table(found), *(f'{name:17}{text}' for name, text in rows(found))])
+    return lines([*_table(found), *(f'{name:17}{text}' for name, text in rows(found))])
 
 
 def _table(found: Identification) -> Iterator[str]:

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.measurement.align import errors_of
 from rigid_body_ros.measurement.measured import Measured
 from rigid_body_ros.measurement.motion import measured_rates, Model
@@ -30,6 +31,8 @@ from rigid_body_ros.state import State
 
 #: Samples from which a restart is estimated, unless the horizon is too short for them.
 _SAMPLES = 11
+#: Shortest horizon, in intervals between samples, which jitter.
+_SHORTEST = 0.99
 #: Most corrections of an estimated restart. The last is below an angle, rad, or part of the noise.
 _CORRECTIONS, _CORRECTED, _NEGLIGIBLE = 8, 1e-10, 0.02
 
@@ -72,6 +75,11 @@ def horizon(model: Model, sensors: Sequence[Measured], seconds: float,
     track : callable, optional
         Wraps the iteration over windows, to show progress.
 
+    Raises
+    ------
+    InputError
+        The horizon is shorter than the usual time between two samples.
+
     """
     with_attitude = [sensor for sensor in sensors if sensor.attitude is not None]
     if not with_attitude:
@@ -80,15 +88,18 @@ def horizon(model: Model, sensors: Sequence[Measured], seconds: float,
     stamps, step = sensor.stamps, round(1e9 * seconds)
     if len(stamps) < 2:
         return Horizon(seconds, np.empty(0))
+    spacing = int(np.median(np.diff(stamps)))
+    if step < _SHORTEST * spacing:
+        raise InputError(f'{sensor.topic}: expected a horizon of at least {1e-9 * spacing:g} s, '
+                         f'the time between two samples, found {seconds:g} s')
     # A sample may be late by up to half an interval.
-    half = int(np.median(np.diff(stamps))) // 2
-    begins = stamps[0] + step * np.arange((stamps[-1] + half - stamps[0]) // max(step, 1) + 1)
-    rows = np.clip(np.searchsorted(stamps, begins - half), 0, len(stamps) - 1)
+    half = spacing // 2
+    _, rows = np.unique((stamps - stamps[0] + half) // step, return_index=True)
     momenta = model.rotor_momentum(stamps[rows])
     windows = list(zip(rows[:-1].tolist(), rows[1:].tolist(), momenta))
     found = [_error(model, sensor, (first, last), step, momentum)
              for first, last, momentum in track(windows, len(windows))
-             if first < last and abs(stamps[last] - stamps[first] - step) <= 2 * half]
+             if abs(stamps[last] - stamps[first] - step) <= 2 * half]
     return Horizon(seconds, np.array(found, float))
 
 

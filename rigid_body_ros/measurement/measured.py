@@ -25,6 +25,8 @@ from rigid_body_ros.common.times import instants
 
 #: Fewest samples that can be compared with a motion.
 FEWEST = 4
+#: Largest component of a measured angular velocity, rad/s; that of the initial one of a scene.
+FASTEST = 1e9
 #: Largest difference of the norm of a quaternion from 1.
 _UNIT = 1e-6
 
@@ -48,9 +50,11 @@ class Measured:
     rate_covariance : array, shape (n, 3, 3), optional
         Of the angular velocity in body axes, rad^2/s^2; None where unknown.
     rejected : int
-        Number of messages without a finite value.
+        Number of messages without a finite value, or faster than 1e9 rad/s.
     damage : str
         Which part of the recording was lost; '' if none.
+    frames : str
+        How the frames of the messages differ from those of the scene; '' if they do not.
 
     """
 
@@ -62,6 +66,7 @@ class Measured:
     rate_covariance: Floats | None = None
     rejected: int = 0
     damage: str = ''
+    frames: str = ''
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -74,7 +79,8 @@ class Measured:
         ------
         ValueError
             There are fewer than four samples, stamps do not increase, neither attitudes nor
-            angular velocities are given, a shape does not match, or a value is not finite.
+            angular velocities are given, a shape does not match, a value is not finite, or an
+            angular velocity is above 1e9 rad/s.
 
         """
         count = len(instants(self.stamps, f'{self.topic}: stamps'))
@@ -93,6 +99,10 @@ class Measured:
                 raise ValueError(f'{self.topic}: {name}: expected finite numbers of shape '
                                  f'({count}, {size}), found {values.shape} with '
                                  f'{np.sum(~np.isfinite(values))} that are not finite')
+        fastest = 0.0 if self.angular_velocity is None else np.abs(self.angular_velocity).max()
+        if fastest > FASTEST:
+            raise ValueError(f'{self.topic}: angular_velocity: expected at most {FASTEST:g} '
+                             f'rad/s, found {fastest:g} rad/s')
         if self.attitude is not None:
             norms = np.linalg.norm(self.attitude, axis=1)
             if np.abs(norms - 1.0).max() > _UNIT:

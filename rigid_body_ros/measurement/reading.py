@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages, recording, so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted, shortened
-from rigid_body_ros.measurement.measured import FEWEST, Measured
+from rigid_body_ros.measurement.measured import FASTEST, FEWEST, Measured
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording import Messages, Source, Track
 
@@ -57,6 +58,8 @@ _LAYOUTS: dict[MessageType, _Values] = {
 KINDS = tuple(_LAYOUTS)
 #: Those that are certainly measurements of an attitude or an angular velocity.
 _CERTAIN = tuple(kind for kind in KINDS if kind is not messages.VECTOR3)
+#: Those whose frames can be chosen.
+_TRANSFORMS = tuple(kind for kind in KINDS if kind.has_child_frame)
 
 
 def read_measured(path: str | Path, topic: str | None = None, *,
@@ -66,9 +69,10 @@ def read_measured(path: str | Path, topic: str | None = None, *,
     """
     Read a measured topic: attitudes, angular velocities, or both.
 
-    A message without a finite quaternion other than zero, or without a finite angular velocity,
-    is rejected. An Imu whose covariance begins with -1 has no such value, and neither has a
-    message with a variance of 1000 or more. A covariance of zeros is unknown.
+    A message without a finite quaternion other than zero, or without a finite angular velocity
+    up to 1e9 rad/s, is rejected. An Imu whose covariance begins with -1 has no such value, and
+    neither has a message with a variance of 1000 or more. A covariance that is zero or not
+    positive definite is unknown.
 
     Parameters
     ----------
@@ -79,8 +83,8 @@ def read_measured(path: str | Path, topic: str | None = None, *,
         TransformStamped, TFMessage, Odometry, Imu, or Vector3Stamped (an angular velocity). Can be
         omitted if only one topic has one of the types but the last.
     frames : tuple of str, optional
-        The two frames of the transforms to read. By default those of the space and of the body
-        from a TFMessage, and all transforms from a TransformStamped.
+        The two frames of the transforms or of the Odometry to read. By default those of the
+        space and of the body from a TFMessage, and those that all messages have from the others.
     body_frame, space_frame : str
         The frames of the scene.
     time_source : str
@@ -96,13 +100,17 @@ def read_measured(path: str | Path, topic: str | None = None, *,
     Raises
     ------
     InputError
-        The recording cannot be read; the topic is missing, ambiguous or of another type; or it
-        has fewer than four messages with finite values and stamps.
+        The recording cannot be read; the topic is missing, ambiguous or of another type; it has
+        several pairs of frames, or none that can be chosen; or it has fewer than four messages
+        with finite values and stamps.
 
     """
     topic = topic or _only_topic(path)
     with Source(path, topic, KINDS, time_source) as source:
         kind = source.kind
+    if frames and not kind.has_child_frame:
+        raise InputError(f'{path}: {source.topic}: --frames: expected a topic of transforms or '
+                         f'odometry, found {kind.name}')
     if kind is messages.TRANSFORM:
         frames = frames or (space_frame, body_frame)
     with Source(path, topic, (kind,), time_source, frames=frames) as source:
@@ -114,7 +122,8 @@ def read_measured(path: str | Path, topic: str | None = None, *,
     if not len(recorded) and frames and kind.has_child_frame:
         raise InputError(f'{where}: expected transforms from {quoted(frames[0])} to '
                          f'{quoted(frames[1])}, found none; choose other frames with --frames')
-    return _measured(where, recorded, kind)
+    return replace(_measured(where, recorded, kind),
+                   frames=_other_frames(where, recorded, kind, (space_frame, body_frame)))
 
 
 def _only_topic(path: str | Path) -> str:
@@ -134,12 +143,30 @@ def _check_axes(where: str, recorded: Messages, space_frame: str) -> None:
                          f'body axes, found {shortened(quoted(space_frame))} (space axes)')
 
 
+def _other_frames(where: str, recorded: Messages, kind: MessageType,
+                  expected: tuple[str, str]) -> str:
+    """Return how frames differ from those of space and body; '' if they do not, or are empty."""
+    if kind.has_child_frame:
+        pairs = [f'{quoted(parent)} to {quoted(child)}' for parent, child in recorded.pairs]
+        if len(pairs) > 1:
+            raise InputError(f'{where}: expected one pair of frames, found {listed(pairs)}; '
+                             'choose one with --frames')
+        same = all(name in ('', frame) for pair in recorded.pairs
+                   for name, frame in zip(pair, expected))
+        return '' if same else f'expected frames {quoted(expected[0])} to ' \
+                               f'{quoted(expected[1])}, found {pairs[0]}'
+    frame = expected[kind in (messages.IMU, messages.VECTOR3)]
+    others = [quoted(name) for name in recorded.names if name not in ('', frame)]
+    return f'expected frame_id {quoted(frame)}, found {listed(others)}' if others else ''
+
+
 def _measured(where: str, recorded: Messages, kind: MessageType) -> Measured:
     """Return the usable samples of messages, sorted."""
     layout, values = _LAYOUTS[kind], recorded.values
     attitude = _given(values, layout.attitude, layout.attitude_covariance, kind,
                       lambda found: np.any(found != 0.0, axis=1))
-    rate = _given(values, layout.rate, layout.rate_covariance, kind)
+    rate = _given(values, layout.rate, layout.rate_covariance, kind,
+                  lambda found: np.all(np.abs(found) <= FASTEST, axis=1))
     usable: list[NDArray[np.bool_]] = [
         each for each in (attitude, rate) if each is not None and each.any()]
     rows = np.logical_and.reduce([*usable, np.full(len(recorded), bool(usable))])
@@ -162,15 +189,12 @@ def _measured(where: str, recorded: Messages, kind: MessageType) -> Measured:
 
 
 def _given(values: Floats, where: slice | None, covariance: slice | None, kind: MessageType,
-           usable: Callable[[Floats], NDArray[np.bool_]] | None = None
-           ) -> NDArray[np.bool_] | None:
+           usable: Callable[[Floats], NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
     """Return which messages have a value; None if the type has none."""
     if where is None:
         return None
     found = values[:, where]
-    given = np.asarray(np.isfinite(found).all(axis=1))
-    if usable is not None:
-        given &= usable(found)
+    given = np.isfinite(found).all(axis=1) & usable(found)
     if covariance is not None:
         if kind is messages.IMU:
             given &= values[:, covariance.start] != -1.0
@@ -187,11 +211,12 @@ def _block(covariances: Floats) -> Floats:
 
 def _covariance(values: Floats, where: slice | None, to_body: Floats | None = None
                 ) -> Floats | None:
-    """Return covariances in body axes; None unless all are known."""
+    """Return covariances in body axes; None unless all are known, and positive definite."""
     if where is None:
         return None
     found = _block(values[:, where])
-    if not np.isfinite(found).all() or np.min(np.diagonal(found, axis1=1, axis2=2)) <= 0.0:
+    if not np.all(np.abs(found) < _MEANINGLESS) \
+            or any(np.any(np.linalg.det(found[:, :size, :size]) <= 0.0) for size in (1, 2, 3)):
         return None
     if to_body is None:
         return found
@@ -224,8 +249,12 @@ def read_all(path: str | Path, topics: Iterable[str], **options: Any) -> list[Me
         Also if a topic is given twice.
 
     """
+    frames: tuple[str, str] | None = options.pop('frames', None)
     names: list[str | None] = [*topics]
     for name in names:
         if names.count(name) > 1:
             raise InputError(f'--measured: expected each topic once, found {name!r} twice')
-    return [read_measured(path, name, **options) for name in names or [None]]
+    # Among several topics, the frames are those of the transforms.
+    chosen = {*recording.topics(path, _TRANSFORMS)} & {*names} if frames else set()
+    return [read_measured(path, name, frames=frames if name in chosen or not chosen else None,
+                          **options) for name in names or [None]]

@@ -25,12 +25,14 @@ from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.measurement.alignment import Alignment
 from rigid_body_ros.measurement.comparison import Comparison, statistics
+from rigid_body_ros.measurement.measured import FASTEST
 from rigid_body_ros.measurement.motion import Model
+from rigid_body_ros.report.text import lines
 
 
 def summary(found: Comparison) -> str:
     """Return a summary, one line per fact."""
-    return '\n'.join(f'{name:17}{text}' for name, text in rows(found))
+    return lines(f'{name:17}{text}' for name, text in rows(found))
 
 
 def rows(found: Comparison) -> Iterator[tuple[str, str]]:
@@ -39,7 +41,7 @@ def rows(found: Comparison) -> Iterator[tuple[str, str]]:
     yield 'measured', f'{found.samples} samples of {topics}, over {found.span_s:.9g} s'
     rejected = sum(each.rejected for each in found.measured)
     if rejected:
-        yield 'rejected', f'{rejected} messages without a finite value'
+        yield 'rejected', f'{rejected} messages without a finite value up to {FASTEST:g} rad/s'
     if found.left_out:
         yield 'left out', f'{found.left_out} samples outside of the motion'
     for damage in dict.fromkeys(each.damage for each in found.measured if each.damage):

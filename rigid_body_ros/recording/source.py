@@ -74,6 +74,9 @@ class Messages:
         Number of messages of the topic before these.
     start : State, optional
         Start state of the epoch of a node whose torques these are; see `epochs`.
+    pairs : tuple of (str, str)
+        The first few distinct pairs of frame_id and child_frame_id, if the type has both and no
+        pair was chosen.
 
     """
 
@@ -85,6 +88,7 @@ class Messages:
     damage: str = ''
     before: int = 0
     start: State | None = None
+    pairs: tuple[tuple[str, str], ...] = ()
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -220,11 +224,13 @@ class Source:
 
     def _messages(self, raw: Raw, number: int) -> Messages:
         plain = self._decompressed(raw, self.topic, number)
+        pairs: list[tuple[str, str]] = []
         try:
             if self._frames and self.kind.has_child_frame:
                 raw, decoded = transforms.decode(self.kind, plain, self._frames)
             else:
                 decoded = bulk.decode(self.kind, plain)
+                pairs = transforms.pairs(self.kind, plain) if self.kind.has_child_frame else []
         except bulk.BadMessageError as error:
             raise self._error(error, self.topic, number) from error
         stamps = decoded.stamps_ns
@@ -233,7 +239,7 @@ class Source:
         elif self._time_source == 'log' or not self.kind.has_header:
             stamps = raw.log_ns
         return Messages(self.topic, stamps, decoded.frames, decoded.names, decoded.values,
-                        before=number)
+                        before=number, pairs=tuple(pairs))
 
     def _decompressed(self, raw: Raw, topic: str, number: int) -> Raw:
         """Return messages without compression; `number` messages of the topic came before."""
@@ -303,7 +309,7 @@ def joined(topic: str, kind: MessageType, blocks: list[Messages], damage: str) -
         np.concatenate([np.empty(0, np.int64), *(block.stamps_ns for block in blocks)]),
         np.concatenate([np.empty(0, np.intp), *frames]), [*names],
         np.concatenate([np.empty((0, kind.doubles)), *(block.values for block in blocks)]),
-        damage)
+        damage, pairs=tuple(dict.fromkeys(pair for block in blocks for pair in block.pairs)))
 
 
 def _select_topic(path: str | Path, types: dict[str, str], topic: str | None,

@@ -28,6 +28,7 @@ from rigid_body_ros.common.errors import InputError, quoted, reason, shortened
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.unpack import copy_file, temporary
+from rigid_body_ros.runtime.files import real_path
 from rigid_body_ros.runtime.reading import open_file
 
 #: Limits of a block: messages, and bytes of their data.
@@ -92,7 +93,7 @@ class SqliteFile(File):
 
     def _apply_log(self, stack: ExitStack) -> str:
         """Copy a file that has a write-ahead log, and apply the log; return what was lost."""
-        path = Path(os.path.realpath(self._content))  # SQLite expects the log there
+        path = Path(real_path(self._content))  # SQLite expects the log there
         log = Path(f'{path}-wal')
         if not os.path.exists(log) or not os.path.getsize(log):
             return ''

@@ -22,8 +22,10 @@ from rigid_body_ros.kernels.jit import inlined, njit
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import BadMessageError, Bytes, Decoded, integer, Ints, Raw
 
-#: Fewest bytes of a transform: stamp, two empty names and seven doubles.
-_LEAST = 8 + 2 * 5 + 56
+#: Fewest bytes of a transform before its doubles: a stamp and two empty names.
+_LEAST = 8 + 2 * 5
+#: Most pairs of frames that are listed.
+_PAIRS = 7
 
 
 def decode(kind: MessageType, raw: Raw, frames: tuple[str, str]) -> tuple[Raw, Decoded]:
@@ -51,7 +53,7 @@ def decode(kind: MessageType, raw: Raw, frames: tuple[str, str]) -> tuple[Raw, D
         A message does not match its type.
 
     """
-    most = int(raw.sizes.sum()) // _LEAST + 1
+    most = int(raw.sizes.sum()) // (_LEAST + 8 * kind.doubles) + 1
     rows, stamps = np.zeros(most, np.int64), np.zeros(most, np.int64)
     bits = np.zeros((most, kind.doubles), np.int64)
     parent, child = (np.frombuffer(name.encode() + b'\0', np.uint8) for name in frames)
@@ -64,6 +66,29 @@ def decode(kind: MessageType, raw: Raw, frames: tuple[str, str]) -> tuple[Raw, D
                    raw.publish_ns[rows])
     return messages, Decoded(stamps[:found], np.zeros(found, np.intp), [frames[0]],
                              bits[:found].view(np.float64))
+
+
+def pairs(kind: MessageType, raw: Raw) -> list[tuple[str, str]]:
+    """
+    Return the first few pairs of frame_id and child_frame_id of messages, each once.
+
+    Raises
+    ------
+    BadMessageError
+        A message does not match its type.
+
+    """
+    found: list[tuple[str, str]] = []
+    rows = np.arange(len(raw.starts))
+    while rows.size and len(found) < _PAIRS:
+        try:
+            first = kind.decode(raw.message(rows[0]))
+        except ValueError as error:
+            raise BadMessageError(int(rows[0]), str(error)) from error
+        found.append((first.frame_id, first.child_frame_id))
+        same, _ = decode(kind, raw, found[-1])
+        rows = rows[1:][~np.isin(raw.starts[rows[1:]], same.starts)]
+    return found
 
 
 @inlined

@@ -33,6 +33,7 @@ from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.replay.batches import Collector
 from rigid_body_ros.replay.progress import progress
 from rigid_body_ros.replay.single import replay
+from rigid_body_ros.report.text import lines
 from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.scene import Scene
 from tqdm import tqdm
@@ -145,10 +146,10 @@ def outputs_in(folder: str | Path, paths: Sequence[str]) -> list[str]:
 def table(outcomes: Sequence[Outcome]) -> str:
     """Return a table with one line per recording."""
     width = max(len(outcome.path) for outcome in outcomes)
-    lines = [f'{outcome.path:{width}}  {outcome.summary or f"failed: {outcome.error}"}'
-             for outcome in outcomes]
+    rows = [f'{outcome.path:{width}}  {outcome.summary or f"failed: {outcome.error}"}'
+            for outcome in outcomes]
     failed = sum(bool(outcome.error) for outcome in outcomes)
-    return '\n'.join([*lines, f'{len(outcomes) - failed} of {len(outcomes)} written'])
+    return lines([*rows, f'{len(outcomes) - failed} of {len(outcomes)} written'])
 
 
 def _name(path: str) -> str:

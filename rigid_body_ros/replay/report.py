@@ -20,7 +20,7 @@ from rigid_body_ros import euler
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.replay.check import LastDigits
 from rigid_body_ros.replay.single import Replay
-from rigid_body_ros.report.text import interpolation_row
+from rigid_body_ros.report.text import interpolation_row, lines
 
 #: The effect of the last digits is reported if it exceeds the rounding error by this factor.
 _REPORTED = 10.0
@@ -28,7 +28,7 @@ _REPORTED = 10.0
 
 def summary(result: Replay) -> str:
     """Return a summary, one line per fact."""
-    return '\n'.join(f'{name:14}{text}' for name, text in rows(result))
+    return lines(f'{name:14}{text}' for name, text in rows(result))
 
 
 def rows(result: Replay) -> list[tuple[str, object]]:

@@ -32,6 +32,7 @@ from rigid_body_ros.recording import Source
 from rigid_body_ros.replay.epochs import groups
 from rigid_body_ros.replay.reading import read_epochs
 from rigid_body_ros.replay.sources import Sources, topics_of
+from rigid_body_ros.report.text import lines
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, PROCESSOR, processor
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
@@ -253,7 +254,7 @@ def summary(result: Verified) -> str:
                          f'{result.angles[row]:.2g} rad'))
     rows += [('made by', f'{name} {there}, here {here}: the last bits may differ')
              for name, (there, here) in result.versions.items()]
-    return '\n'.join(f'{name:14}{text}' for name, text in rows)
+    return lines(f'{name:14}{text}' for name, text in rows)
 
 
 def _epochs(result: Verified) -> str:

@@ -21,13 +21,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.propagation import Trajectory
-from rigid_body_ros.report.labels import label, legend, literal
+from rigid_body_ros.report.labels import label, legend, literal, save
 from rigid_body_ros.report.style import (
     axes_name,
     COLOURS,
@@ -81,7 +80,7 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
     logs, has_rotors = torque_logs(log), bool(trajectory.rotor_momentum.any())
     count = 3 + has_rotors + len(logs)
     figure = Figure(figsize=(9.0, 2.5 * count), layout='constrained')
-    figure.suptitle(literal(title), parse_math=False)
+    figure.suptitle(literal(title))
     panels = figure.subplots(count, 1, sharex=True)
     _draw_angles(panels[0], seconds, trajectory.euler_angles(sequence)[rows], sequence)
     _draw_curves(panels[1], seconds, trajectory.attitude[rows], QUATERNION)
@@ -99,7 +98,7 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
     figure.align_ylabels(panels)
     panels[-1].set_xlim(0.0, max(float(seconds[-1]), 1e-9))
     label(panels[-1].xaxis, 'time from the start', 's', np.append(seconds, 1e-9))
-    FigureCanvasAgg(figure).print_figure(path, dpi=120, format='png')
+    save(figure, path, dpi=120)
 
 
 def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
@@ -126,7 +125,7 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
 
     """
     figure = Figure(figsize=(7.2, 5.0), layout='constrained')
-    figure.suptitle(literal(title), parse_math=False, fontsize=10)
+    figure.suptitle(literal(title), fontsize=10)
     panel = figure.subplots()
     least = float(np.finfo(float).eps)  # smaller errors are not meaningful
     for number, (name, (errors, costs)) in enumerate(curves.items()):
@@ -144,7 +143,7 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
     panel.set_ylabel('wall time per simulated second (s/s)')
     panel.grid(alpha=0.25)
     legend(panel, fontsize=8)
-    FigureCanvasAgg(figure).print_figure(path, dpi=200, format='png')
+    save(figure, path, dpi=200)
 
 
 class Panel(NamedTuple):
@@ -191,7 +190,7 @@ def errors(path: str | Path, panels: Sequence[Panel], residual: Panel | None,
     shared = len(panels) + len(logs) + (residual is not None)
     count = shared + bool(horizons)
     figure = Figure(figsize=(9.0, 2.5 * count), layout='constrained')
-    figure.suptitle(literal(title), parse_math=False)
+    figure.suptitle(literal(title))
     rows = figure.subplots(count, 1, squeeze=False)[:, 0]
     for row, panel in zip(rows, panels):
         _draw_errors(row, panel, start_ns)
@@ -208,7 +207,7 @@ def errors(path: str | Path, panels: Sequence[Panel], residual: Panel | None,
     if horizons:
         _draw_horizons(rows[-1], horizons)
     figure.align_ylabels(rows)
-    FigureCanvasAgg(figure).print_figure(path, dpi=120, format='png')
+    save(figure, path, dpi=120)
 
 
 def _draw_errors(row: Axes, panel: Panel, start_ns: int) -> None:

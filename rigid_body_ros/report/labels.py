@@ -12,15 +12,20 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Titles, legends and labels of the axes of figures."""
+"""Titles, legends and labels of the axes of figures, and how these are written to a file."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
+import warnings
 
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import EngFormatter
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
@@ -33,6 +38,21 @@ _TITLE = 50
 def literal(title: str) -> str:
     """Return a title cut to fit; replace bytes of a file name that are not text."""
     return shortened(title.encode(errors='replace').decode(), _TITLE)
+
+
+def save(figure: Figure, path: str | Path, dpi: int) -> None:
+    """
+    Write a figure to a PNG file; a $ in a name does not start a formula.
+
+    Characters that the font does not have are drawn as boxes.
+    """
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        if text.get_text():  # that of most ticks is set later, and may be a power of ten
+            text.set_parse_math(False)
+    with warnings.catch_warnings():
+        warnings.filterwarnings('ignore', 'Glyph|Matplotlib currently does not support')
+        FigureCanvasAgg(figure).print_figure(path, dpi=dpi, format='png')
 
 
 def legend(panel: Axes, **options: Any) -> None:

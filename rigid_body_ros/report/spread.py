@@ -21,10 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np
-from rigid_body_ros.report.labels import label, legend, literal
+from rigid_body_ros.report.labels import label, legend, literal, save
 from rigid_body_ros.report.style import COLOURS, MARKED, STYLES
 
 #: Number of the strongest rank correlations that are drawn.
@@ -59,14 +58,14 @@ def draw(path: str | Path, found: Mapping[str, Any], correlations: Sequence[tupl
         heights.append(0.7 + 0.25 * len(correlations))
     figure = Figure(figsize=(9.0, 0.6 + sum(heights)), layout='constrained')
     failed = f', {found["failed"]} failed' if found['failed'] else ''
-    figure.suptitle(f'{literal(title)}\n{found["runs"]} runs{failed}', parse_math=False)
+    figure.suptitle(f'{literal(title)}\n{found["runs"]} runs{failed}')
     panels = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
     if bands:
         _draw_bands(panels[0], bands, logarithmic=found['histogram']['edges_rad'][0] > 0.0)
     _draw_histogram(panels[int(bool(bands))], found['histogram'], found['angle_from_nominal_rad'])
     if correlations:
         _draw_correlations(panels[-1], correlations)
-    FigureCanvasAgg(figure).print_figure(path, dpi=120, format='png')
+    save(figure, path, dpi=120)
 
 
 def _draw_bands(panel: Axes, bands: Mapping[str, Sequence[float]], *, logarithmic: bool) -> None:
@@ -111,7 +110,7 @@ def _draw_correlations(panel: Axes, correlations: Sequence[tuple[str, float]]) -
     bars = panel.barh(range(len(names)), values, color=COLOURS[0], height=0.7)
     texts = [f'{round(value, 2) + 0.0:.2f}'.replace('-', '−') for value in values]
     panel.bar_label(bars, texts, padding=3, fontsize=8)
-    panel.set_yticks(range(len(names)), [literal(name) for name in names], parse_math=False)
+    panel.set_yticks(range(len(names)), [literal(name) for name in names])
     panel.invert_yaxis()
     panel.set_xlim(min(0.0, min(values) - 0.15), 1.1)  # with room for the numbers
     panel.set_xlabel('rank correlation of this angle with the distance from the nominal value')

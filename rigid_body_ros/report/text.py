@@ -16,7 +16,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+
+from rigid_body_ros.common.errors import printable
+
+
+def lines(texts: Iterable[str]) -> str:
+    """Return texts as one line each; a line break within one, as in a name, is escaped."""
+    return '\n'.join(map(printable, texts))
 
 
 def interpolation_row(interpolation: str, differences: Mapping[str, float | None]) -> str:

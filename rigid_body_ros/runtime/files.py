@@ -119,7 +119,7 @@ def check_apart(path: str | Path) -> None:
         if identity in known:
             raise InputError(f'{path}: would overwrite the {known[identity]}; '
                              'choose another name')
-    for folder in filter(os.path.isdir, Path(os.path.realpath(path)).parents):
+    for folder in filter(os.path.isdir, Path(real_path(path)).parents):
         for identity in _path_and_inode(folder):
             if identity in known:
                 raise InputError(f'{path}: would be written into the folder of the '
@@ -231,7 +231,7 @@ class Part:
 
     def __init__(self, path: str | Path, suffix: str) -> None:
         self._name, self._suffix = path, suffix
-        self.target = Path(os.path.realpath(path))
+        self.target = Path(real_path(path))
         replaced = self._check_target()
         short = os.fsdecode(os.fsencode(self.target.name)[:100])  # names are limited to 255 bytes
         self.path = self.target.with_name(
@@ -351,6 +351,14 @@ class Part:
             raise _exists(self._name)
 
 
+def real_path(path: str | Path) -> str:
+    """Return a path without symbolic links; raise InputError if it has a null byte."""
+    try:
+        return os.path.realpath(path)
+    except ValueError as error:
+        raise InputError(f'{path}: expected a path, found one with a null byte') from error
+
+
 def flush(path: Path) -> None:
     """Flush a file, or the entries of a folder, to the disk."""
     try:
@@ -376,14 +384,14 @@ def _paths_of_recording(path: str) -> Iterator[str]:
             yield from (entry.path for entry in os.scandir(path))
         return
     yield from (f'{path}{journal}' for journal in _JOURNALS)
-    for folder in (os.path.dirname(path) or '.', os.path.dirname(os.path.realpath(path))):
+    for folder in (os.path.dirname(path) or '.', os.path.dirname(real_path(path))):
         if os.path.isfile(os.path.join(folder, 'metadata.yaml')):
             yield folder
 
 
 def _path_and_inode(path: str | Path) -> Iterator[_Identity]:
     """Generate the real path of a file and, if the file exists, its device and inode."""
-    yield os.path.realpath(path)
+    yield real_path(path)
     with suppress(OSError):
         found = os.stat(path)
         yield found.st_dev, found.st_ino

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import sys
 
-from rigid_body_ros.common.errors import InputError, shortened
+from rigid_body_ros.common.errors import InputError, printable, shortened
 
 
 def report(text: str) -> None:
@@ -32,8 +32,8 @@ def report(text: str) -> None:
 
 
 def show(text: str, end: str = '\n') -> None:
-    """
-    Print text to standard output at once.
+    r"""
+    Print text to standard output at once, with nonprintable characters other than \n escaped.
 
     Raises
     ------
@@ -44,6 +44,7 @@ def show(text: str, end: str = '\n') -> None:
 
     """
     encoding = sys.stdout.encoding or 'utf-8'  # a file name may hold bytes that are not text
+    text = '\n'.join(map(printable, text.split('\n')))
     try:
         print(text.encode(encoding, 'backslashreplace').decode(encoding), end=end, flush=True)
     except BrokenPipeError:

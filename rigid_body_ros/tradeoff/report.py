@@ -21,7 +21,7 @@ from importlib import metadata
 import platform
 from typing import Any
 
-from rigid_body_ros.report.text import interpolation_row
+from rigid_body_ros.report.text import interpolation_row, lines
 from rigid_body_ros.tradeoff.choices import Advice, Choice, Measurement
 from rigid_body_ros.tradeoff.settings import Setting
 from rigid_body_ros.tradeoff.trade import Tradeoff
@@ -53,7 +53,7 @@ def summary(result: Tradeoff, all_rows: bool = False) -> str:
 
     """
     recommended = [line for target in result.choices for line in _recommended(result, target)]
-    return '\n'.join([*recommended, *_table(result, all_rows), '', *map(_pair, _facts(result))])
+    return lines([*recommended, *_table(result, all_rows), '', *map(_pair, _facts(result))])
 
 
 def rows(result: Tradeoff) -> Iterator[tuple[str, str]]:
