@@ -147,6 +147,8 @@ class Scene:
         The frames of robot_description in which forces are accepted, with frame_prefix.
     ignored : tuple of str
         Names of the given parameters that are those of other nodes.
+    node : str
+        Name of the node, with its namespace, that has these parameters in the file.
 
     """
 
@@ -156,6 +158,7 @@ class Scene:
     path: Path | None = None
     links: Frames = field(default_factory=Frames)
     ignored: tuple[str, ...] = ()
+    node: str = NODE
 
     def __repr__(self) -> str:
         source = self.path.name if self.path else 'no file'
@@ -199,7 +202,7 @@ class Scene:
     @property
     def warnings(self) -> list[str]:
         """Return one line for each value that is allowed but probably a mistake."""
-        return [*_warnings(self.values, self.body, self.links)]
+        return [*_other_node(self.node), *_warnings(self.values, self.body, self.links)]
 
     @property
     def notes(self) -> list[str]:
@@ -252,7 +255,7 @@ def load(path: str | Path) -> Scene:
     Read a scene from a ROS 2 parameter file, such as `ros2 param dump` writes.
 
     Parameters of `/**` apply to every node, and those of `attitude_node` override them. A file
-    with neither is accepted if it has parameters for a single node, under whatever name.
+    with neither is accepted, with a warning, if it has parameters for a single node.
 
     Raises
     ------
@@ -260,11 +263,20 @@ def load(path: str | Path) -> Scene:
         The file cannot be read, is not a parameter file, or the scene is not valid.
 
     """
-    root = read_yaml(path, 'scene')
+    root, node = read_yaml(path, 'scene'), NODE
     try:
-        return replace(Scene.from_values(node_parameters(root, NODE)), path=Path(path).absolute())
+        node, given = node_parameters(root, NODE)
+        return replace(Scene.from_values(given), path=Path(path).absolute(), node=node)
     except InputError as error:
-        raise InputError(f'{path}: {error}') from error
+        raise InputError('; '.join([f'{path}: {error}', *_other_node(node)])) from error
+
+
+def _other_node(node: str) -> list[str]:
+    """Return a line if the parameters of a file are those of another node."""
+    if node.split('/')[-1] in (NODE, '*', '**'):
+        return []
+    return [f'expected parameters of /** or {NODE}, found those of {listed([node])} only, which '
+            f'a node of that name alone receives']
 
 
 def _options(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -306,11 +318,12 @@ def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
 def _check_together(values: Mapping[str, Any]) -> None:
     _check_topics(values['torque_topics'])
     euler.check_sequence(values['euler_sequence'])
-    for name in ('space_frame', 'body_frame', 'frame_prefix'):
-        if not values[name] and name != 'frame_prefix':
+    for name in ('space_frame', 'body_frame'):
+        if not values[name]:
             raise InputError(f'{name}: expected the name of a frame, found an empty text')
-        if '\0' in values[name] or values[name].encode(errors='ignore').decode() != values[name]:
-            raise InputError(f'{name}: expected UTF-8 text without NUL, '
+    for name in ('space_frame', 'body_frame', 'frame_prefix', 'checkpoint'):
+        if not values[name].isprintable():  # ROS accepts every text, but terminals obey some
+            raise InputError(f'{name}: expected text without control characters, '
                              f'found {quoted(values[name])}')
     if values['space_frame'] == _body_frame(values):
         found = quoted(values['space_frame'])
