@@ -57,14 +57,17 @@ setup(
         f'attitude_tradeoff = {NAME}.cli:attitude_tradeoff',
     ]},
     python_requires='>=3.10',
-    # The kernels build on numba's internals: only the tested range.
-    install_requires=['PyYAML', 'lz4', 'matplotlib>=3.5', 'mcap>=1.0', 'numba>=0.55,<0.69',
-                      'numpy', 'scipy', 'tqdm', 'zstandard'],
+    # The oldest versions that pass the tests, see test/lowest.txt. The kernels build on numba's
+    # internals: only the tested range.
+    install_requires=['PyYAML>=5.4', 'lz4>=3.1', 'matplotlib>=3.5', 'mcap>=1.1',
+                      'numba>=0.55,<0.69', 'numpy>=1.21', 'scipy>=1.8', 'tqdm>=4.57',
+                      'zstandard>=0.15'],
     extras_require={
         # ROS 2 with Fast DDS, as wheels: Kilted, or Jazzy in an environment of its own.
         'ros': [f'ros-{package}' for package in ROS_PACKAGES],
         'jazzy': [f'ros-jazzy-{package}' for package in ROS_PACKAGES],
-        'ensemble': ['dask', 'distributed', 'pyarrow', 'zarr>=3.1.3; python_version >= "3.11"'],
+        'ensemble': ['dask>=2022.12', 'distributed>=2022.12', 'pyarrow>=13',
+                     'zarr>=3.1.3; python_version >= "3.11"'],
         'test': ['colcon-bash', 'colcon-core', 'colcon-recursive-crawl', 'colcon-ros',
                  'colcon-test-result', 'dask', 'distributed', 'hypothesis', 'import-linter',
                  'mcap-ros2-support', 'mpmath', 'mypy', 'playwright', 'psutil', 'pyarrow',

@@ -430,6 +430,12 @@ group of this table has no members but those listed, so `inertia.mass` is an err
 holds for `qos_overrides`: those of other topics are logged once and ignored, but
 `qos_overrides./torque.subscription.depht` is an error.
 
+A command rejects a file that has a parameter twice for the same node, such as `inertia.ixx` and
+`ixx` in the group `inertia`; with `--params-file`, ROS takes one of the values without a message.
+Anchors, aliases and merge keys (`<<`) are rejected, because ROS parameter files do not have them.
+If a file has the parameters of a single node of another name, and none for `/**:`, a command uses
+these and warns. Names of frames and of the checkpoint must not contain control characters.
+
 {parameters}
 
 Either the three moments or a `robot_description` are required, but a node can

@@ -162,6 +162,8 @@ class Scene:
         The frames of robot_description in which forces are accepted, with frame_prefix.
     ignored : tuple of str
         Names of the given parameters that are those of other nodes.
+    node : str
+        Name of the node, with its namespace, that has these parameters in the file.
 
     """
 
@@ -171,6 +173,7 @@ class Scene:
     path: Path | None = None
     links: Frames = field(default_factory=Frames)
     ignored: tuple[str, ...] = ()
+    node: str = NODE
 
     mode, step, time_source = _Value[str](), _Value[float](), _Value[str]()
     solver, tolerance, max_step = _Value[str](), _Value[float](), _Value[float]()
@@ -214,7 +217,7 @@ class Scene:
     @property
     def warnings(self) -> list[str]:
         """Return one line for each value that is allowed but probably a mistake."""
-        return [*self._warnings()]
+        return [*_other_node(self.node), *self._warnings()]
 
     @property
     def notes(self) -> list[str]:
@@ -261,8 +264,8 @@ class Scene:
         Options(**self.options).check_linear_terms(self.body.is_damped, self.has_rotors)
         _check_topics(self.torque_topics)
         euler.check_sequence(self.euler_sequence)
-        for name in ('space_frame', 'body_frame', 'frame_prefix'):
-            _check_frame(name, self.values[name])
+        for name in ('space_frame', 'body_frame', 'frame_prefix', 'checkpoint'):
+            _check_text(name, self.values[name])
         if self.space_frame == self.body_frame:
             raise InputError('space_frame, body_frame: expected different names, found '
                              f'{quoted(self.space_frame)} twice')
@@ -305,7 +308,7 @@ def load(path: str | Path) -> Scene:
     Read a scene from a ROS 2 parameter file, such as `ros2 param dump` writes.
 
     Parameters of `/**` apply to every node, and those of `attitude_node` override them. A file
-    with neither is accepted if it has parameters for a single node, under whatever name.
+    with neither is accepted, with a warning, if it has parameters for a single node.
 
     Raises
     ------
@@ -313,11 +316,20 @@ def load(path: str | Path) -> Scene:
         The file cannot be read, is not a parameter file, or the scene is not valid.
 
     """
-    root = read_yaml(path, 'scene')
+    root, node = read_yaml(path, 'scene'), NODE
     try:
-        return replace(Scene.from_values(node_parameters(root, NODE)), path=Path(path).absolute())
+        node, given = node_parameters(root, NODE)
+        return replace(Scene.from_values(given), path=Path(path).absolute(), node=node)
     except InputError as error:
-        raise InputError(f'{path}: {error}') from error
+        raise InputError('; '.join([f'{path}: {error}', *_other_node(node)])) from error
+
+
+def _other_node(node: str) -> list[str]:
+    """Return a line if the parameters of a file are those of another node."""
+    if node.split('/')[-1] in (NODE, '*', '**'):
+        return []
+    return [f'expected parameters of /** or {NODE}, found those of {listed([node])} only, which '
+            f'a node of that name alone receives']
 
 
 def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
@@ -351,11 +363,12 @@ def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
     return entries
 
 
-def _check_frame(name: str, frame: str) -> None:
-    if not frame and name != 'frame_prefix':
+def _check_text(name: str, text: str) -> None:
+    if not text and name.endswith('_frame'):
         raise InputError(f'{name}: expected the name of a frame, found an empty text')
-    if '\0' in frame or frame.encode(errors='ignore').decode() != frame:
-        raise InputError(f'{name}: expected UTF-8 text without NUL, found {quoted(frame)}')
+    if not text.isprintable():  # ROS accepts every text, but terminals obey some
+        raise InputError(f'{name}: expected text without control characters, found '
+                         f'{quoted(text)}')
 
 
 def _check_topics(names: Sequence[Any]) -> None:

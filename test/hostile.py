@@ -56,14 +56,17 @@ def outcome(path, scene_path=TUMBLER):
         assert len(recorded.damage) <= LONGEST
         assert recorded.damage == '' or recorded.damage.isprintable()
         return 0
+    return line_of(read, 'attitude_replay')
+
+
+def line_of(run, command):
+    """Return the error line of a function that runs in the place of a command, '' if none."""
     with limits(), redirect_stderr(io.StringIO()) as printed:
-        status = cli._guarded('attitude_replay', read, ())
-    text = printed.getvalue()
-    if status == 0:
-        assert text == ''
-        return ''
-    assert status == 2
-    assert len(text) <= LONGEST + len('\n')
-    assert text[:-1].isprintable()
-    assert text.startswith('attitude_replay: error: ')
-    return text[:-1]
+        status = cli._guarded(command, run, ())
+    lines = printed.getvalue().splitlines()
+    assert all(len(line) <= LONGEST and line.isprintable() for line in lines)
+    errors = [line for line in lines
+              if not line.startswith((f'{command}: note: ', f'{command}: warning: '))]
+    assert (status, len(errors)) in ((0, 0), (2, 1))
+    assert all(line.startswith(f'{command}: error: ') for line in errors)
+    return ''.join(errors)

@@ -65,7 +65,7 @@ class Truth:
         attitude = (space * self.attitude * noise * mount).as_quat()
         rates = mount.inv().apply(self.rates) + rate_noise * random.normal(size=(count, 3))
         bad = random.random(count) < outliers
-        attitude[bad] = Rotation.random(bad.sum(), rng=random).as_quat()
+        attitude[bad] = Rotation.random(bad.sum(), random).as_quat()
         rates[bad] += random.normal(scale=10.0, size=(bad.sum(), 3))
         return Measured('/imu', self.stamps - round(1e9 * clock), attitude, rates)
 

@@ -25,7 +25,7 @@ RANDOM = np.random.default_rng(31)
 
 def turned(moments):
     """Return tensors with principal axes in random directions."""
-    axes = np.linalg.qr(RANDOM.normal(size=(len(moments), 3, 3)))[0]
+    axes = np.stack([np.linalg.qr(one)[0] for one in RANDOM.normal(size=(len(moments), 3, 3))])
     return (axes * moments[:, None]) @ axes.transpose(0, 2, 1)
 
 

@@ -126,6 +126,23 @@ def test_a_file_is_read(tmp_path):
     ('initial_attitude: {normal: 1}', 'initial_attitude: expected tilt, found'),
     ('torque_gain: {normal: 1, relative: 2}', 'relative: expected true or false, found'),
     ('torque_gain: {normal: 1}\ntorque_gain: {normal: 1}', 'expected each key once'),
+    ('{}', 'expected a parameter that varies, found none'),
+    ('torque_gain: 3', "torque_gain: expected keys and values (torque_gain: {normal: 0.03}), "
+     "found '3'"),
+    ('torque_gain: {normal: .inf}', "normal: expected a number greater than 0, found ['.inf']"),
+    ('torque_gain: {normal: 1e999}', "normal: expected a number greater than 0, found ['1e999']"),
+    ('torque_gain: {normal: 1_0}', "normal: expected a number greater than 0, found ['1_0']"),
+    ('torque_gain: {normal: 0}', "normal: expected a number greater than 0, found ['0']"),
+    ('torque_gain: {normal: {a: 1}}', "expected a number greater than 0, found ['a group']"),
+    ('torque_gain: {normal: [[1], 2]}', "expected a number greater than 0, found ['a list', '2']"),
+    ('torque_gain: {uniform: [-.inf, .inf]}', 'uniform: expected two ascending numbers, found'),
+    ('torque_gain: {uniform: [-1e308, 1e308]}', 'uniform: expected two ascending numbers, found'),
+    ('torque_gain: {uniform: [1, 1]}', 'uniform: expected two ascending numbers, found'),
+    ('torque_gain: {normal: 1, relative: [true]}', 'expected true or false, found a list'),
+    ('torque_gain: {normal: 1, normal: 2}', "normal or uniform, found ['normal', 'normal']"),
+    ('? [torque_gain]\n: {normal: 1}', 'expected names as keys, found a list as a key in line 1'),
+    ('torque_gain: {<<: {normal: 1}}', 'expected YAML without aliases (*name), anchors (&name) '
+     'and merge keys (<<), which ROS parameter files do not have, found one in line 1'),
     ('inertia: {relative: 0.1}\ninertia.ixx: {normal: 1}', 'either inertia or its entries'),
 ])
 def test_a_mistake_is_one_line(tmp_path, text, message):

@@ -23,6 +23,7 @@ from pyarrow import parquet
 import pytest
 from rigid_body_ros import cli, propagate, RigidBody, so3, State
 from rigid_body_ros.ensemble import fitted
+from rigid_body_ros.ensemble.dispersions import UNITS
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.replay import torques
 from rigid_body_ros.replay.sources import Topics
@@ -38,8 +39,10 @@ GUESS = np.array([0.5, -0.5, 0.5, 0.5])
 
 
 def written(path, names=NAMES, values=MEAN, matrix=COVARIANCE, **more):
-    data = {'estimates': {name: {'value': float(value)} for name, value in zip(names, values)},
-            'covariance': {'names': [*names], 'matrix': [
+    units = ['rad' if name in ATTITUDE else UNITS.get(name, 'rad') for name in names]
+    data = {'estimates': {name: {'value': float(value), 'unit': unit}
+                          for name, value, unit in zip(names, values, units)},
+            'covariance': {'names': [*names], 'units': units, 'matrix': [
                 [None if np.isnan(value) else value for value in row] for row in matrix]},
             'guess_attitude_xyzw': GUESS.tolist(), 'converged': True, **more}
     path.write_text(json.dumps(data))
@@ -109,9 +112,31 @@ def test_an_impossible_body_is_a_row_with_its_reason(tmp_path):
 
 
 @pytest.mark.parametrize(('change', 'message'), [
-    ({'estimates': {}}, 'covariance: expected a row and a column for each of 0 estimates'),
-    ({'covariance': None}, 'expected a JSON file of attitude_identify'),
-    ({'guess_attitude_xyzw': [0, 0, 0, 0]}, 'expected a JSON file of attitude_identify'),
+    ({'estimates': {}}, 'covariance.names: expected a list of length 0, found 4'),
+    ({'estimates': [1.0]}, 'estimates: expected names and values, found [1.0]'),
+    ({'estimates': dict.fromkeys(NAMES, 1.0)},
+     'estimates: inertia.ixx: expected names and values, found 1.0'),
+    ({'estimates': {name: {'unit': 'kg m^2', 'value': '0.02'} for name in NAMES}},
+     "estimates: inertia.ixx: value: expected a number, found '0.02'"),
+    ({'estimates': {name: {'unit': 'g m^2', 'value': 1.0} for name in NAMES}},
+     "inertia.ixx: expected the unit 'kg m^2', found 'g m^2' in estimates"),
+    ({'covariance': None}, 'covariance: expected names and values, found none'),
+    ({'covariance': []}, 'covariance: expected names and values, found []'),
+    ({'covariance': {'names': NAMES}}, 'covariance.units: expected a list, found none'),
+    ({'covariance': {'names': NAMES, 'units': ['kg cm^2', 'rad/s', '', 'N m'],
+                     'matrix': COVARIANCE.tolist()}},
+     "inertia.ixx: expected the unit 'kg m^2', found 'kg cm^2' in covariance.units"),
+    ({'covariance': {'names': NAMES, 'units': ['kg m^2', 'rad/s', ''], 'matrix': []}},
+     'covariance.units: expected a list of length 4, found 3'),
+    ({'covariance': {'names': NAMES[::-1], 'units': NAMES, 'matrix': NAMES}},
+     'covariance.names: expected the names of the estimates in their order, found ['),
+    ({'covariance': {'names': NAMES, 'units': ['kg m^2', 'rad/s', '', 'N m'],
+                     'matrix': [['1', 0, 0, 0], *COVARIANCE.tolist()[1:]]}},
+     "covariance.matrix[0]: expected a number, found '1'"),
+    ({'guess_attitude_xyzw': [0, 0, 0, 0]}, 'guess_attitude_xyzw: attitude quaternion'),
+    ({'guess_attitude_xyzw': [0, 0, 1]}, 'guess_attitude_xyzw: expected a list of length 4'),
+    ({'guess_attitude_xyzw': [0, 0, 0, None]}, 'guess_attitude_xyzw: attitude'),
+    ({'converged': 1}, 'converged: expected true or false, found 1'),
     ({'converged': False}, 'expected a fit that converged'),
     ({'names': ('mass', *NAMES[1:])}, 'mass: expected an estimate that can vary'),
     ({'names': ('torque_bais.x', *NAMES[1:])}, 'did you mean torque_bias.x?'),
@@ -119,13 +144,18 @@ def test_an_impossible_body_is_a_row_with_its_reason(tmp_path):
     ({'names': ('mount.x', 'mount.y', 'mount.z', 'clock_offset')}, 'found none'),
     ({'values': [np.inf, 1, 1, 1]}, 'inertia.ixx: expected a finite value, found inf'),
     ({'names': (NAMES[0], *ATTITUDE), 'values': [3.0, 0, 0, 0]}, 'inertia: not physical'),
-    ({'matrix': COVARIANCE[:3]}, 'found 4 names and the shape (3, 4)'),
+    ({'matrix': COVARIANCE[:3]}, 'covariance.matrix: expected a list of length 4, found 3'),
     ({'matrix': np.where(np.eye(4)[0], np.nan, COVARIANCE)}, 'expected finite numbers'),
     ({'matrix': np.where(np.eye(4)[:1].T, np.nan, COVARIANCE)},
      'inertia.ixx: expected an estimate that the recording determines'),
     ({'matrix': -COVARIANCE}, 'covariance: inertia.ixx: expected a variance of at least 0'),
     ({'matrix': np.triu(COVARIANCE)}, 'expected a symmetric matrix'),
     ({'matrix': COVARIANCE + np.outer(SIGMA, SIGMA) * (np.eye(4)[::-1])}, 'semidefinite'),
+    ({'matrix': np.outer(SIGMA, SIGMA) * (1.5 * np.eye(4) - 0.5)}, 'with the eigenvalue -0.5'),
+    ({'matrix': [[0, 1e-14, 0, 0], [1e-14, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, 'of inf'),
+    ({'matrix': [[1e-300, 1e300, 0, 0], [1e300, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]},
+     'found a correlation of inf'),
+    ({'matrix': COVARIANCE + np.diag([np.inf, 0, 0, 0])}, 'expected finite numbers'),
 ])
 def test_a_file_that_is_no_fit_is_one_line(tmp_path, capsys, change, message):
     path = written(tmp_path / 'fitted.json', **change)
@@ -139,8 +169,8 @@ def test_a_file_that_is_no_fit_is_one_line(tmp_path, capsys, change, message):
     assert not (tmp_path / 'out').exists()
 
 
-@pytest.mark.parametrize('text', ['', '{', '[' * 100_000, '[1]', '{"estimates": {"x": 1}}',
-                                  '\udcff'])
+@pytest.mark.parametrize('text', ['', '{', '[' * 100_000, '[1]', '{"names": {"x": 1}}', '9' * 5000,
+                                  '{"estimates": {"x": 1, "x": 2}}', '\udcff'])
 def test_a_file_that_is_not_json_is_one_line(tmp_path, text):
     path = tmp_path / 'fitted.json'
     path.write_bytes(text.encode('utf-8', 'surrogateescape'))

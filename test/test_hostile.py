@@ -172,7 +172,7 @@ def test_without_libyaml_the_same_is_refused(tmp_path):
     ('    ? ' + 'x' * 2 ** 20 + '\n    : {' + ','.join(f'a{k}: 1' for k in range(9999)) + '}',
      'expected full names of at most 500'),
     ('    "inertia.\\e[2J": 1', re.escape(r'inertia.\x1b[2J: unknown key')),
-    ('    space_frame: "a\\nb"\n    body_frame: "a\\nb"', r"found 'a\\nb' twice"),
+    ('    space_frame: "a\\nb"\n    body_frame: "a\\nb"', r"control characters, found 'a\\nb'"),
     ('    robot_description: "<' + 'x' * 5000 + '>"', 'URDF: expected XML, found'),
     ('    tolerance: &a 1', 'expected YAML without aliases')])
 def test_what_is_quoted_of_a_scene_is_short(tmp_path, text, message):

@@ -45,7 +45,7 @@ AT = np.array([0, 7, 3 * SECOND, SECOND, SECOND // 3])
 def scattered(seed=0):
     """Return random bodies, diagonal, full, thin or out of range, and their starts."""
     random = np.random.default_rng(seed)
-    turns = np.linalg.qr(random.normal(size=(COUNT, 3, 3)))[0]
+    turns = np.stack([np.linalg.qr(one)[0] for one in random.normal(size=(COUNT, 3, 3))])
     moments = np.array([[1.0, 2.0, 2.5], [1e-6, 1.0, 1.0], [1.0, 1.0 + 1e-13, 1.5]])
     tensors = moments[np.arange(COUNT) % 3] * (1.0 + 1e-3 * random.normal(size=(COUNT, 1)))
     tensors = (turns * tensors[:, None]) @ turns.transpose(0, 2, 1)

@@ -12,21 +12,30 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Mutated scenes, CSV files and descriptions of bags: a result or one line, within limits."""
+"""
+Mutated scenes, dispersions, fits, CSV files and descriptions of bags.
 
+Each gives a result or one line, within limits, and is left as it is.
+"""
+
+import json
 import os
 import re
 
 import bags
-from conftest import CONFIG
-from hostile import outcome, TUMBLER
+from conftest import at_night, CONFIG
+from hostile import line_of, outcome, TUMBLER
 from hypothesis import given, settings
 from hypothesis import strategies as st
+import numpy as np
 import pytest
-from rigid_body_ros import messages, recording
+from rigid_body_ros import ensemble_command, messages, recording
+from rigid_body_ros.arguments import parsed
 
-#: For a nightly run 20 000.
+#: For a thorough run 20 000.
 EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '500'))
+#: Of each kind of file that a user writes.
+WRITTEN = [max(1, EXAMPLES // 9), *at_night(2000)]
 
 LAUGHS = 'a: &a [x,x,x,x,x,x,x,x,x,x]\n' + ''.join(
     f'{name}: &{name} [{",".join(9 * [f"*{before}"])}]\n' for before, name in zip('abcdefgh',
@@ -43,9 +52,10 @@ SNIPPETS = [
         '`', '~', 'null', 'true', '.inf', '-.inf', 'nan', 'snan', '1e9999999', '-1e-9999999', '0x',
         '0o7', '1_0', '1e', '.', '-', '../', '/etc/passwd', '..', '/dev/zero', ';', ' ', '\n',
         '\n\n', '\r\n', 'time_ms', 'tx (mNm)', 'ty [kN m]', 't_ns', 'time', 'mx', '(', ')',
-        '9' * 400, '9' * 5000, '[' * 3000, '{a: ' * 3000, '- ' * 3000, '? ' * 3000, 'x' * 70_000,
-        'a,' * 40_000, '1' * 70_000, LAUGHS, 'relative_file_paths: [..]\n', 'inertia: 3\n',
-        'x: ' * 300))]
+        'NaN', '-Infinity', '1e999', '-1', '0', '1e300', '-1e300', '1e-320', '[]', '{}', '"x"',
+        'null,', '9' * 400, '9' * 5000, '[' * 3000, '{a: ' * 3000, '- ' * 3000, '? ' * 3000,
+        'x' * 70_000, 'a,' * 40_000, '1' * 70_000, LAUGHS, 'relative_file_paths: [..]\n',
+        'inertia: 3\n', 'x: ' * 300))]
 
 
 def words(data):
@@ -73,17 +83,19 @@ def mutated(data, changes, encoding):
     return data.decode(errors='replace').encode(encoding) if encoding else data
 
 
-def check(target, seed, run, share):
-    """Run with a share of the mutations of a seed, in the place of a file."""
+def check(target, seed, run, examples):
+    """Run with mutations of a seed, in the place of a file."""
     target.write_bytes(seed)
     assert run() == ''
 
-    @settings(max_examples=max(1, EXAMPLES // share), database=None)
+    @settings(max_examples=examples, database=None)
     @given(st.lists(mutations(seed), min_size=1, max_size=4),
            st.sampled_from([None] * 6 + ['utf-16', 'utf-8-sig', 'utf-32']))
     def examine(changes, encoding):
-        target.write_bytes(mutated(seed, changes, encoding))
+        content = mutated(seed, changes, encoding)
+        target.write_bytes(content)
         run()
+        assert target.read_bytes() == content
     examine()
 
 
@@ -97,11 +109,62 @@ SCENES = {
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize('examples', WRITTEN)
 @pytest.mark.parametrize('name', SCENES)
-def test_a_mutated_scene_gives_a_scene_or_a_line(tmp_path, name):
+def test_a_mutated_scene_gives_a_scene_or_a_line(tmp_path, name, examples):
     recorded, path = tmp_path / 'torque.csv', tmp_path / 'scene.yaml'
     recorded.write_text('1,0,0,0\n2,0.1,0,0\n')
-    check(path, SCENES[name].encode(), lambda: outcome(recorded, path), 9)
+    check(path, SCENES[name].encode(), lambda: outcome(recorded, path), examples)
+
+
+NAMES = ('inertia.ixx', *(f'initial_attitude.{axis}' for axis in 'xyz'), 'torque_bias.z')
+UNITS = ('kg m^2', 'rad', 'rad', 'rad', 'N m')
+FIT = {'estimates': {name: {'value': value, 'unit': unit, 'identifiable': True}
+                     for name, unit, value in zip(NAMES, UNITS, (0.02, 0.1, -0.2, 0.3, 1e-5))},
+       'guess_attitude_xyzw': [0.5, -0.5, 0.5, 0.5],
+       'covariance': {'names': NAMES, 'units': UNITS,
+                      'matrix': (1e-8 * (np.eye(5) + 0.5)).tolist()},
+       'window_s': 3.0, 'converged': True}
+VARIED = {
+    'fitted.json': json.dumps(FIT, indent=1),
+    'vary.yaml': 'inertia: {relative: 0.05}\ninitial_attitude: {tilt: 0.02}\n'
+                 'initial_angular_velocity.y: {uniform: [0.5, 0.7]}\n'
+                 'torque_gain:\n  normal: 0.03\n  relative: true\n'
+                 'torque_noise: {normal: 1e-4}\nclock_offset: {normal: 0.01}\n'
+                 'damping.dxx: {uniform: [0.0, 1e-3]}\n'}
+
+
+def dispersed(path, scene, recorded):
+    """Return the error line of a command that computes three runs, '' if there is none."""
+    def run():
+        options = parsed(ensemble_command.ensemble_parser(), [
+            '--scene', str(scene), '--recording', str(recorded), '--vary', str(path), '--runs',
+            '3', '-o', str(path.parent / 'out')])
+        rows = ensemble_command._ensemble(options).rows(0, 3)
+        assert {*rows['status']} <= {'ok', 'failed'}
+        return 0
+    return line_of(run, 'attitude_ensemble')
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('examples', WRITTEN)
+@pytest.mark.parametrize('name', VARIED)
+def test_mutated_distributions_give_runs_or_a_line(tmp_path, name, examples):
+    recorded, scene, path = (tmp_path / part for part in ('torque.csv', 'scene.yaml', name))
+    recorded.write_text('1,0,0,0\n2,0.1,0,0\n')
+    scene.write_text('/**:\n  ros__parameters:\n    inertia: {ixx: 0.02, iyy: 0.03, izz: 0.04}\n')
+    check(path, VARIED[name].encode(), lambda: dispersed(path, scene, recorded), examples)
+
+
+@pytest.mark.parametrize('text', [LAUGHS, *(start * 10 ** 6 for start in ('[', '{"a":', '- '))],
+                         ids=['aliases', 'lists', 'groups', 'items'])
+@pytest.mark.parametrize('name', ['scene.yaml', *VARIED])
+def test_bombs_are_one_line(tmp_path, name, text):
+    path = tmp_path / name
+    path.write_text(text)
+    line = dispersed(path, TUMBLER, tmp_path / 'none') if name in VARIED else outcome(
+        tmp_path / 'none', path)
+    assert f'{path}: expected ' in line
 
 
 ROWS = ''.join(f'{k}.{k:09},{0.1 * k!r},-1e-{k},{k}\n' for k in range(1, 9))
@@ -113,7 +176,7 @@ TEXTS = {'bare': ROWS, 'named': f'time,tx,ty,tz\n{ROWS}',
 @pytest.mark.parametrize('name', TEXTS)
 def test_mutated_text_gives_torques_or_a_line(tmp_path, name):
     path = tmp_path / 'torque.csv'
-    check(path, TEXTS[name].encode(), lambda: outcome(path), 9)
+    check(path, TEXTS[name].encode(), lambda: outcome(path), max(1, EXAMPLES // 9))
 
 
 @pytest.mark.slow
@@ -127,4 +190,4 @@ def test_a_mutated_description_gives_torques_or_a_line(tmp_path, kind):
             writer.add_topic('/torque', messages.WRENCH)
             writer.write('/torque', 1, messages.wrench(1, '', [1.0, 0.0, 0.0]))
     about = path / 'metadata.yaml'
-    check(about, about.read_bytes(), lambda: outcome(path), 6)
+    check(about, about.read_bytes(), lambda: outcome(path), max(1, EXAMPLES // 6))

@@ -95,6 +95,24 @@ def test_package_xml_and_setup_py_require_the_same_numba():
     assert expected in (ROOT / 'setup.py').read_text()
 
 
+def test_the_lowest_versions_are_those_of_the_tested_environment():
+    pins = dict(re.findall(r'^([\w-]+)==(.*)$', (ROOT / 'test' / 'lowest.txt').read_text(), re.M))
+    text = (ROOT / 'setup.py').read_text()
+    lists = re.findall(r"(?:install_requires=|'ensemble': )(\[.*?\])", text, re.S)
+    required = [one.split(';')[0] for found in lists for one in ast.literal_eval(found)]
+    assert len(lists) == 2
+    for requirement in required:
+        name, bound = re.fullmatch('([A-Za-z0-9]+)>=([0-9.]+).*', requirement).groups()
+        if name != 'zarr':  # which needs a later Python than the others
+            assert f'{pins.pop(name)}.'.startswith(f'{bound}.'), requirement
+    assert {*pins} == {'pillow', 'pyparsing'}
+    for depend in ElementTree.parse(ROOT / 'package.xml').getroot():
+        name = str(depend.text).removeprefix('python3-')
+        if bound := depend.get('version_gte'):
+            name = {'yaml': 'PyYAML'}.get(name, name)
+            assert any(one.startswith(f'{name}>={bound}') for one in required), name
+
+
 def test_every_source_file_begins_with_the_license():
     if not (ROOT / '.git').exists():
         pytest.skip('not a clone: only git tells which files are ours')

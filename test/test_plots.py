@@ -71,7 +71,9 @@ def inside(figure):
     ticks = {label for axis in axes for label in axis.get_ticklabels(which='both')}
     boxes = [text.get_window_extent() for text in figure.findobj(Text)
              if text not in ticks and text.get_visible() and text.get_text()]
-    boxes += [box for axis in axes if (box := axis.get_tightbbox()) is not None]  # ticks that show
+    renderer = figure.canvas.get_renderer()
+    boxes += [box for axis in axes  # ticks that show
+              if (box := axis.get_tightbbox(renderer)) is not None]
     return all(edges.x0 <= box.x0 and box.x1 <= edges.x1 and edges.y0 <= box.y0
                and box.y1 <= edges.y1 for box in boxes)
 

@@ -88,8 +88,24 @@ def test_a_plain_scene_has_one_source_and_no_wheels(tmp_path):
 
 
 def test_a_group_that_stands_twice_is_merged_as_by_rcl(tmp_path):
-    found = load(tmp_path, parameters('    inertia: {izz: 2.25}'))
-    assert found.body.inertia.diagonal().tolist() == [1.0, 2.0, 2.25]
+    found = load(tmp_path, parameters('    inertia: {ixy: 0.25}'))
+    assert found.body.inertia[0].tolist() == [1.0, 0.25, 0.0]
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    ('    tolerance: 1e-6\n    mode: lockstep\n    tolerance: 1e-6', 'tolerance: {} 4 .* 6'),
+    ('    inertia: {izz: 2.25}', 'inertia.izz: {} 3 .* 4'),
+    ('    inertia.izz: 2.25', 'inertia.izz: {} 3 .* 4'),
+    ('    torque_topics:\n    - a\n    torque_topics: [b]', 'torque_topics: {} 4 .* 6'),
+    ('"**":\n  ros__parameters: {inertia.izz: 2.25}', 'inertia.izz: {} 3 .* 5')])
+def test_a_parameter_that_is_given_twice_is_rejected_with_its_lines(tmp_path, text, message):
+    message = message.format('expected each parameter once, found it in line')
+    with pytest.raises(InputError, match=f'scene.yaml: {message}$'):
+        load(tmp_path, parameters(text))
+
+
+def test_what_a_file_says_twice_of_other_nodes_is_not_read(tmp_path):
+    load(tmp_path, parameters('camera:\n  ros__parameters: {gain: 1, gain: 2}'))
 
 
 def test_quoted_text_stays_text(tmp_path):
@@ -106,7 +122,22 @@ def test_parameters_of_the_node_come_on_top_of_those_for_all(tmp_path):
 def test_a_dump_of_a_renamed_node_is_taken_alone(tmp_path):
     text = parameters('    use_sim_time: true\n    start_type_description_service: true\n'
                       '    qos_overrides: {/torque: {subscription: {depth: 5}}}')
-    assert load(tmp_path, text.replace('/**', '/robot/plant')).values['inertia.izz'] == 2.5
+    found = load(tmp_path, text.replace('/**', '/robot/plant'))
+    assert found.values['inertia.izz'] == 2.5
+    assert found.warnings == [
+        'expected parameters of /** or attitude_node, found those of robot/plant only, which a '
+        'node of that name alone receives']
+
+
+@pytest.mark.parametrize('name', ['/**', '/robot/**', '/*', 'attitude_node', '/a/attitude_node'])
+def test_parameters_that_the_node_receives_give_no_warning(tmp_path, name):
+    assert load(tmp_path, parameters('').replace('/**', name)).warnings == []
+
+
+def test_a_file_of_another_node_is_an_error_that_names_both(tmp_path):
+    with pytest.raises(InputError, match=r'inertia.ixx: expected .*; expected parameters of /\*\* '
+                                         'or attitude_node, found those of camera only'):
+        load(tmp_path, 'camera:\n  ros__parameters: {gain: 1}')
 
 
 @pytest.mark.parametrize('name', ['iss', 'tumbler'])
@@ -147,7 +178,11 @@ def test_a_scene_is_printed_with_units(tmp_path):
     ({'publish_rate': 0}, r'publish_rate: expected 0.001 to 2000 \(Hz\), found 0.0'),
     ({'use_sim_timeX': 3}, 'use_sim_timeX: unknown key'),
     ({'start_time': 2.0 ** 70}, 'start_time: expected an integer'),
-    ({'space_frame': '\ud800'}, 'space_frame: expected UTF-8 text without NUL'),
+    ({'space_frame': '\ud800'}, 'space_frame: expected text without control characters'),
+    ({'body_frame': '\x1b[2J'}, r"body_frame: expected .* control characters, found '\\x1b\[2J'"),
+    ({'body_frame': 'a\n'}, r"body_frame: expected text without control .*, found 'a\\n'"),
+    ({'checkpoint': '\0'}, r"checkpoint: expected text without control characters, found '\\x00'"),
+    ({'torque_topics': ['a\n']}, r"torque_topics: expected names of topics .*, found 'a\\n'"),
     ({'damping.dxx': -1e-3}, 'damping.dxx: expected a finite number not less than 0'),
     ({'damping.dxy': float('inf')}, r'damping.dxy: expected a finite number \(N m s/rad\), '
                                     'found inf'),
@@ -170,7 +205,7 @@ def test_a_scene_is_printed_with_units(tmp_path):
                                          'twice'),
     ({'torque_topics': ['a', 3]}, r'torque_topics: expected names of topics \(.*\), found 3'),
     ({'torque_topics': ['a b']}, r"torque_topics: expected names of topics \(.*\), found 'a b'"),
-    ({'frame_prefix': 'a\0'}, r"frame_prefix: expected UTF-8 text without NUL, found 'a\\x00'"),
+    ({'frame_prefix': 'a\0'}, r"frame_prefix: expected text .*, found 'a\\x00'"),
     ({'frame_prefix': 'one/', 'space_frame': 'one/base_link'}, 'expected different names'),
     ({'body_frame': 'world'}, "space_frame, body_frame: expected different names,.*'world' twice"),
     ({'max_future': 2.0}, r'max_future: expected less than history \(1.0 s\), found 2.0 s')])
@@ -214,6 +249,8 @@ def test_a_missing_moment_is_named_with_its_unit():
      'expected .* for one attitude_node, found .* for a/attitude_node, b/attitude_node'),
     ('/**: {ros__parameters: {inertia: &a {ixx: 1.0}, other: *a}}',
      'expected YAML without aliases'),
+    (parameters('    <<: {izz: 3.0}\n'), r'expected YAML without .* merge keys \(<<\), which ROS '
+     'parameter files do not have, found one in line 4'),
     ('[' * 2000, 'expected YAML'),
     ('/**:\n  ? [1]\n  : 2', r'\*\*: expected names as keys, found a list as a key in line 2'),
     ('/**: 3', r"\*\*: expected keys and values .*, found '3'"),

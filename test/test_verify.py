@@ -80,10 +80,10 @@ def test_another_version_is_reported_but_no_processor(tmp_path, capsys):
     assert sorted(fingerprint()) == ['llvmlite', 'numba', 'numpy', 'rigid_body_ros']
     replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion.mcap')
     path = rewritten(tmp_path / 'motion.mcap', tmp_path / 'other.mcap', metadata={
-        'fingerprint': json.dumps({**fingerprint(), 'numpy': '1.21.5'})})
+        'fingerprint': json.dumps({**fingerprint(), 'numpy': '1.0.0'})})
     assert cli.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '--verify', str(path)]) == 0
     line = capsys.readouterr().out.splitlines()[-1]
-    assert line == (f'made by       numpy 1.21.5, here {fingerprint()["numpy"]}: '
+    assert line == (f'made by       numpy 1.0.0, here {fingerprint()["numpy"]}: '
                     'the last bits may differ')
 
 

@@ -83,7 +83,7 @@ def instants(times_ns: ArrayLike, name: str = 'times_ns') -> NDArray[np.int64]:
     if times.ndim != 1 or (times.size and times.dtype.kind not in 'iu'):
         raise ValueError(f'{name}: expected integer nanoseconds of shape (n,), '
                          f'found {times.dtype} of shape {times.shape}')
-    if times.dtype.kind == 'u' and times.size and times.max() > NEVER_NS:
+    if times.dtype.kind == 'u' and times.size and int(times.max()) > NEVER_NS:
         raise ValueError(f'{name}: expected times in int64 nanoseconds, found {times.max()}')
     return times.astype(np.int64)
 

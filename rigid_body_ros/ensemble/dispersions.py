@@ -16,9 +16,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-import math
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,8 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted
 from rigid_body_ros.ensemble.streams import normals, uniforms
-from rigid_body_ros.runtime.parameters import resembled
+from rigid_body_ros.runtime.parameter_file import described, entries, number
+from rigid_body_ros.runtime.parameters import BIG, resembled
 from rigid_body_ros.runtime.reading import read_yaml
 from rigid_body_ros.scene import PARAMETERS
 import yaml
@@ -40,6 +40,7 @@ UNITS = {**{name: parameter.unit for name, parameter in PARAMETERS.items()
          'clock_offset': 's'}
 #: Keys that stand for three numbers, or for three per sample.
 INERTIA, ATTITUDE, NOISE = 'inertia', 'initial_attitude', 'torque_noise'
+_EXAMPLE = 'torque_gain: {normal: 0.03}'
 #: Their only distribution.
 _SPECIAL = {INERTIA: 'relative', ATTITUDE: 'tilt', NOISE: 'normal'}
 
@@ -108,7 +109,10 @@ def load(path: str | Path) -> tuple[Dispersion, ...]:
     """
     root = read_yaml(path, 'dispersions')
     try:
-        found = tuple(_dispersion(key, value) for key, value in _entries(root, 'the file'))
+        found = tuple(_dispersion(key.value, value)
+                      for key, value in entries(root, 'the file', _EXAMPLE))
+        if not found:
+            raise InputError('expected a parameter that varies, found none')
         keys = [one.key for one in found]
         for key in keys:
             if keys.count(key) > 1:
@@ -120,21 +124,13 @@ def load(path: str | Path) -> tuple[Dispersion, ...]:
     return found
 
 
-def _entries(node: yaml.Node | None, where: str) -> Iterator[tuple[str, yaml.Node]]:
-    if not isinstance(node, yaml.MappingNode) or not node.value:
-        raise InputError(f'{where}: expected keys and values, such as '
-                         'torque_gain: {normal: 0.03}, found none')
-    for key, value in node.value:
-        yield str(key.value), value
-
-
 def _dispersion(key: str, node: yaml.Node) -> Dispersion:
     known = (*UNITS, *_SPECIAL)
     if key not in known:
         close = resembled(key, known)
         raise InputError(f'{key}: unknown key' + (f'; did you mean {close}?' if close else
                                                   f'; expected one of {", ".join(known)}'))
-    given = [*_entries(node, key)]
+    given = [(name.value, value) for name, value in entries(node, key, _EXAMPLE)]
     values = dict(given)
     kinds = [name for name, _ in given if name != 'relative' or key == INERTIA]
     expected = (_SPECIAL[key],) if key in _SPECIAL else ('normal', 'uniform')
@@ -150,22 +146,21 @@ def _dispersion(key: str, node: yaml.Node) -> Dispersion:
 def _bounds(key: str, kind: str, node: yaml.Node) -> tuple[float, ...]:
     unit = {ATTITUDE: 'rad', NOISE: 'N m'}.get(key, UNITS.get(key, ''))
     nodes = node.value if isinstance(node, yaml.SequenceNode) else [node]
-    text = quoted([one.value for one in nodes])
-    try:
-        numbers = tuple(float(one.value) for one in nodes)
-    except (TypeError, ValueError):
-        numbers = ()
-    possible = all(map(math.isfinite, numbers)) and (
+    texts = [one.value if isinstance(one, yaml.ScalarNode) else described(one) for one in nodes]
+    numbers = tuple(one for one in map(number, texts) if one is not None and abs(one) < BIG)
+    possible = len(numbers) == len(texts) and (
         len(numbers) == 2 and numbers[0] < numbers[1] if kind == 'uniform' else
         len(numbers) == 1 and numbers[0] > 0.0)
     if not possible:
         expected = 'two ascending numbers' if kind == 'uniform' else 'a number greater than 0'
         raise InputError(f'{key}: {kind}: expected {expected}{unit and f" ({unit})"}, '
-                         f'found {text}')
+                         f'found {quoted(texts)}')
     return numbers
 
 
 def _flag(key: str, node: yaml.Node | None) -> bool:
-    if node is not None and node.value not in ('true', 'false'):
-        raise InputError(f'{key}: relative: expected true or false, found {quoted(node.value)}')
-    return node is not None and node.value == 'true'
+    if node is None:
+        return False
+    if node.value not in ('true', 'false'):
+        raise InputError(f'{key}: relative: expected true or false, found {described(node)}')
+    return bool(node.value == 'true')

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError, quoted, reason
+from rigid_body_ros.common.errors import InputError, quoted, reason, shortened
 from rigid_body_ros.ensemble.applied import components
 from rigid_body_ros.ensemble.dispersions import ATTITUDE, UNITS
 from rigid_body_ros.ensemble.streams import normals
@@ -42,6 +42,7 @@ _ROTATION = tuple(f'{ATTITUDE}.{axis}' for axis in 'xyz')
 _NOT_IN_MOTION = re.compile(r'(mount|gyro_bias)\.[xyz]|clock_offset|.*\[\d+\]')
 #: Eigenvalues and pivots of a correlation matrix that are rounding errors.
 _ROUNDING = 1e-12
+_KINDS = {bool: 'true or false', dict: 'names and values', float: 'a number', list: 'a list'}
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,27 +126,70 @@ def load(path: str | Path) -> Fitted:
 
 
 def _fitted(data: Any) -> Fitted:
-    try:
-        values = {str(name): float(one['value']) for name, one in data['estimates'].items()}
-        names = [str(name) for name in data['covariance']['names']]
-        matrix = np.array(data['covariance']['matrix'], float)  # None becomes NaN
-        guess = State(attitude=data['guess_attitude_xyzw']).attitude
-        converged = data['converged']
-    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
-        raise InputError('expected a JSON file of attitude_identify with estimates, covariance '
-                         f'and guess_attitude_xyzw, found another: {reason(error)}') from error
-    if converged is not True:
+    if not isinstance(data, dict) or 'estimates' not in data:
+        raise InputError('expected a JSON file of attitude_identify, found another')
+    if not _typed(data.get('converged'), bool, 'converged'):
         raise InputError('expected a fit that converged, found one that did not')
-    if names != [*values] or matrix.shape != (len(names), len(names)):
-        raise InputError(f'covariance: expected a row and a column for each of {len(values)} '
-                         f'estimates, found {len(names)} names and the shape {matrix.shape}')
+    estimates, covariance = (_typed(data.get(key), dict, key) for key in ('estimates',
+                                                                          'covariance'))
+    names, units, rows = (_list(covariance.get(key), len(estimates), f'covariance.{key}')
+                          for key in ('names', 'units', 'matrix'))
+    if names != [*estimates]:
+        raise InputError('covariance.names: expected the names of the estimates in their order, '
+                         f'found {quoted(names)}')
+    values = {name: _value(name, one, unit)
+              for (name, one), unit in zip(estimates.items(), units)}
+    matrix = np.array([_numbers(row, len(rows), f'covariance.matrix[{k}]')
+                       for k, row in enumerate(rows)])
     varied = [name for name in names if not _NOT_IN_MOTION.fullmatch(name)]
     _check_names(varied, values)
-    rows = [names.index(name) for name in varied]
-    covariance = matrix[np.ix_(rows, rows)]
-    _check_covariance(varied, covariance)
-    return Fitted({name: values[name] for name in varied}, guess, covariance,
+    of_varied = [names.index(name) for name in varied]
+    matrix = matrix[np.ix_(of_varied, of_varied)]
+    _check_covariance(varied, matrix)
+    return Fitted({name: values[name] for name in varied}, _guess(data), matrix,
                   tuple(name for name in names if name not in varied))
+
+
+def _typed(value: Any, kind: type, where: str) -> Any:
+    """Return a value if it has a type; an integer is a float, too."""
+    value = float(value) if type(value) is int and kind is float else value
+    if not isinstance(value, kind):
+        found = 'none' if value is None else quoted(value)
+        raise InputError(f'{shortened(where, 100)}: expected {_KINDS[kind]}, found {found}')
+    return value
+
+
+def _list(value: Any, length: int, where: str) -> list[Any]:
+    found: list[Any] = _typed(value, list, where)
+    if len(found) != length:
+        raise InputError(f'{where}: expected a list of length {length}, found {len(found)}')
+    return found
+
+
+def _numbers(value: Any, length: int, where: str) -> list[float]:
+    """Return the numbers in a list; null is NaN."""
+    return [math.nan if one is None else _typed(one, float, where)
+            for one in _list(value, length, where)]
+
+
+def _value(name: str, estimate: Any, unit: Any) -> float:
+    """Return the value of an estimate, if its two units are those of a scene."""
+    given = _typed(estimate, dict, f'estimates: {name}')
+    expected = 'rad' if name in _ROTATION else UNITS.get(name)
+    for found, where in ((given.get('unit'), 'estimates'), (unit, 'covariance.units')):
+        if expected is not None and found != expected:
+            raise InputError(f'{name}: expected the unit {quoted(expected)}, found '
+                             f'{quoted(found)} in {where}')
+    return float(_typed(given.get('value'), float, f'estimates: {name}: value'))
+
+
+def _guess(data: Mapping[str, Any]) -> Floats:
+    key = 'guess_attitude_xyzw'
+    quaternion = _numbers(data.get(key), 4, key)
+    try:
+        return State(attitude=quaternion).attitude
+    except ValueError as error:
+        raise InputError(f'{key}: {reason(error)}') from error
 
 
 def _check_names(names: Sequence[str], values: Mapping[str, float]) -> None:
@@ -173,7 +217,13 @@ def _check_covariance(names: Sequence[str], covariance: Floats) -> None:
         if variance < 0.0:
             raise InputError(f'covariance: {name}: expected a variance of at least 0, found '
                              f'{quoted(variance)}')
-    _, correlation = _scaled(covariance)
+    with np.errstate(over='ignore'):
+        _, correlation = _scaled(covariance)
+    no_spread = covariance[np.diag(covariance) == 0.0]
+    largest = math.inf if no_spread.any() else float(np.abs(correlation).max())
+    if largest > 1.0 + _ROUNDING:
+        raise InputError('covariance: expected a positive semidefinite matrix, found a '
+                         f'correlation of {largest:.13g}')
     if np.abs(correlation - correlation.T).max() > _ROUNDING:
         raise InputError('covariance: expected a symmetric matrix, found another')
     least = float(np.linalg.eigvalsh(correlation)[0])

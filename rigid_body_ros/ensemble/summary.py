@@ -92,7 +92,7 @@ def _correlations(ensemble: Ensemble, folder: Folder) -> dict[str, float]:
         known = np.isfinite(angles) & np.isfinite(distance)
         varies = known.sum() > 2 and np.ptp(distance[known]) > 0.0 and np.ptp(angles[known]) > 0.0
         if varies:
-            result[name] = float(spearmanr(distance[known], angles[known]).statistic)
+            result[name] = float(spearmanr(distance[known], angles[known])[0])
     return result
 
 

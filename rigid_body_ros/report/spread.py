@@ -59,7 +59,8 @@ def draw(path: str | Path, found: Mapping[str, Any], correlations: Sequence[tupl
     figure = Figure(figsize=(9.0, 0.6 + sum(heights)), layout='constrained')
     failed = f', {found["failed"]} failed' if found['failed'] else ''
     figure.suptitle(f'{literal(title)}\n{found["runs"]} runs{failed}')
-    panels = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    panels = figure.subplots(len(heights), 1, gridspec_kw={'height_ratios': heights},
+                             squeeze=False)[:, 0]
     if bands:
         _draw_bands(panels[0], bands, logarithmic=found['histogram']['edges_rad'][0] > 0.0)
     _draw_histogram(panels[int(bool(bands))], found['histogram'], found['angle_from_nominal_rad'])

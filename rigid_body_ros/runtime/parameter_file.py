@@ -17,11 +17,13 @@ ROS 2 parameter files: YAML as rcl_yaml_param_parser reads it, which differs fro
 
 Numbers and Booleans are recognized as by rcl: 1e-9 is a number, although PyYAML reads it as text.
 As in rcl, the entries of a group of parameters that occurs twice are merged, and names of nodes
-may have wildcards and namespaces.
+may have wildcards and namespaces. A parameter that is given twice is an error: rcl takes the last
+value, or that in the group if the other name has a dot.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 import re
 from typing import Any
 
@@ -34,15 +36,16 @@ _FLOAT = re.compile(r'[+-]?([0-9]+(\.[0-9]*)?([eE][+-]?[0-9]+)?|\.[0-9]+([eE][+-
                     r'|\.?(inf|Inf|INF|nan|NaN|NAN))')
 _TRUE = ('y', 'Y', 'yes', 'Yes', 'YES', 'true', 'True', 'TRUE', 'on', 'On', 'ON')
 _FALSE = ('n', 'N', 'no', 'No', 'NO', 'false', 'False', 'FALSE', 'off', 'Off', 'OFF')
+_EXAMPLE = '/**: ros__parameters: inertia: ...'
 #: Parameters of all nodes.
 _ANY_NODE = '**'
 #: Largest number of characters in the full name of a parameter.
 _LONGEST = 500
 
 
-def node_parameters(root: yaml.Node | None, node: str) -> dict[str, Any]:
+def node_parameters(root: yaml.Node | None, node: str) -> tuple[str, dict[str, Any]]:
     """
-    Return the parameters that a parameter file has for a node, by full name.
+    Return the name under which a file has the parameters of a node, and these, by full name.
 
     Parameters of `/**` apply to every node, and those of the node itself override them. A file
     with neither is accepted if it has parameters for a single node, under whatever name.
@@ -57,7 +60,8 @@ def node_parameters(root: yaml.Node | None, node: str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        The YAML is not a parameter file, or has parameters for several nodes of this name.
+        The YAML is not a parameter file, has parameters for several nodes of this name, or has
+        a parameter of the node twice.
 
     """
     sections = _sections(root, '')
@@ -70,61 +74,83 @@ def node_parameters(root: yaml.Node | None, node: str) -> dict[str, Any]:
         raise InputError(f'expected parameters for /** or for one {node}, '
                          f'found parameters for {found}')
     values: dict[str, Any] = {}
-    for name, section in sorted(sections, key=lambda item: item[0] != _ANY_NODE):
-        if name == _ANY_NODE or name in ours:
-            values.update(_flattened(section, ''))
-    return values
+    for name in (_ANY_NODE, *ours):
+        values.update(_values([section for other, section in sections if other == name]))
+    return next(iter(ours), _ANY_NODE), values
 
 
-def is_number(text: str) -> bool:
-    """Return whether rcl interprets an unquoted text as a number."""
-    return _FLOAT.fullmatch(text) is not None
+def number(text: str) -> float | None:
+    """Return the number that rcl reads from an unquoted text, or None."""
+    return float(text.lower().replace('.inf', 'inf').replace('.nan', 'nan')) \
+        if _FLOAT.fullmatch(text) else None
 
 
 def _sections(node: yaml.Node | None, prefix: str) -> list[tuple[str, yaml.Node]]:
     """Return the names of the nodes in a parameter file, each with its parameters."""
     found = []
-    for key, value in _entries(node, prefix or 'the file'):
-        if key == 'ros__parameters' and prefix:
+    for key, value in entries(node, prefix or 'the file'):
+        if key.value == 'ros__parameters' and prefix:
             found.append((prefix, value))
         elif prefix and isinstance(value, yaml.ScalarNode):
             raise InputError(f'{prefix}: expected /**: and ros__parameters: above the parameters '
-                             f'of a node, found {shortened(f"{key}: {value.value}", 100)}')
+                             f'of a node, found {shortened(f"{key.value}: {value.value}", 100)}')
         else:  # a node, or a namespace
-            found += _sections(value, f'{prefix}/{key.strip("/")}'.strip('/'))
+            found += _sections(value, f'{prefix}/{key.value.strip("/")}'.strip('/'))
     return found
 
 
-def _entries(node: yaml.Node | None, where: str) -> list[tuple[str, yaml.Node]]:
-    # Pairs, not a dictionary: rcl merges the groups of a key that occurs twice.
+def entries(node: yaml.Node | None, where: str,
+            example: str = _EXAMPLE) -> list[tuple[yaml.ScalarNode, yaml.Node]]:
+    """
+    Return the keys and values of a mapping in their order; a key may occur twice.
+
+    Raises
+    ------
+    InputError
+        The node is not a mapping, or a key is not a name or is too long.
+
+    """
     if not isinstance(node, yaml.MappingNode):
-        raise InputError(f'{where}: expected keys and values (/**: ros__parameters: inertia: ...),'
-                         f' found {_described(node)}')
+        raise InputError(f'{where}: expected keys and values ({example}), '
+                         f'found {described(node)}')
     for key, _ in node.value:
         if not isinstance(key, yaml.ScalarNode):
-            raise InputError(f'{where}: expected names as keys, found {_described(key)} as a key '
+            raise InputError(f'{where}: expected names as keys, found {described(key)} as a key '
                              f'in line {key.start_mark.line + 1}')
         if len(where) + len(key.value) > _LONGEST:
             raise InputError(f'{shortened(where, 60)}: expected full names of at most {_LONGEST} '
                              f'characters, found {quoted(key.value)}')
-    return [(str(key.value), value) for key, value in node.value]
+    return list(node.value)
 
 
-def _described(node: yaml.Node | None) -> str:
+def described(node: yaml.Node | None) -> str:
+    """Return a node as text for an error message."""
     if isinstance(node, yaml.ScalarNode):
         return quoted(node.value)
     return 'nothing' if node is None else \
         'a list' if isinstance(node, yaml.SequenceNode) else 'a group'
 
 
-def _flattened(node: yaml.Node, prefix: str) -> dict[str, Any]:
-    values = {}
-    for key, value in _entries(node, prefix.rstrip('.') or 'ros__parameters'):
-        if isinstance(value, yaml.MappingNode):
-            values.update(_flattened(value, f'{prefix}{key}.'))
-        else:
-            values[prefix + key] = _value(value)
+def _values(sections: list[yaml.Node]) -> dict[str, Any]:
+    """Return the parameters in the sections of one node, by full name."""
+    values, lines = {}, dict[str, int]()
+    for section in sections:
+        for name, key, value in _flattened(section, ''):
+            line = key.start_mark.line + 1
+            if name in lines:
+                raise InputError(f'{shortened(name, 60)}: expected each parameter once, found it '
+                                 f'in line {lines[name]} and in line {line}')
+            values[name], lines[name] = _value(value), line
     return values
+
+
+def _flattened(node: yaml.Node, prefix: str) -> Iterator[tuple[str, yaml.Node, yaml.Node]]:
+    """Yield the full name, the key and the value of each parameter."""
+    for key, value in entries(node, prefix.rstrip('.') or 'ros__parameters'):
+        if isinstance(value, yaml.MappingNode):
+            yield from _flattened(value, f'{prefix}{key.value}.')
+        else:
+            yield f'{prefix}{key.value}', key, value
 
 
 def _value(node: yaml.Node) -> Any:
@@ -136,12 +162,11 @@ def _value(node: yaml.Node) -> Any:
     if text in _TRUE or text in _FALSE:
         return text in _TRUE
     if _INTEGER.fullmatch(text) and len(text) < 100:
-        number = _integer(text)
-        if -2 ** 63 <= number < 2 ** 63:
-            return number
-    if _FLOAT.fullmatch(text):
-        return float(text.lower().replace('.inf', 'inf').replace('.nan', 'nan'))
-    return text
+        integer = _integer(text)
+        if -2 ** 63 <= integer < 2 ** 63:
+            return integer
+    found = number(text)
+    return text if found is None else found
 
 
 def _integer(text: str) -> int:

@@ -27,7 +27,7 @@ import re
 from typing import Any, NamedTuple
 
 from rigid_body_ros.common.errors import InputError, quoted
-from rigid_body_ros.runtime.parameter_file import is_number
+from rigid_body_ros.runtime.parameter_file import number
 
 #: Limits of parameters without narrower ones.
 BIG, TINY = 1e300, 1e-300
@@ -119,7 +119,7 @@ def checked(parameter: Parameter, given: Any) -> Any:
     wrong = (isinstance(value, bool) is not (parameter.value_type is bool)
              or not isinstance(value, parameter.value_type))
     if wrong:
-        in_quotes = isinstance(value, str) and is_number(value)
+        in_quotes = isinstance(value, str) and number(value) is not None
         hint = '; remove the quotes' if in_quotes else f': {parameter.description}'
         raise InputError(f'{name}: expected {kind}{unit}, found {quoted(value)}{hint}')
     if parameter.choices and value not in parameter.choices:

@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 import json
 import os
 from pathlib import Path
@@ -23,7 +24,7 @@ import re
 import stat
 from typing import Any, BinaryIO
 
-from rigid_body_ros.common.errors import InputError, reason
+from rigid_body_ros.common.errors import InputError, quoted, reason
 import yaml
 from yaml.composer import Composer
 from yaml.resolver import BaseResolver
@@ -44,6 +45,8 @@ else:
 #: Limits of a file: bytes, and of YAML, values and levels. A bag of 2000 files has 0.5 MB and
 #: 30 000 values.
 _MAX_BYTES, _MAX_VALUES, _MAX_LEVELS = 2 ** 22, 100_000, 50
+#: Integers in JSON with this number of digits or more are read as floats.
+_DIGITS = 300
 _TAGS = re.compile('^%TAG', re.MULTILINE)
 
 
@@ -91,13 +94,14 @@ def read_yaml(path: str | Path, what: str, aliases: bool = False) -> yaml.Node |
     aliases : bool
         Whether anchors and aliases are allowed; PyYAML writes them when it writes one object
         twice. Each use of an alias counts all its values. An alias must not contain another one,
-        because then 1 kB can expand to gigabytes.
+        because then 1 kB can expand to gigabytes. If they are not allowed, merge keys are not
+        either, because they merge aliases, and rcl reads them as names of groups.
 
     Raises
     ------
     InputError
-        The file cannot be read, is not YAML in UTF-8, has aliases that are not allowed, or
-        exceeds a limit on bytes, values or levels.
+        The file cannot be read, is not YAML in UTF-8, has aliases or merge keys that are not
+        allowed, or exceeds a limit on bytes, values or levels.
 
     """
     text = _text(path, what, 'YAML')
@@ -125,14 +129,31 @@ def read_json(path: str | Path, what: str) -> Any:
     Raises
     ------
     InputError
-        The file cannot be read, is not JSON in UTF-8, or is too long.
+        The file cannot be read, is not JSON in UTF-8, is too long, or has a key twice.
 
     """
     text = _text(path, what, 'JSON')
     try:
-        return json.loads(text)
-    except (ValueError, RecursionError) as error:
+        return json.loads(text, object_pairs_hook=_object, parse_int=_integer)
+    except InputError as error:
+        raise InputError(f'{path}: {error}') from error
+    except RecursionError as error:
+        raise InputError(f'{path}: expected JSON with fewer levels, found more') from error
+    except ValueError as error:
         raise InputError(f'{path}: expected JSON, found an error: {reason(error)}') from error
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        (twice, _), = Counter(key for key, _ in pairs).most_common(1)
+        raise InputError(f'expected JSON with each key once, found {quoted(twice)} twice')
+    return found
+
+
+def _integer(digits: str) -> int | float:
+    # Python reads a million digits slowly, or not at all.
+    return int(digits) if len(digits) < _DIGITS else float(digits)
 
 
 def _text(path: str | Path, what: str, syntax: str) -> str:
@@ -166,7 +187,7 @@ class _Loader(_EventLoader):
             self._repeated += 1
             self._values += self._sizes.get(anchor, 0)
         self._values += 1
-        self._check(event, anchor)
+        self._check(event, anchor, index is None)
         self._level += 1
         node = super().compose_node(parent, index)
         self._level -= 1
@@ -174,11 +195,13 @@ class _Loader(_EventLoader):
             self._sizes[anchor] = self._values - values
         return node
 
-    def _check(self, event: yaml.Event, anchor: str | None) -> None:
+    def _check(self, event: yaml.Event, anchor: str | None, is_key: bool) -> None:
         line = f'line {event.start_mark.line + 1}' if event.start_mark else 'the file'
-        if anchor is not None and not self._aliases:
-            raise InputError('expected YAML without aliases (*name) and anchors (&name), '
-                             f'found one in {line}')
+        merges = is_key and getattr(event, 'value', None) == '<<'
+        if (anchor is not None or merges) and not self._aliases:
+            raise InputError('expected YAML without aliases (*name), anchors (&name) and merge '
+                             'keys (<<), which ROS parameter files do not have, found one in '
+                             f'{line}')
         if isinstance(event, yaml.AliasEvent) and anchor not in self._sizes:
             raise InputError('expected aliases (*name) of earlier values that contain no aliases, '
                              f'found another in {line}')
