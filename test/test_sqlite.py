@@ -24,6 +24,7 @@ import bags
 from hostile import outcome
 import pytest
 from rigid_body_ros import recording
+from rigid_body_ros.scene import InputError
 
 RECORDED = bags.torques(20)[6:]
 
@@ -182,3 +183,30 @@ def test_a_temporary_copy_needs_room(tmp_path, monkeypatch):
     before = content(tmp_path)
     assert 'bag_0.db3-wal: expected space for a copy in ' in outcome(path)
     assert content(tmp_path) == before
+
+
+@pytest.mark.parametrize(('change', 'told'), [
+    ("encoded_message_definition = replace(encoded_message_definition, 'Vector3 force', 'Vector3 "
+     "push')", "expected float64 wrench.force.x in .*, found 'float64 wrench.push.x'"),
+    ("encoding = 'tape'", "expected a definition in ros2msg or ros2idl, found 'tape'"),
+    ('encoded_message_definition = zeroblob(100000)', 'expected a definition of at most'),
+    ("encoded_message_definition = ''", '')])
+def test_another_definition_of_the_type_is_refused(tmp_path, change, told):
+    recorded = bags.torques(20)
+    path = bags.bare(tmp_path, bags.traffic(recorded), storage='SQLITE3')
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute(f'UPDATE message_definitions SET {change}')
+    if told:
+        with pytest.raises(InputError, match=f'{path.name}: /torque: {told}'):
+            recording.read(path)
+    else:
+        assert len(recording.read(path)) == 20
+
+
+def test_definitions_are_an_ordinary_table(tmp_path):
+    path = bags.bare(tmp_path, bags.traffic(bags.torques(20)), storage='SQLITE3')
+    with closing(sqlite3.connect(path)) as database, database:
+        database.executescript('ALTER TABLE message_definitions RENAME TO x; CREATE VIEW '
+                               'message_definitions AS SELECT * FROM x')
+    with pytest.raises(InputError, match='message_definitions to be an ordinary table'):
+        recording.read(path)

@@ -151,6 +151,7 @@ class Source:
         self._path, self._frames = path, frames
         self._skip_ns = duration_ns(skip, 'skip')
         self._time_source = time_source
+        self._longer = 0
         self._stack = ExitStack()
         with ExitStack() as stack:
             self._files, self._compressed, self._missing = _open_files(Path(path), stack)
@@ -171,7 +172,9 @@ class Source:
     def damage(self) -> str:
         """Return what was lost and where; '' if nothing."""
         found = [f'{file.path}: {file.damage}' for file in self._files if file.damage]
-        return shortened('; '.join([*found, *filter(None, [self._missing])]))
+        longer = f'{self._path}: {self.topic}: {self._longer} messages are longer than ' \
+            f'{self.kind.name}; the bytes after its last field are ignored' if self._longer else ''
+        return shortened('; '.join([*found, *filter(None, [self._missing, longer])]))
 
     def metadata(self, name: str) -> dict[str, str]:
         """Return the metadata record with a name; empty if there is none."""
@@ -200,8 +203,9 @@ class Source:
 
     def __iter__(self) -> Iterator[Messages]:
         number, first_ns = 0, None
+        self._longer = 0
         for file in self._with_topic:
-            for raw in file.read(self.topic):
+            for raw in file.read(self.topic, self.kind):
                 block = self._messages(raw, number)
                 number += len(raw.starts)
                 if not len(block):  # no transform between the frames
@@ -227,6 +231,7 @@ class Source:
                 decoded = bulk.decode(self.kind, plain)
         except bulk.BadMessageError as error:
             raise self._error(error, self.topic, number) from error
+        self._longer += decoded.longer
         stamps = decoded.stamps_ns
         if self._time_source == 'publish':
             stamps = raw.publish_ns

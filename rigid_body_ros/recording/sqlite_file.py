@@ -25,7 +25,9 @@ import sqlite3
 
 import numpy as np
 from rigid_body_ros.common.errors import InputError, quoted, reason, shortened
+from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import Raw
+from rigid_body_ros.recording.definitions import LONGEST
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.unpack import copy_file, temporary
 from rigid_body_ros.runtime.reading import open_file
@@ -48,6 +50,9 @@ _MESSAGES = """
     SELECT timestamp, CASE WHEN typeof(timestamp) = 'integer' AND typeof(data) = 'blob'
                             AND length(data) <= ? THEN data END
     FROM messages JOIN topics ON topic_id = topics.id WHERE name = ? ORDER BY messages.id"""
+_DEFINITIONS = """
+    SELECT CAST(encoding AS TEXT), CAST(substr(encoded_message_definition, 1, ?) AS BLOB)
+    FROM message_definitions WHERE topic_type = ?"""
 
 
 class SqliteFile(File):
@@ -75,20 +80,28 @@ class SqliteFile(File):
         """Return the number of messages of a topic."""
         return int(self._counts.get(topic, 0))
 
-    def read(self, topic: str) -> Iterator[Raw]:
-        """Generate the messages of a topic in blocks, in the order of the file."""
+    def read(self, topic: str, kind: MessageType) -> Iterator[Raw]:
+        """Generate the messages of a topic in blocks; see `File.read`."""
         if self._formats[topic] != 'cdr':
             raise InputError(f'{self.path}: {topic}: expected message encoding cdr, '
                              f'found {quoted(self._formats[topic])}')
         number, self.damage = 0, self._lost
         try:
             with closing(self._open()) as database:
+                self._check_definitions(database, topic, kind)
                 for block in self._blocks(database, topic):
                     yield _raw(block)
                     number += len(block)
         except sqlite3.Error as error:
             self.damage = f'damaged after {number} messages of {shortened(topic, 100)} ' \
                           f'({_reason(error)})'
+
+    def _check_definitions(self, database: sqlite3.Connection, topic: str,
+                           kind: MessageType) -> None:
+        # Early versions of rosbag2 do not store definitions.
+        if database.execute('PRAGMA table_info(message_definitions)').fetchone():
+            for found in database.execute(_DEFINITIONS, (LONGEST + 1, kind.name)):
+                self._check_definition(topic, kind, kind.name, *found)
 
     def _apply_log(self, stack: ExitStack) -> str:
         """Copy a file that has a write-ahead log, and apply the log; return what was lost."""
@@ -121,7 +134,7 @@ class SqliteFile(File):
 
     def _topics(self, database: sqlite3.Connection) -> tuple[dict[str, str], dict[str, str]]:
         """Return the type and the encoding of each topic."""
-        for table in ('topics', 'messages'):
+        for table in ('topics', 'messages', 'message_definitions'):
             # 0: an ordinary column; otherwise it is computed, or belongs to a virtual table.
             hidden = [row[-1] for row in database.execute(f'PRAGMA table_xinfo({table})')]
             # Empty before SQLite 3.37, which cannot list tables.
