@@ -321,6 +321,11 @@ def test_a_file_that_cannot_be_opened_is_named(tmp_path, path):
         recording.read(tmp_path / path)
 
 
+def test_an_empty_name_is_no_folder():
+    with pytest.raises(InputError, match='^expected a recording, found an empty name$'):
+        recording.read('')
+
+
 def test_a_failure_leaves_no_file_and_keeps_the_old_one(tmp_path, recorded):
     before = recorded.read_bytes()
     with pytest.raises(RuntimeError), recording.Writer(recorded) as writer:

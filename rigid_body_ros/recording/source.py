@@ -154,7 +154,7 @@ class Source:
         self._longer = 0
         self._stack = ExitStack()
         with ExitStack() as stack:
-            self._files, self._compressed, self._missing = _open_files(Path(path), stack)
+            self._files, self._compressed, self._missing = _open_files(path, stack)
             self.types = {name: kind for file in self._files for name, kind in file.types.items()}
             self.topic, self.kind = _select_topic(path, self.types, topic, kinds,
                                                   preferred)
@@ -293,7 +293,7 @@ def topics(path: str | Path, kinds: Sequence[MessageType]) -> list[str]:
     """Return the topics of a recording that have one of the types, with the errors of `read`."""
     names = {kind.name for kind in kinds}
     with ExitStack() as stack:
-        files, _, _ = _open_files(Path(path), stack)
+        files, _, _ = _open_files(path, stack)
         return [*{topic: None for file in files for topic, kind in file.types.items()
                   if kind in names}]
 
@@ -333,8 +333,11 @@ def _select_topic(path: str | Path, types: dict[str, str], topic: str | None,
     return topic, by_name[types[topic]]
 
 
-def _open_files(path: Path, stack: ExitStack) -> tuple[list[File], bool, str]:
+def _open_files(name: str | Path, stack: ExitStack) -> tuple[list[File], bool, str]:
     # Return the files, whether each message is compressed by itself, and why files are missing.
+    if name == '':  # as a path it is the current folder
+        raise InputError('expected a recording, found an empty name')
+    path = Path(name)
     if not os.path.isdir(path):  # Path.is_dir raises an error if the name is too long
         return [_open_file(path, stack)], False, ''
     about = _metadata(path / 'metadata.yaml')
