@@ -149,6 +149,7 @@ class McapFile(File):
         messages = 0
         try:
             with open_file(self._content, 'recording') as stream:
+                self._size = os.fstat(stream.fileno()).st_size  # a recorder may still be writing
                 stream.seek(MAGIC_SIZE)
                 for offset, data in self._record_blocks(stream):
                     channels, found = self._scan(offset, data)
@@ -192,10 +193,9 @@ class McapFile(File):
         # Generate offset, opcode and content of the records with the wanted opcodes.
         offset = MAGIC_SIZE
         while True:
-            head = stream.read(_RECORD.size)
-            if len(head) < _RECORD.size:
+            if offset + _RECORD.size > self._size:
                 raise DamageError(f'cut off at byte {offset}')
-            opcode, length = _RECORD.unpack(head)
+            opcode, length = _RECORD.unpack(stream.read(_RECORD.size))
             if opcode == Opcode.DATA_END:
                 return
             if opcode == 0:

@@ -38,6 +38,8 @@ _BLOCK, _BYTES = 8192, 2 ** 24
 _LARGEST = 2 ** 24
 #: Position of the journal mode in a file, and its value for a write-ahead log.
 _MODE_OFFSET, _WRITE_AHEAD = 18, b'\2\2'
+#: Size of the head of a write-ahead log, bytes.
+_LOG_HEAD = 32
 #: SQLite instructions between two checks, and the limit per byte of a file (a message of 30 bytes
 #: takes about 30). Without a limit, reading damaged pages that refer to each other never ends.
 _STEPS, _STEPS_A_BYTE = 100_000, 100
@@ -109,14 +111,16 @@ class SqliteFile(File):
         log = Path(f'{path}-wal')
         if not os.path.exists(log) or not os.path.getsize(log):
             return ''
-        folder = temporary(stack)
-        copy_file(log, folder)
+        folder, begin = temporary(stack), _begin(log)
         self._content = copy_file(path, folder)
+        if _begin(copy_file(log, folder)) != begin:  # a checkpoint wrote to the copied file
+            raise InputError(f'{self.path}: a recorder is writing to this file; stop it, or try '
+                             'again')
         with closing(sqlite3.connect(self._content)) as database:
             _, pages, _ = database.execute('PRAGMA wal_checkpoint(FULL)').fetchone()
             database.execute('PRAGMA journal_mode=DELETE').fetchone()
         return '' if pages > 0 else \
-            f'the write-ahead log {log.name} is damaged and was not applied'
+            f'the write-ahead log {log.name} has no complete transaction and was not applied'
 
     def _open(self) -> sqlite3.Connection:
         with open_file(self._content, 'recording') as stream:
@@ -181,8 +185,15 @@ class SqliteFile(File):
             yield time_ns, data
 
     def _check_size(self, size: int) -> None:
-        if size > self._size:
+        # The file may have grown meanwhile.
+        if size > self._size and size > os.path.getsize(self._content):
             raise sqlite3.DatabaseError(_TOO_MUCH)
+
+
+def _begin(log: Path) -> bytes:
+    """Return the head of a write-ahead log, which changes when SQLite begins the log again."""
+    with open_file(log, 'write-ahead log') as stream:
+        return stream.read(_LOG_HEAD)
 
 
 def _reason(error: Exception) -> str:
