@@ -299,6 +299,7 @@ def test_a_file_may_grow_while_it_is_read(tmp_path, form, begun):
         assert 'found -' not in source.damage
     stamps = np.concatenate([block.stamps_ns for block in found])
     assert stamps.tolist() == ALONE.stamps_ns[:len(stamps)].tolist()
+    assert begun or len(stamps) > len(ALONE.stamps_ns) // 2
 
 
 @pytest.mark.parametrize('text', [
