@@ -80,7 +80,11 @@ def attitude_controller(arguments: Sequence[str] | None = None) -> int:
 
 def _run(name: str, arguments: Sequence[str] | None) -> int:
     def command() -> int:
+        import logging
+
         from rigid_body_ros import commands
+        # Without a writable home, it warns in two lines that it uses a temporary folder.
+        logging.getLogger('matplotlib').setLevel(logging.ERROR)
         interrupts.check()
         return getattr(commands, name)(arguments)
     status = _guarded(name, command, arguments)

@@ -61,6 +61,9 @@ _FIELDS = {
     'geometry_msgs/Transform': 'Vector3 translation\nQuaternion rotation\n',
     'geometry_msgs/TransformStamped': 'std_msgs/Header header\nstring child_frame_id\n'
                                       'Transform transform\n',
+    'geometry_msgs/PoseStamped': 'std_msgs/Header header\nPose pose\n',
+    'geometry_msgs/PoseWithCovarianceStamped': 'std_msgs/Header header\n'
+                                               'PoseWithCovariance pose\n',
     'geometry_msgs/WrenchStamped': 'std_msgs/Header header\nWrench wrench\n',
     'geometry_msgs/QuaternionStamped': 'std_msgs/Header header\nQuaternion quaternion\n',
     'geometry_msgs/Vector3Stamped': 'std_msgs/Header header\nVector3 vector\n',

@@ -53,7 +53,8 @@ FRAMES = ['base_link', 'world', '', 'a', 'ab', 'abc', 'abcd', 'abcde', 'abcdef',
 UNINDEXED = {'index_types': IndexType.NONE, 'repeat_channels': False, 'repeat_schemas': False,
              'use_statistics': False, 'use_summary_offsets': False}
 
-_IDL = {
+#: By type, its fields in IDL.
+IDL = {
     'builtin_interfaces/msg/Time': 'int32 sec; unsigned long nanosec;',
     'std_msgs/msg/Header': 'builtin_interfaces::msg::Time stamp; string frame_id;',
     'geometry_msgs/msg/Vector3': 'double x; double y; double z;',
@@ -147,7 +148,7 @@ def mcap(folder, sent, cdr=Sent.cdr, encoding='ros2msg', profile='ros2', channel
             key = one.topic, number % channels
             if one.kind not in schemas:
                 schemas[one.kind] = writer.register_schema(
-                    one.kind, *_schema(one.kind, encoding if one.kind in _IDL else 'ros2msg'))
+                    one.kind, *_schema(one.kind, encoding if one.kind in IDL else 'ros2msg'))
             if key not in ids:
                 ids[key] = writer.register_channel(one.topic, 'cdr', schemas[one.kind])
             log_ns = one.stamp_ns + LOGGED
@@ -366,14 +367,14 @@ def _schema(kind, encoding='ros2msg'):
     # Its encoding and its text.
     if encoding == 'ros2msg':
         return encoding, STORE.generate_msgdef(kind, ros_version=2)[0].encode()
-    kinds = [*_IDL]
-    return encoding, ''.join(map(_idl, kinds[kinds.index(kind)::-1])).encode()
+    kinds = [*IDL]
+    return encoding, ''.join(map(idl, kinds[kinds.index(kind)::-1])).encode()
 
 
-def _idl(kind):
+def idl(kind):
     package, _, name = kind.split('/')
     return (f'{"=" * 80}\nIDL: {kind}\n// generated from rosidl_adapter/resource/msg.idl.em\n'
-            f'module {package} {{ module msg {{\n  struct {name} {{ {_IDL[kind]} }};\n}}; }};\n')
+            f'module {package} {{ module msg {{\n  struct {name} {{ {IDL[kind]} }};\n}}; }};\n')
 
 
 def _listed(fields):

@@ -284,6 +284,24 @@ def test_of_split_files_those_before_the_damage_are_read(tmp_path, storage, comp
         harm == 'removed' and not rows)
 
 
+@pytest.mark.parametrize('form', ['mcap-zstd-unindexed', 'mcap-none-unchunked-unindexed'])
+@pytest.mark.parametrize('begun', [False, True])
+def test_a_file_may_grow_while_it_is_read(tmp_path, form, begun):
+    path = FORMS[form](tmp_path, SENT['alone'])
+    data = path.read_bytes()
+    path.write_bytes(data[:len(data) // 2])
+    with recording.source.Source(path, None, recording.TORQUES) as source:
+        blocks = iter(source)
+        found = [next(blocks)] if begun else []
+        path.write_bytes(data[:-len(data) // 3])
+        found += blocks
+        assert re.search(r'cut off (or damaged )?at byte \d+', source.damage)
+        assert 'found -' not in source.damage
+    stamps = np.concatenate([block.stamps_ns for block in found])
+    assert stamps.tolist() == ALONE.stamps_ns[:len(stamps)].tolist()
+    assert begun or len(stamps) > len(ALONE.stamps_ns) // 2
+
+
 @pytest.mark.parametrize('text', [
     '', 'x', '[]', '\0', '{', pytest.param('[' * 5000, id='deep'),
     'rosbag2_bagfile_information: 3', 'rosbag2_bagfile_information: {version: 99}',

@@ -19,6 +19,7 @@ import re
 import struct
 import sys
 
+import bags
 from conftest import EPOCH_NS, files_up_to, RECORDINGS, SECOND
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
@@ -320,6 +321,11 @@ def test_a_file_that_cannot_be_opened_is_named(tmp_path, path):
         recording.read(tmp_path / path)
 
 
+def test_an_empty_name_is_no_folder():
+    with pytest.raises(InputError, match='^expected a recording, found an empty name$'):
+        recording.read('')
+
+
 def test_a_failure_leaves_no_file_and_keeps_the_old_one(tmp_path, recorded):
     before = recorded.read_bytes()
     with pytest.raises(RuntimeError), recording.Writer(recorded) as writer:
@@ -351,3 +357,153 @@ def test_a_double_survives_the_file_to_the_last_bit(tmp_path):
     torque = [5e-324, -0.0, 1.7976931348623157e308]
     path = write(tmp_path / 'extreme.mcap', [(EPOCH_NS, '', torque)])
     assert struct.pack('<3d', *torque_log(path).torques[0]) == struct.pack('<3d', *torque)
+
+
+def registered(path, definition, encoding='ros2msg', kind=messages.WRENCH, message=None):
+    """Write a torque whose schema has a definition."""
+    message = message or messages.wrench(EPOCH_NS, '', [1.0, 2.0, 3.0])
+    with open(path, 'wb') as stream:
+        writer = McapWriter(stream)
+        writer.start('ros2')
+        schema = writer.register_schema(kind.name, encoding, definition.encode())
+        channel = writer.register_channel('/torque', 'cdr', schema)
+        writer.add_message(channel, EPOCH_NS, message, EPOCH_NS)
+        writer.finish()
+    return path
+
+
+STANDARD = messages.WRENCH.definition
+IDL = ''.join(bags.idl(kind) for kind in reversed(bags.IDL))
+SWAPPED = ('Vector3 force\nVector3 torque', 'Vector3 torque\nVector3 force')
+#: Changes of the definition of a WrenchStamped, and the first difference.
+CHANGES = {
+    'swapped': (*SWAPPED, 'float64 wrench.force.x', "'float64 wrench.torque.x'"),
+    'float32': ('float64 x', 'float32 x', 'float64 wrench.force.x', "'float32 wrench.force.x'"),
+    'more': ('Wrench wrench\n', 'Wrench wrench\nuint8 quality\n', 'no more fields',
+             "'uint8 quality'"),
+    'fewer': ('float64 z\n', '', 'float64 wrench.force.z', "'float64 wrench.torque.x'"),
+    'first': ('std_msgs/Header header\n', 'int32 id\nstd_msgs/Header header\n',
+              'int32 header.stamp.sec', "'int32 id'"),
+    'unknown': ('Wrench wrench\n', 'other_msgs/Wrench wrench\n', 'float64 wrench.force.x',
+                "'other_msgs/Wrench wrench'"),
+    'array': ('float64 x', 'float64[1] x', 'float64 wrench.force.x',
+              "'float64[1] wrench.force.x'")}
+
+
+@pytest.mark.parametrize(('standard', 'other', 'expected', 'found'), CHANGES.values(), ids=CHANGES)
+def test_another_definition_of_a_type_is_refused(tmp_path, standard, other, expected, found):
+    assert standard in STANDARD
+    path = registered(tmp_path / 'other.mcap', STANDARD.replace(standard, other))
+    name = messages.WRENCH.name
+    with pytest.raises(InputError, match=re.escape(
+            f'{path}: /torque: expected {expected} in the definition of {name}, found {found}')):
+        recording.read(path)
+
+
+@pytest.mark.parametrize(('standard', 'other', 'expected', 'found'), [
+    ('force; geometry_msgs::msg::Vector3 torque', 'torque; geometry_msgs::msg::Vector3 force',
+     'float64 wrench.force.x', "'float64 wrench.torque.x'"),
+    ('double x', 'float x', 'float64 wrench.force.x', "'float32 wrench.force.x'"),
+    ('struct Vector3', 'struct Vector', 'float64 wrench.force.x', 'no more fields')])
+def test_another_definition_in_idl_is_refused(tmp_path, standard, other, expected, found):
+    assert standard in IDL
+    path = registered(tmp_path / 'other.mcap', IDL.replace(standard, other), 'ros2idl')
+    with pytest.raises(InputError, match=re.escape(f'expected {expected} in')) as error:
+        recording.read(path)
+    assert f', found {found}' in str(error.value)
+
+
+def test_a_definition_in_an_unknown_language_is_refused(tmp_path):
+    path = registered(tmp_path / 'other.mcap', '{}', 'jsonschema')
+    with pytest.raises(InputError, match="ros2msg or ros2idl, found 'jsonschema'"):
+        recording.read(path)
+
+
+#: The same definition, written in other ways.
+COMMENTED = re.sub(r'(?m)^(?!=|MSG)(\S+) (.*)$', r'\n# float32 y\n  \1\t\2 # z\r', STANDARD)
+SAME = {
+    'comments': COMMENTED, 'empty': '', 'blank': ' \n', 'root only': STANDARD.split('=')[0],
+    'constants': STANDARD.replace('float64 x', 'uint8 ONE=1\nstring TWO = "x"\nfloat64 x 1.5'),
+    'full names': STANDARD.replace('MSG: geometry_msgs/', 'MSG: geometry_msgs/msg/')
+    .replace('Wrench wrench', 'geometry_msgs/msg/Wrench wrench')
+    .replace('std_msgs/Header header', 'Header header')}
+
+
+@pytest.mark.parametrize('definition', SAME.values(), ids=SAME)
+def test_the_same_definition_may_be_written_in_other_ways(tmp_path, definition):
+    path = registered(tmp_path / 'same.mcap', definition)
+    assert recording.read(path).values[0, 3:].tolist() == [1.0, 2.0, 3.0]
+
+
+#: A definition as rosidl writes it.
+ROSIDL = '''{equals}
+IDL: geometry_msgs/msg/PoseWithCovarianceStamped
+// generated from rosidl_adapter/resource/msg.idl.em
+#include "geometry_msgs/msg/PoseWithCovariance.idl"
+#include "std_msgs/msg/Header.idl"
+
+module geometry_msgs {{
+  module msg {{
+    @verbatim (language="comment", text=
+      "This expresses an \\"estimated\\" pose; // with" "\\n"
+      "a covariance {{float32 x;}}")
+    struct PoseWithCovarianceStamped {{
+      std_msgs::msg::Header header;
+
+      geometry_msgs::msg::PoseWithCovariance pose;
+    }};
+  }};
+}};
+{equals}
+IDL: geometry_msgs/msg/PoseWithCovariance
+module geometry_msgs {{
+  module msg {{
+    typedef double double__36[36];
+    module PoseWithCovariance_Constants {{ const long SIX = 6; }};
+    struct PoseWithCovariance {{
+      geometry_msgs::msg::Pose pose;
+
+      @verbatim (language="comment", text="Row-major; see (x, y)")
+      @default (value=0.0)
+      double__36 covariance;  // it's 36
+    }};
+  }};
+}};
+'''.format(equals='=' * 80)
+
+
+def test_a_definition_of_rosidl_is_the_standard_one(tmp_path):
+    kind = messages.POSE_WITH_COVARIANCE
+    message = kind.encode(EPOCH_NS, 'world', np.arange(43.0))
+    path = registered(tmp_path / 'pose.mcap', ROSIDL, 'ros2idl', kind, message)
+    assert recording.read(path, kind=kind).values.tolist() == [[*range(43)]]
+    path = registered(path, ROSIDL.replace('[36]', '[9]'), 'ros2idl', kind, message)
+    with pytest.raises(InputError, match=r"float64\[36\] pose.covariance in .*'float64\[9\] pose"):
+        recording.read(path, kind=kind)
+
+
+def test_channels_of_a_topic_must_have_one_type(tmp_path):
+    path = tmp_path / 'two.mcap'
+    with open(path, 'wb') as stream:
+        writer = McapWriter(stream)
+        writer.start('ros2')
+        for kind in (messages.BARE_WRENCH, messages.WRENCH):
+            schema = writer.register_schema(kind.name, 'ros2msg', b'')
+            channel = writer.register_channel('/torque', 'cdr', schema)
+            writer.add_message(channel, EPOCH_NS, bytes([0, 1]) + bytes(98), EPOCH_NS)
+        writer.finish()
+    with pytest.raises(InputError, match='/torque: expected the type geometry_msgs/msg/WrenchSt'
+                                         "amped, found 'geometry_msgs/msg/Wrench'"):
+        recording.read(path)
+
+
+def test_messages_that_are_longer_than_their_type_are_counted(tmp_path):
+    path, message = tmp_path / 'long.mcap', messages.wrench(EPOCH_NS, '', [1.0, 2.0, 3.0])
+    with recording.Writer(path) as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        for k, more in enumerate([0, 3, 4, 100]):  # middleware pads to 4 bytes
+            writer.write('/torque', EPOCH_NS + k, message + bytes(more))
+    found = recording.read(path)
+    assert len(found) == 4
+    assert found.damage == (f'{path}: /torque: 2 messages are longer than geometry_msgs/msg/'
+                            'WrenchStamped; the bytes after its last field are ignored')

@@ -21,15 +21,16 @@ import sys
 import time
 
 import bags
-from conftest import at_night, CONFIG, EPOCH_NS, RECORDINGS, Reference, SECOND
+from conftest import at_night, CONFIG, EPOCH_NS, files_up_to, RECORDINGS, Reference, SECOND
 import matplotlib.image
 import numpy as np
 import pytest
 from rigid_body_ros import cli, messages, propagate, recording, scene
-from rigid_body_ros.replay import replay
+from rigid_body_ros.replay import gaps, replay
 from rigid_body_ros.replay.check import energy_balance
 from rigid_body_ros.replay.report import summary
 from rigid_body_ros.scene import InputError
+from rigid_body_ros.torque import TorqueLog
 from rosbags.highlevel import AnyReader
 
 ISS = (str(RECORDINGS / 'iss.mcap'), '--scene', str(CONFIG / 'iss.yaml'))
@@ -382,7 +383,8 @@ def test_a_signal_is_heard_while_the_motion_is_worked_out(tmp_path, output, numb
     os.kill(process.pid, number)
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + number
-    last, = words.splitlines()
+    announced, last = words.splitlines()
+    assert 'fast_spin.mcap: /torque: computing the motion takes about ' in announced
     assert warning.startswith(
         f'attitude_replay: warning: {config}: initial_angular_velocity: 6000 rad/s is 955')
     assert last == 'attitude_replay: interrupted; no partial output was left'
@@ -401,7 +403,7 @@ def test_an_interrupted_replay_leaves_nothing_under_the_final_name(tmp_path, out
     os.kill(process.pid, number)
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + number
-    line, = words.splitlines()
+    line = words.splitlines()[-1]
     assert line.startswith('attitude_replay: interrupted; ')
     assert not output.exists()
     partial = tmp_path / 'motion.partial.mcap'
@@ -548,3 +550,142 @@ def test_a_motion_that_cannot_go_on_leaves_nothing(tmp_path, output, capsys):
                                 str(output)]) == 2
     assert 'turns faster than' in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ['wild.mcap']
+
+
+def stopped_clock(path, gap, torque=(0.1, 0.05, 0.02), count=50):
+    """Write torques every 10 ms, with a gap in the middle, s."""
+    seconds = 1000.0 + np.arange(2 * count) * 0.01
+    seconds[count:] += gap
+    path.write_text(''.join(f'{t:.3f},{",".join(map(str, torque))}\n' for t in seconds))
+    return [str(path), '--scene', str(CONFIG / 'tumbler.yaml')]
+
+
+@pytest.mark.slow
+def test_a_torque_over_a_long_gap_is_warned_of(tmp_path, capsys):
+    arguments = stopped_clock(tmp_path / 'gap.csv', 20.0)
+    assert cli.attitude_replay(arguments) == 0
+    shown = capsys.readouterr().out
+    assert 'longest gap   20.01 s between torques, from 0.49 s after the start\n' in shown
+    assert ('warning       a torque acts for 20.01 s until the next one, from 0.49 s after the '
+            'start, although torques are usually 0.01 s apart: ') in shown
+    second = stopped_clock(tmp_path / 'second.csv', 20.0)[0]
+    assert cli.attitude_replay([second, *arguments, '-o', str(tmp_path / 'out')]) == 0
+    assert capsys.readouterr().out.count('; warning: a torque acts for 20.01 s') == 2
+
+
+@pytest.mark.parametrize(('gap', 'torque', 'options', 'longest'), [
+    (0.9, (0.1, 0.0, 0.0), [], '0.91 s between torques, from 0.49 s'),
+    (20.0, (0.0, 0.0, 0.0), [], '20.01 s'),
+    (20.0, (0.1, 0.0, 0.0), ['--until', '0.9'], '0.41 s'),
+    (20.0, (0.1, 0.0, 0.0), ['--start', '0.6'], '0.01 s')])
+def test_a_gap_without_consequence_is_only_named(tmp_path, capsys, gap, torque, options, longest):
+    assert cli.attitude_replay([*stopped_clock(tmp_path / 'gap.csv', gap, torque), *options]) == 0
+    shown = capsys.readouterr().out
+    assert f'longest gap   {longest}' in shown
+    assert 'warning' not in shown
+
+
+def test_a_torque_that_times_out_is_not_warned_of(tmp_path, capsys):
+    text = (CONFIG / 'tumbler.yaml').read_text()
+    (tmp_path / 'scene.yaml').write_text(f'{text}    torque_timeout: 0.5\n')
+    arguments = stopped_clock(tmp_path / 'gap.csv', 20.0)
+    assert cli.attitude_replay([*arguments[:-1], str(tmp_path / 'scene.yaml')]) == 0
+    assert 'warning' not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('scene_lines', ['', '    damping: {dxx: 1e-9, dyy: 1e-9, dzz: 1e-9}\n'])
+def test_a_torque_that_acts_for_ten_years_is_refused(tmp_path, capsys, scene_lines):
+    (tmp_path / 'scene.yaml').write_text((CONFIG / 'tumbler.yaml').read_text() + scene_lines)
+    arguments = stopped_clock(tmp_path / 'gap.csv', 3.2e8)
+    assert cli.attitude_replay([*arguments[:-1], str(tmp_path / 'scene.yaml')]) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert 'at 1000490000000 ns acts until 320001000500000000 ns, for 320000000 s: ' in line
+    assert 'check the clock that set the stamps, or set torque_timeout' in line
+
+
+@pytest.mark.slow
+def test_a_body_without_torque_may_turn_for_ten_years(tmp_path, capsys):
+    path = tmp_path / 'gap.csv'
+    arguments = stopped_clock(path, 3.2e8, (0.0, 0.0, 0.0))
+    path.write_text(path.read_text().replace('320001000.500,0.0,', '320001000.500,0.1,'))
+    assert cli.attitude_replay(arguments) == 0
+    assert 'linear would spin the body too fast' in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_damping_limits_the_turns_over_a_gap(tmp_path, capsys):
+    (tmp_path / 'scene.yaml').write_text((CONFIG / 'tumbler.yaml').read_text()
+                                         + '    damping: {dxx: 0.01, dyy: 0.01, dzz: 0.01}\n')
+    arguments = stopped_clock(tmp_path / 'gap.csv', 2e6, (1e-3, 0.0, 0.0))
+    assert cli.attitude_replay([*arguments[:-1], str(tmp_path / 'scene.yaml')]) == 0
+
+
+def test_a_long_computation_is_announced(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr('rigid_body_ros.replay.gaps._PATIENCE', 0.01)
+    arguments = stopped_clock(tmp_path / 'gap.csv', 200.0)
+    assert cli.attitude_replay(arguments) == 0
+    assert capsys.readouterr().err == (
+        f'{arguments[0]}: /torque: computing the motion takes about 0:00:00 (h:min:s)\n')
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_gaps_do_not_depend_on_the_pieces(seed):
+    random = np.random.default_rng(seed)
+    stamps = np.cumsum(random.integers(1, 10 ** 9, 300))
+    stamps[200:] += 10 ** 12
+    torques = random.normal(size=(300, 3))
+    whole, pieces = (gaps.Gaps(int(stamps[3]), int(stamps[-4]), 0) for _ in range(2))
+    whole.add(TorqueLog(stamps, torques))
+    for first in range(0, 300, 10):
+        log = TorqueLog(stamps[first:first + 15], torques[first:first + 15])
+        pieces.add(log)
+        pieces.add(log)
+    assert (str(pieces), pieces.warning, pieces.usual) == (str(whole), whole.warning, whole.usual)
+    assert whole.warning
+    assert whole.usual == pytest.approx(np.median(np.diff(stamps[3:-3])) * 1e-9, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('outputs', [
+    ['-o', 'm.mcap'], ['-o', 'm'], ['--plot', 'm.png'], ['--report', 'm.html']], ids=' '.join)
+def test_a_disk_that_is_full_at_any_write_leaves_no_incomplete_output(tmp_path, monkeypatch,
+                                                                      capsys, outputs):
+    monkeypatch.chdir(tmp_path)
+    arguments = [str(RECORDINGS / 'tumbler.mcap'), '--scene', str(CONFIG / 'tumbler.yaml'),
+                 '--rate', '1000', *outputs]
+    assert cli.attitude_replay(arguments) == 0
+    written = [path for path in [*tmp_path.rglob('*')] if path.is_file()]
+    largest = max(path.stat().st_size for path in written)
+    for path in written:
+        path.unlink()
+    if outputs[-1] == 'm':
+        (tmp_path / 'm').rmdir()
+    capsys.readouterr()
+    for size in np.random.default_rng(5).integers(0, largest, 5).tolist():
+        with files_up_to(size):
+            assert cli.attitude_replay(arguments) == 2
+        captured = capsys.readouterr()
+        assert captured.out == ''
+        line, = captured.err.splitlines()
+        assert f'{outputs[-1]}: cannot write: File too large' in line
+        for path in tmp_path.iterdir():
+            assert path.name == 'm.partial.mcap'
+            assert len(recording.read(path, '/attitude', messages.QUATERNION))
+            path.unlink()
+
+
+@pytest.mark.slow
+def test_home_time_zone_and_assertions_have_no_effect(tmp_path):
+    def run(folder, python, **environment):
+        folder.mkdir()
+        variables = {name: value for name, value in os.environ.items() if name != 'HOME'}
+        result = subprocess.run(
+            [*python, *COMMAND[1:], str(RECORDINGS / 'tumbler.mcap'), '--scene',
+             str(CONFIG / 'tumbler.yaml'), '-o', 'm.mcap', '--plot', 'm.png'], cwd=folder,
+            env={**variables, **environment}, capture_output=True, text=True, check=False)
+        assert (result.returncode, result.stderr) == (0, '')
+        facts = [line for line in result.stdout.splitlines() if not line.startswith('speed')]
+        return facts, (folder / 'm.mcap').read_bytes(), (folder / 'm.png').read_bytes()
+    here = run(tmp_path / 'here', [sys.executable], HOME=str(tmp_path), TZ='UTC')
+    assert run(tmp_path / 'there', [sys.executable, '-O'], HOME='/proc/none',
+               TZ='Asia/Kathmandu', LC_ALL='tr_TR.UTF-8') == here

@@ -19,13 +19,16 @@ import itertools
 import shutil
 import sqlite3
 import struct
+from threading import Event, Thread
 
 import bags
 from hostile import outcome
 import pytest
 from rigid_body_ros import recording
+from rigid_body_ros.scene import InputError
 
 RECORDED = bags.torques(20)[6:]
+RECORDED_MESSAGE = bags.traffic(RECORDED)[0].cdr()
 
 
 def database(folder, *statements, **options):
@@ -83,7 +86,7 @@ def test_a_log_that_cannot_be_used_is_reported(tmp_path):
     (tmp_path / 'other.db3-wal').write_bytes(b'x' * 10_000)
     rows, damage = read(tmp_path / 'other.db3')
     assert rows == RECORDED.rows()
-    assert 'the write-ahead log other.db3-wal is damaged and was not applied' in damage
+    assert 'other.db3-wal has no complete transaction and was not applied' in damage
 
 
 def test_a_journal_beside_the_target_of_a_link_is_used(tmp_path):
@@ -182,3 +185,64 @@ def test_a_temporary_copy_needs_room(tmp_path, monkeypatch):
     before = content(tmp_path)
     assert 'bag_0.db3-wal: expected space for a copy in ' in outcome(path)
     assert content(tmp_path) == before
+
+
+@pytest.mark.parametrize(('change', 'told'), [
+    ("encoded_message_definition = replace(encoded_message_definition, 'Vector3 force', 'Vector3 "
+     "push')", "expected float64 wrench.force.x in .*, found 'float64 wrench.push.x'"),
+    ("encoding = 'tape'", "expected a definition in ros2msg or ros2idl, found 'tape'"),
+    ('encoded_message_definition = zeroblob(100000)', 'expected a definition of at most'),
+    ("encoded_message_definition = ''", '')])
+def test_another_definition_of_the_type_is_refused(tmp_path, change, told):
+    recorded = bags.torques(20)
+    path = bags.bare(tmp_path, bags.traffic(recorded), storage='SQLITE3')
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute(f'UPDATE message_definitions SET {change}')
+    if told:
+        with pytest.raises(InputError, match=f'{path.name}: /torque: {told}'):
+            recording.read(path)
+    else:
+        assert len(recording.read(path)) == 20
+
+
+def test_definitions_are_an_ordinary_table(tmp_path):
+    path = bags.bare(tmp_path, bags.traffic(bags.torques(20)), storage='SQLITE3')
+    with closing(sqlite3.connect(path)) as database, database:
+        database.executescript('ALTER TABLE message_definitions RENAME TO x; CREATE VIEW '
+                               'message_definitions AS SELECT * FROM x')
+    with pytest.raises(InputError, match='message_definitions to be an ordinary table'):
+        recording.read(path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('mode', ['WAL', 'DELETE'])
+def test_a_file_is_read_while_it_is_written(tmp_path, mode):
+    path = database(tmp_path, f'PRAGMA journal_mode={mode}')
+    stop = Event()
+
+    def record():
+        with closing(sqlite3.connect(path)) as connection:
+            while not stop.wait(0.002):
+                with connection:
+                    connection.executemany(
+                        'INSERT INTO messages (topic_id, timestamp, data) VALUES (1, ?, ?)',
+                        [(1, RECORDED_MESSAGE)] * 50)
+    recorder = Thread(target=record)
+    recorder.start()
+    counts = []
+    try:
+        while len(counts) < 15:
+            try:
+                found = recording.read(path)
+            except InputError as error:
+                assert 'a recorder is writing to this file' in str(error)
+                continue
+            assert found.damage == '' or found.damage.endswith('no complete transaction and was '
+                                                               'not applied')
+            assert len(found) % 50 == len(RECORDED.stamps_ns)
+            counts.append(len(found))
+    finally:
+        stop.set()
+        recorder.join()
+    assert counts == sorted(counts)
+    assert counts[-1] > counts[0]

@@ -33,6 +33,9 @@ from rigid_body_ros.messages import MessageType
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]
 
+#: Most bytes with which middleware pads the end of a message.
+_PADDING = 3
+
 
 class BadMessageError(ValueError):
     """A message does not match its type; `row` is its index."""
@@ -89,6 +92,8 @@ class Decoded(NamedTuple):
         The distinct frame_ids.
     values : array, shape (n, doubles)
         The doubles of each message in field order.
+    longer : int
+        Number of messages with bytes after the last field, other than padding.
 
     """
 
@@ -96,6 +101,7 @@ class Decoded(NamedTuple):
     frames: NDArray[np.intp]
     names: list[str]
     values: Floats
+    longer: int = 0
 
 
 def decode(kind: MessageType, raw: Raw) -> Decoded:
@@ -103,8 +109,10 @@ def decode(kind: MessageType, raw: Raw) -> Decoded:
     count = len(raw.starts)
     stamps, bits = np.zeros(count, np.int64), np.empty((count, kind.doubles), np.int64)
     texts, changes = np.zeros((count, 2), np.int64), np.zeros(count, np.bool_)
+    after = np.zeros(count, np.int64)
     done = _decode(raw.data, raw.starts, raw.sizes, kind.has_header, kind.is_list,
-                   kind.has_child_frame, len(kind.before_doubles), stamps, bits, texts, changes)
+                   kind.has_child_frame, len(kind.before_doubles), stamps, bits, texts, changes,
+                   after)
     names: dict[str, int] = {}
     codes = np.zeros(count, np.intp)
     rows = np.flatnonzero(changes[:done])
@@ -119,16 +127,17 @@ def decode(kind: MessageType, raw: Raw) -> Decoded:
             raise ValueError(f'expected a {kind.name} in CDR, found undecodable bytes')
     except ValueError as error:
         raise BadMessageError(row, str(error)) from error
-    return Decoded(stamps, codes, [*names], bits.view(np.float64))
+    longer = int(np.sum(after > len(kind.after_doubles) + _PADDING))
+    return Decoded(stamps, codes, [*names], bits.view(np.float64), longer)
 
 
 @njit
 def _decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: bool,
             has_child_frame: bool, before_doubles: int, stamps: Ints, bits: Ints, texts: Ints,
-            changes: NDArray[np.bool_]) -> int:
-    # Fill `stamps`, `bits` (of the doubles), `texts` (start and size of each frame_id), and
-    # `changes` (whether the frame_id differs from the previous one). Return the number of valid
-    # messages before the first invalid one.
+            changes: NDArray[np.bool_], after: Ints) -> int:
+    # Fill `stamps`, `bits` (of the doubles), `texts` (start and size of each frame_id),
+    # `changes` (whether the frame_id differs from the previous one), and `after` (bytes after the
+    # doubles). Return the number of valid messages before the first invalid one.
     for row in range(len(starts)):
         start, end = starts[row], starts[row] + sizes[row]
         if sizes[row] < 4 or data[start] != 0 or data[start + 1] > 1:
@@ -164,6 +173,7 @@ def _decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: b
             return row
         for k in range(bits.shape[1]):
             bits[row, k] = integer(data, offset + 8 * k, 8, little)
+        after[row] = end - offset - 8 * bits.shape[1]
     return len(starts)
 
 

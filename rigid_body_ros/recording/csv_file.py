@@ -26,6 +26,7 @@ from pathlib import Path
 import numpy as np
 from rigid_body_ros import messages
 from rigid_body_ros.common.errors import InputError, quoted, reason
+from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.csv_columns import Columns, columns
 from rigid_body_ros.recording.file import File
@@ -55,7 +56,7 @@ class CsvFile(File):
         """Return 0: the number of lines is not known before they are read."""
         return 0
 
-    def read(self, topic: str) -> Iterator[Raw]:
+    def read(self, topic: str, kind: MessageType) -> Iterator[Raw]:
         """Generate the torques in blocks, in the order of the file."""
         try:
             with TextIOWrapper(open_file(self.path, 'recording'), 'utf-8-sig',

@@ -20,7 +20,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 
+from rigid_body_ros.common.errors import InputError, shortened
+from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import Raw
+from rigid_body_ros.recording.definitions import difference
 
 
 class File(ABC):
@@ -63,5 +66,19 @@ class File(ABC):
         """Return the number of messages of a topic; 0 if the file does not state it."""
 
     @abstractmethod
-    def read(self, topic: str) -> Iterator[Raw]:
-        """Generate the messages of a topic in blocks, in the order of the file."""
+    def read(self, topic: str, kind: MessageType) -> Iterator[Raw]:
+        """
+        Generate the messages of a topic in blocks, in the order of the file.
+
+        Raises
+        ------
+        InputError
+            The file states another encoding of the messages, or defines their type differently.
+
+        """
+
+    def _check_definition(self, topic: str, kind: MessageType, name: str, encoding: str,
+                          definition: bytes) -> None:
+        found = difference(kind, name, encoding, definition)
+        if found:
+            raise InputError(f'{self.path}: {shortened(topic, 100)}: {found}')

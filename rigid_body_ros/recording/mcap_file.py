@@ -34,6 +34,7 @@ from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 import numpy as np
 from rigid_body_ros.common.errors import InputError, listed, quoted, reason
+from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Ints, Raw
 from rigid_body_ros.recording.file import File
@@ -99,19 +100,24 @@ class McapFile(File):
         return sum(self._counts.get(number, 0) for number, channel in self._channels.items()
                    if channel.topic == topic)
 
-    def read(self, topic: str) -> Iterator[Raw]:
-        """Generate the messages of a topic in blocks, in the order of the file."""
+    def read(self, topic: str, kind: MessageType) -> Iterator[Raw]:
+        """Generate the messages of a topic in blocks; see `File.read`."""
         for data, channels, found in self._blocks():
             wanted = [number for number, channel in self._channels.items()
                       if channel.topic == topic]
             rows = np.flatnonzero(np.isin(channels, wanted))
             for number in wanted:
-                encoding = self._channels[number].message_encoding
-                if encoding != 'cdr':
-                    raise InputError(f'{self.path}: {topic}: expected message encoding cdr, '
-                                     f'found {quoted(encoding)}')
+                self._check(self._channels[number], kind)
             if rows.size:
                 yield Raw(data, *(column[rows] for column in found))
+
+    def _check(self, channel: Channel, kind: MessageType) -> None:
+        if channel.message_encoding != 'cdr':
+            raise InputError(f'{self.path}: {channel.topic}: expected message encoding cdr, '
+                             f'found {quoted(channel.message_encoding)}')
+        schema = self._schemas.get(channel.schema_id)
+        if schema:
+            self._check_definition(channel.topic, kind, schema.name, schema.encoding, schema.data)
 
     def read_all(self) -> Iterator[tuple[Channel, Schema | None, Raw]]:
         """Generate blocks of messages of every topic, each with its channel and schema."""
@@ -143,6 +149,7 @@ class McapFile(File):
         messages = 0
         try:
             with open_file(self._content, 'recording') as stream:
+                self._size = os.fstat(stream.fileno()).st_size  # a recorder may still be writing
                 stream.seek(MAGIC_SIZE)
                 for offset, data in self._record_blocks(stream):
                     channels, found = self._scan(offset, data)
@@ -186,10 +193,9 @@ class McapFile(File):
         # Generate offset, opcode and content of the records with the wanted opcodes.
         offset = MAGIC_SIZE
         while True:
-            head = stream.read(_RECORD.size)
-            if len(head) < _RECORD.size:
+            if offset + _RECORD.size > self._size:
                 raise DamageError(f'cut off at byte {offset}')
-            opcode, length = _RECORD.unpack(head)
+            opcode, length = _RECORD.unpack(stream.read(_RECORD.size))
             if opcode == Opcode.DATA_END:
                 return
             if opcode == 0:

@@ -155,9 +155,10 @@ class Source:
         self._path, self._frames = path, frames
         self._skip_ns = duration_ns(skip, 'skip')
         self._time_source = time_source
+        self._longer = 0
         self._stack = ExitStack()
         with ExitStack() as stack:
-            self._files, self._compressed, self._missing = _open_files(Path(path), stack)
+            self._files, self._compressed, self._missing = _open_files(path, stack)
             self.types = {name: kind for file in self._files for name, kind in file.types.items()}
             self.topic, self.kind = _select_topic(path, self.types, topic, kinds,
                                                   preferred)
@@ -175,7 +176,9 @@ class Source:
     def damage(self) -> str:
         """Return what was lost and where; '' if nothing."""
         found = [f'{file.path}: {file.damage}' for file in self._files if file.damage]
-        return shortened('; '.join([*found, *filter(None, [self._missing])]))
+        longer = f'{self._path}: {self.topic}: {self._longer} messages are longer than ' \
+            f'{self.kind.name}; the bytes after its last field are ignored' if self._longer else ''
+        return shortened('; '.join([*found, *filter(None, [self._missing, longer])]))
 
     def metadata(self, name: str) -> dict[str, str]:
         """Return the metadata record with a name; empty if there is none."""
@@ -204,8 +207,9 @@ class Source:
 
     def __iter__(self) -> Iterator[Messages]:
         number, first_ns = 0, None
+        self._longer = 0
         for file in self._with_topic:
-            for raw in file.read(self.topic):
+            for raw in file.read(self.topic, self.kind):
                 block = self._messages(raw, number)
                 number += len(raw.starts)
                 if not len(block):  # no transform between the frames
@@ -233,6 +237,7 @@ class Source:
                 pairs = transforms.pairs(self.kind, plain) if self.kind.has_child_frame else []
         except bulk.BadMessageError as error:
             raise self._error(error, self.topic, number) from error
+        self._longer += decoded.longer
         stamps = decoded.stamps_ns
         if self._time_source == 'publish':
             stamps = raw.publish_ns
@@ -294,7 +299,7 @@ def topics(path: str | Path, kinds: Sequence[MessageType]) -> list[str]:
     """Return the topics of a recording that have one of the types, with the errors of `read`."""
     names = {kind.name for kind in kinds}
     with ExitStack() as stack:
-        files, _, _ = _open_files(Path(path), stack)
+        files, _, _ = _open_files(path, stack)
         return [*{topic: None for file in files for topic, kind in file.types.items()
                   if kind in names}]
 
@@ -334,8 +339,11 @@ def _select_topic(path: str | Path, types: dict[str, str], topic: str | None,
     return topic, by_name[types[topic]]
 
 
-def _open_files(path: Path, stack: ExitStack) -> tuple[list[File], bool, str]:
+def _open_files(name: str | Path, stack: ExitStack) -> tuple[list[File], bool, str]:
     # Return the files, whether each message is compressed by itself, and why files are missing.
+    if name == '':  # as a path it is the current folder
+        raise InputError('expected a recording, found an empty name')
+    path = Path(name)
     if not os.path.isdir(path):  # Path.is_dir raises an error if the name is too long
         return [_open_file(path, stack)], False, ''
     about = _metadata(path / 'metadata.yaml')

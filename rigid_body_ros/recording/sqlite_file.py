@@ -25,7 +25,9 @@ import sqlite3
 
 import numpy as np
 from rigid_body_ros.common.errors import InputError, quoted, reason, shortened
+from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import Raw
+from rigid_body_ros.recording.definitions import LONGEST
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.unpack import copy_file, temporary
 from rigid_body_ros.runtime.files import real_path
@@ -37,6 +39,8 @@ _BLOCK, _BYTES = 8192, 2 ** 24
 _LARGEST = 2 ** 24
 #: Position of the journal mode in a file, and its value for a write-ahead log.
 _MODE_OFFSET, _WRITE_AHEAD = 18, b'\2\2'
+#: Size of the head of a write-ahead log, bytes.
+_LOG_HEAD = 32
 #: SQLite instructions between two checks, and the limit per byte of a file (a message of 30 bytes
 #: takes about 30). Without a limit, reading damaged pages that refer to each other never ends.
 _STEPS, _STEPS_A_BYTE = 100_000, 100
@@ -49,6 +53,9 @@ _MESSAGES = """
     SELECT timestamp, CASE WHEN typeof(timestamp) = 'integer' AND typeof(data) = 'blob'
                             AND length(data) <= ? THEN data END
     FROM messages JOIN topics ON topic_id = topics.id WHERE name = ? ORDER BY messages.id"""
+_DEFINITIONS = """
+    SELECT CAST(encoding AS TEXT), CAST(substr(encoded_message_definition, 1, ?) AS BLOB)
+    FROM message_definitions WHERE topic_type = ?"""
 
 
 class SqliteFile(File):
@@ -76,14 +83,15 @@ class SqliteFile(File):
         """Return the number of messages of a topic."""
         return int(self._counts.get(topic, 0))
 
-    def read(self, topic: str) -> Iterator[Raw]:
-        """Generate the messages of a topic in blocks, in the order of the file."""
+    def read(self, topic: str, kind: MessageType) -> Iterator[Raw]:
+        """Generate the messages of a topic in blocks; see `File.read`."""
         if self._formats[topic] != 'cdr':
             raise InputError(f'{self.path}: {topic}: expected message encoding cdr, '
                              f'found {quoted(self._formats[topic])}')
         number, self.damage = 0, self._lost
         try:
             with closing(self._open()) as database:
+                self._check_definitions(database, topic, kind)
                 for block in self._blocks(database, topic):
                     yield _raw(block)
                     number += len(block)
@@ -91,20 +99,29 @@ class SqliteFile(File):
             self.damage = f'damaged after {number} messages of {shortened(topic, 100)} ' \
                           f'({_reason(error)})'
 
+    def _check_definitions(self, database: sqlite3.Connection, topic: str,
+                           kind: MessageType) -> None:
+        # Early versions of rosbag2 do not store definitions.
+        if database.execute('PRAGMA table_info(message_definitions)').fetchone():
+            for found in database.execute(_DEFINITIONS, (LONGEST + 1, kind.name)):
+                self._check_definition(topic, kind, kind.name, *found)
+
     def _apply_log(self, stack: ExitStack) -> str:
         """Copy a file that has a write-ahead log, and apply the log; return what was lost."""
         path = Path(real_path(self._content))  # SQLite expects the log there
         log = Path(f'{path}-wal')
         if not os.path.exists(log) or not os.path.getsize(log):
             return ''
-        folder = temporary(stack)
-        copy_file(log, folder)
+        folder, begin = temporary(stack), _begin(log)
         self._content = copy_file(path, folder)
+        if _begin(copy_file(log, folder)) != begin:  # a checkpoint wrote to the copied file
+            raise InputError(f'{self.path}: a recorder is writing to this file; stop it, or try '
+                             'again')
         with closing(sqlite3.connect(self._content)) as database:
             _, pages, _ = database.execute('PRAGMA wal_checkpoint(FULL)').fetchone()
             database.execute('PRAGMA journal_mode=DELETE').fetchone()
         return '' if pages > 0 else \
-            f'the write-ahead log {log.name} is damaged and was not applied'
+            f'the write-ahead log {log.name} has no complete transaction and was not applied'
 
     def _open(self) -> sqlite3.Connection:
         with open_file(self._content, 'recording') as stream:
@@ -122,7 +139,7 @@ class SqliteFile(File):
 
     def _topics(self, database: sqlite3.Connection) -> tuple[dict[str, str], dict[str, str]]:
         """Return the type and the encoding of each topic."""
-        for table in ('topics', 'messages'):
+        for table in ('topics', 'messages', 'message_definitions'):
             # 0: an ordinary column; otherwise it is computed, or belongs to a virtual table.
             hidden = [row[-1] for row in database.execute(f'PRAGMA table_xinfo({table})')]
             # Empty before SQLite 3.37, which cannot list tables.
@@ -169,8 +186,15 @@ class SqliteFile(File):
             yield time_ns, data
 
     def _check_size(self, size: int) -> None:
-        if size > self._size:
+        # The file may have grown meanwhile.
+        if size > self._size and size > os.path.getsize(self._content):
             raise sqlite3.DatabaseError(_TOO_MUCH)
+
+
+def _begin(log: Path) -> bytes:
+    """Return the head of a write-ahead log, which changes when SQLite begins the log again."""
+    with open_file(log, 'write-ahead log') as stream:
+        return stream.read(_LOG_HEAD)
 
 
 def _reason(error: Exception) -> str:

@@ -16,12 +16,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import ExitStack
+from functools import partial
 import os
 from pathlib import Path
 import shutil
 import tempfile
-from typing import BinaryIO
 
 from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.recording.bulk import BadMessageError, Raw
@@ -90,8 +91,8 @@ def unpack_file(path: Path, folder: Path) -> Path:
     with open_file(path, 'recording') as packed:
         most = max(LARGEST, _RATIO * os.fstat(packed.fileno()).st_size)
         try:
-            _copy(path, zstandard.ZstdDecompressor().stream_reader(
-                packed, read_across_frames=True), target, most)
+            stream = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
+            _copy(path, iter(partial(stream.read, _BLOCK), b''), target, most)
         except zstandard.ZstdError as error:
             raise InputError(f'{path}: expected a file compressed with zstd '
                              f'({reason(error)})') from error
@@ -102,6 +103,8 @@ def copy_file(path: Path, folder: Path) -> Path:
     """
     Copy a file into a temporary folder, and return the path of the copy.
 
+    What another process appends meanwhile is not copied.
+
     Raises
     ------
     InputError
@@ -110,16 +113,17 @@ def copy_file(path: Path, folder: Path) -> Path:
     """
     target = folder / path.name
     with open_file(path, 'recording') as stream:
-        _copy(path, stream, target, os.fstat(stream.fileno()).st_size)
+        size = os.fstat(stream.fileno()).st_size
+        blocks = (stream.read(min(_BLOCK, size - start)) for start in range(0, size, _BLOCK))
+        _copy(path, blocks, target, size)
     return target
 
 
-def _copy(path: Path, stream: BinaryIO | zstandard.ZstdDecompressionReader, target: Path,
-          most: int) -> None:
+def _copy(path: Path, blocks: Iterable[bytes], target: Path, most: int) -> None:
     written, place = 0, target.parent.parent
     try:
         with open(target, 'wb') as copy:
-            while block := stream.read(_BLOCK):
+            for block in blocks:
                 written += len(block)
                 if written > most:
                     raise InputError(f'{path}: expected at most {most} bytes after decompression, '

@@ -29,14 +29,15 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages, so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.common.times import duration_ns
+from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.propagation import Integration, Options, Trajectory
 from rigid_body_ros.propagation.combined import CombinedMotion
 from rigid_body_ros.recording import NotInOrderError, Piece
+from rigid_body_ros.replay.gaps import announce, computing_time, Gaps
 from rigid_body_ros.replay.sources import Sources
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.state import State
-from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
+from rigid_body_ros.torque import INTERPOLATIONS, torque_logs, TorqueLog
 
 #: Largest number of outputs in a batch.
 _LARGEST = 2 ** 16
@@ -99,6 +100,8 @@ class Batches:
     start : State
     first_ns : int
         Stamp of the first torque; that of the start if there is none.
+    gaps : tuple of Gaps
+        Those of the log as far as it was read.
 
     """
 
@@ -128,15 +131,17 @@ class Batches:
         #: The exception that the thread raised.
         self._failure: BaseException | None = None
         self._outputs = _OutputTimes(request, self.start.time_ns, start is not None)
-        self._until_ns = None if request.until is None else \
+        self._end_ns = NEVER_NS if request.until is None else \
             end_of(request.path, 0, self.start.time_ns, request.until)
+        self.gaps = Gaps(self.start.time_ns, self._end_ns, request.scene.timeout_ns),
+        #: rad/s; at the end of the motion so far.
+        self._speed = _speed(self.start.angular_velocity)
 
     def __iter__(self) -> Iterator[Batch]:
         piece: Piece | None = self._piece
         while piece is not None:
             stop = piece.stop
-            if stop is not None and self._until_ns is not None \
-                    and piece.times_ns[stop] >= self._until_ns:
+            if stop is not None and piece.times_ns[stop] >= self._end_ns:
                 stop = None
             yield from self._advance(piece, stop)
             piece = next(self._pieces) if stop is not None else None
@@ -160,17 +165,23 @@ class Batches:
                 raise NotInOrderError  # the log as a whole is rejected
             self._alternatives.clear()
             self._final_attitudes.clear()
+        begin_ns = self._outputs.done_ns
         numbers, times_of = self._outputs.up_to(piece.times_ns, stop)
-        self._thread = Thread(target=self._advance_alternatives,
-                              args=(piece, stop, times_of(numbers[-1:])), daemon=True)
-        self._thread.start()
+        limits = (begin_ns, self._outputs.done_ns), self._speed, self._request.scene
         try:
             log = piece.log(self._request.interpolation)
+            self.gaps[0].add(log)
+            announce(self._where, computing_time(log, *limits))
+            self._thread = Thread(target=self._advance_alternatives,
+                                  args=(piece, stop, times_of(numbers[-1:]), limits), daemon=True)
+            self._thread.start()
             for first in range(0, max(len(numbers), 1), _LARGEST):
                 trajectory = self._integration.advance(
                     log, times_of(numbers[first:first + _LARGEST]),
                     dropped=0 if first else piece.dropped,
                     stop=stop if first + _LARGEST >= len(numbers) else None)
+                if trajectory.times_ns.size:
+                    self._speed = _speed(trajectory.angular_velocity[-1])
                 yield Batch(log, trajectory, time.perf_counter() - began)
                 began = time.perf_counter()
         except ValueError as error:
@@ -182,16 +193,18 @@ class Batches:
         if self._failure:
             raise self._failure
 
-    def _advance_alternatives(self, piece: Piece, stop: int | None,
-                              last: NDArray[np.int64]) -> None:
+    def _advance_alternatives(self, piece: Piece, stop: int | None, last: NDArray[np.int64],
+                              limits: tuple[tuple[int, int], float, Scene]) -> None:
         """Advance the motions with the other interpolations to the end of the piece."""
         try:
             for name, run in [*self._alternatives.items()]:
                 self._final_attitudes[name] = None
                 try:
-                    motion = run.advance(piece.log(name), last if stop is None else [],
+                    log = piece.log(name)
+                    computing_time(log, *limits)
+                    motion = run.advance(log, last if stop is None else [],
                                          dropped=piece.dropped, stop=stop)
-                except ValueError:  # the body spins too fast with this interpolation
+                except ValueError:  # the body spins too fast, or too long
                     del self._alternatives[name]
                 else:
                     self._final_attitudes[name] = motion.attitude[-1] if stop is None else None
@@ -208,6 +221,8 @@ class CombinedBatches:
     start : State
     first_ns : int
         Stamp of the first torque; that of the start if there is none.
+    gaps : tuple of Gaps
+        Those of the log as far as it was read.
 
     """
 
@@ -217,11 +232,17 @@ class CombinedBatches:
         self.first_ns = int(self._stamps_ns[0])
         self._outputs = _OutputTimes(request, self.start.time_ns, sources.is_epoch)
         self._end_ns = self._outputs.end_ns(self._stamps_ns)
+        self._logs = [*sources.logs, *torque_logs(sources.wheels)]
+        self.gaps = tuple(Gaps(self.start.time_ns, self._end_ns, request.scene.timeout_ns)
+                          for _ in self._logs)
 
     def __iter__(self) -> Iterator[Batch]:
         began = time.perf_counter()
         numbers, times_of = self._outputs.up_to(self._stamps_ns, None)
         try:
+            for gaps, log in zip(self.gaps, self._logs):
+                gaps.add(log)
+            announce(self._where, self._computing_time(self._sources))
             motion = self._motion(self._sources)
             for first in range(0, max(len(numbers), 1), _LARGEST):
                 trajectory = motion.advance(times_of(numbers[first:first + _LARGEST]))
@@ -239,11 +260,19 @@ class CombinedBatches:
         for name in INTERPOLATIONS:
             if name != self._request.interpolation:
                 found[name] = None
-                with suppress(ValueError):  # the body spins too fast with this interpolation
-                    motion = self._motion(self._sources.interpolated(name))
+                with suppress(ValueError):  # the body spins too fast, or too long
+                    sources = self._sources.interpolated(name)
+                    self._computing_time(sources)
+                    motion = self._motion(sources)
                     attitude = motion.advance([self._end_ns]).attitude[0]
                     found[name] = float(so3.angle_between(attitude, end))
         return found
+
+    def _computing_time(self, sources: Sources) -> float:
+        """Return the longest `computing_time` of a source, with its errors."""
+        span_ns, speed = (self.start.time_ns, self._end_ns), _speed(self.start.angular_velocity)
+        return max((computing_time(log, span_ns, speed, self._request.scene)
+                    for log in (*sources.logs, *torque_logs(sources.wheels))), default=0.0)
 
     def _motion(self, sources: Sources) -> CombinedMotion:
         scene = self._request.scene
@@ -262,7 +291,7 @@ class _OutputTimes:
     def __init__(self, request: Request, start_ns: int, is_epoch: bool) -> None:
         self._request, self._start_ns, self._is_epoch = request, start_ns, is_epoch
         #: End of the motion so far, and number of its outputs.
-        self._end_ns, self._count = start_ns, 0
+        self.done_ns, self._count = start_ns, 0
 
     def end_ns(self, stamps_ns: NDArray[np.int64]) -> int:
         """Return the end of the motion under a log with these stamps, with errors of `end_of`."""
@@ -282,7 +311,7 @@ class _OutputTimes:
         start_ns, rate = self._start_ns, self._request.rate
         end_ns = self.end_ns(stamps_ns) if stop is None else int(stamps_ns[stop])
         if rate is None:
-            first = np.searchsorted(stamps_ns, self._end_ns, 'right' if self._count else 'left')
+            first = np.searchsorted(stamps_ns, self.done_ns, 'right' if self._count else 'left')
             times = stamps_ns[first:np.searchsorted(stamps_ns, end_ns, 'right')]
             more = [start_ns] if self._is_epoch and not self._count and end_ns >= start_ns else []
             more += [end_ns] if stop is None else []
@@ -306,7 +335,7 @@ class _OutputTimes:
             while numbers and times_of(numbers[-1:])[0] > end_ns:
                 numbers = numbers[:-1]
         self._count += len(numbers)
-        self._end_ns = max(self._end_ns, end_ns)
+        self.done_ns = max(self.done_ns, end_ns)
         return numbers, times_of
 
 
@@ -331,3 +360,7 @@ def end_of(path: str | Path, last_ns: int, start_ns: int, until: float | None = 
         raise InputError(f'{path}: expected the last torque at or after the start_time of the '
                          f'scene, {start_ns} ns, found it at {end_ns} ns')
     return end_ns
+
+
+def _speed(angular_velocity: Floats) -> float:
+    return float(np.linalg.norm(angular_velocity))

@@ -272,7 +272,8 @@ def replayed(task: Task, scene: Scene, options: dict[str, Any]) -> Outcome:
     except InputError as error:
         return Outcome(path, output, error=str(error))
     lost = f'; lost: {result.damage}' if result.damage else ''
+    warned = ''.join(f'; warning: {gaps.warning}' for gaps in result.gaps if gaps.warning)
     epochs = f'{len(result.earlier) + 1} epochs, the last: ' if result.earlier else ''
     return Outcome(path, output, f'{epochs}{result.messages} torques, '
                    f'{(result.last.time_ns - result.start.time_ns) * 1e-9:.9g} s -> {output}; '
-                   f'{result.check}{lost}', collected=result.collected)
+                   f'{result.check}{lost}{warned}', collected=result.collected)

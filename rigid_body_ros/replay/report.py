@@ -46,6 +46,7 @@ def rows(result: Replay) -> list[tuple[str, object]]:
         *([('order', f'{result.unordered} of {result.messages} stamps were not later than the '
                      'previous one: sorted; of messages with equal stamps, the last is used')]
           if result.unordered else []),
+        *_gaps(result),
         ('interpolation', interpolation_row(result.interpolation,
                                             result.interpolation_differences)),
         ('body', result.scene.body.symmetry),
@@ -73,6 +74,14 @@ def _earlier(result: Replay) -> list[tuple[str, object]]:
                f'attitude {_numbers(one.last.attitude)} (x y z w) and body rates '
                f'{_numbers(one.last.angular_velocity)} rad/s')
               for number, one in enumerate(result.earlier, 1))]
+
+
+def _gaps(result: Replay) -> list[tuple[str, object]]:
+    """Return the longest gap in the log that has the longest one, and warnings about all logs."""
+    gaps = [gaps for gaps in result.gaps if gaps.longest.length_ns]
+    longest = sorted(gaps, key=lambda one: one.longest.length_ns)[-1:]
+    return [*(('longest gap', str(one)) for one in longest),
+            *(('warning', one.warning) for one in gaps if one.warning)]
 
 
 def _span(result: Replay) -> float:

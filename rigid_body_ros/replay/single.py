@@ -42,6 +42,7 @@ from rigid_body_ros.replay.batches import (
     Request,
 )
 from rigid_body_ros.replay.check import Check, drift, last_digits, LastDigits
+from rigid_body_ros.replay.gaps import Gaps
 from rigid_body_ros.replay.outputs import INPUT, suffix_of
 from rigid_body_ros.replay.progress import progress
 from rigid_body_ros.replay.sources import absolute, read_sources, Topics, topics_of
@@ -87,6 +88,8 @@ class Replay:
     last_digits : LastDigits, optional
         How far the motion, or the beginning of it, moves if the last digits of inertia, torques
         and start change; None if that was not estimated.
+    gaps : tuple of Gaps
+        Those of each log: of the torques in the order of the topics, then on the rotors.
     seconds : dict
         Wall time spent to read, propagate and write, s.
     log, trajectory : TorqueLog, Trajectory, optional
@@ -117,6 +120,7 @@ class Replay:
     interpolation_differences: dict[str, float | None] = field(default_factory=dict)
     check: Check | None = None
     last_digits: LastDigits | None = None
+    gaps: tuple[Gaps, ...] = ()
     seconds: dict[str, float] = field(
         default_factory=lambda: {'read': 0.0, 'propagate': 0.0, 'write': 0.0})
     log: TorqueLog | Sequence[TorqueLog] | None = None
@@ -341,7 +345,7 @@ def _compute(request: Request, result: Replay, batches: Batches | CombinedBatche
     """Compute the motion of an epoch, which is logged `delay_ns` later than its stamps."""
     kept: list[Batch] = []
     result.start = result.last = batches.start
-    result.first_ns = batches.first_ns
+    result.first_ns, result.gaps = batches.first_ns, batches.gaps
     for batch in batches:
         interrupts.check()
         _update(result, batch)

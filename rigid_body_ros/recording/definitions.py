@@ -1,0 +1,135 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Compare the definition of a message type in a recording with the standard one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from itertools import zip_longest
+import re
+
+from rigid_body_ros.common.errors import quoted
+from rigid_body_ros.messages import MessageType
+
+#: The fields of each type: type and name.
+_Fields = dict[str, list[tuple[str, str]]]
+
+#: A line of `=` and the name of the type that is defined after it.
+_SECTION = re.compile(r'^=+[ \t]*\n(?:MSG|IDL):[ \t]*(\S+)[ \t]*$', re.MULTILINE)
+_MSG_COMMENT = re.compile(r'#.*')
+#: Type and name of a field, but not of a constant; a default value is ignored.
+_MSG_FIELD = re.compile(r'^[ \t]*(\S+)[ \t]+(\w+)\b[ \t]*(?![ \t=])', re.MULTILINE)
+#: Texts and comments, of which each may contain the other.
+_IDL_TEXT = re.compile(r'"(?:\\.|[^"\\])*"|//[^\n]*|/\*.*?\*/|^#[^\n]*', re.DOTALL | re.MULTILINE)
+_IDL_ANNOTATION = re.compile(r'@\w+\s*(?:\([^()]*\))?')
+_IDL_ARRAY = re.compile(r'typedef\s+([\w:]+)\s+(\w+)\s*(\[\w+\])')
+_IDL_SEQUENCE = re.compile(r'sequence ?< ?([\w:]+) ?>')
+#: The names in ROS of the primitive types of IDL.
+_IDL_PRIMITIVES = {
+    'double': 'float64', 'float': 'float32', 'boolean': 'bool', 'octet': 'byte',
+    'short': 'int16', 'unsigned short': 'uint16', 'long': 'int32', 'unsigned long': 'uint32',
+    'long long': 'int64', 'unsigned long long': 'uint64'}
+#: Limits: bytes of a definition, and fields of a type, which a nested type can multiply.
+LONGEST, _MOST = 2 ** 16, 1000
+
+
+@lru_cache
+def difference(kind: MessageType, name: str, encoding: str, definition: bytes) -> str:
+    """
+    Return the first difference between a definition and the standard one, '' if there is none.
+
+    Comments, spacing, constants, default values and the order of nested definitions do not
+    matter. A nested type that is not defined has its standard definition.
+
+    Parameters
+    ----------
+    kind : MessageType
+        The type as which the messages are read.
+    name, encoding : str
+        Of the definition; the encoding is 'ros2msg' or 'ros2idl'.
+    definition : bytes
+        Empty if the recording has none.
+
+    """
+    if name != kind.name:
+        return f'expected the type {kind.name}, found {quoted(name)}'
+    text = definition.decode(errors='replace').replace('\r', '')
+    if not text.strip():
+        return ''
+    if len(definition) > LONGEST:
+        return f'expected a definition of at most {LONGEST} bytes, found more'
+    if encoding not in ('ros2msg', 'ros2idl'):
+        return f'expected a definition in ros2msg or ros2idl, found {quoted(encoding)}'
+    root = name.replace('/msg/', '/')
+    standard = _sections(root, kind.definition, is_idl=False)
+    fields = {**standard, **_sections(root, text, is_idl=encoding == 'ros2idl')}
+    for expected, found in zip_longest(_flat(standard, root), _flat(fields, root)):
+        if expected != found:
+            return f'expected {expected or "no more fields"} in the definition of {name}, ' \
+                f'found {quoted(found) if found else "no more fields"}'
+    return ''
+
+
+def _sections(root: str, text: str, is_idl: bool) -> _Fields:
+    """Return the fields of each type that a definition defines, first of all the root."""
+    first, *others = _SECTION.split(text)
+    sections = [*([(root, first)] if first.strip() else []), *zip(others[::2], others[1::2])]
+    parsed = _idl_fields if is_idl else _msg_fields
+    found: _Fields = {}
+    for name, body in sections:
+        name = name.replace('/msg/', '/')
+        found.setdefault(name, parsed(name, body))
+    return found
+
+
+def _msg_fields(name: str, body: str) -> list[tuple[str, str]]:
+    found = []
+    for kind, field in _MSG_FIELD.findall(_MSG_COMMENT.sub('', body)):
+        base, bracket, size = kind.replace('/msg/', '/').partition('[')
+        if base == 'Header':
+            base = 'std_msgs/Header'
+        elif base[:1].isupper():  # a type of the same package
+            base = f'{name.split("/")[0]}/{base}'
+        found.append((base + bracket + size, field))
+    return found
+
+
+def _idl_fields(name: str, body: str) -> list[tuple[str, str]]:
+    text = _IDL_ANNOTATION.sub('', _IDL_TEXT.sub('', body))
+    arrays = {alias: base + size for base, alias, size in _IDL_ARRAY.findall(text)}
+    struct = re.search(rf'struct\s+{re.escape(name.split("/")[-1])}\s*{{([^}}]*)}}', text)
+    found = []
+    for member in struct.group(1).split(';')[:-1] if struct else ():
+        kind, _, field = ' '.join(member.split()).rpartition(' ')
+        field, bracket, size = field.partition('[')
+        kind = _IDL_SEQUENCE.sub(r'\1[]', arrays.get(kind, kind)).replace('::msg::', '/')
+        base, *rest = kind.partition('[')
+        found.append((''.join([_IDL_PRIMITIVES.get(base, base), *rest, bracket, size]), field))
+    return found
+
+
+def _flat(fields: _Fields, root: str) -> Iterator[str]:
+    """Generate the primitive fields of a type in order: type and path of each."""
+    waiting, count = [(root, '')], 0
+    while waiting and count < _MOST:
+        kind, path = waiting.pop()
+        base, bracket, size = kind.partition('[')
+        count += 1
+        if base in fields:
+            prefix = f'{path}{bracket}{size}.' if path else ''
+            waiting += [(part, prefix + field) for part, field in reversed(fields[base])]
+        else:
+            yield f'{kind} {path}'

@@ -1,0 +1,193 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Find the gaps in a torque log, and reject a gap that would take too long to compute."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.propagation.options import FASTEST, Options
+from rigid_body_ros.runtime.terminal import report
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.torque import TorqueLog
+
+#: A torque that acts for longer than this, s, and than this many usual spacings is reported.
+_LONG, _TIMES = 1.0, 100
+#: Spacings are counted in this many classes per factor of two.
+_CLASSES = 16
+#: Most steps over a gap, which take hours, and the approximate time of a step, s.
+_MOST_STEPS, _STEP = 1e10, 4e-6
+#: Avoids a division by zero.
+_TINY = 1e-250
+#: A computation that takes longer than this, s, is announced.
+_PATIENCE = 10.0
+
+
+class Gap(NamedTuple):
+    """A time between two samples, ns."""
+
+    begin_ns: int = 0
+    length_ns: int = 0
+
+
+class Gaps:
+    """
+    The gaps between the samples of a log, which is added piece by piece.
+
+    Parameters
+    ----------
+    start_ns, end_ns : int
+        The times between which the gaps count.
+    timeout_ns : int
+        If positive, a torque does not act for longer than this.
+
+    Attributes
+    ----------
+    longest : Gap
+    acted : Gap
+        The longest gap in which the torque is not zero and does not time out.
+
+    """
+
+    def __init__(self, start_ns: int, end_ns: int, timeout_ns: int) -> None:
+        self._span, self._timeout_ns = (start_ns, end_ns), timeout_ns
+        self.longest = self.acted = Gap()
+        self._counts = np.zeros(64 * _CLASSES, np.int64)
+        self._last_ns = -2 ** 63
+
+    def add(self, log: TorqueLog) -> None:
+        """Add a piece of the log, which may overlap with the previous one."""
+        times = np.clip(log.times_ns, *self._span)
+        first = int(np.searchsorted(times, self._last_ns))
+        times, acts = times[first:], _acts(log)[first:]
+        if times.size < 2:
+            return
+        lengths = np.diff(times)
+        classes = (np.log2(lengths[lengths > 0]) * _CLASSES).astype(np.int64)
+        self._counts += np.bincount(classes, minlength=len(self._counts))
+        self.longest = _longer(self.longest, times, lengths)
+        if self._timeout_ns:
+            acts = acts & (lengths <= self._timeout_ns)
+        self.acted = _longer(self.acted, times, np.where(acts, lengths, 0))
+        self._last_ns = int(times[-1])
+
+    @property
+    def usual(self) -> float:
+        """Return the median spacing, s, with an error of a few percent; 0 if there is none."""
+        total = np.cumsum(self._counts)
+        middle = int(np.searchsorted(total, (total[-1] + 1) // 2))
+        return float(2.0 ** ((middle + 0.5) / _CLASSES)) * 1e-9 if total[-1] else 0.0
+
+    @property
+    def warning(self) -> str:
+        """Return a warning if a torque acts for much longer than usual, otherwise ''."""
+        begin_ns, length_ns = self.acted
+        seconds = length_ns * 1e-9
+        if seconds <= max(_LONG, _TIMES * self.usual):
+            return ''
+        return (f'a torque acts for {seconds:.9g} s until the next one, from '
+                f'{(begin_ns - self._span[0]) * 1e-9:.9g} s after the start, although torques '
+                f'are usually {self.usual:.2g} s apart: check the clock that set the stamps, or '
+                'set torque_timeout')
+
+    def __str__(self) -> str:
+        begin_ns, length_ns = self.longest
+        return (f'{length_ns * 1e-9:.9g} s between torques, from '
+                f'{(begin_ns - self._span[0]) * 1e-9:.9g} s after the start')
+
+
+def announce(where: str, seconds: float) -> None:
+    """Report how long a computation takes, if that is long."""
+    if seconds > _PATIENCE:
+        report(f'{where}: computing the motion takes about {timedelta(seconds=round(seconds))} '
+               '(h:min:s)')
+
+
+def computing_time(log: TorqueLog, span_ns: tuple[int, int], speed: float,
+                   scene: Scene) -> float:
+    """
+    Return about how long the motion under a piece of a log takes to compute, s.
+
+    Parameters
+    ----------
+    log : TorqueLog
+        The piece.
+    span_ns : tuple of int
+        Start and end of the motion.
+    speed : float, rad/s
+        At the start.
+    scene : Scene
+        Body and solver.
+
+    Raises
+    ------
+    ValueError
+        A torque acts for so long that the computation would not end.
+
+    """
+    edges = np.append(np.clip(log.times_ns, *span_ns), span_ns[1])
+    seconds = np.diff(edges) * 1e-9
+    steps = _steps(log, seconds, speed, scene)
+    if steps.max(initial=0.0) > _MOST_STEPS:
+        row = int(np.argmax(steps))
+        torque = log.torques[row].tolist()
+        raise ValueError(
+            f'the torque {torque} N m at {log.times_ns[row]} ns acts until {edges[row + 1]} ns, '
+            f'for {seconds[row]:.9g} s: expected at most {_MOST_STEPS:.0e} steps to compute this, '
+            f'found about {steps[row]:.0e}; check the clock that set the stamps, or set '
+            'torque_timeout or --until')
+    return float(steps.sum()) * _STEP
+
+
+def _steps(log: TorqueLog, seconds: Floats, speed: float, scene: Scene) -> Floats:
+    """Return about how many steps the motion after each sample takes: one per radian."""
+    options, body = Options(**scene.options), scene.body
+    is_closed = options.record.closed_form_beyond < np.inf and not (
+        scene.has_rotors or body.is_damped)
+    moment, rate = body.principal_moments[0], speed
+    with np.errstate(over='ignore'):
+        sizes = np.linalg.norm(log.torques, axis=1)
+        if log.interpolation != 'hold':
+            sizes = np.maximum(sizes, np.append(sizes[1:], 0.0))
+        gain = np.clip(sizes / moment, _TINY, 1.0 / _TINY)
+        if not body.is_damped:  # beyond the fastest speed, the motion ends with an error
+            seconds = np.minimum(seconds, FASTEST / gain)
+        acting = np.minimum(seconds, options.timeout_ns * 1e-9) if options.timeout_ns else seconds
+        stepped = acting if is_closed else seconds
+        gained = gain * acting
+        if body.is_damped:
+            weakest, _, strongest = np.linalg.eigvalsh(body.damping)
+            gained = np.minimum(gained, sizes / max(weakest, _TINY))
+            rate += strongest / moment
+        angles = (rate + 0.5 * gained) * stepped
+    steps = np.zeros(len(seconds)) if options.record.fixed_step else angles
+    if options.max_step is not None:
+        steps = steps + stepped / options.max_step
+    return np.where(sizes > 0.0, steps, 0.0) if is_closed else steps
+
+
+def _acts(log: TorqueLog) -> NDArray[np.bool_]:
+    """Return whether a torque acts after each sample but the last."""
+    acts = np.any(log.torques != 0.0, axis=1)
+    return acts[:-1] if log.interpolation == 'hold' else acts[:-1] | acts[1:]
+
+
+def _longer(known: Gap, times: NDArray[np.int64], lengths: NDArray[np.int64]) -> Gap:
+    row = int(np.argmax(lengths))
+    return max(known, Gap(int(times[row]), int(lengths[row])), key=lambda gap: gap.length_ns)
