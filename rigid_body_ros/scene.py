@@ -26,7 +26,7 @@ from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
 import re
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from rigid_body_ros import euler, urdf
 from rigid_body_ros.body import RigidBody
@@ -36,12 +36,10 @@ from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.frames import Frames
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.runtime.parameter_file import node_parameters
-from rigid_body_ros.runtime.parameters import BIG, checked, is_foreign, Parameter, TINY
+from rigid_body_ros.runtime.parameters import BIG, checked, is_foreign, Parameter, TINY, Value
 from rigid_body_ros.runtime.reading import read_yaml
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import INTERPOLATIONS
-
-T = TypeVar('T')
 
 #: The name of the node whose parameters a scene file has.
 NODE = 'attitude_node'
@@ -131,17 +129,6 @@ PARAMETERS = {parameter.name: parameter for parameter in (
 _ROS, QOS = ('use_sim_time', 'start_type_description_service', 'autostart'), 'qos_overrides.'
 
 
-class _Value(Generic[T]):
-    """The value of the parameter of the same name."""
-
-    def __set_name__(self, scene: type, name: str) -> None:
-        self._name = name
-
-    def __get__(self, scene: Scene, kind: type) -> T:
-        value: T = scene.values[self._name]
-        return value
-
-
 @dataclass(frozen=True)
 class Scene:
     """
@@ -175,14 +162,14 @@ class Scene:
     ignored: tuple[str, ...] = ()
     node: str = NODE
 
-    mode, step, time_source = _Value[str](), _Value[float](), _Value[str]()
-    solver, tolerance, max_step = _Value[str](), _Value[float](), _Value[float]()
-    interpolation, torque_timeout = _Value[str](), _Value[float]()
-    history, max_future, on_time_jump = _Value[float](), _Value[float](), _Value[str]()
-    checkpoint, stale_after = _Value[str](), _Value[float]()
-    publish_clock, publish_tf, publish_rate = _Value[bool](), _Value[bool](), _Value[float]()
-    euler_sequence, space_frame, wheels = _Value[str](), _Value[str](), _Value[bool]()
-    frame_prefix = _Value[str]()
+    mode, step, time_source = Value[str](), Value[float](), Value[str]()
+    solver, tolerance, max_step = Value[str](), Value[float](), Value[float]()
+    interpolation, torque_timeout = Value[str](), Value[float]()
+    history, max_future, on_time_jump = Value[float](), Value[float](), Value[str]()
+    checkpoint, stale_after = Value[str](), Value[float]()
+    publish_clock, publish_tf, publish_rate = Value[bool](), Value[bool](), Value[float]()
+    euler_sequence, space_frame, wheels = Value[str](), Value[str](), Value[bool]()
+    frame_prefix = Value[str]()
 
     def __repr__(self) -> str:
         source = self.path.name if self.path else 'no file'

@@ -14,7 +14,10 @@
 
 """Scene files: read as ROS reads them, rejected with one line that helps."""
 
-from conftest import CONFIG
+import subprocess
+import sys
+
+from conftest import CONFIG, ROOT
 import pytest
 from rigid_body_ros import scene
 from rigid_body_ros.scene import InputError, Scene
@@ -264,3 +267,15 @@ def test_a_file_that_is_not_a_scene_is_rejected_by_name(tmp_path, text, message)
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(InputError, match='none.yaml: cannot read the scene: No such file'):
         scene.load(tmp_path / 'none.yaml')
+
+
+@pytest.mark.slow
+def test_mypy_finds_a_misspelt_parameter(tmp_path):
+    module = tmp_path / 'module.py'
+    module.write_text('from rigid_body_ros.scene import Scene\n\n\n'
+                      'def rate(scene: Scene) -> float:\n    return scene.publish_rates\n')
+    result = subprocess.run([sys.executable, '-m', 'mypy', str(module)], cwd=ROOT,
+                            capture_output=True, text=True, check=False)
+    assert '"Scene" has no attribute "publish_rates"' in result.stdout, result.stderr
+    module.write_text(module.read_text().replace('rates', 'rate'))
+    subprocess.run([sys.executable, '-m', 'mypy', str(module)], cwd=ROOT, check=True)

@@ -24,10 +24,12 @@ from __future__ import annotations
 from collections.abc import Collection
 from difflib import SequenceMatcher
 import re
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from rigid_body_ros.common.errors import InputError, quoted
 from rigid_body_ros.runtime.parameter_file import number
+
+T = TypeVar('T')
 
 #: Limits of parameters without narrower ones.
 BIG, TINY = 1e300, 1e-300
@@ -35,6 +37,17 @@ BIG, TINY = 1e300, 1e-300
 _SHORT = 6
 #: Letters to insert or delete in a misspelt name; to replace one counts as both.
 _EDITS = 2
+
+
+class Value(Generic[T]):
+    """An attribute of an object with `values`: the value of the parameter of the same name."""
+
+    def __set_name__(self, kind: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, owner: Any, kind: type) -> T:
+        value: T = owner.values[self._name]
+        return value
 
 
 class Parameter(NamedTuple):
