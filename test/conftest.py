@@ -49,10 +49,12 @@ SECOND = 10 ** 9
 #: Test files that need an optional module, by that module.
 NEEDS = {
     'distributed': ['cluster'],
-    'pyarrow': ['cluster', 'ensemble', 'ensemble_folder', 'ensemble_motions'],
-    'zarr': ['ensemble_folder', 'ensemble_motions'],
-    'rclpy': ['clocks', 'executors', 'faults', 'fleet', 'launch', 'lifecycle', 'lockstep', 'node',
-              'robot_description', 'shared_files_live', 'soak', 'sources', 'topics', 'workspace'],
+    'pyarrow': ['cluster', 'ensemble', 'ensemble_folder', 'ensemble_motions', 'ensemble_results',
+                'fitted', 'tradeoff_ensemble'],
+    'zarr': ['ensemble_folder', 'ensemble_motions', 'ensemble_results'],
+    'rclpy': ['clocks', 'closed_loop', 'crash', 'executors', 'faults', 'fleet', 'launch',
+              'lifecycle', 'lockstep', 'node', 'robot_description', 'shared_files_live', 'silence',
+              'soak', 'sources', 'topics', 'torque_topics', 'workspace'],
     'colcon_ros': ['workspace'],
     'mpmath': ['arm', 'elementary', 'elliptic', 'examples', 'extremes', 'free_motion', 'peers',
                'propagate', 'reference', 'rods', 'sources', 'steppers', 'tensor', 'terms',
@@ -68,6 +70,12 @@ def pytest_report_header():
     """Report which test files are skipped, and why."""
     return [f'{module} is not installed, so these are skipped: {", ".join(names)}'
             for module, names in ABSENT.items()]
+
+
+def nearest_rank(numbers, percentages):
+    """Return percentiles that are among the numbers; NumPy has them from 1.22 on."""
+    ordered = np.sort(numbers)
+    return [float(ordered[-(-k * len(ordered) // 100) - 1]) for k in percentages]
 
 
 def at_night(*values):
