@@ -199,8 +199,9 @@ def test_signals_in_a_row_do_not_disturb_the_cleaning_up(whole, output):
         time.sleep(0.001)
     _, words = process.communicate(timeout=60)
     assert process.returncode == 128 + signal.SIGINT
-    assert words.startswith('attitude_replay: interrupted')
-    assert len(words.splitlines()) == 1
+    *announced, last = words.splitlines()  # first, how long it takes
+    assert last.startswith('attitude_replay: interrupted')
+    assert len(announced) <= 1
     assert not output.exists()
     assert not parts(output.parent)
 

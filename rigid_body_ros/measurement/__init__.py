@@ -25,7 +25,8 @@ writes with `outputs` and prints with `summary`.
 from rigid_body_ros.measurement.align import ALIGNMENTS
 from rigid_body_ros.measurement.alignment import Alignment
 from rigid_body_ros.measurement.causes import Cause
-from rigid_body_ros.measurement.comparison import compare, Comparison, Errors
+from rigid_body_ros.measurement.comparison import compare
+from rigid_body_ros.measurement.errors import Comparison, Errors
 from rigid_body_ros.measurement.horizons import Horizon
 from rigid_body_ros.measurement.measured import Measured
 from rigid_body_ros.measurement.reading import KINDS, read_all, read_measured

@@ -26,7 +26,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 import math
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any, NamedTuple
 
 import numpy as np
 from rigid_body_ros import so3
@@ -34,13 +34,11 @@ from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.measurement.align import CLOCK, MOUNT
+from rigid_body_ros.measurement.errors import compared, Comparison
 from rigid_body_ros.measurement.measured import Measured
 from rigid_body_ros.measurement.motion import Model, Recorded
 from rigid_body_ros.measurement.residual_torque import ResidualTorque
 from rigid_body_ros.recording import Track
-
-if TYPE_CHECKING:
-    from rigid_body_ros.measurement.comparison import Comparison
 
 #: Part of the median error that may be left when a cause is undone.
 _LEFT = 0.5
@@ -127,7 +125,6 @@ def find_causes(motion: Model | Recorded, found: Comparison, align: Collection[s
         Wraps the iteration over possible causes, to show progress.
 
     """
-    from rigid_body_ros.measurement.comparison import compared
     kinds = [kind for kind in (ATTITUDE, RATE) if found.pooled(kind) is not None]
     before = {kind: _median(found, kind) for kind in kinds}
     hopeless = {kind: before[kind] < _NOTHING or _is_noise(found, kind, before[kind])

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.measurement.comparison import Comparison
+from rigid_body_ros.measurement.errors import Comparison
 from rigid_body_ros.measurement.horizons import Horizon
 from rigid_body_ros.measurement.motion import Model
 from rigid_body_ros.measurement.summary import rows

@@ -19,7 +19,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from rigid_body_ros.measurement.comparison import Comparison
+from rigid_body_ros.measurement.errors import Comparison
 from rigid_body_ros.measurement.motion import Model
 from rigid_body_ros.report import figures
 

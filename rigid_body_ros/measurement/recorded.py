@@ -25,7 +25,8 @@ from rigid_body_ros import messages, recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.measurement.align import CLOCK
 from rigid_body_ros.measurement.coarse import LARGEST_OFFSET
-from rigid_body_ros.measurement.comparison import compare_motion, Comparison
+from rigid_body_ros.measurement.comparison import compare_motion
+from rigid_body_ros.measurement.errors import Comparison
 from rigid_body_ros.measurement.measured import Measured
 from rigid_body_ros.measurement.motion import Model, Recorded
 from rigid_body_ros.measurement.reading import read_all, read_measured
