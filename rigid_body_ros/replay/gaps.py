@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from datetime import timedelta
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -141,9 +142,16 @@ def computing_time(log: TorqueLog, span_ns: tuple[int, int], speed: float,
         A torque acts for so long that the computation would not end.
 
     """
+    if not len(log):
+        return 0.0
+    # A single interval with the largest torque is an upper bound, and takes no time to compute.
+    most = _steps(np.array([math.sqrt(3.0) * np.abs(log.torques).max()]),
+                  np.array([(span_ns[1] - span_ns[0]) * 1e-9]), speed, scene)
+    if most.max() * _STEP <= _PATIENCE:
+        return float(most.max()) * _STEP
     edges = np.append(np.clip(log.times_ns, *span_ns), span_ns[1])
     seconds = np.diff(edges) * 1e-9
-    steps = _steps(log, seconds, speed, scene)
+    steps = _steps(_sizes(log), seconds, speed, scene)
     if steps.max(initial=0.0) > _MOST_STEPS:
         row = int(np.argmax(steps))
         torque = log.torques[row].tolist()
@@ -155,16 +163,20 @@ def computing_time(log: TorqueLog, span_ns: tuple[int, int], speed: float,
     return float(steps.sum()) * _STEP
 
 
-def _steps(log: TorqueLog, seconds: Floats, speed: float, scene: Scene) -> Floats:
-    """Return about how many steps the motion after each sample takes: one per radian."""
+def _sizes(log: TorqueLog) -> Floats:
+    """Return the largest size of the torque from each sample to the next, N m."""
+    with np.errstate(over='ignore'):
+        sizes = np.linalg.norm(log.torques, axis=1)
+    return sizes if log.interpolation == 'hold' else np.maximum(sizes, np.append(sizes[1:], 0.0))
+
+
+def _steps(sizes: Floats, seconds: Floats, speed: float, scene: Scene) -> Floats:
+    """Return about how many steps the motion under each torque takes: one per radian."""
     options, body = Options(**scene.options), scene.body
     is_closed = options.record.closed_form_beyond < np.inf and not (
         scene.has_rotors or body.is_damped)
     moment, rate = body.principal_moments[0], speed
     with np.errstate(over='ignore'):
-        sizes = np.linalg.norm(log.torques, axis=1)
-        if log.interpolation != 'hold':
-            sizes = np.maximum(sizes, np.append(sizes[1:], 0.0))
         gain = np.clip(sizes / moment, _TINY, 1.0 / _TINY)
         if not body.is_damped:  # beyond the fastest speed, the motion ends with an error
             seconds = np.minimum(seconds, FASTEST / gain)
