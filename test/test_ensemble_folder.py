@@ -210,7 +210,7 @@ def computes(process):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('tries', 'seed'), [(2, 1), *at_night((50, 2))])
+@pytest.mark.parametrize(('tries', 'seed'), [(1, 1), *at_night((50, 2))])
 def test_commands_that_race_and_die_leave_nothing_false(inputs, tries, seed):
     began = time.monotonic()
     with started(arguments(inputs, 'whole', 3000)) as process:
@@ -286,7 +286,7 @@ def test_a_full_disk_is_one_line_and_the_folder_is_resumed(inputs, capsys, share
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('share', [0.0, 0.1, 0.9, *at_night(0.01, 0.03, 0.2, 0.3, 0.5, 0.7)])
+@pytest.mark.parametrize('share', [0.1, *at_night(0.0, 0.01, 0.03, 0.2, 0.3, 0.5, 0.7, 0.9)])
 def test_a_write_that_fails_is_one_line_and_the_folder_is_resumed(inputs, capsys, share):
     run(inputs, 'whole', 3000, '--times', 7)
     largest = max(path.stat().st_size for path in (inputs / 'whole').rglob('*'))

@@ -17,7 +17,7 @@
 from dataclasses import replace
 import json
 
-from conftest import CONFIG, memory_limit, SECOND
+from conftest import at_night, CONFIG, memory_limit, SECOND
 import node_logs
 from node_logs import (
     ACCEPTED,
@@ -392,7 +392,8 @@ def test_of_equal_starts_the_last_epoch_is_meant():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('name', ONE_MOTION)
+@pytest.mark.parametrize('name', [*at_night('tradeoff'), *(
+    name for name in ONE_MOTION if name != 'tradeoff')])
 def test_commands_that_need_one_motion_ask_for_its_start(two, tmp_path, capsys, name):
     assert called(tmp_path, name, two) == 2
     captured = capsys.readouterr()
