@@ -319,6 +319,7 @@ def _checked_frames(frame: str | Sequence[str] | NDArray[np.bool_],
         raise ValueError(f'frame: expected one name or {count}, found {names.size}')
     if names.shape and names.dtype == np.bool_:
         return names.copy()
+    names = names.astype(str)
     unknown = names[~np.isin(names, FRAMES)]
     if unknown.size:
         raise ValueError(f"frame: expected 'body' or 'space', found {str(unknown[0])!r}")

@@ -60,7 +60,8 @@ class Truth:
                  outliers=0.0, seed=0):
         """Return what a sensor measures; its clock is `clock` seconds behind."""
         random, count = np.random.default_rng(seed), len(self.stamps)
-        mount, space = mount or Rotation.identity(), space or Rotation.identity()
+        # Whether a rotation is true depends on its length, which a single one lacks in SciPy 1.8.
+        mount, space = (Rotation.identity() if one is None else one for one in (mount, space))
         noise = Rotation.from_rotvec(attitude_noise * random.normal(size=(count, 3)))
         attitude = (space * self.attitude * noise * mount).as_quat()
         rates = mount.inv().apply(self.rates) + rate_noise * random.normal(size=(count, 3))
