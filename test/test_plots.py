@@ -134,6 +134,7 @@ def test_any_name_is_drawn_as_it_is_and_powers_of_ten_as_formulas(tmp_path, monk
     found = {'runs': 2, 'failed': 0, 'histogram': {'edges_rad': [0.0, 1.0], 'runs': [2]},
              'angle_from_nominal_rad': dict.fromkeys(('p5', 'p50', 'p95'), 0.5)}
     spread.draw(tmp_path / 'c.png', found, [(name, 0.5)], name)
-    assert all(figure.get_suptitle().startswith('$\\frac{$ \\x1b[2J\\n机器😀') for figure in drawn)
+    assert all(figure.texts[0].get_text().startswith('$\\frac{$ \\x1b[2J\\n机器😀')
+               for figure in drawn)
     assert '$\\mathdefault{10^{-6}}$' in [
         text.get_text() for text in drawn[0].axes[0].get_yticklabels() if text.get_parse_math()]
