@@ -134,7 +134,7 @@ class Scene:
     """
     The validated inputs of a motion, except the torques.
 
-    Parameters that have no dot in their name are attributes.
+    Most parameters are attributes by their names.
 
     Attributes
     ----------

@@ -218,10 +218,10 @@ def test_a_run_that_is_not_possible_is_a_row_with_its_reason(one, values, messag
 
 
 def test_a_run_that_turns_too_far_fails_and_leaves_the_others_as_they_are(monkeypatch):
-    found = ensemble(Dispersion('torque_gain', 'normal', (50.0,)), TILT)
-    before = rows(found, 0, 40)
+    varied = Dispersion('torque_gain', 'normal', (50.0,)), TILT
+    before = rows(ensemble(*varied), 0, 40)
     monkeypatch.setattr(reach, 'FARTHEST', 20.0)
-    after = rows(found, 0, 40)
+    after = rows(ensemble(*varied), 0, 40)
     failed = [row['status'] == 'failed' for row in after]
     assert 10 < sum(failed) < 30
     for row, other, fails in zip(before, after, failed):

@@ -29,10 +29,8 @@ import re
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.ensemble.motions import Motions
+from rigid_body_ros.ensemble.runs import Span
 from rigid_body_ros.runtime import files
-
-#: The first run of a block, and the one after its last.
-Span = tuple[int, int]
 
 #: Names of blocks, also of earlier versions. No other file is removed.
 _BLOCK = re.compile(r'(\d{9})-(\d{9,10})(-[0-9a-f]{16}){0,2}\.parquet')

@@ -44,7 +44,7 @@ def causes(messages: Iterable[str]) -> dict[str, int]:
         common[pattern] = [one if one == other else _OTHER for one, other in
                            zip(common.get(pattern, numbers), numbers)]
     found: dict[str, int] = {}
-    for pattern, count in counts.items():  # lists of different lengths look the same at last
+    for pattern, count in counts.items():  # lists of different lengths now look the same
         cause = _OTHERS.sub(_OTHER, _filled(pattern, common[pattern]))
         found[cause] = found.get(cause, 0) + count
     return found

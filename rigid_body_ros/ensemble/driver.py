@@ -27,7 +27,7 @@ from typing import Any, NoReturn, TYPE_CHECKING
 
 import numpy as np
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.ensemble.runs import Columns, Ensemble
+from rigid_body_ros.ensemble.runs import Columns, Ensemble, Span
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.cluster import connected
 
@@ -36,8 +36,6 @@ if TYPE_CHECKING:  # a worker needs no Parquet
 
 #: Wraps an iteration over blocks with a total number of runs, to show progress.
 Track = Callable[[Iterable[Any], int], Iterable[Any]]
-#: The first run of a block and the one after its last.
-Span = tuple[int, int]
 #: A span and its rows.
 Block = tuple[int, int, Columns]
 #: Generates the blocks of an ensemble in the order in which they are complete.

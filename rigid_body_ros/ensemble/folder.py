@@ -43,7 +43,7 @@ from rigid_body_ros.ensemble import lock
 from rigid_body_ros.ensemble.blocks import Blocks
 from rigid_body_ros.ensemble.causes import causes
 from rigid_body_ros.ensemble.motions import Motions, remove_parts
-from rigid_body_ros.ensemble.runs import MOTION
+from rigid_body_ros.ensemble.runs import MOTION, Span
 from rigid_body_ros.runtime import files
 
 #: Number of blocks that the missing runs are divided into, so that all workers have some; but a
@@ -162,7 +162,7 @@ class Folder:
         """Return the file of the picture."""
         return self.path / _PICTURE
 
-    def missing(self) -> list[tuple[int, int]]:
+    def missing(self) -> list[Span]:
         """Return the first run of each block that has to be computed, and the one after it."""
         present = self._blocks.spans
         begins, ends = [0, *(stop for _, stop in present)], [first for first, _ in present]
@@ -319,7 +319,7 @@ class Folder:
         if waiting.num_rows:
             yield waiting.combine_chunks()
 
-    def _read(self, span: tuple[int, int]) -> arrow.Table:
+    def _read(self, span: Span) -> arrow.Table:
         return parquet.ParquetFile(io.BytesIO(self._blocks.read(span))).read().cast(self._schema)
 
 

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 import math
 
 import numpy as np
@@ -88,10 +89,9 @@ class Reach:
         rates = applied.starts.angular_velocity
         energy = (applied.bodies.inertia * rates[:, :, None] * rates[:, None]).sum((1, 2))
         span = (self.end_ns - self.start_ns) / 1e9
-        motors = self._impulse([self.wheels] if self.wheels else [])
-        late = sum(_largest(log) for log in self.logs) * np.minimum(
-            np.abs(applied.clock_offset), span)
-        impulse = (np.abs(applied.torque_gain) * (self._impulse(self.logs) + late) + motors
+        body, motors, largest, _ = self._of_logs
+        late = largest * np.minimum(np.abs(applied.clock_offset), span)
+        impulse = (np.abs(applied.torque_gain) * (body + late) + motors
                    + (_norm(applied.torque_bias) + _NOISE * self.noise) * span)
         terms = (_norm(applied.starts.rotor_momentum) + motors
                  + np.trace(applied.bodies.damping, axis1=1, axis2=2))
@@ -102,12 +102,24 @@ class Reach:
         whole = (self.end_ns - self.start_ns) / 1e9
         if self.options.record.fixed_step:
             return np.zeros(len(applied.runs))
-        acting = sum(float(spans[(strengths > 0.0) | (self.noise > 0.0)].sum())
-                     for strengths, spans in map(self._pieces, self.logs))
+        *_, acting = self._of_logs
         always = (applied.bodies.is_damped | applied.starts.has_rotors | bool(self.wheels)
                   | applied.torque_bias.any(axis=1)
                   | (self.options.record.closed_form_beyond == math.inf))
         return np.where(always, whole, np.minimum(acting + np.abs(applied.clock_offset), whole))
+
+    @cached_property
+    def _of_logs(self) -> tuple[float, float, float, float]:
+        """
+        Return what all blocks of runs need of the logs.
+
+        Bounds on the impulses of the torques on the body and on the rotors, N m s, the largest
+        torque on the body, N m, and how long torques act on it, s.
+        """
+        acting = sum(float(spans[(strengths > 0.0) | (self.noise > 0.0)].sum())
+                     for strengths, spans in map(self._pieces, self.logs))
+        return (self._impulse(self.logs), self._impulse([self.wheels] if self.wheels else []),
+                sum(_largest(log) for log in self.logs), acting)
 
     def _impulse(self, logs: Iterable[TorqueLog]) -> float:
         """Return a bound on the impulse of torques, N m s."""

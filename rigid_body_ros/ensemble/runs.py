@@ -72,6 +72,8 @@ _AT_ONCE, _STEPS, _SAMPLES, _STATES = 4096, 2 ** 22, 2 ** 20, 2 ** 18
 
 #: Numbers of runs, 'ok' or 'failed', messages, and numbers (NaN in failed runs), by column.
 Columns = dict[str, NDArray[Any]]
+#: The first run of a block, and the one after its last.
+Span = tuple[int, int]
 #: Attitudes and angular velocities, shape (n, m, 7), and messages of failed runs.
 _Found = tuple[Floats, list[str]]
 
@@ -295,10 +297,14 @@ class Ensemble:
                 messages[row] = message
         return motions, messages
 
+    @cached_property
+    def _farthest(self) -> float:
+        """Return how far a run may turn, rad."""
+        return limit(float(replace(self._reach, noise=0.0).turned(self._applied_without)[0]))
+
     def _too_far(self, applied: Applied) -> list[str]:
         """Return the reason for each run that would turn too far to be computed, otherwise ''."""
-        without = replace(self._reach, noise=0.0).turned(self._applied_without)
-        farthest = limit(float(without[0]))
+        farthest = self._farthest
         text = 'the body may turn by {:.3g} rad, too far to be computed (limit {:.3g} rad): ' \
             'check the dispersions'
         return [text.format(turned, farthest) if farthest < turned < math.inf else ''

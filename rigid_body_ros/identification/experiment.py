@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.measurement.measured import FASTEST, Measured
+from rigid_body_ros.measurement.measured import Measured
+from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.state import State
 from rigid_body_ros.torque import TorqueLog
 

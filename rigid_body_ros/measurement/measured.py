@@ -22,11 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import instants
+from rigid_body_ros.propagation.options import FASTEST
 
 #: Fewest samples that can be compared with a motion.
 FEWEST = 4
-#: Largest component of a measured angular velocity, rad/s; that of the initial one of a scene.
-FASTEST = 1e9
 #: Largest difference of the norm of a quaternion from 1.
 _UNIT = 1e-6
 

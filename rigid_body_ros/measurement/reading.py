@@ -26,8 +26,9 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages, recording, so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted, shortened
-from rigid_body_ros.measurement.measured import FASTEST, FEWEST, Measured
+from rigid_body_ros.measurement.measured import FEWEST, Measured
 from rigid_body_ros.messages import MessageType
+from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.recording import Messages, Source, Track
 
 #: Variances, rad^2 or rad^2/s^2, from which on a value counts as not measured.

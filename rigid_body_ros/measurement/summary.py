@@ -25,8 +25,8 @@ from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.measurement.alignment import Alignment
 from rigid_body_ros.measurement.errors import Comparison, statistics
-from rigid_body_ros.measurement.measured import FASTEST
 from rigid_body_ros.measurement.motion import Model
+from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.report.text import lines
 
 
