@@ -28,7 +28,8 @@ import hashlib
 from typing import NamedTuple
 
 import numpy as np
-from rigid_body_ros import propagate, Propagator, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Integration
 
 SEED, COUNT = 20260101, 200

@@ -113,7 +113,7 @@ def elliptic():
 
 def rotations():
     """Print the errors of so3 and SciPy, and their times for 1000 rotations."""
-    from rigid_body_ros import so3
+    from rigid_body_ros.mechanics import so3
     vectors = RANDOM.normal(size=(COUNT, 3))
     vectors *= RANDOM.uniform(0.0, np.pi, (COUNT, 1)) / np.linalg.norm(vectors, axis=1)[:, None]
     right = np.array([exact_exp(vector) for vector in vectors])

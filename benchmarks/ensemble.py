@@ -38,7 +38,7 @@ import tempfile
 import threading
 import time
 
-from rigid_body_ros import cli
+from rigid_body_ros.commands.main import attitude_ensemble
 
 ROOT = Path(__file__).resolve().parent.parent
 SCENE = ROOT / 'config' / 'tumbler.yaml'
@@ -103,7 +103,7 @@ def compute(given):
     """Run the command, without its text."""
     text = os.dup(1)
     os.dup2(2, 1)
-    status = cli.attitude_ensemble([*map(str, given)])
+    status = attitude_ensemble([*map(str, given)])
     os.dup2(text, 1)
     os.close(text)
     if status:

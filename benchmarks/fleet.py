@@ -45,7 +45,8 @@ class Body:
     def __init__(self, observer, number):
         namespace = f'/body_{number}'
         process = subprocess.Popen(
-            [sys.executable, '-c', 'from rigid_body_ros.cli import attitude_node; attitude_node()',
+            [sys.executable, '-c',
+             'from rigid_body_ros.commands import main; main.attitude_node()',
              '--ros-args', '--params-file', str(SCENE), '-r', f'__ns:={namespace}',
              '-p', f'publish_rate:={float(RATE)}'], stderr=subprocess.DEVNULL)
         self.process, self.states = psutil.Process(process.pid), 0

@@ -62,7 +62,7 @@ RATES, ROUNDS, SECONDS = (1000, 1500, 2000), 3, 5.0
 PATIENCE = 60.0
 OURS, BARE = 'ours', 'bare'
 COMMANDS = {
-    OURS: ['-c', 'from rigid_body_ros.cli import attitude_node; attitude_node()', '--ros-args',
+    OURS: ['-c', 'from rigid_body_ros.commands import main; main.attitude_node()', '--ros-args',
            '--params-file', str(HERE.parent / 'config' / 'tumbler.yaml'),
            '-p', 'publish_rate:=100.0'],
     BARE: [str(HERE / 'timer_node.py')]}

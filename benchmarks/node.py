@@ -43,7 +43,7 @@ HERE = Path(__file__).resolve().parent
 RATE, ROUNDS, TORQUES = 1000, 10, 2000
 OURS, FLOOR = '/ours', '/floor'
 COMMANDS = {
-    OURS: ['-c', 'from rigid_body_ros.cli import attitude_node; attitude_node()', '--ros-args',
+    OURS: ['-c', 'from rigid_body_ros.commands import main; main.attitude_node()', '--ros-args',
            '--params-file', str(HERE.parent / 'config' / 'tumbler.yaml'), '-p', 'mode:=lockstep'],
     FLOOR: [str(HERE / 'floor_node.py'), '--ros-args']}
 #: Largest ratios of median latency, 99th percentile and processor time.

@@ -37,7 +37,7 @@ import psutil
 import rclpy
 
 HERE = Path(__file__).resolve().parent.parent
-COMMAND = [sys.executable, '-c', 'from rigid_body_ros.cli import attitude_node; attitude_node()',
+COMMAND = [sys.executable, '-c', 'from rigid_body_ros.commands import main; main.attitude_node()',
            '--ros-args', '--params-file', str(HERE / 'config' / 'tumbler.yaml')]
 
 

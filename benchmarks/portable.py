@@ -27,7 +27,8 @@ import sys
 
 import bits
 import numpy as np
-from rigid_body_ros import euler, propagate, RigidBody, so3, State, TorqueLog, urdf
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros.mechanics import euler, so3, urdf
 
 #: Which results to compute of a motion: those of `bits.groups`, or by each solver that it names.
 RANDOM, SCENE = 'random', 'scene'

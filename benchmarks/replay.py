@@ -40,7 +40,7 @@ from rigid_body_ros.replay import replay
 
 HERE = Path(__file__).resolve().parent
 SCENE = HERE.parent / 'config' / 'tumbler.yaml'
-OURS = ['-c', 'import sys; from rigid_body_ros.cli import attitude_replay; '
+OURS = ['-c', 'import sys; from rigid_body_ros.commands.main import attitude_replay; '
               'sys.exit(attitude_replay())']
 RATE, EPOCH_NS = 1000, 1_767_225_600_123_456_789
 #: Messages made at a time.

@@ -24,10 +24,12 @@ running node.
 import argparse
 from typing import NamedTuple
 
-from rigid_body_ros import commands, scene
-from rigid_body_ros.compare_command import compare_parser
-from rigid_body_ros.ensemble_command import ensemble_parser
-from rigid_body_ros.identify_command import identify_parser
+from rigid_body_ros import scene
+from rigid_body_ros.commands.compare import compare_parser
+from rigid_body_ros.commands.ensemble import ensemble_parser
+from rigid_body_ros.commands.identify import identify_parser
+from rigid_body_ros.commands.replay import replay_parser
+from rigid_body_ros.commands.tradeoff import tradeoff_parser
 from rigid_body_ros.runtime.parameters import limits
 
 WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
@@ -528,9 +530,9 @@ def main():
         parameters=table(('parameter', 'unit', 'default', 'values', 'meaning'), [
             (f'`{parameter.name}`', parameter.unit, default(parameter), values(parameter),
              parameter.description) for parameter in scene.PARAMETERS.values()]),
-        replay=options(commands.replay_parser()),
+        replay=options(replay_parser()),
         compare=options(compare_parser()),
-        tradeoff=options(commands.tradeoff_parser()),
+        tradeoff=options(tradeoff_parser()),
         identify=options(identify_parser()),
         ensemble=options(ensemble_parser()),
         exits=table(('status', 'meaning'), EXITS)), end='')

@@ -28,7 +28,6 @@ import sys
 from tempfile import TemporaryDirectory
 
 from playwright.sync_api import sync_playwright
-from rigid_body_ros import cli
 
 HERE = Path(__file__).resolve().parent
 RECORDING = HERE.parent / 'test' / 'recordings' / 'torque_free_intermediate_axis'
@@ -46,7 +45,7 @@ def main() -> int:
     """Draw the pictures, and return the exit status."""
     with TemporaryDirectory() as folder:
         page = Path(folder) / 'page.html'
-        status = cli.attitude_replay([f'{RECORDING}.mcap', '--scene', f'{RECORDING}.yaml',
+        status = main.attitude_replay([f'{RECORDING}.mcap', '--scene', f'{RECORDING}.yaml',
                                       '--rate', '20', '--until', '34', '--report', str(page)])
         if not status:
             draw(page)
@@ -58,7 +57,7 @@ def draw_ensemble() -> int:
     with TemporaryDirectory() as folder:
         vary, runs = Path(folder) / 'vary.yaml', Path(folder) / 'runs'
         vary.write_text(VARY)
-        status = cli.attitude_ensemble(['--scene', f'{RECORDING}.yaml', '--vary', str(vary),
+        status = main.attitude_ensemble(['--scene', f'{RECORDING}.yaml', '--vary', str(vary),
                                         '--until', '34', '--times', '10', '--runs', '2000', '-o',
                                         str(runs)])
         if not status:

@@ -51,7 +51,7 @@ RELIABLE = ('-p', 'qos_overrides./torque.subscription.reliability:=reliable')
 _LOCAL = {'ROS_LOCALHOST_ONLY': '1'} if os.environ.get('ROS_DISTRO') == 'humble' else \
     {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 _PROGRAM = (sys.executable, '-c',
-            'import sys; from rigid_body_ros.cli import attitude_node; sys.exit(attitude_node())')
+            'import sys; from rigid_body_ros.commands import main; sys.exit(main.attitude_node())')
 #: The first start on a machine compiles the kernels.
 _PATIENCE_S = 300.0
 

@@ -18,10 +18,13 @@ from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rigid_body_ros.bodies import RigidBodies
-    from rigid_body_ros.body import RigidBody
+    from rigid_body_ros.comparison import compare, Measured, read_measured
     from rigid_body_ros.identification import Experiment, identify
-    from rigid_body_ros.measurement import compare, Measured, read_measured
+    from rigid_body_ros.mechanics.bodies import RigidBodies
+    from rigid_body_ros.mechanics.body import RigidBody
+    from rigid_body_ros.mechanics.state import State
+    from rigid_body_ros.mechanics.states import States
+    from rigid_body_ros.mechanics.torque import TorqueLog
     from rigid_body_ros.propagation import (
         propagate,
         propagate_many,
@@ -30,33 +33,32 @@ if TYPE_CHECKING:
         Trajectory,
         warm_up,
     )
-    from rigid_body_ros.state import State
-    from rigid_body_ros.states import States
-    from rigid_body_ros.torque import TorqueLog
 else:
     # Importing the engine takes most of a second, and commands must handle signals before.
-    _SUBMODULES = ('bodies', 'body', 'common', 'euler', 'identification', 'kernels', 'measurement',
-                   'propagation', 'so3', 'state', 'states', 'torque', 'urdf')
-    #: The submodule of each public name.
-    _HOMES = {'RigidBodies': 'bodies', 'States': 'states', 'propagate_many': 'propagation',
-              'Trajectories': 'propagation', 'RigidBody': 'body', 'State': 'state',
-              'TorqueLog': 'torque',
-              'Propagator': 'propagation', 'Trajectory': 'propagation',
-              'propagate': 'propagation', 'warm_up': 'propagation', 'Measured': 'measurement',
-              'compare': 'measurement', 'read_measured': 'measurement',
-              'Experiment': 'identification', 'identify': 'identification'}
+    #: The module of each public name; a module stands for itself.
+    _HOMES = {'RigidBodies': 'mechanics.bodies', 'RigidBody': 'mechanics.body',
+              'State': 'mechanics.state', 'States': 'mechanics.states',
+              'TorqueLog': 'mechanics.torque', 'euler': 'mechanics.euler',
+              'frames': 'mechanics.frames', 'so3': 'mechanics.so3', 'urdf': 'mechanics.urdf',
+              'Propagator': 'propagation', 'Trajectories': 'propagation',
+              'Trajectory': 'propagation', 'propagate': 'propagation',
+              'propagate_many': 'propagation', 'warm_up': 'propagation',
+              'Measured': 'comparison', 'compare': 'comparison', 'read_measured': 'comparison',
+              'Experiment': 'identification', 'identify': 'identification',
+              **{package: package for package in (
+                  'common', 'comparison', 'identification', 'kernels', 'mechanics',
+                  'propagation')}}
 
     def __getattr__(name: str) -> Any:
-        """Import a submodule or a public name when it is first used."""
-        if name in _SUBMODULES:
-            return import_module(f'{__name__}.{name}')
+        """Import a module or a public name when it is first used."""
         if name not in _HOMES:
             raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-        value = getattr(import_module(f'{__name__}.{_HOMES[name]}'), name)
+        found = import_module(f'{__name__}.{_HOMES[name]}')
+        value = found if found.__name__.endswith(f'.{name}') else getattr(found, name)
         return globals().setdefault(name, value)
 
     def __dir__() -> list[str]:
-        return sorted({*globals(), *_SUBMODULES, *_HOMES})
+        return sorted({*globals(), *_HOMES})
 
 __all__ = ['Experiment', 'Measured', 'Propagator', 'RigidBodies', 'RigidBody', 'State', 'States',
            'TorqueLog', 'Trajectories', 'Trajectory', 'compare', 'identify', 'propagate',

@@ -37,8 +37,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import listed, quoted
-from rigid_body_ros.frames import Frame, Frames
-from rigid_body_ros.state import State
+from rigid_body_ros.mechanics.frames import Frame, Frames
+from rigid_body_ros.mechanics.state import State
 
 #: The frame_id of an epoch marker: this word, and the numbers of the start state.
 _EPOCH = '/epoch'

@@ -28,18 +28,18 @@ from pathlib import Path
 import re
 from typing import Any
 
-from rigid_body_ros import euler, urdf
-from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.errors import InputError as InputError  # part of the interface
 from rigid_body_ros.common.errors import listed, quoted
 from rigid_body_ros.common.times import duration_ns
-from rigid_body_ros.frames import Frames
+from rigid_body_ros.mechanics import euler, urdf
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.frames import Frames
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import INTERPOLATIONS
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.runtime.parameter_file import node_parameters
 from rigid_body_ros.runtime.parameters import BIG, checked, is_foreign, Parameter, TINY, Value
 from rigid_body_ros.runtime.reading import read_yaml
-from rigid_body_ros.state import State
-from rigid_body_ros.torque import INTERPOLATIONS
 
 #: The name of the node whose parameters a scene file has.
 NODE = 'attitude_node'

@@ -28,19 +28,19 @@ import sys
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from rigid_body_ros import euler
-from rigid_body_ros.bodies import RigidBodies
-from rigid_body_ros.body import RigidBody
 from rigid_body_ros.identification.triangles import triangle
+from rigid_body_ros.mechanics import euler
+from rigid_body_ros.mechanics.bodies import RigidBodies
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.states import States
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.messages import QUATERNION
 from rigid_body_ros.propagation import propagate, propagate_many, Propagator, warm_up
 from rigid_body_ros.recording import read
 from rigid_body_ros.replay import replay
 from rigid_body_ros.runtime.terminal import show
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.state import State
-from rigid_body_ros.states import States
-from rigid_body_ros.torque import TorqueLog
 from rigid_body_ros.tradeoff import measure
 
 _SCENE = {'inertia.ixx': 1.0, 'inertia.iyy': 2.0, 'inertia.izz': 2.5}

@@ -30,7 +30,8 @@ from hypothesis import settings
 import numpy as np
 import pytest
 import rigid_body_ros
-from rigid_body_ros import messages, propagate, recording, scene, so3, State
+from rigid_body_ros import messages, propagate, recording, scene, State
+from rigid_body_ros.mechanics import so3
 
 ROOT = Path(__file__).resolve().parent.parent
 # As the setting `pythonpath` of pytest, which pytest 6 of Ubuntu 22.04 lacks.

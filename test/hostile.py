@@ -20,7 +20,8 @@ import signal
 
 from conftest import CONFIG, memory_limit, RECORDINGS
 import pytest
-from rigid_body_ros import cli, recording, scene
+from rigid_body_ros import recording, scene
+from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import LONGEST
 
 TUMBLER = CONFIG / 'tumbler.yaml'
@@ -62,7 +63,7 @@ def outcome(path, scene_path=TUMBLER):
 def line_of(run, command):
     """Return the error line of a function that runs in the place of a command, '' if none."""
     with limits(), redirect_stderr(io.StringIO()) as printed:
-        status = cli._guarded(command, run, ())
+        status = main._guarded(command, run, ())
     lines = printed.getvalue().splitlines()
     assert all(len(line) <= LONGEST and line.isprintable() for line in lines)
     errors = [line for line in lines

@@ -23,7 +23,8 @@ import math
 
 from mpmath import mp
 import numpy as np
-from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros.mechanics import so3
 from scenes import FIXED_STEP, SECOND
 import truth
 

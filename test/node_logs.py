@@ -16,19 +16,20 @@
 
 from conftest import CONFIG, SECOND
 import numpy as np
-from rigid_body_ros import cli, messages, propagate, recording, State, TorqueLog
+from rigid_body_ros import messages, propagate, recording, State, TorqueLog
+from rigid_body_ros.commands import main
 
 ACCEPTED, ACCEPTED_1, WHEELS = (f'/node/accepted_{name}' for name in (
     'torque', 'torque_1', 'wheel_torque'))
 COMMITTED = '/node/committed'
 KINDS = {COMMITTED: messages.ODOMETRY}
 COMMANDS = {
-    'replay': [cli.attitude_replay, '{log}', '-o', '{out}.mcap'],
-    'verify': [cli.attitude_replay, '{log}', '--verify', '{log}'],
-    'compare': [cli.attitude_compare, '{log}', '--measured', COMMITTED, '--json', '{out}.json'],
-    'identify': [cli.attitude_identify, '{log}', '--measured', COMMITTED, '--json', '{out}.json'],
-    'tradeoff': [cli.attitude_tradeoff, '--recording', '{log}', '--json', '{out}.json'],
-    'ensemble': [cli.attitude_ensemble, '--recording', '{log}', '--runs', '4', '-o', '{out}',
+    'replay': [main.attitude_replay, '{log}', '-o', '{out}.mcap'],
+    'verify': [main.attitude_replay, '{log}', '--verify', '{log}'],
+    'compare': [main.attitude_compare, '{log}', '--measured', COMMITTED, '--json', '{out}.json'],
+    'identify': [main.attitude_identify, '{log}', '--measured', COMMITTED, '--json', '{out}.json'],
+    'tradeoff': [main.attitude_tradeoff, '--recording', '{log}', '--json', '{out}.json'],
+    'ensemble': [main.attitude_ensemble, '--recording', '{log}', '--runs', '4', '-o', '{out}',
                  '--vary', '{vary}']}
 
 

@@ -29,7 +29,6 @@ from conftest import chord, EPOCH_NS, Reference, SECOND
 from known import damped_sphere, dual_spin, gyrostat, landau_zener, period, TOPS
 import numpy as np
 from rigid_body_ros import (
-    euler,
     Experiment,
     identify,
     Measured,
@@ -38,10 +37,10 @@ from rigid_body_ros import (
     recording,
     RigidBody,
     scene,
-    so3,
     State,
     TorqueLog,
 )
+from rigid_body_ros.mechanics import euler, so3
 from rigid_body_ros.replay import replay
 
 

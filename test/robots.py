@@ -16,7 +16,7 @@
 
 import bags
 import numpy as np
-from rigid_body_ros import urdf
+from rigid_body_ros.mechanics import urdf
 
 SHIFT = ' xyz="0.25 0 -0.5" rpy="0.3 -0.2 1"'
 #: A force at its origin acts 0.75 m ahead of the centre of mass, along y of the body.

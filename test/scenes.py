@@ -25,7 +25,8 @@ from functools import cached_property
 
 from mpmath import mp
 import numpy as np
-from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import SOLVERS
 import truth
 

@@ -21,7 +21,8 @@ import sys
 
 from conftest import CONFIG, files_up_to, RECORDINGS, SECOND
 import pytest
-from rigid_body_ros import cli, messages, recording, scene
+from rigid_body_ros import messages, recording, scene
+from rigid_body_ros.commands import main
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.many import replay_many
 from rigid_body_ros.scene import InputError
@@ -91,12 +92,12 @@ def run(option, recorded, output, overwrite=('--overwrite',)):
     second = str(Path('other', output.with_suffix('.csv').name))
     if command == 'replay':
         outputs = ['-o', 'other/motion.mcap', '--plot', str(output)]
-        return cli.attitude_replay([recorded, *arguments,
+        return main.attitude_replay([recorded, *arguments,
                                     *(outputs if option == '--plot' else ['-o', str(output)])])
     if command == 'many':
-        return cli.attitude_replay([recorded, second, *arguments, '-o', str(output.parent)])
+        return main.attitude_replay([recorded, second, *arguments, '-o', str(output.parent)])
     if command == 'tradeoff':
-        return cli.attitude_tradeoff(['--recording', recorded, *arguments, option, str(output)])
+        return main.attitude_tradeoff(['--recording', recorded, *arguments, option, str(output)])
     with pytest.raises(InputError) as error:
         loaded = scene.load('in/scene.yaml')
         if option == 'replay':
@@ -173,7 +174,7 @@ def test_two_outputs_never_have_one_name(place, capsys, first, second, existing)
         Path('out/x.mcap').write_text('old')
     Path('out/x.png').symlink_to('x.mcap')
     before = contents(place)
-    assert cli.attitude_replay(['in/log.mcap', '--scene', 'in/scene.yaml', '-o', first,
+    assert main.attitude_replay(['in/log.mcap', '--scene', 'in/scene.yaml', '-o', first,
                                 '--plot', second, '--overwrite']) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
     assert contents(place) == before
@@ -182,7 +183,7 @@ def test_two_outputs_never_have_one_name(place, capsys, first, second, existing)
 def test_two_recordings_never_go_to_one_file(place, capsys):
     Path('out/second.mcap').symlink_to('log.mcap')
     before = contents(place)
-    assert cli.attitude_replay(['in/log.mcap', 'other/second.csv', '--scene', 'in/scene.yaml',
+    assert main.attitude_replay(['in/log.mcap', 'other/second.csv', '--scene', 'in/scene.yaml',
                                 '-o', 'out']) == 2
     line, = capsys.readouterr().err.splitlines()
     assert 'out/second.mcap: would overwrite the output out/log.mcap' in line
@@ -203,16 +204,16 @@ def test_outputs_are_checked_before_anything_is_read(place, capsys, option):
 @pytest.mark.parametrize('motion', ['motion.mcap', 'motion'])
 def test_verify_writes_nothing(place, recorded, motion):
     arguments = [recorded, '--scene', 'in/scene.yaml']
-    assert cli.attitude_replay([*arguments, '-o', f'out/{motion}']) == 0
+    assert main.attitude_replay([*arguments, '-o', f'out/{motion}']) == 0
     before = contents(place)
-    assert cli.attitude_replay([*arguments, '--verify', f'out/{motion}']) == 0
+    assert main.attitude_replay([*arguments, '--verify', f'out/{motion}']) == 0
     assert contents(place) == before
 
 
 def test_the_motion_to_verify_is_no_place_for_a_plot(place, capsys):
     Path('out/motion.mcap').write_text('motion')
     before = contents(place)
-    assert cli.attitude_replay(['in/log.mcap', '--scene', 'in/scene.yaml', '--verify',
+    assert main.attitude_replay(['in/log.mcap', '--scene', 'in/scene.yaml', '--verify',
                                 'out/motion.mcap', '--plot', 'out/motion.mcap']) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
     assert contents(place) == before
@@ -225,7 +226,7 @@ def test_an_incomplete_output_leaves_an_input_with_the_name_of_its_partial_file(
     source.write_bytes((RECORDINGS / 'tumbler.mcap').read_bytes())
     before = contents(place)
     with files_up_to(2_000_000):
-        assert cli.attitude_replay([str(source), '--scene', 'in/scene.yaml', '--rate', '1000',
+        assert main.attitude_replay([str(source), '--scene', 'in/scene.yaml', '--rate', '1000',
                                     '-o', output]) == 2
     line, = capsys.readouterr().err.splitlines()
     after = contents(place)
@@ -252,13 +253,13 @@ def test_a_folder_that_takes_the_name_meanwhile_is_not_replaced(place, kind, nam
 def test_a_copy_of_an_input_may_be_replaced(place):
     # What is refused is the file, not what looks like it.
     Path('out/log.mcap').write_bytes(Path('in/log.mcap').read_bytes())
-    assert cli.attitude_replay(['in/log.mcap', '--scene', 'in/scene.yaml', '-o',
+    assert main.attitude_replay(['in/log.mcap', '--scene', 'in/scene.yaml', '-o',
                                 'out/log.mcap', '--overwrite']) == 0
     assert recording.read('out/log.mcap', '/attitude', messages.QUATERNION).stamps_ns.size == 2
 
 
-COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros import cli; '
-           'sys.exit(getattr(cli, sys.argv.pop(1))())']
+COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.commands import main; '
+           'sys.exit(getattr(main, sys.argv.pop(1))())']
 REPLAY = ['attitude_replay', 'in/log.mcap', '--scene', 'in/scene.yaml', '-o', 'out/motion.mcap']
 PRINTING = [pytest.param(REPLAY, id='replay'),
             pytest.param(['attitude_tradeoff', '--help'], id='help', marks=pytest.mark.nightly)]
@@ -279,8 +280,9 @@ def test_a_reader_that_is_gone_ends_a_command_quietly(place, arguments):
 @pytest.mark.slow
 def test_a_reader_that_leaves_in_the_middle_is_no_error():
     # More than a pipe and Python's buffer hold, of which Python keeps the rest for its end.
-    script = ('import sys; from rigid_body_ros import cli; from rigid_body_ros.runtime import '
-              "terminal; sys.exit(cli._guarded('', lambda: terminal.show(2 ** 20 * 'x') or 0, "
+    script = ('import sys; from rigid_body_ros.commands import main; '
+              'from rigid_body_ros.runtime import '
+              "terminal; sys.exit(main._guarded('', lambda: terminal.show(2 ** 20 * 'x') or 0, "
               'None))')
     with subprocess.Popen([sys.executable, '-c', script], stdout=subprocess.PIPE,
                           stderr=subprocess.PIPE, text=True) as process:

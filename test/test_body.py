@@ -16,8 +16,9 @@
 
 import numpy as np
 import pytest
-from rigid_body_ros import RigidBody, so3, State
-from rigid_body_ros.body import rate_in_space
+from rigid_body_ros import RigidBody, State
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.body import rate_in_space
 from scipy.spatial.transform import Rotation
 
 RANDOM = np.random.default_rng(11)

@@ -26,7 +26,7 @@ import time
 from conftest import at_night, ROOT
 import psutil
 import pytest
-from rigid_body_ros import cli
+from rigid_body_ros.commands import main
 from rigid_body_ros.replay import remote
 from rigid_body_ros.runtime import cluster
 from test_ensemble import arguments, COMMAND, contents, count, ENVIRONMENT, inputs, run
@@ -174,7 +174,7 @@ def test_recordings_are_replayed_with_the_same_bytes(inputs, scheduler, capsys, 
     (inputs / 'second.csv').write_text('1,0,0,0\n2,0.1,0,0\n')
     (inputs / 'third.csv').write_text('1,0,0,nothing\n')
     for output, more in (('here', []), ('there', ['--scheduler', str(scheduler)])):
-        assert cli.attitude_replay(['in.csv', 'second.csv', 'third.csv', '--scene', 'scene.yaml',
+        assert main.attitude_replay(['in.csv', 'second.csv', 'third.csv', '--scene', 'scene.yaml',
                                     '-o', output, *more]) == 2
         printed = capsys.readouterr()
         assert printed.out.splitlines()[-1] == '2 of 3 written'
@@ -183,7 +183,7 @@ def test_recordings_are_replayed_with_the_same_bytes(inputs, scheduler, capsys, 
             'in.mcap', 'second.mcap']
     for name in ('in.mcap', 'second.mcap'):
         assert (inputs / 'there' / name).read_bytes() == (inputs / 'here' / name).read_bytes()
-    assert cli.attitude_replay(['in.csv', 'second.csv', '--scene', 'scene.yaml', '-o', 'there',
+    assert main.attitude_replay(['in.csv', 'second.csv', '--scene', 'scene.yaml', '-o', 'there',
                                 '--scheduler', str(scheduler)]) == 2
     assert 'there/in.mcap: output exists' in capsys.readouterr().err
 
@@ -194,7 +194,7 @@ def test_recordings_need_a_shared_folder(inputs, scheduler, capsys, monkeypatch)
     monkeypatch.chdir(inputs)  # which to the workers is a folder of another machine
     names = ['in.csv', 'copy.csv']
     (inputs / names[1]).write_bytes((inputs / names[0]).read_bytes())
-    assert cli.attitude_replay([*names, '--scene', 'scene.yaml', '-o', 'out', '--scheduler',
+    assert main.attitude_replay([*names, '--scene', 'scene.yaml', '-o', 'out', '--scheduler',
                                 str(scheduler)]) == 2
     first, _, last = capsys.readouterr().out.splitlines()
     assert f'failed: out/in.mcap: expected a folder that all workers share, not found on ' \
@@ -204,7 +204,7 @@ def test_recordings_need_a_shared_folder(inputs, scheduler, capsys, monkeypatch)
 
 
 def test_one_recording_needs_no_scheduler(inputs, capsys):
-    assert cli.attitude_replay([str(inputs / 'in.csv'), '--scene', str(inputs / 'scene.yaml'),
+    assert main.attitude_replay([str(inputs / 'in.csv'), '--scene', str(inputs / 'scene.yaml'),
                                 '--scheduler', 'a:1']) == 2
     assert '--scheduler: expected several recordings, found one' in capsys.readouterr().err
 
@@ -281,7 +281,7 @@ def test_nothing_replies_at_an_address(inputs, capsys, monkeypatch, listens):
 
 
 def error_of(capsys, inputs, scheduler):
-    assert cli.attitude_ensemble(arguments(inputs, 'out', 10, '--scheduler', scheduler)) == 2
+    assert main.attitude_ensemble(arguments(inputs, 'out', 10, '--scheduler', scheduler)) == 2
     line, = capsys.readouterr().err.strip().splitlines()
     assert line.startswith('attitude_ensemble: error: ')
     return line
@@ -289,7 +289,7 @@ def error_of(capsys, inputs, scheduler):
 
 def test_threads_and_a_scheduler_exclude_each_other(inputs, capsys):
     with pytest.raises(SystemExit) as ended:
-        cli.attitude_ensemble(arguments(inputs, 'out', 10, '--workers', os.cpu_count(),
+        main.attitude_ensemble(arguments(inputs, 'out', 10, '--workers', os.cpu_count(),
                                         '--scheduler', 'scheduler.json'))
     assert ended.value.code == 2
     assert 'not allowed with argument' in capsys.readouterr().err
@@ -297,7 +297,8 @@ def test_threads_and_a_scheduler_exclude_each_other(inputs, capsys):
 
 @pytest.mark.slow
 def test_only_the_option_imports_dask(inputs):
-    script = ('import sys; from rigid_body_ros import cli; status = cli.attitude_ensemble(); '
+    script = ('import sys; from rigid_body_ros.commands import main; '
+              'status = main.attitude_ensemble(); '
               "sys.exit(status or any(name in sys.modules for name in ('dask', 'distributed')))")
     command = [sys.executable, '-c', script, *arguments(inputs, 'out', 10)]
     assert subprocess.run(command, env=ENVIRONMENT, stdout=subprocess.DEVNULL, cwd=ROOT,
@@ -306,8 +307,9 @@ def test_only_the_option_imports_dask(inputs):
 
 @pytest.mark.slow
 def test_dask_is_missing(inputs):
-    script = ("import sys; sys.modules['distributed'] = None; from rigid_body_ros import cli; "
-              'sys.exit(cli.attitude_ensemble())')
+    script = ("import sys; sys.modules['distributed'] = None; "
+              'from rigid_body_ros.commands import main; '
+              'sys.exit(main.attitude_ensemble())')
     command = [sys.executable, '-c', script, *arguments(inputs, 'out', 10, '--scheduler', 'a:1')]
     result = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, check=False)
     assert result.returncode == 2

@@ -20,10 +20,11 @@ from conftest import at_night, memory_limit
 from measurements import free, INERTIA, truth
 import numpy as np
 import pytest
-from rigid_body_ros import compare, Measured, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import compare, Measured, RigidBody, State, TorqueLog
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.measurement.horizons import horizon
-from rigid_body_ros.measurement.motion import Model, Recorded
+from rigid_body_ros.comparison.horizons import horizon
+from rigid_body_ros.comparison.motion import Model, Recorded
+from rigid_body_ros.mechanics import so3
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 

@@ -26,7 +26,8 @@ from live import decoded, live_values, TUMBLER
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
-from rigid_body_ros import cli, messages, recording, scene
+from rigid_body_ros import messages, recording, scene
+from rigid_body_ros.commands import main
 from rigid_body_ros.replay.verify import verify
 
 pytestmark = pytest.mark.ros
@@ -125,11 +126,11 @@ def test_two_lives_are_not_one_motion(tmp_path, domain, capsys):
         assert live.stop() == 0
         live.write(path)
     arguments = [str(path), '--scene', str(TUMBLER), '--topic', ACCEPTED]
-    assert cli.attitude_replay([*arguments, '-o', str(tmp_path / 'motion.mcap')]) == 0
+    assert main.attitude_replay([*arguments, '-o', str(tmp_path / 'motion.mcap')]) == 0
     rates = recording.read(tmp_path / 'motion.mcap', '/angular_velocity', messages.VECTOR3).values
     assert np.linalg.norm(rates[-1]) < 1e-3
     capsys.readouterr()
-    assert cli.attitude_replay([*arguments, '--verify', str(path)]) == 0
+    assert main.attitude_replay([*arguments, '--verify', str(path)]) == 0
     # The first life was killed before it committed its only torque.
     assert re.search(r'compared +[0-9]+ states .* in 2 epochs; 1 torque has no committed state',
                      capsys.readouterr().out)

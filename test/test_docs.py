@@ -164,7 +164,7 @@ def names_in_examples():
                 if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
                 and node.value.id in imported}
         found |= used | set(imported.values())
-    return sorted(name for name in found if not name.startswith(f'{NAME}.cli'))
+    return sorted(name for name in found if not name.startswith(f'{NAME}.commands'))
 
 
 def described(name, listed):
@@ -179,7 +179,7 @@ def exists(name, names):
     modules = {path.stem for path in PACKAGE.iterdir() if path.suffix in ('', '.py')}
     if first in names:
         found = names[first]
-    elif first in {NAME, *rigid_body_ros.__all__, *modules}:
+    elif first in {NAME, *dir(rigid_body_ros), *modules}:
         found, rest = rigid_body_ros, rest if first == NAME else [first, *rest]
     else:
         return True

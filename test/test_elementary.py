@@ -42,7 +42,8 @@ SPECIAL = (0.0, 1.0, 5e-324, 1e308, math.inf)
 SCRIPT = """
 import hashlib
 import numpy as np
-from rigid_body_ros import euler, propagate, RigidBody, so3, State
+from rigid_body_ros import propagate, RigidBody, State
+from rigid_body_ros.mechanics import euler, so3
 from rigid_body_ros.kernels import elementary_arrays as arrays
 integers = np.random.default_rng(1985).integers
 values = integers(-2 ** 53, 2 ** 53, (60, 4)) / 2.0 ** 53

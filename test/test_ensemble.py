@@ -25,7 +25,8 @@ from conftest import at_night, nearest_rank, ROOT
 import numpy as np
 from pyarrow import parquet
 import pytest
-from rigid_body_ros import cli, propagate, RigidBody, scene, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, scene, State, TorqueLog
+from rigid_body_ros.commands import main
 from rigid_body_ros.ensemble import folder
 
 SCENE = """/**:
@@ -40,8 +41,8 @@ initial_angular_velocity.z: {normal: 0.1, relative: true}
 torque_gain: {normal: 0.03}
 clock_offset: {normal: 0.001}
 """
-COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros import cli; '
-           'sys.exit(cli.attitude_ensemble())']
+COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.commands import main; '
+           'sys.exit(main.attitude_ensemble())']
 ENVIRONMENT = {**os.environ, 'PYTHONPATH': os.pathsep.join([str(ROOT), *sys.path])}
 TIMES = np.arange(40) / 20.0
 TORQUES = np.round(0.01 * np.sin(np.arange(120.0)).reshape(40, 3), 9)
@@ -63,7 +64,7 @@ def arguments(inputs, output, runs, *more):
 
 
 def run(*given):
-    assert cli.attitude_ensemble(arguments(*given)) == 0
+    assert main.attitude_ensemble(arguments(*given)) == 0
 
 
 def contents(path):
@@ -74,7 +75,7 @@ def contents(path):
 
 
 def error_of(capsys, *given):
-    assert cli.attitude_ensemble(arguments(*given)) == 2
+    assert main.attitude_ensemble(arguments(*given)) == 2
     line, = capsys.readouterr().err.strip().splitlines()
     return line
 
@@ -224,7 +225,7 @@ def test_without_a_recording_the_body_turns_freely(inputs):
     (inputs / 'vary.yaml').write_text('initial_attitude: {tilt: 0.02}\n')
     given = [one for one in arguments(inputs, 'out', 3, '--until', 10)
              if one not in ('--recording', str(inputs / 'in.csv'))]
-    assert cli.attitude_ensemble(given) == 0
+    assert main.attitude_ensemble(given) == 0
     row = parquet.read_table(inputs / 'out' / 'runs.parquet').to_pylist()[2]
     loaded = scene.load(inputs / 'scene.yaml')
     start = State(1, [row[f'initial_attitude.{axis}'] for axis in 'xyzw'],
@@ -280,7 +281,7 @@ def test_bad_input_is_one_line(inputs, capsys, change, message):
 def test_no_end_of_the_motion(inputs, capsys):
     given = [one for one in arguments(inputs, 'out', 3)
              if one not in ('--recording', str(inputs / 'in.csv'))]
-    assert cli.attitude_ensemble(given) == 2
+    assert main.attitude_ensemble(given) == 2
     assert '--until: expected the end of the motion, or a --recording' in capsys.readouterr().err
 
 
@@ -292,6 +293,6 @@ def test_impossible_numbers(inputs, capsys, more):
         if name in given:
             del given[given.index(name):given.index(name) + 2]
     with pytest.raises(SystemExit) as ended:
-        cli.attitude_ensemble([*given, *more])
+        main.attitude_ensemble([*given, *more])
     assert ended.value.code == 2
     assert f'{more[0]}: expected an integer' in capsys.readouterr().err

@@ -20,7 +20,8 @@ from conftest import at_night
 import numpy as np
 from pyarrow import parquet
 import pytest
-from rigid_body_ros import cli, propagate, RigidBody, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros.commands import main
 from rigid_body_ros.ensemble import motions
 from test_ensemble import (
     arguments,
@@ -131,7 +132,7 @@ def test_other_times_are_another_ensemble(inputs, capsys, runs, more, message):
 @pytest.mark.parametrize('text', ['0', '-1', 'nan', 'inf', 'often'])
 def test_impossible_times(inputs, capsys, text):
     with pytest.raises(SystemExit) as ended:
-        cli.attitude_ensemble([*arguments(inputs, 'out', 3), f'--times={text}'])
+        main.attitude_ensemble([*arguments(inputs, 'out', 3), f'--times={text}'])
     assert ended.value.code == 2
     assert '--times: expected final or a number from' in capsys.readouterr().err
 

@@ -25,10 +25,12 @@ import matplotlib.image
 import numpy as np
 from pyarrow import parquet
 import pytest
-from rigid_body_ros import cli, propagate, scene, so3
+from rigid_body_ros import propagate, scene
+from rigid_body_ros.commands import main
 from rigid_body_ros.ensemble import bands, page, summary
 from rigid_body_ros.ensemble.histogram import histogram
 from rigid_body_ros.ensemble.percentiles import percentiles
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.report import spread
 from rigid_body_ros.report.page import write
 import zarr
@@ -81,7 +83,7 @@ def marks(panel):
 
 
 def test_the_picture_of_an_ensemble_has_its_numbers(arguments, drawn, tmp_path):
-    assert cli.attitude_ensemble(arguments) == 0
+    assert main.attitude_ensemble(arguments) == 0
     assert matplotlib.image.imread(tmp_path / 'out' / 'bands.png').shape[1] == 1080
     angles = parquet.read_table(tmp_path / 'out' / 'runs.parquet')['angle_from_nominal']
     angles = angles.drop_null().to_numpy()
@@ -107,7 +109,7 @@ def test_the_bands_are_the_percentiles_of_the_motions(arguments, drawn, tmp_path
                                                       kept):
     monkeypatch.setattr(bands, '_KEPT', kept)
     monkeypatch.setattr(bands, '_TIMES', 9)
-    assert cli.attitude_ensemble([*arguments, '--times', '3.3']) == 0
+    assert main.attitude_ensemble([*arguments, '--times', '3.3']) == 0
     ensemble = zarr.open_group(tmp_path / 'out' / 'motion.zarr', mode='r')
     rows = [0, 2, 4, 6, 8, 10, 12, 14, 17]
     loaded = scene.load(tmp_path / 'scene.yaml')
@@ -195,18 +197,18 @@ def test_the_page_has_the_histogram_and_the_correlations(arguments, tmp_path, ki
 def test_a_page_that_exists_is_kept(arguments, tmp_path, capsys):
     target = tmp_path / 'page.html'
     target.write_text('precious')
-    assert cli.attitude_ensemble([*arguments, '--report', str(target)]) == 2
+    assert main.attitude_ensemble([*arguments, '--report', str(target)]) == 2
     assert capsys.readouterr().err == (f'attitude_ensemble: error: {target}: output exists; '
                                        'choose another name, or add --overwrite\n')
     assert target.read_text() == 'precious'
     assert not (tmp_path / 'out' / 'runs.parquet').exists()
-    assert cli.attitude_ensemble([*arguments, '--report', str(target), '--overwrite']) == 0
+    assert main.attitude_ensemble([*arguments, '--report', str(target), '--overwrite']) == 0
     assert '<title>scene.yaml: 400 runs</title>' in target.read_text()
 
 
 def test_no_picture_if_all_runs_failed(arguments, tmp_path, capsys):
     (tmp_path / 'vary.yaml').write_text('inertia.izz: {uniform: [-2.0, -1.0]}\n')
-    assert cli.attitude_ensemble(arguments) == 2
+    assert main.attitude_ensemble(arguments) == 2
     assert not (tmp_path / 'out' / 'bands.png').exists()
     printed = capsys.readouterr()
     assert 'failed           400: inertia' in printed.out
@@ -220,7 +222,7 @@ def test_no_picture_if_all_runs_failed(arguments, tmp_path, capsys):
 @pytest.mark.slow
 def test_no_picture_without_matplotlib(arguments, tmp_path):
     script = ("import sys; sys.modules['matplotlib'] = None; "
-              'from rigid_body_ros.cli import attitude_ensemble; sys.exit(attitude_ensemble())')
+              'from rigid_body_ros.commands import main; sys.exit(main.attitude_ensemble())')
     result = subprocess.run([sys.executable, '-c', script, *arguments], capture_output=True,
                             text=True, check=False)
     assert result.returncode == 0

@@ -19,10 +19,11 @@ import time
 
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.ensemble import reach, runs
 from rigid_body_ros.ensemble.dispersions import Dispersion
 from rigid_body_ros.ensemble.runs import Ensemble
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.scene import InputError, Scene
 
 SECOND = 10 ** 9

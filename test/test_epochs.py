@@ -38,10 +38,11 @@ from node_logs import (
 )
 import numpy as np
 import pytest
-from rigid_body_ros import cli, messages, recording, scene, State
+from rigid_body_ros import messages, recording, scene, State
+from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import LONGEST
+from rigid_body_ros.comparison.recorded import Reading
 from rigid_body_ros.identification.recorded import read_experiment
-from rigid_body_ros.measurement.recorded import Reading
 from rigid_body_ros.recording import torques, writer
 from rigid_body_ros.replay import epochs, read, replay
 from rigid_body_ros.replay.many import replay_many
@@ -76,7 +77,7 @@ def test_a_node_that_was_killed_and_started_again_has_two_motions(tmp_path, caps
     log = save(tmp_path / 'log.mcap', [one for start, torques in lives
                                        for one in epoch(run, start, {ACCEPTED: torques})])
     output = str(tmp_path / 'motion.mcap')
-    assert cli.attitude_replay([log, '--scene', str(config), '-o', output]) == 0
+    assert main.attitude_replay([log, '--scene', str(config), '-o', output]) == 0
     rates = recording.read(output, '/angular_velocity', messages.VECTOR3)
     assert rates.values[-1, 2] == pytest.approx(1e-5, rel=1e-9)
     assert rates.values[11, 2] == pytest.approx(0.05 * 5.5, rel=1e-9)
@@ -84,7 +85,7 @@ def test_a_node_that_was_killed_and_started_again_has_two_motions(tmp_path, caps
     assert 'epochs        2, each from its own start state' in words
     assert f'  epoch 1     from {begin * SECOND} ns on, over 5.5 s, to attitude 0 0 ' in words
     assert 'final state   10 s after the start\n' in words
-    assert cli.attitude_replay([log, '--scene', str(config), '--verify', log]) == 0
+    assert main.attitude_replay([log, '--scene', str(config), '--verify', log]) == 0
     words = capsys.readouterr().out
     assert 'compared      33 states of /node/committed in 2 epochs\n' in words
     assert 'same bits     33 of 33\n' in words
@@ -193,7 +194,7 @@ def test_a_torque_of_a_later_epoch_is_named_by_its_number(run, tmp_path):
 
 def test_the_log_of_a_node_is_not_skipped(two, tmp_path, capsys):
     output = str(tmp_path / 'out.mcap')
-    assert cli.attitude_replay([two, '--scene', str(CONFIG / 'tumbler.yaml'), '--start', '1',
+    assert main.attitude_replay([two, '--scene', str(CONFIG / 'tumbler.yaml'), '--start', '1',
                                 '-o', output]) == 2
     line, = capsys.readouterr().err.splitlines()
     assert f'two.mcap: {ACCEPTED}: --start: expected no time to skip, because the log' in line

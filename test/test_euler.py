@@ -20,7 +20,7 @@ from itertools import product
 from conftest import chord
 import numpy as np
 import pytest
-from rigid_body_ros import euler, so3
+from rigid_body_ros.mechanics import euler, so3
 from scipy.spatial.transform import Rotation
 
 EPS = np.finfo(float).eps

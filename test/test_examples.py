@@ -25,7 +25,8 @@ import monte_carlo
 from mpmath import mp
 import numpy as np
 import pytest
-from rigid_body_ros import cli, messages, propagate, recording, RigidBody, scene, State
+from rigid_body_ros import messages, propagate, recording, RigidBody, scene, State
+from rigid_body_ros.commands import main
 from rigid_body_ros.replay import replay
 from scipy.spatial.transform import Rotation
 import spinning_top
@@ -172,7 +173,7 @@ def test_the_replayed_log_ends_where_the_command_does(tmp_path, capsys, argument
                                                       config):
     lines = printed(tmp_path, 'replay_log', *arguments)
     output = tmp_path / 'motion.mcap'
-    assert cli.attitude_replay([str(recorded), '--scene', str(config), '-o', str(output)]) == 0
+    assert main.attitude_replay([str(recorded), '--scene', str(config), '-o', str(output)]) == 0
     attitude = recording.read(output, '/attitude', messages.QUATERNION).values[-1]
     angles = recording.read(output, '/euler_angles', messages.VECTOR3).values[-1]
     assert numbers(lines['final attitude']) == attitude.tolist()

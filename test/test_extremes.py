@@ -20,7 +20,8 @@ from conftest import chord, ROOT, SECOND
 from known import escape, KNOWN
 import numpy as np
 import pytest
-from rigid_body_ros import euler, propagate, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros.mechanics import euler, so3
 from rigid_body_ros.propagation import SOLVERS
 from rigid_body_ros.tradeoff.problem import Problem, Reference
 from scenes import FIXED_STEP, FULL, FULL_RATES, SCENES

@@ -22,8 +22,8 @@ import stat
 from conftest import CONFIG, files_up_to, RECORDINGS
 import pytest
 from rigid_body_ros import recording, scene
-from rigid_body_ros.measurement import read_measured
-from rigid_body_ros.measurement.recorded import compare_recording, read_motion
+from rigid_body_ros.comparison import read_measured
+from rigid_body_ros.comparison.recorded import compare_recording, read_motion
 from rigid_body_ros.replay import replay
 from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.reading import read_json

@@ -21,10 +21,12 @@ from measurements import messages_of, torque_messages
 import numpy as np
 from pyarrow import parquet
 import pytest
-from rigid_body_ros import cli, propagate, RigidBody, so3, State
+from rigid_body_ros import propagate, RigidBody, State
+from rigid_body_ros.commands import main
 from rigid_body_ros.ensemble import fitted
 from rigid_body_ros.ensemble.dispersions import UNITS
 from rigid_body_ros.ensemble.runs import Ensemble
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.replay import torques
 from rigid_body_ros.replay.sources import Topics
 from rigid_body_ros.scene import load, Scene
@@ -161,7 +163,7 @@ def test_a_file_that_is_no_fit_is_one_line(tmp_path, capsys, change, message):
     path = written(tmp_path / 'fitted.json', **change)
     scene = tmp_path / 'scene.yaml'
     scene.write_text('/**:\n  ros__parameters:\n    inertia: {ixx: 1.0, iyy: 1.0, izz: 1.0}\n')
-    assert cli.attitude_ensemble(['--scene', str(scene), '--vary', str(path), '--runs', '3',
+    assert main.attitude_ensemble(['--scene', str(scene), '--vary', str(path), '--runs', '3',
                                   '--until', '1', '-o', str(tmp_path / 'out')]) == 2
     line, = capsys.readouterr().err.splitlines()
     assert line.startswith(f'attitude_ensemble: error: {path}: ')
@@ -188,7 +190,7 @@ def fit(tmp_path_factory):
     sensor = truth.measured(2e-3, 5e-3, clock=0.01)
     measurements.write(folder / 'in.mcap', torque=torque_messages(truth),
                        imu=messages_of('Imu', sensor))
-    assert cli.attitude_identify([
+    assert main.attitude_identify([
         str(folder / 'in.mcap'), '--scene', str(folder / 'guess.yaml'), '--estimate',
         'inertia,start,torque_bias,clock_offset', '-o', str(folder / 'fitted.yaml'), '--json',
         str(folder / 'fitted.json')]) == 0
@@ -196,7 +198,7 @@ def fit(tmp_path_factory):
 
 
 def ensemble(folder, scene, out):
-    return cli.attitude_ensemble([
+    return main.attitude_ensemble([
         '--scene', str(folder / scene), '--vary', str(folder / 'fitted.json'), '--recording',
         str(folder / 'in.mcap'), '--runs', '200', '--seed', '4', '-o', str(out)])
 

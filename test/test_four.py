@@ -20,8 +20,8 @@ import math
 import numba
 import numpy as np
 import pytest
-from rigid_body_ros import so3
 from rigid_body_ros.kernels import four, lanes, vector
+from rigid_body_ros.mechanics import so3
 
 A, B, C = np.random.default_rng(4).normal(size=(3, 4))
 

@@ -21,7 +21,9 @@ import bags
 from conftest import CONFIG, EPOCH_NS, ROOT, SECOND
 import numpy as np
 import pytest
-from rigid_body_ros import cli, messages, recording, scene, TorqueLog, urdf
+from rigid_body_ros import messages, recording, scene, TorqueLog
+from rigid_body_ros.commands import main
+from rigid_body_ros.mechanics import urdf
 from rigid_body_ros.replay import replay
 from robots import converted, JOINTS, ROBOT, robot, wrenches
 from scipy.spatial.transform import Rotation
@@ -214,7 +216,7 @@ def test_a_replay_reads_and_writes_frames_with_the_prefix(tmp_path, scene_file):
                 writer.write('/torque', stamp, messages.WRENCH.encode(
                     stamp, name, [0.1, 0.2, 0.3, 0.01, 0.02, 0.03]))
         given = scene_file(frame_prefix=prefix)
-        assert cli.attitude_replay([str(path), '--scene', str(given), '-o', str(output)]) == 0
+        assert main.attitude_replay([str(path), '--scene', str(given), '-o', str(output)]) == 0
         attitude, rates = (recording.read(output, topic, kind) for topic, kind in (
             ('/attitude', messages.QUATERNION), ('/angular_velocity', messages.VECTOR3)))
         assert {*attitude.frame_ids} == {'world'}
@@ -344,7 +346,7 @@ def test_a_bad_wrench_ends_a_replay_with_one_line(tmp_path, scene_file, capsys, 
             stamp = EPOCH_NS + number * SECOND
             writer.write('/torque', stamp, messages.WRENCH.encode(stamp, name, values))
     more = ['--plot', str(tmp_path / 'motion.png')] if whole else []
-    assert cli.attitude_replay([str(path), '--scene', str(scene_file()), '-o', str(output),
+    assert main.attitude_replay([str(path), '--scene', str(scene_file()), '-o', str(output),
                                 *more]) == 2
     line, = capsys.readouterr().err.splitlines()
     assert line.startswith(f'attitude_replay: error: {path}: /torque: {message}')

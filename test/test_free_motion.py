@@ -18,7 +18,8 @@ from conftest import chord, EPOCH_NS, SECOND
 from mpmath import mp
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, Propagator, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
+from rigid_body_ros.mechanics import so3
 import truth
 
 ASYMMETRIC = np.diag([1.0, 2.0, 3.0])

@@ -33,7 +33,8 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk
 import numpy as np
 import pytest
-from rigid_body_ros import cli, messages, recording, scene
+from rigid_body_ros import messages, recording, scene
+from rigid_body_ros.commands import main
 from rigid_body_ros.recording import bulk, mcap_file, unpack
 from rigid_body_ros.replay import replay
 import yaml
@@ -384,7 +385,7 @@ def test_a_message_that_cannot_be_copied_is_named(tmp_path):
     arguments = [str(path), '--scene', str(TUMBLER), '-o', str(tmp_path / 'out.mcap'), '--also',
                  'input', '--topic', '/torque']
     with redirect_stderr(io.StringIO()) as printed:
-        assert cli.attitude_replay(arguments) == 2
+        assert main.attitude_replay(arguments) == 2
     line, = printed.getvalue().splitlines()
     assert '/other: message 1: cannot decompress: ' in line
     assert not (tmp_path / 'out.mcap').exists()
@@ -398,6 +399,6 @@ def test_a_damaged_metadata_record_is_named(tmp_path):
     path.write_bytes(data[:place + 9] + b'\xff' * 8 + data[place + 17:])
     arguments = [str(RECORDINGS / 'tumbler.mcap'), '--scene', str(TUMBLER), '--verify', str(path)]
     with redirect_stderr(io.StringIO()) as printed:
-        assert cli.attitude_replay(arguments) == 2
+        assert main.attitude_replay(arguments) == 2
     line, = printed.getvalue().splitlines()
     assert f'motion.mcap: damaged metadata record at byte {place} (' in line

@@ -21,11 +21,12 @@ import json
 from conftest import at_night
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.identification import Experiment, identify
 from rigid_body_ros.identification.summary import summary
 from rigid_body_ros.identification.triangles import triangle
-from rigid_body_ros.measurement.measured import Measured
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.sensing.measured import Measured
 from tumbling import INERTIA, mounted, SECOND, shifted, Truth, with_outliers
 
 GUESS = RigidBody(np.diag([0.03, 0.03, 0.03]))

@@ -24,7 +24,8 @@ from measurements import header, INERTIA, messages_of, torque_messages, Vector3,
 import numpy as np
 from pages import array, data_of
 import pytest
-from rigid_body_ros import cli, scene
+from rigid_body_ros import scene
+from rigid_body_ros.commands import main
 from tumbling import mounted, shifted, Truth
 
 GUESS = np.diag([0.03, 0.03, 0.03])
@@ -46,7 +47,7 @@ def tumble(tmp_path):
 
 
 def identify(folder, *arguments, recordings=('in.mcap',)):
-    return cli.attitude_identify([*(str(folder / name) for name in recordings), '--scene',
+    return main.attitude_identify([*(str(folder / name) for name in recordings), '--scene',
                                   str(folder / 'guess.yaml'), *map(str, arguments)])
 
 
@@ -66,7 +67,7 @@ def test_from_a_recording_to_a_fitted_scene(tumble, capsys):
     assert 'inertia.izz' in text
     assert 'errors white' in text
     replayed = ['--scene', str(tumble / 'fitted.yaml'), '-o', str(tumble / 'motion.mcap')]
-    assert cli.attitude_replay([str(tumble / 'in.mcap'), *replayed]) == 0
+    assert main.attitude_replay([str(tumble / 'in.mcap'), *replayed]) == 0
 
 
 def test_the_page_has_the_estimates_and_the_errors_that_are_left(tumble, capsys):

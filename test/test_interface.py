@@ -20,20 +20,18 @@ import numpy as np
 import pytest
 import rigid_body_ros
 from rigid_body_ros import (
-    euler,
     Experiment,
     identify,
     propagate,
     propagate_many,
     Propagator,
     RigidBody,
-    so3,
     State,
     States,
     TorqueLog,
-    urdf,
     warm_up,
 )
+from rigid_body_ros.mechanics import euler, so3, urdf
 
 OPTIONS = "solver='auto', tolerance=1e-15, max_step=None, torque_timeout=0.0"
 #: Callables with their parameters, as callers may write them.
@@ -83,7 +81,7 @@ def test_the_top_level_has_these_names():
         'Experiment', 'Measured', 'Propagator', 'RigidBodies', 'RigidBody', 'State', 'States',
         'TorqueLog', 'Trajectories', 'Trajectory', 'compare', 'identify', 'propagate',
         'propagate_many', 'read_measured', 'warm_up']
-    assert (rigid_body_ros.so3, rigid_body_ros.euler) == (so3, euler)
+    assert (rigid_body_ros.mechanics.so3, rigid_body_ros.mechanics.euler) == (so3, euler)
 
 
 def test_a_trajectory_has_these_attributes():

@@ -36,8 +36,8 @@ from replay import recorded
 
 pytestmark = pytest.mark.slow
 
-COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.cli import attitude_replay; '
-                                 'sys.exit(attitude_replay())']
+COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.commands import main; '
+                                 'sys.exit(main.attitude_replay())']
 MESSAGES = 30_000
 #: What a replay reaches, in this order; moments are shares of the time from there to its end.
 STAGES = {'started': lambda process, folder: True,

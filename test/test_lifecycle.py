@@ -34,7 +34,7 @@ from rigid_body_ros import messages, propagate, scene, State
 from rigid_body_ros.node.lifecycle import AttitudeLifecycleNode
 
 pytestmark = pytest.mark.ros
-PROGRAM = (sys.executable, '-c', 'import sys; from rigid_body_ros.cli import '
+PROGRAM = (sys.executable, '-c', 'import sys; from rigid_body_ros.commands.main import '
            'attitude_lifecycle_node; sys.exit(attitude_lifecycle_node())')
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 SPINNING = {'inertia.ixx': 0.02, 'inertia.iyy': 0.03, 'inertia.izz': 0.04,

@@ -25,7 +25,8 @@ from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rigid_body_ros import messages, propagate, scene, so3, State, TorqueLog
+from rigid_body_ros import messages, propagate, scene, State, TorqueLog
+from rigid_body_ros.mechanics import so3
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 

@@ -25,13 +25,14 @@ import time
 from conftest import at_night, CONFIG, EPOCH_NS, RECORDINGS, ROOT, SECOND
 import numpy as np
 import pytest
-from rigid_body_ros import cli, messages, recording
+from rigid_body_ros import messages, recording
+from rigid_body_ros.commands import main
 from rigid_body_ros.replay.many import outputs_in, replay_many
 from rigid_body_ros.scene import InputError, load
 
 SCENE = ['--scene', str(CONFIG / 'tumbler.yaml')]
-COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.cli import attitude_replay; '
-           'sys.exit(attitude_replay())']
+COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.commands import main; '
+           'sys.exit(main.attitude_replay())']
 
 
 @pytest.mark.slow
@@ -40,7 +41,7 @@ def test_a_bad_recording_does_not_keep_others_from_their_motion(tmp_path, capfd)
     (tmp_path / 'bad.mcap').write_bytes(b'nothing')
     (tmp_path / 'two.csv').write_text('time,tx,ty,tz\n1.5,0,0,0\n2.5,0.1,0,0\n')
     names = [str(tmp_path / name) for name in ('one.mcap', 'bad.mcap', 'two.csv')]
-    assert cli.attitude_replay([*names, *SCENE, '-o', str(tmp_path / 'out')]) == 2
+    assert main.attitude_replay([*names, *SCENE, '-o', str(tmp_path / 'out')]) == 2
     one, bad, two, last = (captured := capfd.readouterr()).out.splitlines()
     assert one.startswith(f'{names[0]}  ')
     assert f'{names[1]}: expected an MCAP file' in bad
@@ -50,7 +51,7 @@ def test_a_bad_recording_does_not_keep_others_from_their_motion(tmp_path, capfd)
                             f'{names[1]}\n')
     assert sorted(path.name for path in (tmp_path / 'out').iterdir()) == ['one.mcap', 'two.mcap']
     alone = tmp_path / 'alone.mcap'
-    assert cli.attitude_replay([names[0], *SCENE, '-o', str(alone)]) == 0
+    assert main.attitude_replay([names[0], *SCENE, '-o', str(alone)]) == 0
     found, expected = (recording.read(path, '/attitude', messages.QUATERNION).values
                        for path in (tmp_path / 'out' / 'one.mcap', alone))
     np.testing.assert_array_equal(found, expected)
@@ -63,7 +64,7 @@ def test_the_page_has_a_row_and_a_picture_for_each_recording(tmp_path, capfd):
     (tmp_path / 'two.csv').write_text('time,tx,ty,tz\n1.5,0,0,0\n2.5,0.1,0,0\n')
     names = [str(tmp_path / name) for name in ('<b>&.mcap', 'bad.mcap', 'two.csv')]
     report = tmp_path / 'page.html'
-    assert cli.attitude_replay([*names, *SCENE, '-o', str(tmp_path / 'out'), '--report',
+    assert main.attitude_replay([*names, *SCENE, '-o', str(tmp_path / 'out'), '--report',
                                 str(report)]) == 2
     text = report.read_text(encoding='utf-8')
     assert '<b>' not in text
@@ -76,7 +77,7 @@ def test_the_page_has_a_row_and_a_picture_for_each_recording(tmp_path, capfd):
     assert 'failed: bad.mcap: expected an MCAP file' in rows[1][2]
     inside = str(tmp_path / 'page.mcap')
     os.link(tmp_path / 'two.csv', tmp_path / 'link.html')
-    assert cli.attitude_replay([*names, *SCENE, '-o', inside[:-5], '--overwrite', '--report',
+    assert main.attitude_replay([*names, *SCENE, '-o', inside[:-5], '--overwrite', '--report',
                                 str(tmp_path / 'link.html')]) == 2
     assert 'would overwrite the input' in capfd.readouterr().err
 
@@ -176,7 +177,7 @@ def test_the_script_that_ros2_run_starts_replays_several(tmp_path):
 @pytest.mark.parametrize('paths', [['a/x.mcap', 'b/x.mcap'], ['a/x.mcap', 'a/x.csv'],
                                    ['x.mcap', 'x.mcap'], ['a/x', 'b/x/']])
 def test_two_recordings_of_one_name_are_refused(tmp_path, capsys, paths):
-    assert cli.attitude_replay([*paths, *SCENE, '-o', str(tmp_path / 'out')]) == 2
+    assert main.attitude_replay([*paths, *SCENE, '-o', str(tmp_path / 'out')]) == 2
     line, = capsys.readouterr().err.splitlines()
     assert ('out/x.mcap: expected recordings with different names, '
             f'found {paths[0]} and {paths[1]}') in line
@@ -186,12 +187,12 @@ def test_two_recordings_of_one_name_are_refused(tmp_path, capsys, paths):
 def test_several_recordings_go_to_a_folder(tmp_path, capsys):
     output = tmp_path / 'motion.mcap'
     arguments = ['x.csv', 'y.csv', *SCENE, '-o', str(output)]
-    assert cli.attitude_replay(arguments) == 2
+    assert main.attitude_replay(arguments) == 2
     line, = capsys.readouterr().err.splitlines()
     assert ('motion.mcap: expected a folder for several recordings, found a name ending in '
             '.mcap') in line
     output.touch()
-    assert cli.attitude_replay(arguments) == 2
+    assert main.attitude_replay(arguments) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 

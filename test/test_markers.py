@@ -17,7 +17,8 @@
 from conftest import CONFIG, RECORDINGS
 import numpy as np
 import pytest
-from rigid_body_ros import messages, propagate, recording, RigidBody, scene, so3, State
+from rigid_body_ros import messages, propagate, recording, RigidBody, scene, State
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.replay import markers, replay
 from rosbags.highlevel import AnyReader
 

@@ -33,9 +33,11 @@ from measurements import (
 import numpy as np
 from pages import array, data_of
 import pytest
-from rigid_body_ros import cli, messages, recording, so3
+from rigid_body_ros import messages, recording
+from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.measurement import read_measured
+from rigid_body_ros.comparison import read_measured
+from rigid_body_ros.mechanics import so3
 from scipy.spatial.transform import Rotation
 
 BOTH, ATTITUDES = ('Imu', 'Odometry'), (
@@ -243,7 +245,7 @@ def test_transforms_have_any_position_and_byte_order(little_endian):
 def run(capsys, bag, scene):
     """Return a function that runs the command and returns its exit status and outputs."""
     def call(*arguments, path=bag, scene=scene):
-        status = cli.attitude_compare([*map(str, (path, '--scene', scene, *arguments))])
+        status = main.attitude_compare([*map(str, (path, '--scene', scene, *arguments))])
         return status, *capsys.readouterr()
     return call
 
@@ -328,7 +330,7 @@ def test_the_command_aligns(run, tmp_path):
 
 def test_a_recorded_motion_is_compared(run, tmp_path, bag, scene):
     motion = tmp_path / 'motion.mcap'
-    assert cli.attitude_replay([str(bag), '--scene', str(scene), '--topic', '/torque', '-o',
+    assert main.attitude_replay([str(bag), '--scene', str(scene), '--topic', '/torque', '-o',
                                 str(motion), '--rate', '200', '--until', '20']) == 0
     status, _, _ = run('--motion', motion, '--json', tmp_path / 'it.json')
     assert status == 0

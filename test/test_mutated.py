@@ -29,8 +29,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from rigid_body_ros import ensemble_command, messages, recording
-from rigid_body_ros.arguments import parsed
+from rigid_body_ros import messages, recording
+from rigid_body_ros.commands import ensemble as ensemble_command
+from rigid_body_ros.commands.arguments import parsed
 
 #: For a thorough run 20 000.
 EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '500'))

@@ -41,16 +41,8 @@ import numpy as np
 import pytest
 from rcl_interfaces.msg import ParameterEvent, ParameterType
 from rcl_interfaces.srv import DescribeParameters
-from rigid_body_ros import (
-    euler,
-    messages,
-    propagate,
-    recording,
-    RigidBody,
-    scene,
-    State,
-    TorqueLog,
-)
+from rigid_body_ros import messages, propagate, recording, RigidBody, scene, State, TorqueLog
+from rigid_body_ros.mechanics import euler
 from rigid_body_ros.replay.verify import verify
 from robots import converted, ROBOT, wrenches
 from sensor_msgs.msg import Imu

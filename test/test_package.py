@@ -130,7 +130,7 @@ def test_every_source_file_begins_with_the_license():
 @pytest.mark.slow
 def test_the_node_says_what_it_needs_where_ros_is_not():
     script = ("import sys; sys.modules['rclpy'] = None; "
-              'from rigid_body_ros.cli import attitude_node; sys.exit(attitude_node())')
+              'from rigid_body_ros.commands import main; sys.exit(main.attitude_node())')
     result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
                             check=False)
     assert result.returncode == 2
@@ -143,7 +143,7 @@ def test_the_node_says_what_it_needs_where_ros_is_not():
 @pytest.mark.parametrize('module', ['mcap', *at_night('zstandard', 'lz4', 'matplotlib', 'tqdm')])
 def test_a_module_that_is_missing_is_named_with_how_to_get_it(module, tmp_path):
     script = (f"import sys; sys.modules['{module}'] = None; "
-              'from rigid_body_ros.cli import attitude_replay; sys.exit(attitude_replay())')
+              'from rigid_body_ros.commands import main; sys.exit(main.attitude_replay())')
     result = subprocess.run(
         [sys.executable, '-c', script, RECORDINGS / 'tumbler.mcap', '--scene',
          CONFIG / 'tumbler.yaml', '-o', tmp_path / 'o.mcap', '--plot', tmp_path / 'o.png'],

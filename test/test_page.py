@@ -23,7 +23,9 @@ import browser
 from conftest import CONFIG, EPOCH_NS, RECORDINGS, SECOND
 import numpy as np
 import pytest
-from rigid_body_ros import cli, messages, propagate, recording, replay, scene, so3
+from rigid_body_ros import messages, propagate, recording, replay, scene
+from rigid_body_ros.commands import main
+from rigid_body_ros.mechanics import so3
 
 TUMBLER = (str(RECORDINGS / 'tumbler.mcap'), '--scene', str(CONFIG / 'tumbler.yaml'))
 FREE = RECORDINGS / 'torque_free_asymmetric'
@@ -54,23 +56,23 @@ def others(tmp_path_factory):
     folder = tmp_path_factory.mktemp('others')
     motion, pages = str(folder / 'motion.mcap'), {}
     (folder / 'vary.yaml').write_text('torque_gain: {normal: 0.03}\n')
-    assert cli.attitude_replay([*TUMBLER, '-o', motion, '--also', 'input']) == 0
+    assert main.attitude_replay([*TUMBLER, '-o', motion, '--also', 'input']) == 0
     for name, command, *arguments in (
-            ('compare', cli.attitude_compare, motion, '--measured', '/attitude', '--horizon', '2',
+            ('compare', main.attitude_compare, motion, '--measured', '/attitude', '--horizon', '2',
              '--horizon', '10'),
-            ('tradeoff', cli.attitude_tradeoff, '--recording', TUMBLER[0]),
-            ('identify', cli.attitude_identify, motion, '--measured', '/attitude', '-o',
+            ('tradeoff', main.attitude_tradeoff, '--recording', TUMBLER[0]),
+            ('identify', main.attitude_identify, motion, '--measured', '/attitude', '-o',
              str(folder / 'fitted.yaml')),
-            ('ensemble', cli.attitude_ensemble, '--recording', TUMBLER[0], '--vary',
+            ('ensemble', main.attitude_ensemble, '--recording', TUMBLER[0], '--vary',
              str(folder / 'vary.yaml'), '--runs', '50', '-o', str(folder / 'runs')),
-            ('index', cli.attitude_replay, TUMBLER[0], motion, '-o', str(folder / 'motions'))):
+            ('index', main.attitude_replay, TUMBLER[0], motion, '-o', str(folder / 'motions'))):
         pages[name] = folder / f'{name}.html'
         assert command([*arguments, *TUMBLER[1:], '--report', str(pages[name])]) == 0, name
     return pages
 
 
 def reported(path, *arguments):
-    assert cli.attitude_replay([*map(str, arguments), '--report', str(path)]) == 0
+    assert main.attitude_replay([*map(str, arguments), '--report', str(path)]) == 0
     return path
 
 
@@ -107,7 +109,7 @@ def test_a_page_replaces_no_file_that_it_should_not(tmp_path, capsys):
              'another name'),
             (tmp_path / 'page.txt', (), 'expected a name ending in .html, found .txt')):
         before = {path: path.read_text() for path in tmp_path.iterdir()}
-        assert cli.attitude_replay([TUMBLER[0], '--scene', str(scene_path), *option, '--report',
+        assert main.attitude_replay([TUMBLER[0], '--scene', str(scene_path), *option, '--report',
                                     str(report)]) == 2
         assert capsys.readouterr().err == f'attitude_replay: error: {report}: {problem}\n'
         assert {path: path.read_text() for path in tmp_path.iterdir()} == before
@@ -116,8 +118,8 @@ def test_a_page_replaces_no_file_that_it_should_not(tmp_path, capsys):
 def test_no_page_no_import():
     script = f"""
 import sys
-from rigid_body_ros import cli
-assert cli.attitude_replay({[*TUMBLER, '--until', '1']}) == 0
+from rigid_body_ros.commands import main
+assert main.attitude_replay({[*TUMBLER, '--until', '1']}) == 0
 assert 'rigid_body_ros.replay.single' in sys.modules
 for name in 'charts', 'moving_body', 'page', 'thinning':
     assert f'rigid_body_ros.report.{{name}}' not in sys.modules

@@ -32,7 +32,8 @@ from measurements import (
     write_scene,
 )
 import pytest
-from rigid_body_ros import cli, messages, recording
+from rigid_body_ros import messages, recording
+from rigid_body_ros.commands import main
 import yaml
 
 FORGED = 'check         passed'
@@ -62,7 +63,7 @@ def flight(tmp_path):
 
 
 def run(command, scene, path, *options):
-    return getattr(cli, command)([*map(str, (path, '--scene', scene, *options))])
+    return getattr(main, command)([*map(str, (path, '--scene', scene, *options))])
 
 
 @pytest.mark.slow
@@ -90,7 +91,7 @@ def test_names_of_many_files_and_of_a_motion_to_verify(flight, tmp_path, capfdbi
     (tmp_path / 'b').mkdir()
     broken = tmp_path / 'b' / f'broken{FILE}.mcap'
     broken.write_bytes(b'nothing')
-    assert cli.attitude_replay([*map(str, (path, broken, '--scene', scene, '-o',
+    assert main.attitude_replay([*map(str, (path, broken, '--scene', scene, '-o',
                                            tmp_path / FILE))]) == 2
     assert '1 of 2 written' in printed(capfdbinary)
     motion = tmp_path / 'motion.mcap'
@@ -108,13 +109,13 @@ def test_names_of_many_files_and_of_a_motion_to_verify(flight, tmp_path, capfdbi
 def test_names_of_a_trade(flight, tmp_path, capfdbinary):
     outputs = '--plot', tmp_path / 'out.png', '--report', tmp_path / 'out.html'
     scene, path = flight
-    assert cli.attitude_tradeoff([*map(str, ('--scene', scene, '--recording', path, '--topic',
+    assert main.attitude_tradeoff([*map(str, ('--scene', scene, '--recording', path, '--topic',
                                              TOPIC, *outputs))]) == 0
     printed(capfdbinary)
 
 
 def ensemble(scene, vary, *options):
-    return cli.attitude_ensemble([*map(str, ('--scene', scene, '--vary', vary, '--runs', 10,
+    return main.attitude_ensemble([*map(str, ('--scene', scene, '--vary', vary, '--runs', 10,
                                              *options))])
 
 
@@ -202,7 +203,7 @@ def test_names_of_types_frames_and_keys(flight, tmp_path, capfdbinary, command):
                                        ['--rate', NAME], ['--estimate', NAME], ['--align', NAME]])
 def test_arguments(capfdbinary, command, required, arguments):
     with pytest.raises(SystemExit) as ended:
-        getattr(cli, command)(['--scene', 'scene.yaml', *required, *arguments])
+        getattr(main, command)(['--scene', 'scene.yaml', *required, *arguments])
     assert ended.value.code == 2
     assert 'error: ' in printed(capfdbinary)
 

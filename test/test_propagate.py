@@ -18,9 +18,10 @@ from conftest import chord, EPOCH_NS, Reference, SECOND
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, Propagator, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
+from rigid_body_ros.mechanics import so3
+import rigid_body_ros.mechanics.torque as torque_module
 from rigid_body_ros.propagation import layout, loop, warm_up
-import rigid_body_ros.torque as torque_module
 import truth
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)

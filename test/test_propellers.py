@@ -20,8 +20,10 @@ import re
 from conftest import EPOCH_NS, SECOND
 import numpy as np
 import pytest
-from rigid_body_ros import cli, messages, recording, scene, urdf
+from rigid_body_ros import messages, recording, scene
+from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.mechanics import urdf
 from rigid_body_ros.recording.torques import torque_pieces
 from robots import ROBOT, robot
 from scipy.spatial.transform import Rotation
@@ -192,7 +194,7 @@ def test_a_replay_names_the_first_wrench_across_the_axis_of_its_frame(tmp_path, 
     write(path, ('one/propeller', [*AXIS, *AXIS]), ('one/second', [0, 0, 1, 0, 0, 1]),
           ('one/second', [0, 0.5, 1, 0, 0, 2]), ('one/propeller', [*AXIS, 0, 0, 1]))
     more = ['--plot', str(tmp_path / 'motion.png')] if whole else []
-    assert cli.attitude_replay([str(path), '--scene', str(described), '-o',
+    assert main.attitude_replay([str(path), '--scene', str(described), '-o',
                                 str(tmp_path / 'motion.mcap'), *more]) == 2
     assert capsys.readouterr().err == (
         f"attitude_replay: error: {path}: /torque: message 3: frame 'one/second': expected force "

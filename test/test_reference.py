@@ -18,7 +18,8 @@ from conftest import chord, RECORDINGS, Reference, SECOND
 from mpmath import mp
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros.mechanics import so3
 
 NAMES = sorted(path.stem for path in RECORDINGS.glob('*.yaml'))
 #: Scenes that amplify rounding: rad.

@@ -25,17 +25,18 @@ from conftest import at_night, CONFIG, EPOCH_NS, files_up_to, RECORDINGS, Refere
 import matplotlib.image
 import numpy as np
 import pytest
-from rigid_body_ros import cli, messages, propagate, recording, scene
+from rigid_body_ros import messages, propagate, recording, scene
+from rigid_body_ros.commands import main
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.replay import gaps, replay
 from rigid_body_ros.replay.check import energy_balance
 from rigid_body_ros.replay.report import summary
 from rigid_body_ros.scene import InputError
-from rigid_body_ros.torque import TorqueLog
 from rosbags.highlevel import AnyReader
 
 ISS = (str(RECORDINGS / 'iss.mcap'), '--scene', str(CONFIG / 'iss.yaml'))
-COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.cli import attitude_replay; '
-                                 'sys.exit(attitude_replay())']
+COMMAND = [sys.executable, '-c', 'import sys; from rigid_body_ros.commands import main; '
+                                 'sys.exit(main.attitude_replay())']
 
 
 @pytest.fixture
@@ -52,7 +53,7 @@ def write_torques(path, rows, topic='/torque'):
 
 
 def test_the_written_motion_is_that_of_the_library(output):
-    assert cli.attitude_replay([*ISS, '-o', str(output)]) == 0
+    assert main.attitude_replay([*ISS, '-o', str(output)]) == 0
     station = Reference('iss')
     motion = propagate(station.scene.body, station.start, station.log, at=station.log.times_ns)
     for topic, kind, frame, expected in (
@@ -72,7 +73,7 @@ def test_the_written_motion_is_that_of_the_library(output):
     (('--until', '50'), [0, 20, 40, 50]),
     (('--until', '28830.5'), [*range(0, 28801, 20), 28830.5])])
 def test_output_times(output, options, seconds):
-    assert cli.attitude_replay([*ISS, '-o', str(output), *options]) == 0
+    assert main.attitude_replay([*ISS, '-o', str(output), *options]) == 0
     stamps = recording.read(output, '/attitude', messages.QUATERNION).stamps_ns
     np.testing.assert_array_equal(stamps - EPOCH_NS, np.round(np.array(seconds) * 1e9))
 
@@ -81,12 +82,12 @@ def test_the_start_time_of_the_scene_counts(tmp_path, output):
     config = tmp_path / 'late.yaml'
     config.write_text((CONFIG / 'iss.yaml').read_text()
                       + f'    start_time: {EPOCH_NS + 1010 * SECOND}\n')
-    assert cli.attitude_replay([ISS[0], '--scene', str(config), '-o', str(output)]) == 0
+    assert main.attitude_replay([ISS[0], '--scene', str(config), '-o', str(output)]) == 0
     stamps = recording.read(output, '/attitude', messages.QUATERNION).stamps_ns
     assert stamps[0] == EPOCH_NS + 1020 * SECOND
     config.write_text((CONFIG / 'iss.yaml').read_text()
                       + f'    start_time: {EPOCH_NS + 30000 * SECOND}\n')
-    assert cli.attitude_replay([ISS[0], '--scene', str(config), '-o', str(output)]) == 2
+    assert main.attitude_replay([ISS[0], '--scene', str(config), '-o', str(output)]) == 2
 
 
 def test_interpolation_is_that_of_the_option_or_of_the_scene(tmp_path, output):
@@ -101,14 +102,14 @@ def test_interpolation_is_that_of_the_option_or_of_the_scene(tmp_path, output):
 
 
 def test_the_summary_tells_what_happened(output, capsys):
-    assert cli.attitude_replay([*ISS, '-o', str(output)]) == 0
+    assert main.attitude_replay([*ISS, '-o', str(output)]) == 0
     text = capsys.readouterr().out
     for part in ('1441 on /torque, over 28800 s', 'hold (linear would end 0.0022 rad away',
                  'asymmetric top', 'taylor (auto: ', '28800 s after the start',
                  'work and energy differ by', ', checked over all 28800 s\n', 'times real time',
                  str(output)):
         assert part in text
-    assert cli.attitude_replay([
+    assert main.attitude_replay([
         str(RECORDINGS / 'torque_free_asymmetric.mcap'), '--scene',
         str(RECORDINGS / 'torque_free_asymmetric.yaml'), '-o', str(output),
         '--overwrite']) == 0
@@ -152,7 +153,7 @@ def test_another_reading_that_spins_beyond_bounds_is_told(tmp_path, output, caps
     rows = [(EPOCH_NS, '', [1e-3, 0, 0]), (EPOCH_NS + SECOND, '', [1e100, 0, 0])]
     torques = write_torques(tmp_path / 'last.mcap', rows)
     with np.errstate(all='ignore'):
-        assert cli.attitude_replay([torques, '--scene', str(CONFIG / 'tumbler.yaml'),
+        assert main.attitude_replay([torques, '--scene', str(CONFIG / 'tumbler.yaml'),
                                     '-o', str(output)]) == 0
     assert 'linear would spin the body too fast' in capsys.readouterr().out
 
@@ -171,7 +172,7 @@ def test_rounded_digits_of_a_tensor_are_told(tmp_path, output, capsys):
     plate = tmp_path / 'plate.yaml'
     plate.write_text('/**:\n  ros__parameters:\n'
                      '    inertia: {ixx: 1.0, iyy: 2.0, izz: 3.05}\n')
-    assert cli.attitude_replay([str(RECORDINGS / 'tumbler.mcap'), '--scene', str(plate),
+    assert main.attitude_replay([str(RECORDINGS / 'tumbler.mcap'), '--scene', str(plate),
                                 '-o', str(output)]) == 0
     assert 'exceeds the sum of the other two by 1.7 %' in capsys.readouterr().err
 
@@ -204,7 +205,7 @@ def test_work_and_energy_are_compared_over_what_memory_allows(monkeypatch):
 @pytest.mark.slow
 def test_the_picture_is_a_picture(tmp_path, output):
     picture = tmp_path / 'motion.png'
-    assert cli.attitude_replay([*ISS, '-o', str(output), '--plot', str(picture)]) == 0
+    assert main.attitude_replay([*ISS, '-o', str(output), '--plot', str(picture)]) == 0
     pixels = matplotlib.image.imread(picture)
     assert pixels.shape[:2] == (1200, 1080)
     assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 100
@@ -215,7 +216,7 @@ def test_without_an_output_a_replay_prints_the_same_summary(tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     printed = []
     for arguments in (('-o', 'motion.mcap'), ('--plot', 'motion.png'), ()):
-        assert cli.attitude_replay([*ISS, *arguments]) == 0
+        assert main.attitude_replay([*ISS, *arguments]) == 0
         lines = capsys.readouterr().out.splitlines()
         if arguments:
             assert lines.pop() == f'wrote         {arguments[1]}'
@@ -228,7 +229,7 @@ def test_without_an_output_a_replay_prints_the_same_summary(tmp_path, monkeypatc
     (1, ('--also', 'imu'), '--also: expected an output file or folder (-o), found none'),
     (2, (), '-o: expected a folder for several recordings, found none')])
 def test_an_output_that_is_needed_is_asked_for(recordings, options, message, capsys):
-    assert cli.attitude_replay([*recordings * [ISS[0]], *ISS[1:], *options]) == 2
+    assert main.attitude_replay([*recordings * [ISS[0]], *ISS[1:], *options]) == 2
     assert capsys.readouterr().err == f'attitude_replay: error: {message}\n'
 
 
@@ -275,7 +276,7 @@ def bad_input(name, tmp_path):
     ('key', 'scene.yaml: inertias.ixx: unknown key; did you mean inertia.ixx?'),
     ('no scene', 'none.yaml: cannot read the scene: No such file or directory')])
 def test_a_mistake_is_answered_by_one_line(name, message, tmp_path, output, capsys):
-    assert cli.attitude_replay([*bad_input(name, tmp_path), '-o', str(output)]) == 2
+    assert main.attitude_replay([*bad_input(name, tmp_path), '-o', str(output)]) == 2
     captured = capsys.readouterr()
     line, = captured.err.splitlines()
     assert line.startswith('attitude_replay: error: ')
@@ -305,7 +306,7 @@ def test_what_cannot_be_written_is_named(arguments, message, tmp_path, monkeypat
     pipes = {tmp_path / name for name in ('pipe', 'pipe.mcap')}
     for pipe in pipes:
         os.mkfifo(pipe)
-    assert cli.attitude_replay([*ISS, *arguments]) == 2
+    assert main.attitude_replay([*ISS, *arguments]) == 2
     line, = capsys.readouterr().err.splitlines()
     assert message in line
     assert set(tmp_path.iterdir()) == pipes
@@ -331,7 +332,7 @@ def test_a_negative_duration_is_rejected(output, option):
 
 def test_a_link_stays_a_link(tmp_path, output):
     output.symlink_to(tmp_path / 'real.mcap')
-    assert cli.attitude_replay([*ISS, '-o', str(output)]) == 0
+    assert main.attitude_replay([*ISS, '-o', str(output)]) == 0
     assert output.is_symlink()
     assert (tmp_path / 'real.mcap').is_file()
 
@@ -340,7 +341,7 @@ def test_a_link_stays_a_link(tmp_path, output):
 def test_any_file_name_makes_a_title(tmp_path, output):
     recorded = tmp_path / os.fsdecode(b'$\\frac$ _{{ \xff.mcap')
     recorded.write_bytes((RECORDINGS / 'iss.mcap').read_bytes())
-    assert cli.attitude_replay([str(recorded), *ISS[1:], '-o', str(output),
+    assert main.attitude_replay([str(recorded), *ISS[1:], '-o', str(output),
                                 '--plot', str(tmp_path / 'p.png')]) == 0
 
 
@@ -349,7 +350,7 @@ def test_any_file_name_makes_a_title(tmp_path, output):
                                        ('--interpolation', 'spline')])
 def test_wrong_arguments_are_answered_by_the_usage(arguments, output, capsys):
     with pytest.raises(SystemExit) as end:
-        cli.attitude_replay([*ISS, '-o', str(output), *arguments])
+        main.attitude_replay([*ISS, '-o', str(output), *arguments])
     assert end.value.code == 2
     assert 'usage: attitude_replay' in capsys.readouterr().err
 
@@ -359,12 +360,12 @@ def test_wrong_arguments_are_answered_by_the_usage(arguments, output, capsys):
     ('--scene', 'a.yaml', 'b.yaml'), ('--rate', '1', '2'), ('--also', 'imu', 'tf'),
     ('--interpolation', 'hold', 'hold')])
 def test_an_option_that_is_given_twice_is_refused(option, first, second, capsys):
-    assert cli.attitude_replay([ISS[0], option, first, option, second]) == 2
+    assert main.attitude_replay([ISS[0], option, first, option, second]) == 2
     line, = capsys.readouterr().err.splitlines()
     assert f'{option}: expected the option at most once, found ' in line
     assert first in line
     assert second in line
-    assert cli.attitude_tradeoff(['--scene', 'a', '--topic', 'b', '--scene=c']) == 2
+    assert main.attitude_tradeoff(['--scene', 'a', '--topic', 'b', '--scene=c']) == 2
     line, = capsys.readouterr().err.splitlines()
     assert "--scene: expected the option at most once, found 'a' and 'c'" in line
 
@@ -417,7 +418,7 @@ def test_an_interrupted_replay_leaves_nothing_under_the_final_name(tmp_path, out
 def test_a_signal_is_heard_where_python_drops_exceptions(where):
     script = f"""
 import os, signal, sys, time, weakref
-from rigid_body_ros import cli
+from rigid_body_ros.commands import main
 class Thing:
     pass
 def work(*_):
@@ -428,7 +429,7 @@ def command():
     {where}
     del thing
     time.sleep(60.0)
-sys.exit(cli._guarded('command', command, None))
+sys.exit(main._guarded('command', command, None))
 """
     result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
                             timeout=50, check=False)
@@ -444,10 +445,10 @@ def test_a_command_that_is_called_leaves_signals_to_its_caller(output):
     before = state()
     signal.setitimer(signal.ITIMER_REAL, 1000.0)
     try:
-        assert cli.attitude_replay([*ISS, '-o', str(output)]) == 0
+        assert main.attitude_replay([*ISS, '-o', str(output)]) == 0
         assert signal.getitimer(signal.ITIMER_REAL)[0] > 900.0
         assert state() == before
-        status = cli._guarded('command', lambda: os.kill(os.getpid(), signal.SIGTERM), [])
+        status = main._guarded('command', lambda: os.kill(os.getpid(), signal.SIGTERM), [])
         assert status == 128 + signal.SIGTERM
         assert state() == before
     finally:
@@ -517,8 +518,8 @@ def test_the_input_is_copied_byte_for_byte_on_request(tmp_path, name):
 
 def test_an_input_with_the_topics_of_the_output_is_not_copied(tmp_path, capsys):
     first, again = tmp_path / 'first.mcap', tmp_path / 'again.mcap'
-    assert cli.attitude_replay([*ISS, '-o', str(first), '--also', 'input']) == 0
-    assert cli.attitude_replay([str(first), *ISS[1:], '-o', str(again), '--also', 'input']) == 2
+    assert main.attitude_replay([*ISS, '-o', str(first), '--also', 'input']) == 0
+    assert main.attitude_replay([str(first), *ISS[1:], '-o', str(again), '--also', 'input']) == 2
     line, = capsys.readouterr().err.splitlines()
     assert 'cannot copy topics that are also written: ' in line
     assert not again.exists()
@@ -536,8 +537,9 @@ def test_messages_compressed_one_by_one_are_copied_as_they_were(tmp_path):
 
 def test_what_cannot_be_copied_is_told_before_anything_is_worked_out(tmp_path, output, capsys):
     (tmp_path / 'log.csv').write_text('1,0,0,0\n2,0.1,0,0\n')
-    assert cli.attitude_replay([str(tmp_path / 'log.csv'), '--scene', str(CONFIG / 'tumbler.yaml'),
-                                '-o', str(output), '--also', 'input']) == 2
+    assert main.attitude_replay([str(tmp_path / 'log.csv'), '--scene',
+                                 str(CONFIG / 'tumbler.yaml'), '-o', str(output), '--also',
+                                 'input']) == 2
     assert 'log.csv: expected an MCAP file, because only its messages' in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ['log.csv']
 
@@ -547,7 +549,7 @@ def test_a_motion_that_cannot_go_on_leaves_nothing(tmp_path, output, capsys):
     rows = [(EPOCH_NS + k * SECOND // 1000, '', [0.0 if k < 90_000 else 1e30, 0.0, 0.0])
             for k in range(90_100)]
     torques = write_torques(tmp_path / 'wild.mcap', rows)
-    assert cli.attitude_replay([str(torques), '--scene', str(CONFIG / 'tumbler.yaml'), '-o',
+    assert main.attitude_replay([str(torques), '--scene', str(CONFIG / 'tumbler.yaml'), '-o',
                                 str(output)]) == 2
     assert 'turns faster than' in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ['wild.mcap']
@@ -564,13 +566,13 @@ def stopped_clock(path, gap, torque=(0.1, 0.05, 0.02), count=50):
 @pytest.mark.slow
 def test_a_torque_over_a_long_gap_is_warned_of(tmp_path, capsys):
     arguments = stopped_clock(tmp_path / 'gap.csv', 20.0)
-    assert cli.attitude_replay(arguments) == 0
+    assert main.attitude_replay(arguments) == 0
     shown = capsys.readouterr().out
     assert 'longest gap   20.01 s between torques, from 0.49 s after the start\n' in shown
     assert ('warning       a torque acts for 20.01 s until the next one, from 0.49 s after the '
             'start, although torques are usually 0.01 s apart: ') in shown
     second = stopped_clock(tmp_path / 'second.csv', 20.0)[0]
-    assert cli.attitude_replay([second, *arguments, '-o', str(tmp_path / 'out')]) == 0
+    assert main.attitude_replay([second, *arguments, '-o', str(tmp_path / 'out')]) == 0
     assert capsys.readouterr().out.count('; warning: a torque acts for 20.01 s') == 2
 
 
@@ -580,7 +582,7 @@ def test_a_torque_over_a_long_gap_is_warned_of(tmp_path, capsys):
     (20.0, (0.1, 0.0, 0.0), ['--until', '0.9'], '0.41 s'),
     (20.0, (0.1, 0.0, 0.0), ['--start', '0.6'], '0.01 s')])
 def test_a_gap_without_consequence_is_only_named(tmp_path, capsys, gap, torque, options, longest):
-    assert cli.attitude_replay([*stopped_clock(tmp_path / 'gap.csv', gap, torque), *options]) == 0
+    assert main.attitude_replay([*stopped_clock(tmp_path / 'gap.csv', gap, torque), *options]) == 0
     shown = capsys.readouterr().out
     assert f'longest gap   {longest}' in shown
     assert 'warning' not in shown
@@ -590,7 +592,7 @@ def test_a_torque_that_times_out_is_not_warned_of(tmp_path, capsys):
     text = (CONFIG / 'tumbler.yaml').read_text()
     (tmp_path / 'scene.yaml').write_text(f'{text}    torque_timeout: 0.5\n')
     arguments = stopped_clock(tmp_path / 'gap.csv', 20.0)
-    assert cli.attitude_replay([*arguments[:-1], str(tmp_path / 'scene.yaml')]) == 0
+    assert main.attitude_replay([*arguments[:-1], str(tmp_path / 'scene.yaml')]) == 0
     assert 'warning' not in capsys.readouterr().out
 
 
@@ -598,7 +600,7 @@ def test_a_torque_that_times_out_is_not_warned_of(tmp_path, capsys):
 def test_a_torque_that_acts_for_ten_years_is_refused(tmp_path, capsys, scene_lines):
     (tmp_path / 'scene.yaml').write_text((CONFIG / 'tumbler.yaml').read_text() + scene_lines)
     arguments = stopped_clock(tmp_path / 'gap.csv', 3.2e8)
-    assert cli.attitude_replay([*arguments[:-1], str(tmp_path / 'scene.yaml')]) == 2
+    assert main.attitude_replay([*arguments[:-1], str(tmp_path / 'scene.yaml')]) == 2
     line, = capsys.readouterr().err.splitlines()
     assert 'at 1000490000000 ns acts until 320001000500000000 ns, for 320000000 s: ' in line
     assert 'check the clock that set the stamps, or set torque_timeout' in line
@@ -609,7 +611,7 @@ def test_a_body_without_torque_may_turn_for_ten_years(tmp_path, capsys):
     path = tmp_path / 'gap.csv'
     arguments = stopped_clock(path, 3.2e8, (0.0, 0.0, 0.0))
     path.write_text(path.read_text().replace('320001000.500,0.0,', '320001000.500,0.1,'))
-    assert cli.attitude_replay(arguments) == 0
+    assert main.attitude_replay(arguments) == 0
     assert 'linear would spin the body too fast' in capsys.readouterr().out
 
 
@@ -618,13 +620,13 @@ def test_damping_limits_the_turns_over_a_gap(tmp_path, capsys):
     (tmp_path / 'scene.yaml').write_text((CONFIG / 'tumbler.yaml').read_text()
                                          + '    damping: {dxx: 0.01, dyy: 0.01, dzz: 0.01}\n')
     arguments = stopped_clock(tmp_path / 'gap.csv', 2e6, (1e-3, 0.0, 0.0))
-    assert cli.attitude_replay([*arguments[:-1], str(tmp_path / 'scene.yaml')]) == 0
+    assert main.attitude_replay([*arguments[:-1], str(tmp_path / 'scene.yaml')]) == 0
 
 
 def test_a_long_computation_is_announced(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr('rigid_body_ros.replay.gaps._PATIENCE', 0.01)
     arguments = stopped_clock(tmp_path / 'gap.csv', 200.0)
-    assert cli.attitude_replay(arguments) == 0
+    assert main.attitude_replay(arguments) == 0
     assert capsys.readouterr().err == (
         f'{arguments[0]}: /torque: computing the motion takes about 0:00:00 (h:min:s)\n')
 
@@ -654,7 +656,7 @@ def test_a_disk_that_is_full_at_any_write_leaves_no_incomplete_output(tmp_path, 
     monkeypatch.chdir(tmp_path)
     arguments = [str(RECORDINGS / 'tumbler.mcap'), '--scene', str(CONFIG / 'tumbler.yaml'),
                  '--rate', '1000', *outputs]
-    assert cli.attitude_replay(arguments) == 0
+    assert main.attitude_replay(arguments) == 0
     written = [path for path in [*tmp_path.rglob('*')] if path.is_file()]
     largest = max(path.stat().st_size for path in written)
     for path in written:
@@ -664,7 +666,7 @@ def test_a_disk_that_is_full_at_any_write_leaves_no_incomplete_output(tmp_path, 
     capsys.readouterr()
     for size in np.random.default_rng(5).integers(0, largest, 5).tolist():
         with files_up_to(size):
-            assert cli.attitude_replay(arguments) == 2
+            assert main.attitude_replay(arguments) == 2
         captured = capsys.readouterr()
         assert captured.out == ''
         line, = captured.err.splitlines()

@@ -24,7 +24,9 @@ import sys
 from conftest import CONFIG, RECORDINGS, SECOND
 import numpy as np
 import pytest
-from rigid_body_ros import cli, messages, propagate, recording, scene, so3, State, TorqueLog
+from rigid_body_ros import messages, propagate, recording, scene, State, TorqueLog
+from rigid_body_ros.commands import main
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.many import replay_many
@@ -116,18 +118,18 @@ def check_written(path, motion, has_rotors=True):
 def test_two_torques_and_wheels_give_the_motion_of_the_library(recorded, written, tmp_path, lines,
                                                                interpolation):
     path, output = written(*lines), tmp_path / 'motion.mcap'
-    assert cli.attitude_replay([recorded, '--scene', path, '-o', str(output),
+    assert main.attitude_replay([recorded, '--scene', path, '-o', str(output),
                                 '--interpolation', interpolation]) == 0
     check_written(output, expected(
         path, [log('/control', interpolation), log('/disturbance', interpolation)],
         log('/wheel_torque', interpolation)))
-    assert cli.attitude_replay([recorded, '--scene', path, '--verify', str(output),
+    assert main.attitude_replay([recorded, '--scene', path, '--verify', str(output),
                                 '--interpolation', interpolation]) == 0
 
 
 def test_topics_that_are_given_replace_those_of_the_scene(recorded, written, tmp_path):
     path, output = written(WHEELS, DAMPING), tmp_path / 'motion.mcap'
-    assert cli.attitude_replay([
+    assert main.attitude_replay([
         recorded, '--scene', path, '-o', str(output), '--topic', '/disturbance',
         '--topic', '/control', '--wheel-torque', '/wheel_torque']) == 0
     check_written(output, expected(path, [log('/disturbance'), log('/control')],
@@ -136,7 +138,7 @@ def test_topics_that_are_given_replace_those_of_the_scene(recorded, written, tmp
 
 def test_the_rotors_follow_their_measured_momentum(recorded, written, tmp_path):
     path, output = written(WHEELS), tmp_path / 'motion.mcap'
-    assert cli.attitude_replay([recorded, '--scene', path, '-o', str(output), '--topic',
+    assert main.attitude_replay([recorded, '--scene', path, '-o', str(output), '--topic',
                                 '/control', '--wheel-momentum', '/wheel_momentum']) == 0
     stamps, momenta = TIMES['/wheel_momentum'], values('/wheel_momentum')
     read = recording.read(output, '/rotor_momentum', messages.VECTOR3)
@@ -213,7 +215,7 @@ def test_outputs_at_a_rate_come_in_blocks_of_the_same_motion(recorded, written, 
     outputs = [tmp_path / 'whole.mcap', tmp_path / 'blocks.mcap']
     for output, largest in zip(outputs, (2 ** 16, 37)):
         monkeypatch.setattr('rigid_body_ros.replay.batches._LARGEST', largest)
-        assert cli.attitude_replay([recorded, '--scene', path, '-o', str(output), '--rate', '200',
+        assert main.attitude_replay([recorded, '--scene', path, '-o', str(output), '--rate', '200',
                                     '--until', '3']) == 0
     whole, blocks = (recording.read(output, '/attitude', messages.QUATERNION)
                      for output in outputs)
@@ -234,7 +236,7 @@ def test_several_recordings_are_replayed_in_parallel(recorded, written, tmp_path
 def test_a_signal_interrupts_a_scene_with_rotors(tmp_path):
     spin, config = RECORDINGS / 'fast_spin', tmp_path / 'spin.yaml'
     config.write_text(f'{spin.with_suffix(".yaml").read_text()}    {ROTORS}\n')
-    program = 'import sys; from rigid_body_ros.cli import attitude_replay; ' \
+    program = 'import sys; from rigid_body_ros.commands.main import attitude_replay; ' \
               'sys.exit(attitude_replay())'
     process = subprocess.Popen(
         [sys.executable, '-c', program, f'{spin}.mcap', '--scene', str(config), '-o',
@@ -251,7 +253,7 @@ def test_a_signal_interrupts_a_scene_with_rotors(tmp_path):
 
 @pytest.mark.slow
 def test_torques_and_momentum_are_drawn(recorded, written, tmp_path):
-    assert cli.attitude_replay([recorded, '--scene', written(TWO, WHEELS), '--also', 'markers',
+    assert main.attitude_replay([recorded, '--scene', written(TWO, WHEELS), '--also', 'markers',
                                 'imu', '-o', str(tmp_path / 'motion.mcap'), '--plot',
                                 str(tmp_path / 'motion.png')]) == 0
     assert (tmp_path / 'motion.png').stat().st_size > 10_000
@@ -311,7 +313,7 @@ def test_a_plain_scene_takes_the_topic_that_it_names(tmp_path, written):
 def test_a_mistake_is_reported_in_one_line(recorded, written, tmp_path, capsys, lines, options,
                                            message):
     output = tmp_path / 'motion.mcap'
-    assert cli.attitude_replay([recorded, '--scene', written(*lines), '-o', str(output),
+    assert main.attitude_replay([recorded, '--scene', written(*lines), '-o', str(output),
                                 *options]) == 2
     captured = capsys.readouterr()
     line, = captured.err.splitlines()
@@ -331,7 +333,7 @@ def test_a_momentum_that_cannot_be_used_is_named(tmp_path, written, capsys, fram
         writer.add_topic('/h', messages.VECTOR3)
         if numbers:
             writer.write('/h', SECOND, messages.VECTOR3.encode(SECOND, frame_id, numbers))
-    assert cli.attitude_replay([str(path), '--scene', written(WHEELS), '--wheel-momentum', '/h',
+    assert main.attitude_replay([str(path), '--scene', written(WHEELS), '--wheel-momentum', '/h',
                                 '-o', str(tmp_path / 'motion.mcap')]) == 2
     line, = capsys.readouterr().err.splitlines()
     assert f'momentum.mcap: /h: {message}' in line
@@ -343,7 +345,7 @@ def test_damage_is_reported_if_no_torque_could_be_read(recorded, written, tmp_pa
     data = bytearray(Path(recorded).read_bytes())
     data[len(data) // 2] ^= 255
     damaged.write_bytes(data)
-    assert cli.attitude_replay([str(damaged), '--scene', written(TWO, WHEELS)]) == 2
+    assert main.attitude_replay([str(damaged), '--scene', written(TWO, WHEELS)]) == 2
     line, = capsys.readouterr().err.splitlines()
     assert 'found no messages on /control, /disturbance, /wheel_torque (' in line
     assert 'damaged chunk at byte' in line
@@ -358,7 +360,7 @@ def test_a_replay_with_the_recommended_setting_meets_the_target(
     monkeypatch.setattr('rigid_body_ros.tradeoff.trade._MOST_REPEATS', 3)
     given = [word for name, topic in option.items()
              for word in (f'--{name.replace("_", "-")}', topic)]
-    assert cli.attitude_tradeoff(['--scene', written(*lines), '--recording', recorded, *given,
+    assert main.attitude_tradeoff(['--scene', written(*lines), '--recording', recorded, *given,
                                   '--target', '1e-7', '--json', str(tmp_path / 'o.json')]) == 0
     found = json.loads((tmp_path / 'o.json').read_text())
     assert found['samples'] == samples

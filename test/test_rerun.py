@@ -22,7 +22,7 @@ import sys
 
 from conftest import CONFIG, RECORDINGS, ROOT
 import pytest
-from rigid_body_ros import cli
+from rigid_body_ros.commands import main
 
 TORQUES, SCENE = str(RECORDINGS / 'tumbler.mcap'), CONFIG / 'tumbler.yaml'
 ALSO = ['--also', 'imu', 'tf', 'markers', 'input']
@@ -40,14 +40,14 @@ def with_rotors(tmp_path_factory):
     scene, motion = folder / 'rotors.yaml', folder / 'rotors.mcap'
     rotors = '    initial_rotor_momentum: {x: 0.01, y: 0.0, z: 0.02}\n'
     scene.write_text(SCENE.read_text() + rotors)
-    assert cli.attitude_replay([TORQUES, '--scene', str(scene), '-o', str(motion), *ALSO]) == 0
+    assert main.attitude_replay([TORQUES, '--scene', str(scene), '-o', str(motion), *ALSO]) == 0
     return scene, motion
 
 
 @pytest.fixture(scope='module')
 def plain(tmp_path_factory):
     motion = tmp_path_factory.mktemp('plain') / 'motion.mcap'
-    assert cli.attitude_replay([TORQUES, '--scene', str(SCENE), '-o', str(motion), *ALSO]) == 0
+    assert main.attitude_replay([TORQUES, '--scene', str(SCENE), '-o', str(motion), *ALSO]) == 0
     return motion
 
 
@@ -84,14 +84,14 @@ def test_rerun_finds_no_fault_in_a_motion_with_rotors(with_rotors, tmp_path):
 
 
 def test_rerun_finds_no_fault_in_a_bag(tmp_path):
-    assert cli.attitude_replay([TORQUES, '--scene', str(SCENE), '-o', str(tmp_path / 'bag')]) == 0
+    assert main.attitude_replay([TORQUES, '--scene', str(SCENE), '-o', str(tmp_path / 'bag')]) == 0
     [file] = (tmp_path / 'bag').glob('*.mcap')
     assert all(row[0] == 'ok' and row[4] == '—' for row in rows_of_check(tmp_path, file))
 
 
 def test_rerun_finds_no_fault_in_residuals(plain, tmp_path):
     residuals = tmp_path / 'residuals.mcap'
-    assert cli.attitude_compare([str(plain), '--scene', str(SCENE), '--measured', '/attitude',
+    assert main.attitude_compare([str(plain), '--scene', str(SCENE), '--measured', '/attitude',
                                  '-o', str(residuals)]) == 0
     rows = rows_of_check(tmp_path, residuals)
     assert '/error/rotation_vector' in {row[3] for row in rows}

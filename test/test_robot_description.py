@@ -26,9 +26,10 @@ from live_session import LiveSession, RELIABLE
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rigid_body_ros import messages, scene, urdf
+from rigid_body_ros import messages, scene
 from rigid_body_ros.live.events import FRAME, NOT_FINITE, RejectedError
 from rigid_body_ros.live.inputs import Inputs
+from rigid_body_ros.mechanics import urdf
 from robots import ROBOT
 from std_msgs.msg import String
 from test_node import run_node

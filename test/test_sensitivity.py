@@ -16,7 +16,8 @@
 
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from scenes import ROD, SECOND, turned
 

@@ -15,7 +15,8 @@
 """Parameter files that several nodes share: keys of other nodes, and misspelt ones."""
 
 import pytest
-from rigid_body_ros import cli, scene
+from rigid_body_ros import scene
+from rigid_body_ros.commands import main
 from rigid_body_ros.scene import InputError, Scene
 
 INERTIA = {'inertia.ixx': 1.0, 'inertia.iyy': 2.0, 'inertia.izz': 2.5}
@@ -82,8 +83,8 @@ def test_every_command_notes_keys_of_other_nodes_once(tmp_path, capsys, command)
     path, recording = tmp_path / 'shared.yaml', tmp_path / 'torques.csv'
     path.write_text(SHARED)
     recording.write_text('time,tx,ty,tz\n0.0,0.1,0.0,0.0\n0.1,0.0,0.0,0.0\n')
-    run = {'replay': lambda: cli.attitude_replay([str(recording), '--scene', str(path)]),
-           'tradeoff': lambda: cli.attitude_tradeoff(['--recording', str(recording), '--scene',
+    run = {'replay': lambda: main.attitude_replay([str(recording), '--scene', str(path)]),
+           'tradeoff': lambda: main.attitude_tradeoff(['--recording', str(recording), '--scene',
                                                       str(path), '--target', '0.1'])}[command]
     assert run() == 0
     assert capsys.readouterr().err == (

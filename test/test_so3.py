@@ -17,7 +17,7 @@
 from conftest import EPOCH_NS
 import numpy as np
 import pytest
-from rigid_body_ros import so3
+from rigid_body_ros.mechanics import so3
 from scipy.spatial.transform import Rotation
 
 EPS = np.finfo(float).eps

@@ -64,10 +64,10 @@ def test_a_signal_during_the_imports_ends_a_command_in_one_line(command, number,
 def test_the_engine_is_imported_when_a_name_is_first_used():
     script = """
 import sys
-import rigid_body_ros, rigid_body_ros.cli
+import rigid_body_ros, rigid_body_ros.commands.main
 assert 'numpy' not in sys.modules
 assert set(rigid_body_ros.__all__) < set(dir(rigid_body_ros))
-assert rigid_body_ros.so3 is sys.modules['rigid_body_ros.so3']
+assert rigid_body_ros.mechanics.so3 is sys.modules['rigid_body_ros.mechanics.so3']
 from rigid_body_ros import *
 assert propagate is rigid_body_ros.propagation.propagate
 assert RigidBody is rigid_body_ros.RigidBody is vars(rigid_body_ros)['RigidBody']
@@ -134,7 +134,7 @@ def test_the_warm_up_module_does_not_hide_the_function():
 def test_a_node_does_not_import_what_it_does_not_use(module, unused):
     script = f"""
 import sys
-import rigid_body_ros.cli, rigid_body_ros.commands
+import rigid_body_ros.commands.main, rigid_body_ros.commands.replay
 import rigid_body_ros.node.{module}
 print([name for name in {unused} if name in sys.modules])
 """

@@ -18,7 +18,8 @@ from conftest import chord, SECOND
 from known import lost_momentum, ODE_LOSSES
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation.solvers import solver_named
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)

@@ -17,7 +17,8 @@
 from conftest import chord, SECOND
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros.mechanics import so3
 
 RANDOM = np.random.default_rng(31)
 

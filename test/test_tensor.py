@@ -18,8 +18,8 @@ import mpmath
 from mpmath import mp, mpf
 import numpy as np
 import pytest
-from rigid_body_ros import so3
 from rigid_body_ros.kernels import tensor
+from rigid_body_ros.mechanics import so3
 
 RANDOM = np.random.default_rng(23)
 TURN = so3.matrix(so3.normalize([0.3, -0.1, 0.7, 0.4]))

@@ -18,7 +18,8 @@ from conftest import chord, SECOND
 from mpmath import mp
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, Propagator, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
+from rigid_body_ros.mechanics import so3
 import terms
 from test_steppers import LADDERS, slope
 import truth

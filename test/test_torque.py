@@ -18,7 +18,7 @@ from conftest import EPOCH_NS, SECOND
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, State, TorqueLog
-from rigid_body_ros.torque import INTERPOLATIONS
+from rigid_body_ros.mechanics.torque import INTERPOLATIONS
 
 RANDOM = np.random.default_rng(23)
 TIMES = EPOCH_NS + np.cumsum(RANDOM.integers(SECOND // 20, SECOND // 5, 40))

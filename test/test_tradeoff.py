@@ -26,18 +26,10 @@ import matplotlib.image
 import numpy as np
 from pages import array, data_of
 import pytest
-from rigid_body_ros import (
-    cli,
-    messages,
-    propagate,
-    recording,
-    RigidBody,
-    scene,
-    so3,
-    State,
-    TorqueLog,
-)
+from rigid_body_ros import messages, propagate, recording, RigidBody, scene, State, TorqueLog
+from rigid_body_ros.commands import main
 from rigid_body_ros.kernels import body_layout
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.report.page import html
 from rigid_body_ros.tradeoff import Error, measure, Measurement, recommend, report, Setting
 from rigid_body_ros.tradeoff.page import page
@@ -197,7 +189,7 @@ def test_a_target_below_the_last_digits_is_refused_with_their_effect(tmp_path, c
     path = RECORDINGS / 'rod_full_tensor_body_torque'
     arguments = ['--scene', f'{path}.yaml', '--recording', f'{path}.mcap', '--json',
                  str(tmp_path / 'o.json')]
-    assert cli.attitude_tradeoff([*arguments, '--target', '1e-12']) == 0
+    assert main.attitude_tradeoff([*arguments, '--target', '1e-12']) == 0
     figures = json.loads((tmp_path / 'o.json').read_text())
     assert figures['recommended'] is None
     effect = figures['last_digit_effect_rad']
@@ -207,7 +199,7 @@ def test_a_target_below_the_last_digits_is_refused_with_their_effect(tmp_path, c
     printed = capsys.readouterr().out
     assert f'\nlast digits       {text}\n' in printed
     assert f'recommended       none: no setting is certain to meet it, {text}\n' in printed
-    assert cli.attitude_tradeoff([*arguments, '--target', '1e-9', '--overwrite']) == 0
+    assert main.attitude_tradeoff([*arguments, '--target', '1e-9', '--overwrite']) == 0
     assert '\n    solver: ' in capsys.readouterr().out
 
 
@@ -236,9 +228,9 @@ def test_a_failed_setting_is_shown_as_failed():
 def test_the_table_the_figures_and_the_picture(tmp_path):
     picture, figures, web = (tmp_path / name for name in ('p.png', 'o.json', 'o.html'))
     environment = {name: value for name, value in os.environ.items() if name != 'DISPLAY'}
-    script = ('import sys; from rigid_body_ros import cli; '
+    script = ('import sys; from rigid_body_ros.commands import main; '
               'from rigid_body_ros.tradeoff import settings; settings._MOST_STEPS = 20000;'
-              'sys.exit(cli.attitude_tradeoff())')
+              'sys.exit(main.attitude_tradeoff())')
     done = subprocess.run([sys.executable, '-c', script, *TUMBLER, *TORQUES, '--target', '1e-9',
                            '--json', figures, '--plot', picture, '--report', web],
                           capture_output=True, text=True,
@@ -261,7 +253,7 @@ def test_the_table_the_figures_and_the_picture(tmp_path):
 def test_the_recommendations_come_first_and_then_the_pareto_optimal_settings(capsys):
     targets = ('1e-3', '1e-9', '1e-20')
     arguments = [*TUMBLER, *TORQUES]
-    assert cli.attitude_tradeoff([*arguments, *(word for target in targets[:2]
+    assert main.attitude_tradeoff([*arguments, *(word for target in targets[:2]
                                                 for word in ('--target', target))]) == 0
     lines = capsys.readouterr().out.splitlines()
     starts = [number for number, line in enumerate(lines) if line.startswith('target ')]
@@ -274,7 +266,7 @@ def test_the_recommendations_come_first_and_then_the_pareto_optimal_settings(cap
     assert all(line.startswith('* ') for line in lines[header + 1:end])
     errors = [float(line.split()[-6]) for line in lines[header + 1:end]]
     assert errors == sorted(errors, reverse=True)
-    assert cli.attitude_tradeoff([*arguments, '--all']) == 0
+    assert main.attitude_tradeoff([*arguments, '--all']) == 0
     rows = [line for line in capsys.readouterr().out.splitlines()
             if ' tolerance 1e-' in line or ' step ' in line]
     assert len(rows) > 35
@@ -297,11 +289,11 @@ def test_every_target_has_its_own_recommendation(tmp_path):
 
 
 def test_other_interpolations_end_where_the_replay_says(capsys):
-    assert cli.attitude_replay([TORQUES[1], *TUMBLER]) == 0
+    assert main.attitude_replay([TORQUES[1], *TUMBLER]) == 0
     printed = capsys.readouterr().out.splitlines()
     row, = (line.split(maxsplit=1)[1] for line in printed if line.startswith('interpolation '))
     assert row.startswith('hold (linear would end ')
-    assert cli.attitude_tradeoff([*TUMBLER, *TORQUES]) == 0
+    assert main.attitude_tradeoff([*TUMBLER, *TORQUES]) == 0
     assert f'\ninterpolation     {row}\n' in capsys.readouterr().out
 
 
@@ -389,9 +381,9 @@ def test_the_end_of_a_short_stretch_is_that_of_its_problem(monkeypatch):
                                   'quaternion', 'inertia', 'key', 'no scene'])
 def test_a_mistake_is_answered_as_by_the_replay(name, tmp_path, capsys):
     recorded, *scene = bad_input(name, tmp_path)
-    assert cli.attitude_replay([recorded, *scene, '-o', str(tmp_path / 'o.mcap')]) == 2
+    assert main.attitude_replay([recorded, *scene, '-o', str(tmp_path / 'o.mcap')]) == 2
     line, = capsys.readouterr().err.splitlines()
-    assert cli.attitude_tradeoff([*scene, '--recording', recorded]) == 2
+    assert main.attitude_tradeoff([*scene, '--recording', recorded]) == 2
     captured = capsys.readouterr()
     found, = captured.err.splitlines()
     assert found.split(': error: ')[1][:80] == line.split(': error: ')[1][:80]
@@ -401,7 +393,7 @@ def test_a_mistake_is_answered_as_by_the_replay(name, tmp_path, capsys):
 def test_a_body_at_rest_has_nothing_to_measure(tmp_path, capsys):
     rest = tmp_path / 'rest.yaml'
     rest.write_text('/**: {ros__parameters: {inertia: {ixx: 1.0, iyy: 1.0, izz: 1.0}}}\n')
-    assert cli.attitude_tradeoff(['--scene', str(rest)]) == 2
+    assert main.attitude_tradeoff(['--scene', str(rest)]) == 2
     error = 'expected a nonzero initial angular velocity or torque, found neither'
     assert f'rest.yaml: {error}\n' in capsys.readouterr().err
 
@@ -424,7 +416,7 @@ def test_of_several_topics_one_is_named(tmp_path, capsys):
             for stamp_ns in (SECOND, (1 + seconds) * SECOND):
                 writer.write(topic, stamp_ns, messages.wrench(stamp_ns, '', (0.01, 0.0, 0.0)))
     arguments = [*TUMBLER, '--recording', str(path), '--json', str(figures)]
-    assert cli.attitude_tradeoff(arguments) == 2
+    assert main.attitude_tradeoff(arguments) == 2
     assert 'found /one, /other; choose one with --topic' in capsys.readouterr().err
-    assert cli.attitude_tradeoff([*arguments, '--topic', '/other']) == 0
+    assert main.attitude_tradeoff([*arguments, '--topic', '/other']) == 0
     assert json.loads(figures.read_text())['whole_s'] == 5.0

@@ -21,7 +21,9 @@ from conftest import CONFIG, RECORDINGS
 import numpy as np
 from pyarrow import parquet
 import pytest
-from rigid_body_ros import cli, RigidBody, so3, State, TorqueLog
+from rigid_body_ros import RigidBody, State, TorqueLog
+from rigid_body_ros.commands import main
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.tradeoff import ensemble, measure
 from rigid_body_ros.tradeoff.choices import Advice, Spread
 from rigid_body_ros.tradeoff.ensemble import read
@@ -39,7 +41,7 @@ def _short_runs(monkeypatch):
 
 
 def run(folder, scene, *arguments):
-    assert cli.attitude_ensemble(['--scene', str(scene), '--vary', str(folder / 'vary.yaml'),
+    assert main.attitude_ensemble(['--scene', str(scene), '--vary', str(folder / 'vary.yaml'),
                                   '--runs', '40', *arguments]) == 0
 
 
@@ -55,7 +57,7 @@ def spread(tmp_path_factory):
 
 
 def tradeoff(*arguments):
-    return cli.attitude_tradeoff(['--scene', str(SCENE), *map(str, arguments)])
+    return main.attitude_tradeoff(['--scene', str(SCENE), *map(str, arguments)])
 
 
 def ends(folder):

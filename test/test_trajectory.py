@@ -16,7 +16,8 @@
 
 from conftest import EPOCH_NS, SECOND
 import numpy as np
-from rigid_body_ros import propagate, RigidBody, so3, State
+from rigid_body_ros import propagate, RigidBody, State
+from rigid_body_ros.mechanics import so3
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
 START = State(EPOCH_NS, (0.1, -0.2, 0.3, 0.9), (0.5, -0.7, 0.9))

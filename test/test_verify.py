@@ -24,7 +24,8 @@ import sys
 from conftest import CONFIG, RECORDINGS
 import numpy as np
 import pytest
-from rigid_body_ros import cli, messages, propagate, recording, scene, State, TorqueLog
+from rigid_body_ros import messages, propagate, recording, scene, State, TorqueLog
+from rigid_body_ros.commands import main
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.verify import verify
 from rigid_body_ros.runtime.fingerprint import fingerprint, processor
@@ -50,10 +51,10 @@ def rewritten(source, target, change=lambda values: values, metadata=None):
 @pytest.mark.parametrize('options', [[], ['--rate', '37'], ['--interpolation', 'cubic']], ids=str)
 def test_a_replay_comes_out_again(tmp_path, capsys, name, options):
     arguments = [str(TUMBLER), '--scene', str(SCENE)]
-    assert cli.attitude_replay([*arguments, '-o', str(tmp_path / name), *options]) == 0
+    assert main.attitude_replay([*arguments, '-o', str(tmp_path / name), *options]) == 0
     capsys.readouterr()
     again = [] if options[:1] == ['--rate'] else options
-    assert cli.attitude_replay([*arguments, '--verify', str(tmp_path / name), *again]) == 0
+    assert main.attitude_replay([*arguments, '--verify', str(tmp_path / name), *again]) == 0
     lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
     count = len(recording.read(tmp_path / name, '/attitude', messages.QUATERNION))
     assert lines['compared'] == f'{count} states of /attitude'
@@ -81,7 +82,7 @@ def test_another_version_is_reported_but_no_processor(tmp_path, capsys):
     replay(TUMBLER, scene.load(SCENE), tmp_path / 'motion.mcap')
     path = rewritten(tmp_path / 'motion.mcap', tmp_path / 'other.mcap', metadata={
         'fingerprint': json.dumps({**fingerprint(), 'numpy': '1.0.0'})})
-    assert cli.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '--verify', str(path)]) == 0
+    assert main.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '--verify', str(path)]) == 0
     line = capsys.readouterr().out.splitlines()[-1]
     assert line == (f'made by       numpy 1.0.0, here {fingerprint()["numpy"]}: '
                     'the last bits may differ')
@@ -125,7 +126,7 @@ def test_differing_bits_end_with_status_1(tmp_path, capsys):
     path = rewritten(tmp_path / 'motion.mcap', tmp_path / 'nudged.mcap', nudged,
                      {'fingerprint': json.dumps(other)})
     arguments = [str(TUMBLER), '--scene', str(SCENE), '--verify', str(path)]
-    assert cli.attitude_replay(arguments) == 1
+    assert main.attitude_replay(arguments) == 1
     captured = capsys.readouterr()
     assert 'same bits     1 of 3001' in captured.out
     assert 'rad\nmade by       processor arm64 cortex-a72, here ' in captured.out
@@ -173,7 +174,7 @@ def motion_states(motion):
 
 
 def verified(log, config):
-    return cli.attitude_replay([log, '--scene', config, '--verify', log])
+    return main.attitude_replay([log, '--scene', config, '--verify', log])
 
 
 @pytest.mark.parametrize(('topic', 'epochs'), [('/accepted_torque', ' in 1 epoch'),
@@ -220,7 +221,7 @@ def test_torques_that_begin_after_a_motion_are_recognized(tmp_path, capsys):
         writer.add_topic('/torque', messages.WRENCH)
         for stamp_ns, values in zip(read.stamps_ns[100:].tolist(), read.values[100:]):
             writer.write('/torque', stamp_ns, messages.wrench(stamp_ns, '', values[3:]))
-    assert cli.attitude_replay([str(tmp_path / 'late.mcap'), '--scene', str(SCENE), '--verify',
+    assert main.attitude_replay([str(tmp_path / 'late.mcap'), '--scene', str(SCENE), '--verify',
                                 str(tmp_path / 'motion.mcap')]) == 2
     line, = capsys.readouterr().err.splitlines()
     assert ('expected the first state at or after the first torque, '
@@ -237,7 +238,7 @@ def test_torques_that_came_after_the_last_committed_state_are_no_gap(tmp_path):
             writer.write('/torque', stamp_ns, messages.wrench(stamp_ns, '', values[3:]))
         writer.write('/torque', stamp_ns + 5, messages.wrench(stamp_ns + 5, '', np.ones(3)))
     more = str(tmp_path / 'more.mcap')
-    assert cli.attitude_replay([more, '--scene', config, '--verify', path]) == 0
+    assert main.attitude_replay([more, '--scene', config, '--verify', path]) == 0
 
 
 def test_a_motion_from_before_the_start_is_refused(tmp_path, capsys):
@@ -245,7 +246,7 @@ def test_a_motion_from_before_the_start_is_refused(tmp_path, capsys):
     with recording.Writer(path) as writer:
         writer.add_topic('/attitude', messages.QUATERNION)
         writer.write('/attitude', 5, messages.QUATERNION.encode(5, '', [0, 0, 0, 1]))
-    assert cli.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '--verify', str(path)]) == 2
+    assert main.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '--verify', str(path)]) == 2
     line, = capsys.readouterr().err.splitlines()
     assert 'early.mcap: /attitude: expected the first state at or after the first torque' in line
 
@@ -271,7 +272,7 @@ def test_a_folder_is_what_rosbag2_wants(tmp_path):
 
 def test_a_folder_that_is_there_stays_as_it_is(tmp_path, capsys):
     (tmp_path / 'motion').mkdir()
-    assert cli.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '-o',
+    assert main.attitude_replay([str(TUMBLER), '--scene', str(SCENE), '-o',
                                 str(tmp_path / 'motion')]) == 2
     line, = capsys.readouterr().err.splitlines()
     assert 'motion: output exists; choose a new folder, or a name ending in .mcap' in line

@@ -34,7 +34,8 @@ from node_logs import (
 )
 import numpy as np
 import pytest
-from rigid_body_ros import cli, messages, scene, State
+from rigid_body_ros import messages, scene, State
+from rigid_body_ros.commands import main
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.verify import summary, verify
 from rigid_body_ros.scene import InputError
@@ -89,10 +90,10 @@ def test_states_after_until_are_not_compared(run, tmp_path, capsys):
     sent = [*epoch(run, FIRST, TORQUES), *epoch(run, SECOND_START, MORE)]
     log = save(tmp_path / 'log.mcap', committed(committed(sent, 17, nudged), 70, nudged))
     arguments = [log, '--scene', str(CONFIG / 'tumbler.yaml'), '--verify', log, '--until']
-    assert cli.attitude_replay([*arguments, '1']) == 0
+    assert main.attitude_replay([*arguments, '1']) == 0
     # 11 states of the first epoch, every 0.1 s, and 21 of the second, every 0.05 s.
     assert 'compared      32 states of /node/committed in 2 epochs\n' in capsys.readouterr().out
-    assert cli.attitude_replay([*arguments, '1.8']) == 1
+    assert main.attitude_replay([*arguments, '1.8']) == 1
 
 
 def test_until_holds_for_ordinary_recordings_too(run, tmp_path):

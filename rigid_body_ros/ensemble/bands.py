@@ -20,10 +20,10 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.ensemble.folder import Folder
 from rigid_body_ros.ensemble.percentiles import of_columns, of_rows
+from rigid_body_ros.mechanics import so3
 
 _PERCENTILES = (5, 25, 50, 75, 95)
 #: Largest number of times, enough for a picture: the percentiles need 80 kB for each.

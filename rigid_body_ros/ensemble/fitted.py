@@ -26,15 +26,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted, reason, shortened
 from rigid_body_ros.ensemble.applied import components
 from rigid_body_ros.ensemble.dispersions import ATTITUDE, UNITS
 from rigid_body_ros.ensemble.streams import normals
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.runtime.parameters import resembled
 from rigid_body_ros.runtime.reading import read_json
-from rigid_body_ros.state import State
 
 #: The rotation vector of the initial attitude.
 _ROTATION = tuple(f'{ATTITUDE}.{axis}' for axis in 'xyz')

@@ -31,8 +31,8 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.ensemble.applied import Applied
 from rigid_body_ros.kernels import body_layout
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation.options import FASTEST, Options
-from rigid_body_ros.torque import TorqueLog
 
 #: rad; how far a run may turn in steps, which take about a microsecond for each radian.
 FARTHEST = 1e7

@@ -24,8 +24,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import so3
-from rigid_body_ros.bodies import RigidBodies
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.ensemble.applied import (
@@ -49,14 +47,16 @@ from rigid_body_ros.ensemble.fitted import Fitted
 from rigid_body_ros.ensemble.reach import limit, Reach
 from rigid_body_ros.ensemble.streams import stream
 from rigid_body_ros.kernels.lanes import LANES
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.bodies import RigidBodies
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.states import States
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import propagate, propagate_many
 from rigid_body_ros.propagation.many import Logs
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.state import State
-from rigid_body_ros.states import States
-from rigid_body_ros.torque import TorqueLog
 
 _START = {**{f'inertia.i{entry}': 'kg m^2' for entry in ENTRIES},
           **{f'initial_attitude.{axis}': '' for axis in 'xyzw'},

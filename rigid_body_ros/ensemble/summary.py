@@ -21,13 +21,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.ensemble.bands import bands
 from rigid_body_ros.ensemble.folder import Folder
 from rigid_body_ros.ensemble.histogram import histogram
 from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.report.text import lines
 
 _PERCENTILES = (1, 5, 25, 50, 75, 95, 99, 100)

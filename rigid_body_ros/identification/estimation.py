@@ -21,10 +21,9 @@ from dataclasses import dataclass, replace
 import math
 
 import numpy as np
-from rigid_body_ros import so3
-from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.comparison.motion import Model
 from rigid_body_ros.identification import residuals
 from rigid_body_ros.identification.clock import likely_offset
 from rigid_body_ros.identification.experiment import (
@@ -43,9 +42,10 @@ from rigid_body_ros.identification.parameters import (
 )
 from rigid_body_ros.identification.result import Estimate, Identification
 from rigid_body_ros.identification.solve import Setup, Solution, solve
-from rigid_body_ros.measurement.motion import Model
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Options
-from rigid_body_ros.state import State
 
 
 def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,

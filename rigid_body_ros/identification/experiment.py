@@ -21,13 +21,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.measurement.measured import Measured
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation.options import FASTEST
-from rigid_body_ros.state import State
-from rigid_body_ros.torque import TorqueLog
+from rigid_body_ros.sensing.measured import Measured
 
 #: A sensor needs at least this many samples.
 _FEWEST = 8

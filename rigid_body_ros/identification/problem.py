@@ -28,12 +28,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.experiment import Channel
 from rigid_body_ros.identification.parameters import Parameters, Physics
 from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.identification.windows import States, Window
+from rigid_body_ros.mechanics import so3
 
 #: Width of the prior of each coordinate, which only keeps undetermined ones near the guess.
 _PRIOR = 3.0

@@ -22,13 +22,13 @@ from pathlib import Path
 from typing import Any
 
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.comparison.recorded import check_overlap, read_model, Reading
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.parameters import entries
 from rigid_body_ros.identification.result import Identification
-from rigid_body_ros.measurement.reading import read_all
-from rigid_body_ros.measurement.recorded import check_overlap, read_model, Reading
 from rigid_body_ros.replay.sources import Topics
 from rigid_body_ros.scene import PARAMETERS, Scene
+from rigid_body_ros.sensing.reading import read_all
 import yaml
 
 #: Estimates that are not parameters of a scene.

@@ -21,11 +21,11 @@ import math
 from typing import Any
 
 import numpy as np
-from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.identifiability import Direction
 from rigid_body_ros.identification.residuals import Misfit, Residuals
-from rigid_body_ros.state import State
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.state import State
 
 #: Half the width of a 95 % interval, in standard deviations.
 _NORMAL_95 = 1.959963984540054

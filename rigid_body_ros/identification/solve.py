@@ -28,12 +28,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.experiment import Channel, Experiment, local_state
 from rigid_body_ros.identification.parameters import Parameters, Physics
 from rigid_body_ros.identification.problem import Problem, Weights
 from rigid_body_ros.identification.windows import LEAD_NS, States, Window, windows_of
+from rigid_body_ros.mechanics import so3
 
 #: rad; the body turns by about this much in the first windows.
 _FIRST = 8.0

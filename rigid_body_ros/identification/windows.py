@@ -21,13 +21,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.experiment import Channel, Experiment
 from rigid_body_ros.identification.parameters import Physics
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import propagate, Trajectory
-from rigid_body_ros.state import State
-from rigid_body_ros.torque import TorqueLog
 
 #: ns; a window with a fitted clock begins this much before its first sample.
 LEAD_NS = 200_000_000

@@ -26,9 +26,9 @@ import time
 from typing import Any
 
 from rigid_body_ros.common.errors import InputError, quoted
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.runtime import files
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.state import State
 
 _FORMAT, _SUFFIX = 'rigid_body_ros checkpoint 1', '.json'
 #: Parameters of a scene that do not change its motion under given torques.

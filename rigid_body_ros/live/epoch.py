@@ -20,13 +20,13 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
-from rigid_body_ros import euler
 from rigid_body_ros.kernels.jit import announced
 from rigid_body_ros.live.inputs import Torque
+from rigid_body_ros.mechanics import euler
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Propagator
 from rigid_body_ros.propagation.segment import Sample, WHEELS
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.state import State
 
 #: Logged before the compilation.
 _COMPILING = ('compiling the kernels, or waiting for a process that does: usually up to a minute, '

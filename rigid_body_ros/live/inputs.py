@@ -22,7 +22,6 @@ from typing import NamedTuple
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import quoted
-from rigid_body_ros.frames import Frame, OffAxisError
 from rigid_body_ros.live.events import (
     Events,
     FRAME,
@@ -31,10 +30,11 @@ from rigid_body_ros.live.events import (
     RejectedError,
     TOO_LARGE,
 )
+from rigid_body_ros.mechanics.frames import Frame, OffAxisError
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.propagation.segment import WHEELS
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.state import State
 
 #: rad/s^2; an acceleration that reaches FASTEST, a radian per nanosecond, within a second.
 _LARGEST_ACCELERATION = 1e9

@@ -34,8 +34,8 @@ from rigid_body_ros.live.events import (
     REPLACED,
 )
 from rigid_body_ros.live.inputs import Torque
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.state import State
 
 #: Largest number of messages in one burst.
 LOG_DEPTH = 10_000

@@ -40,6 +40,7 @@ from rigid_body_ros.live.epoch import warm_up_for
 from rigid_body_ros.live.events import RECEIVED, RejectedError, UNSAVED
 from rigid_body_ros.live.inputs import Inputs, Torque
 from rigid_body_ros.live.torque_queue import Sender
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.diagnostics import Diagnostics
 from rigid_body_ros.node.drain import DrainCallback
 from rigid_body_ros.node.lockstep import Lockstep
@@ -48,7 +49,6 @@ from rigid_body_ros.node.parameters import check_qos_overrides, Parameters
 from rigid_body_ros.node.realtime import Realtime
 from rigid_body_ros.node.sources import check_topics, Source, sources_of
 from rigid_body_ros.scene import LOCKSTEP
-from rigid_body_ros.state import State
 from std_srvs.srv import Trigger
 
 try:

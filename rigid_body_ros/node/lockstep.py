@@ -37,10 +37,10 @@ from rigid_body_ros.live.closed_loop import DuplicateFilter, RepublishPolicy
 from rigid_body_ros.live.events import APPLIED, DIFFERS, FUTURE, RejectedError, REPLACED, STALE
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.live.torque_queue import Queued, Sender
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.clocks import ClockMonitor
 from rigid_body_ros.node.mode import Mode
 from rigid_body_ros.node.sources import sources_of
-from rigid_body_ros.state import State
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 

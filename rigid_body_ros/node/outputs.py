@@ -28,15 +28,16 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rigid_body_ros import euler, messages
+from rigid_body_ros import messages
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.live.events import UNSENT
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.live.run import LOG_DEPTH
+from rigid_body_ros.mechanics import euler
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.diagnostics import Diagnostics
 from rigid_body_ros.node.sources import Source
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.state import State
 from sensor_msgs.msg import Imu
 
 try:

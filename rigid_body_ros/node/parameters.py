@@ -32,11 +32,11 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rigid_body_ros import scene
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.robot_description import with_robot_description
 from rigid_body_ros.propagation.solvers import solver_named
 from rigid_body_ros.runtime.parameters import resembled
 from rigid_body_ros.scene import QOS, Scene
-from rigid_body_ros.state import State
 
 _RATE = 'publish_rate'
 #: Topics of rclpy itself.

@@ -20,9 +20,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import motion_layout
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import layout, loop, summation
 from rigid_body_ros.propagation.models import CombinedUsage
 from rigid_body_ros.propagation.options import Options
@@ -30,8 +32,6 @@ from rigid_body_ros.propagation.origin import origin_of
 from rigid_body_ros.propagation.requested import checked_times
 from rigid_body_ros.propagation.rotors import Rotors
 from rigid_body_ros.propagation.trajectory import Trajectory
-from rigid_body_ros.state import State
-from rigid_body_ros.torque import TorqueLog
 
 
 class CombinedMotion:

@@ -20,9 +20,11 @@ from collections.abc import Hashable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import motion_layout, state_layout
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import layout, loop
 from rigid_body_ros.propagation.combined import CombinedMotion
 from rigid_body_ros.propagation.models import SolverUsage
@@ -32,8 +34,6 @@ from rigid_body_ros.propagation.propagator import Propagator
 from rigid_body_ros.propagation.requested import checked_times
 from rigid_body_ros.propagation.rotors import Rotors
 from rigid_body_ros.propagation.trajectory import Trajectory
-from rigid_body_ros.state import State
-from rigid_body_ros.torque import TorqueLog
 
 _NO_LOG = TorqueLog([], [])
 

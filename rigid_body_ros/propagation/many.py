@@ -24,17 +24,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros.bodies import RigidBodies
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import motion_layout
 from rigid_body_ros.kernels.lanes import LANES
+from rigid_body_ros.mechanics.bodies import RigidBodies
+from rigid_body_ros.mechanics.states import States
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import layout, loop, many_loop, summation
 from rigid_body_ros.propagation.combined import check_wheels
 from rigid_body_ros.propagation.integration import check_solver
 from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.requested import checked_times
-from rigid_body_ros.states import States
-from rigid_body_ros.torque import TorqueLog
 
 _NO_LOG = TorqueLog([], [])
 #: s; a call of the kernel that takes less is followed by one for twice as many runs. In between

@@ -21,11 +21,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.body import RigidBody
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.solvers import AUTO, EXACT, LONG_COAST, TAYLOR
 from rigid_body_ros.propagation.summation import Summed
-from rigid_body_ros.torque import TorqueLog
 
 
 class Model(NamedTuple):

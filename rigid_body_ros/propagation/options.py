@@ -21,9 +21,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
-from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, LONGEST
+from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.propagation import layout
 from rigid_body_ros.propagation.solvers import AUTO, Solver, solver_named
 

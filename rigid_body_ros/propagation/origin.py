@@ -20,7 +20,7 @@ from collections.abc import Hashable
 from typing import NamedTuple
 
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.state import State
+from rigid_body_ros.mechanics.state import State
 
 
 class Origin(NamedTuple):

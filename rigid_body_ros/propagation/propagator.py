@@ -25,14 +25,14 @@ import time
 
 import numpy as np
 from numpy.typing import ArrayLike
-from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, instant, NEVER_NS
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import FRAMES
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import without_origin
 from rigid_body_ros.propagation.segment import Sample, Segment, Sum, summed, timed_out, WHEELS
-from rigid_body_ros.state import State
-from rigid_body_ros.torque import FRAMES
 
 
 class Propagator:

@@ -24,14 +24,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import motion_layout
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import layout, loop
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
 from rigid_body_ros.propagation.rotors import momentum_at
-from rigid_body_ros.state import State
 
 #: The key of the torque on the rotors among the sources: the last one.
 WHEELS = sys.maxsize

@@ -21,14 +21,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from rigid_body_ros import so3
-from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
 from rigid_body_ros.propagation.integration import propagate
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.trajectory import Trajectory
-from rigid_body_ros.state import State
-from rigid_body_ros.torque import torque_logs, TorqueLog
 
 #: How often each kind of change is tried.
 _ROUNDS = 2

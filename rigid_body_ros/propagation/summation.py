@@ -32,9 +32,9 @@ from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels import four
 from rigid_body_ros.kernels.jit import inlined, njit
 from rigid_body_ros.kernels.vector import add, of, Polynomial, shifted, Vector
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import intervals
 from rigid_body_ros.propagation.rotors import after, Rotor
-from rigid_body_ros.torque import TorqueLog
 
 
 class Summed(NamedTuple):

@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import euler, so3
-from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import motion_layout
+from rigid_body_ros.mechanics import euler, so3
+from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.propagation.models import CombinedUsage, Model, SolverUsage
 from rigid_body_ros.propagation.rotors import Rotors
 

@@ -29,6 +29,7 @@ from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted, reason, shortened
 from rigid_body_ros.common.times import duration_ns
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording import bulk, transforms
 from rigid_body_ros.recording.bulk import Raw
@@ -39,7 +40,6 @@ from rigid_body_ros.recording.sqlite_file import SqliteFile
 from rigid_body_ros.recording.unpack import temporary, unpack_each, unpack_file
 from rigid_body_ros.recording.writer import Writer
 from rigid_body_ros.runtime.reading import read_yaml
-from rigid_body_ros.state import State
 import yaml
 from yaml.constructor import BaseConstructor
 

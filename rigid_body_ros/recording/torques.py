@@ -28,10 +28,10 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted, reason
-from rigid_body_ros.frames import Frame, Frames, NO_FRAMES, OffAxisError
+from rigid_body_ros.mechanics.frames import Frame, Frames, NO_FRAMES, OffAxisError
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.recording.source import Messages
-from rigid_body_ros.state import State
-from rigid_body_ros.torque import TorqueLog
 
 #: Ten years: longer than any simulation, and earlier than any wall-clock time.
 _SIMULATED_NS = 315_576_000 * 10 ** 9

@@ -26,18 +26,19 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import messages, so3
+from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import INTERPOLATIONS, torque_logs, TorqueLog
 from rigid_body_ros.propagation import Integration, Options, Trajectory
 from rigid_body_ros.propagation.combined import CombinedMotion
 from rigid_body_ros.recording import NotInOrderError, Piece
 from rigid_body_ros.replay.gaps import announce, computing_time, Gaps
 from rigid_body_ros.replay.sources import Sources
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.state import State
-from rigid_body_ros.torque import INTERPOLATIONS, torque_logs, TorqueLog
 
 #: Largest number of outputs in a batch.
 _LARGEST = 2 ** 16

@@ -25,14 +25,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
 from rigid_body_ros.propagation import propagate, summation, Trajectory
 from rigid_body_ros.propagation.rotors import Rotors
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.state import State
-from rigid_body_ros.torque import torque_logs, TorqueLog
 
 #: The energy balance covers at most this many intervals of at most this angle, rad.
 _MOST_INTERVALS = 200_000

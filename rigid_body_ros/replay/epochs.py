@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.recording import Messages
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.state import State
 
 
 def aligned(path: str | Path, topics: Sequence[Sequence[Messages]],

@@ -23,10 +23,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation.options import FASTEST, Options
 from rigid_body_ros.runtime.terminal import report
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.torque import TorqueLog
 
 #: A torque that acts for longer than this, s, and than this many usual spacings is reported.
 _LONG, _TIMES = 1.0, 100

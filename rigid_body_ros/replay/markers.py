@@ -17,9 +17,10 @@
 from __future__ import annotations
 
 import numpy as np
-from rigid_body_ros import messages, so3
-from rigid_body_ros.body import RigidBody, uniform_box
+from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.body import RigidBody, uniform_box
 from rigid_body_ros.propagation import Trajectory
 from rigid_body_ros.recording import Column
 

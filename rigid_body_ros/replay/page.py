@@ -20,8 +20,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import so3
 from rigid_body_ros.common.arrays import Floats, written
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
 from rigid_body_ros.replay.batches import Batch
 from rigid_body_ros.replay.report import rows
 from rigid_body_ros.replay.single import Replay
@@ -30,7 +31,6 @@ from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page
 from rigid_body_ros.report.thinning import EveryNth, Extremes
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.torque import torque_logs, TorqueLog
 
 
 class Collector:

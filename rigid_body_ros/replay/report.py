@@ -16,8 +16,8 @@
 
 from __future__ import annotations
 
-from rigid_body_ros import euler
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.mechanics import euler
 from rigid_body_ros.replay.check import LastDigits
 from rigid_body_ros.replay.single import Replay
 from rigid_body_ros.report.text import interpolation_row, lines

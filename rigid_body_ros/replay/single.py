@@ -30,6 +30,8 @@ import time
 import numpy as np
 from rigid_body_ros import recording
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.messages import VECTOR3
 from rigid_body_ros.propagation import Trajectory, warm_up
 from rigid_body_ros.recording import Messages, NotInOrderError, Piece, Source
@@ -48,8 +50,6 @@ from rigid_body_ros.replay.progress import progress
 from rigid_body_ros.replay.sources import absolute, read_sources, Topics, topics_of
 from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.state import State
-from rigid_body_ros.torque import TorqueLog
 
 #: The types of all topics that a motion depends on.
 _KINDS = (*recording.TORQUES, VECTOR3)

@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages, recording
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.recording import Messages, Track
 from rigid_body_ros.replay.epochs import aligned
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.state import State
-from rigid_body_ros.torque import TorqueLog
 
 #: The topic of the torque on the rotors.
 _WHEEL_TORQUE = 'wheel_torque'

@@ -23,10 +23,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import messages, recording, so3
+from rigid_body_ros import messages, recording
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, shortened
 from rigid_body_ros.common.times import duration_ns
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import propagate
 from rigid_body_ros.recording import Source
 from rigid_body_ros.replay.epochs import groups
@@ -35,7 +37,6 @@ from rigid_body_ros.replay.sources import Sources, topics_of
 from rigid_body_ros.report.text import lines
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, PROCESSOR, processor
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.state import State
 
 #: Message types of the states of a node and the attitude of a replay.
 _KINDS = (messages.ODOMETRY, messages.QUATERNION)

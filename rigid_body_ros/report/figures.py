@@ -25,6 +25,7 @@ from matplotlib.figure import Figure
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
 from rigid_body_ros.propagation import Trajectory
 from rigid_body_ros.report.labels import label, legend, literal, save
 from rigid_body_ros.report.style import (
@@ -39,7 +40,6 @@ from rigid_body_ros.report.style import (
     STYLES,
     TORQUES,
 )
-from rigid_body_ros.torque import torque_logs, TorqueLog
 
 _GREYS = ('#333333', '#999999')
 #: Largest number of points in a curve; more would not be visible.

@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import hermite, so3
-from rigid_body_ros.body import RigidBody, uniform_box
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.mechanics import hermite, so3
+from rigid_body_ros.mechanics.body import RigidBody, uniform_box
 from rigid_body_ros.report.charts import packed
 
 #: Columns of the rows: attitude, angular velocity, torque and rotor momentum in body axes.

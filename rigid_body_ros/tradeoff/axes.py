@@ -24,14 +24,14 @@ from __future__ import annotations
 from fractions import Fraction
 
 import numpy as np
-from rigid_body_ros import so3
-from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import body_layout, state_layout, tensor
 from rigid_body_ros.kernels import double_double as dd
 from rigid_body_ros.kernels.jit import njit
-from rigid_body_ros.state import State
-from rigid_body_ros.torque import TorqueLog
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import TorqueLog
 
 #: A coefficient too small to change a motion. It makes the kernels use the arithmetic for full
 #: tensors, so that the rounding also differs for a tensor that is diagonal to begin with.

@@ -22,9 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import so3
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.torque import INTERPOLATIONS, TorqueLog
 from rigid_body_ros.propagation import Trajectory
-from rigid_body_ros.torque import INTERPOLATIONS, TorqueLog
 from rigid_body_ros.tradeoff.problem import Problem
 
 #: Order of convergence of each interpolation in the sample spacing, for smooth torques.

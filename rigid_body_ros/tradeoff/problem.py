@@ -28,14 +28,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import so3
-from rigid_body_ros.body import RigidBody
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, instant, LONGEST
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import propagate, Trajectory
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
-from rigid_body_ros.state import State
-from rigid_body_ros.torque import TorqueLog
 from rigid_body_ros.tradeoff.axes import PrincipalAxes
 
 TIGHTEST = 1e-15

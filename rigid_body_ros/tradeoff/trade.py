@@ -24,11 +24,11 @@ import time
 from typing import Any
 
 import numpy as np
-from rigid_body_ros import so3
-from rigid_body_ros.body import RigidBody
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
 from rigid_body_ros.propagation import Trajectory, warm_up
-from rigid_body_ros.state import State
-from rigid_body_ros.torque import torque_logs, TorqueLog
 from rigid_body_ros.tradeoff.choices import Advice, Choice, Error, Measurement, NO_ERROR, recommend
 from rigid_body_ros.tradeoff.interpolation import (
     better_interpolation,

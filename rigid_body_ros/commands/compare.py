@@ -1,0 +1,163 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The command `attitude_compare`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rigid_body_ros.commands.arguments import (
+    add_overwrite,
+    add_report,
+    add_scene,
+    add_torques,
+    command_line,
+    load_scene,
+    parsed,
+    Parser,
+    positive,
+    show_summary,
+    warn_of_frames,
+)
+from rigid_body_ros.runtime import files
+
+if TYPE_CHECKING:
+    from rigid_body_ros.comparison import Comparison
+    from rigid_body_ros.scene import Scene
+
+
+def attitude_compare(arguments: Sequence[str] | None) -> int:
+    """Compare measured motion with the motion under recorded torques."""
+    options = parsed(compare_parser(), arguments)
+    with files.reading(options.recording, options.motion), \
+            files.protected('scene', options.scene), files.overwriting(options.overwrite):
+        files.check(*_outputs(options))
+        scene = load_scene(options)
+        found = _compared(options, scene)
+        warn_of_frames(options, options.recording, found.measured)
+        _write(options, found, scene)
+    from rigid_body_ros.comparison.summary import summary
+    show_summary(summary(found), 17, [name for name, _ in _outputs(options)])
+    return 0
+
+
+def _outputs(options: argparse.Namespace) -> Iterator[tuple[str, str]]:
+    from rigid_body_ros.replay import suffix_of
+    if options.output:
+        yield options.output, suffix_of(options.output)
+    for name, suffix in ((options.json, '.json'), (options.plot, '.png'),
+                         (options.report, '.html')):
+        if name:
+            yield name, suffix
+
+
+def _compared(options: argparse.Namespace, scene: Scene) -> Comparison:
+    from rigid_body_ros import replay
+    from rigid_body_ros.comparison.recorded import compare_recording, Reading
+    reading = Reading(options.interpolation, options.time_source,
+                      options.frames and tuple(options.frames),
+                      replay.progress('reading', size=len),
+                      replay.progress('comparing', ' steps'))
+    return compare_recording(
+        options.recording, scene, options.measured or (), topic=options.topic,
+        wheel_torque=options.wheel_torque, wheel_momentum=options.wheel_momentum,
+        motion=options.motion, align=options.align, horizons=options.horizon or (),
+        reading=reading)
+
+
+def _write(options: argparse.Namespace, found: Comparison, scene: Scene) -> None:
+    from rigid_body_ros.comparison import outputs
+    with files.protected('output', options.output, options.json):
+        if options.plot:
+            from rigid_body_ros.comparison import plot  # matplotlib takes long to load
+            with files.atomic_output(options.plot, '.png') as path:
+                plot.draw(path, found, Path(options.recording).name)
+    with files.protected('output', options.json):
+        if options.output:
+            outputs.write(options.output, found, scene.body_frame)
+    if options.json:
+        with files.atomic_output(options.json, '.json') as path:
+            path.write_text(f'{json.dumps(found.as_dict(), indent=1)}\n', encoding='utf-8')
+    if options.report:
+        with files.protected('output', options.output, options.json, options.plot):
+            _write_page(options, found, scene)
+
+
+def _write_page(options: argparse.Namespace, found: Comparison, scene: Scene) -> None:
+    from rigid_body_ros.comparison.page import page
+    from rigid_body_ros.report.page import write
+    line = command_line(options, 'recording', 'scene', 'motion', 'output', 'json', 'plot',
+                        'report')
+    write(options.report, page(found, Path(options.recording).name, scene, line))
+
+
+def compare_parser() -> argparse.ArgumentParser:
+    """Return the argument parser of `attitude_compare`."""
+    parser = Parser(
+        prog='attitude_compare',
+        description='Compare measured attitudes and angular velocities with the motion under '
+        'recorded torques. Print how large the errors are and what probably causes them.')
+    parser.add_argument('recording', metavar='RECORDING',
+                        help='recording of torques and measurements, as for attitude_replay')
+    add_scene(parser)
+    parser.add_argument('--measured', action='append', metavar='TOPIC',
+                        help='measured topic (QuaternionStamped, PoseStamped, '
+                        'PoseWithCovarianceStamped, TransformStamped, TFMessage, Odometry, Imu, '
+                        'or Vector3Stamped, an angular velocity); may be repeated (default: the '
+                        'only topic of one of these types but the last)')
+    parser.add_argument('--frames', nargs=2, metavar=('PARENT', 'CHILD'),
+                        help='the two frames of measured transforms or odometry (default: those '
+                        'of the scene)')
+    add_torques(parser)
+    parser.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
+                        help="interpolation of the torques between samples (default: the scene's)")
+    parser.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
+                        help='time of torques and measurements: the stamp in the header, or when '
+                        'the message was logged or published (default: header)')
+    parser.add_argument('--motion', metavar='FILE',
+                        help='compare this recorded motion, such as the output of '
+                        'attitude_replay, instead of computing one')
+    parser.add_argument('--align', type=_names, default=(), metavar='NAMES',
+                        help='fit some of start, clock, mount, separated by commas: the initial '
+                        'attitude and angular velocity, a constant offset of the clocks, and the '
+                        'constant rotations between the axes of sensor and body and between the '
+                        'two space axes (default: fit nothing)')
+    parser.add_argument('--horizon', type=positive, action='append', metavar='SECONDS',
+                        help='restart from the measurement every SECONDS and report the error '
+                        'after that time; may be repeated')
+    parser.add_argument('-o', '--output', metavar='RESIDUALS',
+                        help='write /error/rotation_vector, /error/angular_velocity and '
+                        '/residual_torque to this MCAP file, or, if the name does not end in '
+                        '.mcap, to a new rosbag2 folder')
+    parser.add_argument('--json', metavar='OUT', help='write the result, with units, to this file')
+    parser.add_argument('--plot', metavar='PNG', help='plot errors, torque, errors after the '
+                        'horizons and residual torque over time')
+    add_report(parser, 'these plots, the moving body and the summary')
+    add_overwrite(parser)
+    return parser
+
+
+def _names(text: str) -> tuple[str, ...]:
+    from rigid_body_ros.comparison import ALIGNMENTS
+    names = tuple(name.strip() for name in text.split(','))
+    for name in names:
+        if name not in ALIGNMENTS:
+            raise argparse.ArgumentTypeError(f'expected some of {", ".join(ALIGNMENTS)}, '
+                                             f'separated by commas, found {name!r}')
+    return names

@@ -1,0 +1,245 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The command `attitude_ensemble`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+from rigid_body_ros.commands.arguments import (
+    add_overwrite,
+    add_report,
+    add_scene,
+    add_scheduler,
+    add_torques,
+    command_line,
+    load_scene,
+    note,
+    parsed,
+    Parser,
+    positive,
+    show_summary,
+)
+from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.runtime import files
+
+if TYPE_CHECKING:
+    from rigid_body_ros.ensemble.driver import Pool
+    from rigid_body_ros.ensemble.runs import Ensemble
+    from rigid_body_ros.mechanics.state import State
+    from rigid_body_ros.mechanics.torque import TorqueLog
+    from rigid_body_ros.scene import Scene
+
+#: The value of --times that keeps the final state only.
+FINAL = 'final'
+
+
+def attitude_ensemble(arguments: Sequence[str] | None) -> int:
+    """Compute many runs with dispersed parameters."""
+    options = parsed(ensemble_parser(), arguments)
+    from rigid_body_ros import replay
+    from rigid_body_ros.ensemble import driver, summary
+    from rigid_body_ros.ensemble.folder import opened
+    with files.reading(options.recording), files.protected('input', options.scene, options.vary):
+        ensemble = _ensemble(options)
+        identity = _identity(ensemble, options.times)
+        with opened(options.output, identity, ensemble.columns, options.runs, ensemble.times,
+                    note=partial(note, options)) as folder:
+            if options.report:
+                with files.overwriting(options.overwrite):
+                    files.check((options.report, '.html'))
+            driver.compute(ensemble, folder, _pool(options), replay.progress(
+                'runs', ' runs', driver.runs_of))
+            found = summary.summarized(ensemble, folder)
+            _draw(options, folder.picture, found)
+            folder.finish({**identity, **found})
+            if options.report:
+                _write_page(options, found, ensemble.scene)
+    show_summary(summary.text_of(found), 17, filter(None, [options.output, options.report]))
+    if found['failed'] == found['runs']:
+        raise InputError(f'{options.output}: expected runs that can be computed, found that all '
+                         f'{found["runs"]} failed')
+    return 0
+
+
+def _draw(options: argparse.Namespace, path: Path, found: Mapping[str, Any]) -> None:
+    if not found['histogram']:
+        return  # all runs failed
+    try:
+        from rigid_body_ros.report import spread  # matplotlib takes long to load
+    except ModuleNotFoundError as error:
+        package = str(error.name).split('.')[0]
+        note(options, f'{path}: not drawn: Python module {package!r} is not installed')
+        return
+    from rigid_body_ros.ensemble.summary import ranked
+    with files.atomic_output(path, '.png') as temporary:
+        spread.draw(temporary, found, ranked(found), _title(options))
+
+
+def _write_page(options: argparse.Namespace, found: Mapping[str, Any], scene: Scene) -> None:
+    from rigid_body_ros.ensemble.page import page
+    from rigid_body_ros.report.page import write
+    line = command_line(options, 'scene', 'vary', 'recording', 'output', 'report')
+    with files.overwriting(options.overwrite):
+        write(options.report, page(found, _title(options), scene, line))
+
+
+def _title(options: argparse.Namespace) -> str:
+    return Path(options.recording or options.scene).name
+
+
+def _pool(options: argparse.Namespace) -> Pool:
+    from rigid_body_ros.ensemble import driver
+    if options.scheduler:
+        return driver.cluster(options.scheduler, partial(note, options))
+    return driver.threads(options.workers or os.cpu_count() or 1)
+
+
+def _ensemble(options: argparse.Namespace) -> Ensemble:
+    from rigid_body_ros.ensemble import dispersions, fitted
+    from rigid_body_ros.ensemble.motions import times_of
+    from rigid_body_ros.ensemble.runs import Ensemble
+    is_fitted = Path(options.vary).suffix == '.json'
+    varied = () if is_fitted else dispersions.load(options.vary)
+    estimates = fitted.load(options.vary) if is_fitted else None
+    if estimates and estimates.ignored:
+        note(options, f'{options.vary}: {listed(estimates.ignored)}: no effect on the motion')
+    scene = load_scene(options)
+    logs, wheels, start, end_ns = _torques(options, scene)
+    times_ns = None if options.times == FINAL else times_of(start.time_ns, end_ns, options.times)
+    try:
+        ensemble = Ensemble(scene, start, logs, wheels, end_ns, varied, options.seed, estimates,
+                            times_ns)
+    except InputError as error:
+        raise InputError(f'{options.vary}: {error}') from error
+    try:
+        ensemble.nominal_attitude  # noqa: B018 (reports a motion that is not possible at all)
+    except ValueError as error:
+        raise InputError(f'{options.vary if estimates else options.scene}: {error}') from error
+    return ensemble
+
+
+def _torques(options: argparse.Namespace, scene: Scene
+             ) -> tuple[tuple[TorqueLog, ...], TorqueLog | None, State, int]:
+    """Return the torques on body and rotors, the nominal initial state, and the end, ns."""
+    from rigid_body_ros import replay
+    until_ns = round(options.until * 1e9) if options.until else None
+    if options.recording is None:
+        if until_ns is None:
+            raise InputError('--until: expected the end of the motion, or a --recording, found '
+                             'neither')
+        return (), None, scene.start, scene.start.time_ns + until_ns
+    topics = replay.topics_of(options.topic, options.wheel_torque, options.wheel_momentum)
+    logs, wheels, stamps, start = replay.torques(options.recording, scene, topics)
+    end_ns = int(stamps[-1]) if until_ns is None else start.time_ns + until_ns
+    return tuple(logs), wheels, start, max(end_ns, start.time_ns)
+
+
+def _identity(ensemble: Ensemble, times: float | str) -> dict[str, Any]:
+    """Return what the runs depend on, as JSON: folders with the same have the same runs."""
+    from rigid_body_ros.runtime.fingerprint import fingerprint
+    values = json.dumps(dict(ensemble.scene.values), sort_keys=True)
+    # Through JSON, so that what is compared is what is read from a file.
+    return dict(json.loads(json.dumps({
+        'seed': ensemble.seed, **_varied(ensemble),
+        'scene': f'sha256:{hashlib.sha256(values.encode()).hexdigest()}',
+        'recording': recording_hash([*ensemble.logs, *filter(None, [ensemble.wheels])]),
+        'start_ns': ensemble.start.time_ns, 'end_ns': ensemble.end_ns, 'times': times,
+        'versions': fingerprint()})))
+
+
+def recording_hash(logs: Sequence[TorqueLog]) -> str:
+    """Return a hash of the torques of a recording, those on rotors last."""
+    torques = hashlib.sha256()
+    for log in logs:
+        for array in (log.times_ns, log.torques, log.in_space):
+            torques.update(array.tobytes())
+        torques.update(log.interpolation.encode())
+    return f'sha256:{torques.hexdigest()}'
+
+
+def _varied(ensemble: Ensemble) -> dict[str, Any]:
+    fitted = ensemble.fitted
+    if fitted is None:
+        return {'vary': [asdict(one) for one in ensemble.dispersions]}
+    distribution = fitted.covariance.tobytes() + fitted.guess_attitude.tobytes()
+    return {'vary': dict(fitted.estimates),
+            'covariance': f'sha256:{hashlib.sha256(distribution).hexdigest()}'}
+
+
+def ensemble_parser() -> argparse.ArgumentParser:
+    """Return the argument parser of `attitude_ensemble`."""
+    parser = Parser(
+        prog='attitude_ensemble',
+        description='Compute many runs with dispersed parameters. Write a row for each run with '
+        'the values applied and the final state; print how far the runs end from the nominal one, '
+        'and which parameters matter. Started again, it goes on where it stopped; with more runs, '
+        'it adds them.')
+    add_scene(parser)
+    parser.add_argument('--vary', required=True, metavar='FILE',
+                        help='YAML file with the distribution of each dispersed parameter, or '
+                        'the JSON file of attitude_identify: its estimates then vary jointly')
+    parser.add_argument('--runs', required=True, type=_integer(1, 10 ** 9), metavar='N',
+                        help='number of runs')
+    parser.add_argument('--recording', metavar='IN',
+                        help='recording of torques, as for attitude_replay (default: no torque)')
+    add_torques(parser)
+    parser.add_argument('--until', type=positive, metavar='SECONDS',
+                        help='end SECONDS after the start (default: at the last torque stamp); '
+                        'required without a recording')
+    parser.add_argument('--times', type=_times, default=FINAL, metavar=f'HZ|{FINAL}',
+                        help='states to keep: HZ times a second from the start, and the end, in '
+                        'motion.zarr; or the final state only (default: final)')
+    parser.add_argument('--seed', type=_integer(0, 2 ** 63 - 1), default=0, metavar='S',
+                        help='seed of the random numbers (default: 0)')
+    pool = parser.add_mutually_exclusive_group()
+    pool.add_argument('--workers', type=_integer(1, 1024), metavar='K', help='number of '
+                      'threads; it does not change the results (default: one for each processor)')
+    add_scheduler(pool)
+    parser.add_argument('-o', '--output', required=True, metavar='FOLDER',
+                        help='folder for the results: a new one, or that of the same ensemble')
+    add_report(parser, 'the summary, the histogram of the final angles, their percentiles over '
+               'time, and the rank correlations')
+    add_overwrite(parser)
+    return parser
+
+
+def _times(text: str) -> float | str:
+    try:
+        return FINAL if text == FINAL else positive(text)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(str(error).replace(
+            'expected', f'expected {FINAL} or', 1)) from error
+
+
+def _integer(low: int, high: int) -> Callable[[str], int]:
+    def checked(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = low - 1
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f'expected an integer from {low} to {high}, found '
+                                             f'{text!r}')
+        return value
+    return checked

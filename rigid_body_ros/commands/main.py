@@ -1,0 +1,131 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The entry points of the commands: handle signals, run the command, return the exit status.
+
+Importing this module takes a few milliseconds, and importing the commands takes about a second.
+They are therefore imported after signals are handled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from importlib import import_module
+import signal
+import sys
+from typing import Any
+
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.runtime import interrupts
+from rigid_body_ros.runtime.terminal import report, show
+
+#: Exit status after a mistake of the user; docs/nodes.md has the meaning of all.
+USER_ERROR = 2
+#: A command that a signal ended exits with this plus the number of the signal.
+SIGNALLED = 128
+#: The number of SIGPIPE, which ends other programs when the reader of their output exits.
+_BROKEN_PIPE = 13
+
+
+def attitude_replay(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_replay` and return its exit status."""
+    return _run('replay', 'attitude_replay', arguments)
+
+
+def attitude_tradeoff(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_tradeoff` and return its exit status."""
+    return _run('tradeoff', 'attitude_tradeoff', arguments)
+
+
+def attitude_compare(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_compare` and return its exit status."""
+    return _run('compare', 'attitude_compare', arguments)
+
+
+def attitude_identify(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_identify` and return its exit status."""
+    return _run('identify', 'attitude_identify', arguments)
+
+
+def attitude_ensemble(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_ensemble` and return its exit status."""
+    return _run('ensemble', 'attitude_ensemble', arguments)
+
+
+def attitude_node(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_node` and return its exit status."""
+    return _run('nodes', 'attitude_node', arguments)
+
+
+def attitude_lifecycle_node(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_lifecycle_node` and return its exit status."""
+    return _run('nodes', 'attitude_lifecycle_node', arguments)
+
+
+def attitude_controller(arguments: Sequence[str] | None = None) -> int:
+    """Run `attitude_controller` and return its exit status."""
+    return _run('nodes', 'attitude_controller', arguments)
+
+
+def _run(module: str, name: str, arguments: Sequence[str] | None) -> int:
+    def command() -> int:
+        import logging
+        run = getattr(import_module(f'{__package__}.{module}'), name)
+        # Without a writable home, it warns in two lines that it uses a temporary folder.
+        logging.getLogger('matplotlib').setLevel(logging.ERROR)
+        interrupts.check()
+        return int(run(arguments))
+    status = _guarded(name, command, arguments)
+    return status if arguments is not None else interrupts.end(status)
+
+
+def _guarded(name: str, command: Callable[[], int], arguments: Sequence[str] | None) -> int:
+    """Run a command, report errors and signals in one line, and return the exit status."""
+    try:
+        # Without explicit arguments this is the command of the process, which exits afterwards.
+        with interrupts.deferred(until_exit=arguments is None):
+            return _called(command)
+    except InputError as error:
+        report(f'{name}: error: {error}')
+        return USER_ERROR
+    except ModuleNotFoundError as error:
+        package = str(error.name).split('.')[0]
+        if package == __package__.split('.')[0]:
+            raise
+        report(f'{name}: error: Python module {package!r} is not installed; '
+               f'run python3 -m pip install {package}')
+        return USER_ERROR
+    except BrokenPipeError:
+        sys.stdout = None  # otherwise Python flushes it again at exit
+        return SIGNALLED + _BROKEN_PIPE
+    except KeyboardInterrupt as interrupt:
+        details: list[Any] = [*interrupt.args] or [signal.SIGINT]  # Python's handler gives none
+        number, *kept = details
+        report(f'{name}: interrupted{"".join(kept) or "; no partial output was left"}')
+        return SIGNALLED + int(number)
+
+
+def _called(command: Callable[[], int]) -> int:
+    try:
+        return command()
+    except InputError:
+        raise
+    except Exception:  # C code that imports a module can raise it in place of KeyboardInterrupt
+        interrupts.check()
+        raise
+    except SystemExit:  # after --help, whose text may still be in the buffer
+        if sys.stdout is not None:
+            show('', end='')
+        raise

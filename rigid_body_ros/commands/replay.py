@@ -1,0 +1,215 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The command `attitude_replay`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+from rigid_body_ros.commands.arguments import (
+    add_overwrite,
+    add_report,
+    add_scene,
+    add_scheduler,
+    add_torques,
+    command_line,
+    load_scene,
+    note,
+    parsed,
+    Parser,
+    positive,
+    show_summary,
+    torque_options,
+)
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime.terminal import show
+
+if TYPE_CHECKING:
+    from rigid_body_ros.replay import Replay
+    from rigid_body_ros.replay.index import Picture
+    from rigid_body_ros.replay.many import Outcome, Pool
+    from rigid_body_ros.replay.page import Collector
+    from rigid_body_ros.scene import Scene
+
+#: Exit statuses; docs/nodes.md has their meaning.
+OK, DIFFERENT = 0, 1
+
+
+def attitude_replay(arguments: Sequence[str] | None) -> int:
+    """Compute the motion under recorded torques, or compare it with a recorded one."""
+    return _replay(parsed(replay_parser(), arguments))
+
+
+def _replay(options: argparse.Namespace) -> int:
+    with files.reading(*options.input), files.protected('scene', options.scene), \
+            files.overwriting(options.overwrite):
+        if options.verify:
+            return _verify(options)
+        if len(options.input) > 1:
+            return _replay_many(options)
+        if options.scheduler:
+            raise InputError('--scheduler: expected several recordings, found one')
+        return _replay_one(options)
+
+
+def _replay_one(options: argparse.Namespace) -> int:
+    from rigid_body_ros import replay
+    from rigid_body_ros.replay.report import summary
+    path, = options.input
+    if options.also and not options.output:
+        raise InputError('--also: expected an output file or folder (-o), found none')
+    outputs = [(options.output, replay.suffix_of(options.output))] if options.output else []
+    outputs += [(options.plot, '.png')] if options.plot else []
+    outputs += [(options.report, '.html')] if options.report else []
+    files.check(*outputs)
+    scene = load_scene(options)
+    result = replay.replay(path, scene, options.output, keep=bool(options.plot),
+                           collect=_collector(scene) if options.report else None,
+                           **_replay_options(options))
+    if options.plot:
+        with files.protected('output', options.output):
+            replay.plot(options.plot, result, Path(path).name)
+    if options.report:
+        with files.protected('output', options.output, options.plot):
+            _write_page(options, result, Path(path).name)
+    show_summary(summary(result), 14, [name for name, _ in outputs])
+    return OK
+
+
+def _collector(scene: Scene) -> Callable[[], Collector]:
+    from rigid_body_ros.replay.page import Collector
+    return partial(Collector, scene)
+
+
+def _write_page(options: argparse.Namespace, result: Replay, name: str) -> None:
+    from rigid_body_ros.replay.page import Collector
+    from rigid_body_ros.report import page
+    assert isinstance(result.collected, Collector)
+    line = command_line(options, 'input', 'scene', 'output', 'plot', 'report')
+    page.write(options.report, result.collected.page(result, name, line))
+
+
+def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
+    return {**torque_options(options), 'rate': options.rate, 'until': options.until,
+            'start': options.start, 'time_source': options.time_source, 'also': options.also}
+
+
+def _replay_many(options: argparse.Namespace) -> int:
+    from rigid_body_ros.replay.many import outputs_in, replay_many, table
+    if options.plot:
+        raise InputError(f'--plot: expected one recording, found {len(options.input)}')
+    if not options.output:
+        raise InputError('-o: expected a folder for several recordings, found none')
+    outputs, scene = outputs_in(options.output, options.input), load_scene(options)
+    if options.report:
+        with files.protected('output', *outputs):
+            files.check((options.report, '.html'))
+    outcomes = replay_many(options.input, scene, options.output, _pool(options),
+                           collect=_picture() if options.report else None,
+                           **_replay_options(options))
+    if options.report:
+        with files.protected('output', *outputs):
+            _write_index(options, outcomes, scene)
+    show(table(outcomes))
+    failed = [outcome.path for outcome in outcomes if outcome.error]
+    if failed:
+        raise InputError(f'{len(failed)} of {len(outcomes)} recordings failed: '
+                         f'{", ".join(failed)}')
+    return OK
+
+
+def _pool(options: argparse.Namespace) -> Pool | None:
+    if not options.scheduler:
+        return None
+    from rigid_body_ros.replay.remote import on_cluster
+    return on_cluster(options.scheduler, partial(note, options))
+
+
+def _picture() -> type[Picture]:
+    from rigid_body_ros.replay.index import Picture
+    return Picture
+
+
+def _write_index(options: argparse.Namespace, outcomes: Sequence[Outcome],
+                 scene: Scene) -> None:
+    from rigid_body_ros.replay.index import page
+    from rigid_body_ros.report.page import write
+    line = command_line(options, 'input', 'scene', 'output', 'report')
+    write(options.report, page(outcomes, scene, line))
+
+
+def _verify(options: argparse.Namespace) -> int:
+    from rigid_body_ros.replay.verify import summary, verify
+    if len(options.input) > 1:
+        raise InputError(f'--verify: expected one recording, found {len(options.input)}')
+    unused = [name for name in ('rate', 'start', 'also', 'plot', 'report', 'scheduler')
+              if getattr(options, name)]
+    if unused:
+        raise InputError(f'--verify: cannot be combined with --{unused[0]}')
+    result = verify(options.input[0], load_scene(options), options.verify,
+                    until=options.until, **torque_options(options))
+    show(summary(result))
+    return OK if result.same.all() else DIFFERENT
+
+
+def replay_parser() -> argparse.ArgumentParser:
+    """Return the argument parser of `attitude_replay`."""
+    parser = Parser(
+        prog='attitude_replay',
+        description='Compute the motion of a body from recorded torques. Print a summary; write '
+        'the motion (-o) or a plot (--plot) if asked to.')
+    parser.add_argument('input', metavar='INPUT', nargs='+',
+                        help='recording of torques: an MCAP file, a rosbag2 bag, or a CSV file '
+                        'with the columns time (s), tx, ty, tz (N m), or with column names and '
+                        'units in its first line')
+    add_scene(parser)
+    add_torques(parser)
+    target = parser.add_mutually_exclusive_group()
+    target.add_argument('-o', '--output', metavar='OUTPUT',
+                        help='write attitude, euler_angles, angular_velocity and, if there '
+                        'are rotors, rotor_momentum to this MCAP file, or, if the name does not '
+                        'end in .mcap, to a new rosbag2 folder; for several recordings, a folder '
+                        'of MCAP files')
+    target.add_argument('--verify', metavar='MOTION',
+                        help='recorded motion to compare with the computed one, bit for bit: the '
+                        'committed states of a node, of all its epochs, or the attitude of a '
+                        'replay; if they differ, the exit status is 1')
+    parser.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
+                        help="interpolation of the torques between samples (default: the scene's)")
+    parser.add_argument('--rate', type=positive, metavar='HZ',
+                        help='output rate (default: one output at each torque stamp)')
+    parser.add_argument('--start', type=positive, default=0.0, metavar='SECONDS',
+                        help='skip the first SECONDS of the recording')
+    parser.add_argument('--also', nargs='+', choices=('imu', 'tf', 'markers', 'input'), default=(),
+                        help='with -o, also write /imu/data, /tf or markers for rviz and Foxglove '
+                        '(/marker/...), or copy the messages of the input')
+    parser.add_argument('--until', '--duration', type=positive, metavar='SECONDS',
+                        help='end SECONDS after the start, or after the start of each epoch of a '
+                        'node (default: at the last torque stamp)')
+    parser.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
+                        help='when a torque takes effect: at the stamp in its header, or when '
+                        'its message was logged or published (default: header)')
+    parser.add_argument('--plot', metavar='PNG', help='plot Euler angles, quaternion, angular '
+                        'velocity and torque over time')
+    add_scheduler(parser)
+    add_report(parser, 'the moving body, these plots and the summary; of several recordings, '
+               'a row and a small picture each')
+    add_overwrite(parser)
+    return parser

@@ -1,0 +1,172 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The command `attitude_tradeoff`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rigid_body_ros.commands.arguments import (
+    add_overwrite,
+    add_report,
+    add_scene,
+    add_torques,
+    angle,
+    command_line,
+    load_scene,
+    parsed,
+    Parser,
+)
+from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime.terminal import show
+
+if TYPE_CHECKING:
+    from rigid_body_ros.mechanics.state import State
+    from rigid_body_ros.mechanics.torque import TorqueLog
+    from rigid_body_ros.scene import Scene
+    from rigid_body_ros.tradeoff import Tradeoff
+    from rigid_body_ros.tradeoff.choices import Spread
+
+
+def attitude_tradeoff(arguments: Sequence[str] | None) -> int:
+    """Measure the cost and the error of every solver."""
+    return _tradeoff(parsed(tradeoff_parser(), arguments))
+
+
+def _tradeoff(options: argparse.Namespace) -> int:
+    from rigid_body_ros.tradeoff import report
+    outputs = (options.json, '.json'), (options.plot, '.png'), (options.report, '.html')
+    with files.reading(options.recording), files.protected('scene', options.scene), \
+            files.protected('ensemble', options.ensemble), files.overwriting(options.overwrite):
+        files.check(*(output for output in outputs if output[0]))
+        scene = load_scene(options)
+        result, title = _measure(options, scene)
+        if options.json:
+            with files.atomic_output(options.json, '.json') as path:
+                text = json.dumps(report.as_data(result), indent=1)
+                path.write_text(f'{text}\n', encoding='utf-8')
+        if options.plot:
+            with files.protected('output', options.json):
+                _plot_tradeoff(options.plot, result, title)
+        if options.report:
+            with files.protected('output', options.json, options.plot):
+                _write_tradeoff_page(options, result, title, scene)
+    show(report.summary(result, all_rows=options.all))
+    return 0
+
+
+def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
+    """Return the result and a title that names the recording and its topic, or the scene."""
+    from rigid_body_ros import replay
+    from rigid_body_ros.tradeoff import ensemble, measure, TARGET
+    name, logs, wheels, start = _torques(options, scene)
+    source = options.recording or options.scene
+    spread = _spread(options, start, [*logs, *([wheels] if wheels else [])])
+    targets = [*(options.target or []), *([spread.target] if spread else [])] or [TARGET]
+    try:
+        result = measure(scene.body, start, logs, wheels=wheels, targets=targets,
+                         end_ns=spread.end_ns if spread else None,
+                         torque_timeout=scene.torque_timeout,
+                         track=replay.progress('measuring', ' runs'))
+    except ValueError as error:
+        raise InputError(f'{source}: {f"{name}: " if logs or wheels else ""}{error}') from error
+    if spread:
+        result = ensemble.advise(result, spread)
+    return result, f'{Path(source).name}: {name}'
+
+
+def _torques(options: argparse.Namespace, scene: Scene
+             ) -> tuple[str, Sequence[TorqueLog], TorqueLog | None, State]:
+    """Return the names of the topics, the torques on body and rotors, and the initial state."""
+    from rigid_body_ros import replay
+    topics = replay.topics_of(options.topic, options.wheel_torque, options.wheel_momentum)
+    is_plain = topics.is_plain(scene)
+    if options.recording is None:
+        return 'no torque', [], None, scene.start
+    if is_plain:
+        topic = next(iter(topics.torques), None)
+        recorded, log, start = replay.read(options.recording, scene, topic)
+        return recorded.topic, [log], None, start
+    found = topics.found_in(options.recording, scene)
+    logs, wheels, _, start = replay.torques(options.recording, scene, found)
+    names = [*found.torques, *filter(None, [found.wheel_torque, found.wheel_momentum])]
+    return listed(names), logs, wheels, start
+
+
+def _spread(options: argparse.Namespace, start: State,
+            logs: Sequence[TorqueLog]) -> Spread | None:
+    """Return the spread of the ensemble, if one is given; it must be of the motion to measure."""
+    if not options.ensemble:
+        return None
+    from rigid_body_ros.commands.ensemble import recording_hash
+    from rigid_body_ros.tradeoff import ensemble
+    spread = ensemble.read(options.ensemble)
+    if spread.recording != recording_hash(logs):
+        expected = f'under the torques of {options.recording}' if logs else 'without torques'
+        raise InputError(f'{options.ensemble}: expected an ensemble {expected}, found another')
+    if spread.start_ns != start.time_ns:
+        raise InputError(f'{options.ensemble}: expected an ensemble that starts at '
+                         f'{start.time_ns} ns, found {spread.start_ns} ns')
+    return spread
+
+
+def _plot_tradeoff(path: str, result: Tradeoff, title: str) -> None:
+    from rigid_body_ros.report import figures
+    from rigid_body_ros.tradeoff import report
+    with files.atomic_output(path, '.png') as temporary:
+        figures.work_precision(temporary, report.curves(result), title,
+                               report.reference_errors(result))
+
+
+def _write_tradeoff_page(options: argparse.Namespace, result: Tradeoff, title: str,
+                         scene: Scene) -> None:
+    from rigid_body_ros.report.page import write
+    from rigid_body_ros.tradeoff.page import page
+    line = command_line(options, 'recording', 'scene', 'ensemble', 'json', 'plot', 'report')
+    write(options.report, page(result, title, scene, line))
+
+
+def tradeoff_parser() -> argparse.ArgumentParser:
+    """Return the argument parser of `attitude_tradeoff`."""
+    from rigid_body_ros.tradeoff import TARGET
+    parser = Parser(
+        prog='attitude_tradeoff',
+        description='Measure the cost and the error of every solver on your own motion, and '
+        'recommend a setting.')
+    add_scene(parser)
+    parser.add_argument('--recording', metavar='IN', help='recording of torques, as for '
+                        'attitude_replay (default: 50 turns without torque)')
+    add_torques(parser)
+    parser.add_argument('--target', type=angle, action='append', metavar='RAD',
+                        help='largest attitude error of the solver that is allowed anywhere in '
+                        'the recording; the error of the interpolation between torque samples is '
+                        f'reported separately; may be repeated (default: {TARGET:g}, or that '
+                        'of --ensemble)')
+    parser.add_argument('--ensemble', metavar='FOLDER', help='folder of attitude_ensemble with '
+                        'the same motion: adds a tenth of the spread of its runs as a target, '
+                        'measures up to their end, and reports the time that the setting saves')
+    parser.add_argument('--all', action='store_true', help='print all settings, not only the '
+                        'Pareto-optimal ones')
+    parser.add_argument('--json', metavar='OUT',
+                        help='write all results, with units, to this file')
+    parser.add_argument('--plot', metavar='PNG', help='plot cost over error, one curve per solver')
+    add_report(parser, 'this plot, the recommended lines to copy, and the limits of accuracy')
+    add_overwrite(parser)
+    return parser

@@ -1,0 +1,36 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Measured motions: read them, and compare them with the propagated one.
+
+`measured` is what a sensor measured, and `reading` reads it from a recording. `motion` is what it
+is compared with. `align`, from the guess of `coarse` on, brings both into one time and one pair of
+frames. `comparison` returns the errors, `horizons` those after restarts, `residual_torque` what
+the torque log lacks, and `causes` what explains the errors. The command reads with `recorded`,
+writes with `outputs` and prints with `summary`.
+"""
+
+from rigid_body_ros.comparison.align import ALIGNMENTS
+from rigid_body_ros.comparison.alignment import Alignment
+from rigid_body_ros.comparison.causes import Cause
+from rigid_body_ros.comparison.comparison import compare
+from rigid_body_ros.comparison.errors import Comparison, Errors
+from rigid_body_ros.comparison.horizons import Horizon
+from rigid_body_ros.comparison.residual_torque import ResidualTorque
+from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.reading import KINDS, read_all, read_measured
+
+__all__ = ['ALIGNMENTS', 'KINDS', 'Alignment', 'Cause', 'Comparison', 'Errors', 'Horizon',
+           'Measured', 'ResidualTorque', 'compare', 'read_all', 'read_measured']

@@ -1,0 +1,99 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What brings a measurement into the time, the frames and the start of a motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.sensing.measured import Measured
+
+
+def _identity() -> Floats:
+    return np.array([0.0, 0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """
+    What brings a measurement into the time and the frames of a motion.
+
+    Measured attitude = `space` * attitude of the motion * `mount`.
+
+    Attributes
+    ----------
+    clock_offset_s : float, s
+        Added to the measured stamps.
+    mount, space : array, shape (4,)
+        x y z w; `mount` maps vectors from the axes of the sensor to the body axes.
+    start : State, optional
+        The fitted start; None for that of the scene.
+    sigma : dict
+        Standard deviations of what was fitted: 'clock_offset_s' in s, and arrays of shape (3,):
+        'mount_rad', 'space_rad' and 'initial_attitude_rad' about the axes of sensor, space and
+        body, 'initial_angular_velocity_rad_s'. Infinite if the measurement does not determine a
+        value.
+
+    """
+
+    clock_offset_s: float = 0.0
+    mount: Floats = field(default_factory=_identity)
+    space: Floats = field(default_factory=_identity)
+    start: State | None = None
+    sigma: dict[str, Any] | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the alignment as JSON types; an infinite standard deviation is None."""
+        found: dict[str, Any] = {
+            'clock_offset_s': self.clock_offset_s, 'mount_xyzw': _upper(self.mount).tolist(),
+            'space_xyzw': _upper(self.space).tolist(),
+            'start': 'fitted' if self.start else 'scene'}
+        if self.start:
+            found['initial_attitude_xyzw'] = self.start.attitude.tolist()
+            found['initial_angular_velocity_rad_s'] = self.start.angular_velocity.tolist()
+        if self.sigma:
+            found['sigma'] = {name: _finite(value) for name, value in self.sigma.items()}
+        return found
+
+    def applied(self, sensor: Measured) -> Measured:
+        """Return what a sensor measured, in the time and the frames of the motion."""
+        attitude, rate = sensor.attitude, sensor.angular_velocity
+        if attitude is not None:
+            attitude = so3.multiply(so3.multiply(so3.conjugate(self.space), attitude),
+                                    so3.conjugate(self.mount))
+        if rate is not None:
+            rate = so3.rotate(self.mount, rate)
+        turn = so3.matrix(self.mount)
+
+        def turned(covariance: Floats | None) -> Floats | None:
+            return None if covariance is None else turn @ covariance @ turn.T
+        return replace(sensor, stamps=sensor.stamps + round(1e9 * self.clock_offset_s),
+                       attitude=attitude, angular_velocity=rate,
+                       attitude_covariance=turned(sensor.attitude_covariance),
+                       rate_covariance=turned(sensor.rate_covariance))
+
+
+def _upper(quaternion: Floats) -> Floats:
+    return -quaternion if quaternion[3] < 0.0 else quaternion
+
+
+def _finite(value: Any) -> Any:
+    each = [float(one) if np.isfinite(one) else None for one in np.atleast_1d(value)]
+    return each[0] if np.ndim(value) == 0 else each

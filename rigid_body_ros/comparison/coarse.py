@@ -1,0 +1,191 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A first guess of clock offset and mounting, from any offset and any rotation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.comparison.motion import measured_rates, Model, Recorded
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.sensing.measured import Measured
+
+#: Largest clock offset that is searched for, s.
+LARGEST_OFFSET = 10.0
+#: Largest number of points of the time grid of the search.
+_POINTS = 2 ** 20
+#: Least part of the measurement that must lie within the motion.
+_OVERLAP = 0.5
+#: Of offsets whose cost is this close to the least, relative to the median, the smallest is taken.
+_SAME = 0.01
+_IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+def guess(motion: Model | Recorded, sensors: Sequence[Measured], clock: bool,
+          mount: bool) -> tuple[float, Floats, Floats]:
+    """
+    Return a clock offset, s, and the rotations of mounting and space.
+
+    Parameters
+    ----------
+    motion : Model or Recorded
+        What the sensors are aligned with.
+    sensors : sequence of Measured
+        The best of them is used.
+    clock, mount : bool
+        Which to find; the others are zero and the identity.
+
+    """
+    offset = 0.0
+    if clock:
+        best = max(sensors, key=lambda sensor: (sensor.angular_velocity is not None, len(sensor)))
+        offset = _offset(motion, best, mount)
+    mounting = space = _IDENTITY
+    if mount:
+        with_attitude = [sensor for sensor in sensors if sensor.attitude is not None]
+        sensor = max(with_attitude or sensors, key=len)
+        mounting, space = _mounting(motion, sensor, round(1e9 * offset))
+    return offset, mounting, space
+
+
+def _offset(motion: Model | Recorded, sensor: Measured, mount: bool) -> float:
+    """Return the offset at which measured and computed angular velocities agree best, s."""
+    from scipy.ndimage import median_filter
+    stamps, rates = measured_rates(sensor)
+    rates = median_filter(rates, (5, 1), mode='nearest')  # without single outliers
+    first_ns, last_ns = int(stamps[0]), int(stamps[-1])
+    step = max(int(np.median(np.diff(stamps))), (last_ns - first_ns) // _POINTS, 1000)
+    most = round(1e9 * LARGEST_OFFSET) // step
+    grid = first_ns + step * np.arange((last_ns - first_ns) // step + 1)
+    measured = np.stack([np.interp(grid - first_ns, stamps - first_ns, column)
+                         for column in rates.T])
+    wider = first_ns + step * np.arange(-most, len(grid) + most)
+    inside = (wider >= motion.first_ns) & (wider <= motion.last_ns)
+    computed = np.zeros((3, len(wider)))
+    if inside.any():
+        computed[:, inside] = motion.at(wider[inside]).angular_velocity.T
+    return _best_lag(measured, computed, inside, mount) * 1e-9 * step
+
+
+def _best_lag(measured: Floats, computed: Floats, inside: NDArray[np.bool_],
+              mount: bool) -> float:
+    """
+    Return the lag of the least mean squared difference, in steps of the grid.
+
+    With a mounting, the difference is that after the best rotation: the trace of the correlation
+    becomes the sum of its singular values (Kabsch, 1976).
+    """
+    from scipy import fft  # takes as long to import as the engine
+    count = measured.shape[1]
+    size = fft.next_fast_len(computed.shape[1], real=True)
+
+    def correlated(wide: Floats, narrow: Floats) -> Floats:
+        product = fft.rfft(wide, size) * np.conj(fft.rfft(narrow, size))
+        return np.asarray(fft.irfft(product, size)[:len(wide) - count + 1])
+    valid = inside.astype(float)
+    overlap = correlated(valid, np.ones(count))
+    energy = correlated(valid, np.sum(measured ** 2, axis=0)) \
+        + correlated(np.sum(computed ** 2, axis=0), np.ones(count))
+    if mount:
+        products = np.array([[correlated(wide, narrow) for narrow in measured]
+                             for wide in computed]).transpose(2, 0, 1)
+        singular = np.linalg.svd(products, compute_uv=False)
+        singular[:, 2] *= np.sign(np.linalg.det(products))
+        match = singular.sum(axis=1)
+    else:
+        match = sum(correlated(wide, narrow) for wide, narrow in zip(computed, measured))
+    allowed = overlap >= _OVERLAP * count
+    middle = len(overlap) // 2
+    if not allowed.any():
+        return 0.0
+    cost = np.where(allowed, (energy - 2.0 * match) / np.maximum(overlap, 1.0), np.inf)
+    least, usual = cost.min(), float(np.median(cost[allowed]))
+    padded = np.concatenate([[np.inf], cost, [np.inf]])
+    good = (cost <= least + _SAME * max(usual - least, 0.0)) & (padded[:-2] >= cost) \
+        & (padded[2:] >= cost)
+    lags = np.flatnonzero(good)
+    best = int(lags[np.argmin(np.abs(lags - middle))])
+    around = padded[best:best + 3]
+    bend = around[0] - 2.0 * around[1] + around[2] if np.isfinite(around).all() else 0.0
+    fraction = 0.5 * (around[0] - around[2]) / bend if bend > 0.0 else 0.0
+    return best - middle + float(np.clip(fraction, -0.5, 0.5))
+
+
+def _mounting(motion: Model | Recorded, sensor: Measured, offset_ns: int
+              ) -> tuple[Floats, Floats]:
+    """Return the rotations of mounting and space that explain a sensor best."""
+    times = sensor.stamps + offset_ns
+    inside = (times >= motion.first_ns) & (times <= motion.last_ns)
+    if inside.sum() < 2:
+        return _IDENTITY, _IDENTITY
+    states = motion.at(times[inside])
+    if sensor.attitude is None:
+        assert sensor.angular_velocity is not None
+        return kabsch(sensor.angular_velocity[inside], states.angular_velocity), _IDENTITY
+    attitude = sensor.attitude[inside]
+    step = _stride(attitude)
+    turned, expected = (so3.log(so3.multiply(so3.conjugate(each[:-step]), each[step:]))
+                        for each in (attitude, states.attitude))
+    short = np.linalg.norm(turned, axis=1) < 2.8
+    mount = kabsch(turned[short], expected[short]) if short.any() else _IDENTITY
+    rest = so3.multiply(so3.multiply(attitude, so3.conjugate(mount)),
+                        so3.conjugate(states.attitude))
+    return mount, davenport(rest)
+
+
+def _stride(attitude: Floats) -> int:
+    """Return over how many samples the body turns by about one radian."""
+    angles = so3.angle_between(attitude[:-1], attitude[1:])
+    usual = max(float(np.median(angles)), 1e-9)
+    return int(np.clip(1.0 / usual, 1, max(len(attitude) // 4, 1)))
+
+
+def kabsch(vectors: Floats, targets: Floats) -> Floats:
+    """
+    Return the rotation x y z w that turns vectors into targets, with less weight on outliers.
+
+    Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976.
+    """
+    weights = np.ones(len(vectors))
+    for _ in range(5):
+        left, _, right = np.linalg.svd((weights[:, None] * targets).T @ vectors)
+        signs = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right)) or 1.0])
+        turn = left @ signs @ right
+        distances = np.linalg.norm(targets - vectors @ turn.T, axis=1)
+        weights = _weights(distances)
+    return so3.from_matrix(turn)
+
+
+def davenport(attitudes: Floats) -> Floats:
+    """
+    Return the mean of attitudes, with less weight on outliers.
+
+    It is the eigenvector of the largest eigenvalue of the sum of q q^T (Davenport, 1968; Markley
+    et al., "Averaging quaternions", 2007).
+    """
+    weights = np.ones(len(attitudes))
+    for _ in range(5):
+        _, vectors = np.linalg.eigh((weights[:, None] * attitudes).T @ attitudes)
+        mean = so3.normalize(vectors[:, -1])
+        weights = _weights(so3.angle_between(attitudes, mean))
+    return mean
+
+
+def _weights(distances: Floats) -> Floats:
+    scale = 2.0 * float(np.median(distances))
+    return 1.0 / np.maximum(distances / max(scale, 1e-12), 1.0)

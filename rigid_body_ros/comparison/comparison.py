@@ -1,0 +1,100 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""How far a measured motion is from the propagated one."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from typing import Any
+
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.times import duration_ns
+from rigid_body_ros.comparison.causes import find_causes
+from rigid_body_ros.comparison.errors import compared, Comparison
+from rigid_body_ros.comparison.horizons import horizon
+from rigid_body_ros.comparison.motion import Model, Recorded
+from rigid_body_ros.comparison.residual_torque import residual_torque
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
+from rigid_body_ros.recording import Track
+from rigid_body_ros.sensing.measured import Measured
+
+
+def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None, *,
+            measured: Measured | Sequence[Measured], wheels: TorqueLog | None = None,
+            align: Collection[str] = (), horizons: Sequence[float] = (),
+            causes: bool = True, **options: Any) -> Comparison:
+    """
+    Compare a measured motion with the one that torques cause.
+
+    The motion is propagated at the measured stamps, not interpolated.
+
+    Parameters
+    ----------
+    body, start, log, wheels
+        As for `propagate`.
+    measured : Measured or sequence of Measured
+        What sensors measured; all share one clock and one mounting.
+    align : collection of str
+        What to fit: 'start' (initial attitude and angular velocity), 'clock' (a constant time
+        offset, up to 10 s) and 'mount' (the constant rotations between the axes of the sensor and
+        the body, and between the two space axes). With 'mount', 'start' fits the angular velocity
+        only: the rotation of the space axes has the effect of another initial attitude.
+    horizons : sequence of float, s
+        For each, restart from the measurement every so often, and return the error by then.
+    causes : bool
+        Whether to look for likely causes of the errors, which takes about ten further motions.
+    options
+        Further keyword arguments of `propagate`: solver, tolerance, max_step, torque_timeout.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    InputError
+        No sample lies within the motion, or a name in `align` is unknown.
+    ValueError
+        As for `propagate` or `Measured.check`, or a horizon is not positive.
+
+    """
+    sensors = [measured] if isinstance(measured, Measured) else measured
+    for sensor in sensors:
+        sensor.check()
+    model = Model(body, start, tuple(torque_logs(log)), wheels, options)
+    return compare_motion(model, sensors, align, horizons, causes)
+
+
+def compare_motion(motion: Model | Recorded, measured: Sequence[Measured],
+                   align: Collection[str] = (), horizons: Sequence[float] = (),
+                   causes: bool = True, track: Track = lambda items, total: items) -> Comparison:
+    """Compare as `compare` does, with a model or a recorded motion; `track` shows progress."""
+    for seconds in horizons:
+        if not duration_ns(seconds, 'horizons'):
+            raise ValueError(f'horizons: expected positive seconds, found {seconds}')
+    if horizons and isinstance(motion, Recorded):
+        raise InputError('horizons: expected a model that can restart, found a recorded motion')
+    found = compared(motion, measured, align)
+    if isinstance(motion, Model):
+        model, aligned = found.motion, found.aligned
+        assert isinstance(model, Model)
+        best = max(aligned, key=lambda sensor: (sensor.angular_velocity is not None, len(sensor)))
+        found = replace(found, residual_torque=residual_torque(model, best), horizons=tuple(
+            horizon(model, aligned, seconds, track) for seconds in horizons))
+    return replace(found, causes=find_causes(motion, found, align, track)) \
+        if causes else found

@@ -1,0 +1,202 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The errors of a measured motion: measured minus computed, after alignment."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.comparison.align import align as aligned_by
+from rigid_body_ros.comparison.align import apart, errors_of, START
+from rigid_body_ros.comparison.alignment import Alignment
+from rigid_body_ros.comparison.horizons import Horizon
+from rigid_body_ros.comparison.motion import Model, Recorded, States
+from rigid_body_ros.comparison.residual_torque import ResidualTorque
+from rigid_body_ros.sensing.measured import Measured
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """
+    The errors of one sensor: measured minus computed.
+
+    Attributes
+    ----------
+    topic : str
+    times_ns : array of int64, shape (n,)
+        In the time of the motion: the clock offset is added.
+    rotation_vectors : array, shape (n, 3), rad, body axes, optional
+        From the computed attitude to the measured one; None without attitudes.
+    rates : array, shape (n, 3), rad/s, body axes, optional
+        None without angular velocities.
+
+    """
+
+    topic: str
+    times_ns: NDArray[np.int64]
+    rotation_vectors: Floats | None
+    rates: Floats | None
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """
+    A measured motion compared with the propagated one.
+
+    Attributes
+    ----------
+    measured : tuple of Measured
+        As given.
+    alignment : Alignment
+    errors : tuple of Errors
+        Of each sensor, after alignment.
+    left_out : int
+        Number of samples outside of the motion.
+    horizons : tuple of Horizon
+    residual_torque : ResidualTorque, optional
+        None if there is no model, or the measurement is too short.
+    motion : Model or Recorded
+        With the fitted start.
+    recording : str
+        Name of the recording, if there is one.
+    causes : tuple
+        Likely causes of the errors; see `find_causes`.
+
+    """
+
+    measured: tuple[Measured, ...]
+    alignment: Alignment
+    errors: tuple[Errors, ...]
+    left_out: int
+    horizons: tuple[Horizon, ...]
+    residual_torque: ResidualTorque | None
+    motion: Model | Recorded
+    recording: str = ''
+    causes: tuple[Any, ...] = ()
+
+    @property
+    def samples(self) -> int:
+        """Return the number of samples that are compared."""
+        return sum(len(each.times_ns) for each in self.errors)
+
+    @property
+    def span_s(self) -> float:
+        """Return the time from the first sample to the last, s."""
+        stamps = np.concatenate([each.times_ns for each in self.errors])
+        return 1e-9 * float(stamps.max() - stamps.min())
+
+    @property
+    def aligned(self) -> tuple[Measured, ...]:
+        """Return the measurements in the time and the axes of the motion."""
+        return tuple(inside(self.motion, self.alignment.applied(sensor))
+                     for sensor in self.measured)
+
+    def pooled(self, name: str) -> Floats | None:
+        """
+        Return the 'rotation_vectors' or 'rates' of all sensors in the order of time.
+
+        None if no sensor measures that within the motion.
+        """
+        chosen = [each for each in self.errors
+                  if getattr(each, name) is not None and len(each.times_ns)]
+        if not chosen:
+            return None
+        times = np.concatenate([each.times_ns for each in chosen])
+        values = np.concatenate([getattr(each, name) for each in chosen])
+        return np.asarray(values[np.argsort(times, kind='stable')])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the result as JSON types; units are in the names."""
+        torque = self.residual_torque
+        found: dict[str, Any] = {
+            'recording': self.recording, 'measured': [each.topic for each in self.errors],
+            'samples': self.samples, 'span_s': self.span_s,
+            'left_out': self.left_out, 'rejected': sum(each.rejected for each in self.measured),
+            'alignment': self.alignment.as_dict(),
+            'attitude_error_rad': statistics(self.pooled('rotation_vectors'), final=True),
+            'rate_error_rad_s': statistics(self.pooled('rates'), final=True),
+            'horizons': [_horizon_dict(each) for each in self.horizons],
+            'residual_torque_N_m': statistics(torque.torques if torque else None),
+            'likely_causes': [cause.as_dict() for cause in self.causes]}
+        if torque:
+            found['residual_torque_N_m'] |= {'noise': torque.noise.tolist(),
+                                             'window_s': torque.window_s}
+        return found
+
+
+def compared(motion: Model | Recorded, measured: Sequence[Measured],
+             align: Collection[str], most: int | None = None) -> Comparison:
+    """Return the errors after alignment with at most so many samples, without anything else."""
+    alignment = aligned_by(motion, measured, align, most)
+    if START in align and alignment.start:
+        assert isinstance(motion, Model)
+        motion = replace(motion, start=alignment.start)
+    sensors = [alignment.applied(sensor) for sensor in measured]
+    within = [inside(motion, sensor) for sensor in sensors]
+    if not any(len(sensor) for sensor in within):
+        raise apart(motion, sensors)
+    errors = tuple(Errors(sensor.topic, sensor.stamps, *errors_of(sensor, states))
+                   for sensor, states in zip(within, _states(motion, within)))
+    left_out = sum(map(len, sensors)) - sum(map(len, within))
+    return Comparison(tuple(measured), alignment, errors, left_out, (), None, motion)
+
+
+def inside(motion: Model | Recorded, sensor: Measured) -> Measured:
+    """Return the samples within a motion."""
+    return sensor.rows((sensor.stamps >= motion.first_ns) & (sensor.stamps <= motion.last_ns))
+
+
+def _states(motion: Model | Recorded, sensors: Sequence[Measured]) -> list[States]:
+    states = motion.at(np.concatenate([sensor.stamps for sensor in sensors]))
+    ends = np.cumsum([0, *(len(sensor) for sensor in sensors)])
+    return [States(states.attitude[first:end], states.angular_velocity[first:end])
+            for first, end in pairwise(ends.tolist())]
+
+
+def statistics(vectors: Floats | None, final: bool = False) -> dict[str, Any]:
+    """
+    Return statistics of the lengths of vectors, and the rms of each component.
+
+    Parameters
+    ----------
+    vectors : array, shape (n, 3), optional
+        None or no rows: every value is None.
+    final : bool
+        Whether to return the last length as well.
+
+    """
+    names = ['rms', 'median', 'p95', 'max', *(['final'] if final else []), 'axes_rms']
+    if vectors is None or not len(vectors):
+        return dict.fromkeys(names)
+    lengths = np.linalg.norm(vectors, axis=1)
+    values = [float(np.sqrt(np.mean(lengths ** 2))), float(np.median(lengths)),
+              float(np.percentile(lengths, 95.0)), float(lengths.max()),
+              *([float(lengths[-1])] if final else []),
+              np.sqrt(np.mean(vectors ** 2, axis=0)).tolist()]
+    return dict(zip(names, values))
+
+
+def _horizon_dict(found: Horizon) -> dict[str, Any]:
+    angles, has_any = found.angles, bool(len(found.angles))
+    return {'seconds': found.seconds, 'windows': len(angles),
+            'attitude_rms_rad': float(np.sqrt(np.mean(angles ** 2))) if has_any else None,
+            'attitude_median_rad': float(np.median(angles)) if has_any else None,
+            'attitude_p95_rad': float(np.percentile(angles, 95.0)) if has_any else None}

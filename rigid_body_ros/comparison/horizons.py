@@ -1,0 +1,154 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""How far the motion is off some time after a restart from the measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.comparison.align import errors_of
+from rigid_body_ros.comparison.motion import measured_rates, Model
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.recording import Track
+from rigid_body_ros.sensing.measured import Measured
+
+#: Samples from which a restart is estimated, unless the horizon is too short for them.
+_SAMPLES = 11
+#: Shortest horizon, in intervals between samples, which jitter.
+_SHORTEST = 0.99
+#: Most corrections of an estimated restart. The last is below an angle, rad, or part of the noise.
+_CORRECTIONS, _CORRECTED, _NEGLIGIBLE = 8, 1e-10, 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Horizon:
+    """
+    Errors after a restart from the measurement.
+
+    Attributes
+    ----------
+    seconds : float, s
+        From a restart to its error, and to the next restart.
+    angles : array, shape (n,), rad
+        Attitude error of each window.
+
+    """
+
+    seconds: float
+    angles: Floats
+
+
+def horizon(model: Model, sensors: Sequence[Measured], seconds: float,
+            track: Track = lambda items, total: items) -> Horizon:
+    """
+    Return errors after a time, each from a restart from the measurement.
+
+    A restart is estimated from eleven samples, or fewer if a fifth of the horizon has fewer: the
+    model is propagated from the first, and its errors, linear in time, are taken off.
+
+    Parameters
+    ----------
+    model : Model
+        Restarted at every horizon.
+    sensors : sequence of Measured
+        In the time and the axes of the model. The first with an attitude is used, with its own
+        angular velocity if it has one.
+    seconds : float, s
+        The horizon.
+    track : callable, optional
+        Wraps the iteration over windows, to show progress.
+
+    Raises
+    ------
+    InputError
+        The horizon is shorter than the usual time between two samples.
+
+    """
+    with_attitude = [sensor for sensor in sensors if sensor.attitude is not None]
+    if not with_attitude:
+        return Horizon(seconds, np.empty(0))
+    sensor = with_attitude[0].rows(with_attitude[0].stamps >= model.first_ns)
+    stamps, step = sensor.stamps, round(1e9 * seconds)
+    if len(stamps) < 2:
+        return Horizon(seconds, np.empty(0))
+    spacing = int(np.median(np.diff(stamps)))
+    if step < _SHORTEST * spacing:
+        raise InputError(f'{sensor.topic}: expected a horizon of at least {1e-9 * spacing:g} s, '
+                         f'the time between two samples, found {seconds:g} s')
+    # A sample may be late by up to half an interval.
+    half = spacing // 2
+    _, rows = np.unique((stamps - stamps[0] + half) // step, return_index=True)
+    momenta = model.rotor_momentum(stamps[rows])
+    windows = list(zip(rows[:-1].tolist(), rows[1:].tolist(), momenta))
+    found = [_error(model, sensor, (first, last), step, momentum)
+             for first, last, momentum in track(windows, len(windows))
+             if abs(stamps[last] - stamps[first] - step) <= 2 * half]
+    return Horizon(seconds, np.array(found, float))
+
+
+def _error(model: Model, sensor: Measured, window: tuple[int, int], step: int,
+           momentum: Floats) -> float:
+    first, last = window
+    count = np.searchsorted(sensor.stamps, sensor.stamps[first] + step // 5, 'right') - first
+    count = min(max(int(count), 2), _SAMPLES, last - first + 1)
+    start = _restarted(model, sensor.rows(np.arange(first, first + count)), momentum)
+    end = sensor.rows(np.array([last]))
+    motion = model.between(start, int(end.stamps[0])).at(end.stamps)
+    assert sensor.attitude is not None
+    return float(so3.angle_between(motion.attitude[0], sensor.attitude[last]))
+
+
+def _restarted(model: Model, samples: Measured, momentum: Floats) -> State:
+    """Return the state at the first of a few samples that fits all of them best."""
+    assert samples.attitude is not None
+    first_ns, (_, rates) = int(samples.stamps[0]), measured_rates(samples)
+    start = State(first_ns, samples.attitude[0], np.median(rates, axis=0), momentum)
+    if len(samples) < 3:
+        return start
+    seconds = 1e-9 * (samples.stamps - first_ns)
+    columns = np.stack([np.ones(len(seconds)), seconds], axis=1)
+    for _ in range(_CORRECTIONS):
+        motion = model.between(start, int(samples.stamps[-1])).at(samples.stamps)
+        vectors, rate_errors = errors_of(samples, motion)
+        assert vectors is not None
+        # In space axes: a constant error of the attitude is constant there.
+        vectors = so3.rotate(motion.attitude, vectors)
+        offset, drift = _line(columns, vectors)
+        turn = so3.conjugate(start.attitude)
+        change = so3.rotate(turn, drift) if rate_errors is None else \
+            _line(columns[:, :1], rate_errors)[0]
+        attitude = so3.multiply(so3.exp(offset), start.attitude)
+        start = State(first_ns, so3.normalize(attitude), start.angular_velocity + change, momentum)
+        usual = float(np.median(np.linalg.norm(vectors, axis=1)))
+        if np.linalg.norm(offset) + seconds[-1] * np.linalg.norm(change) \
+                < max(_CORRECTED, _NEGLIGIBLE * usual):
+            break
+    return start
+
+
+def _line(columns: Floats, values: Floats) -> Floats:
+    """Return the coefficients of the columns, with less weight on outliers."""
+    weights = np.ones((len(values), 1))
+    for _ in range(3):
+        found = np.linalg.lstsq(weights * columns, weights * values, rcond=None)[0]
+        distances = np.linalg.norm(values - columns @ found, axis=1, keepdims=True)
+        limit = max(2.0 * float(np.median(distances)), 1e-300)
+        weights = np.minimum(limit / np.maximum(distances, limit), 1.0)
+    return np.asarray(found)

@@ -1,0 +1,123 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Put the page of a comparison together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.comparison.errors import Comparison
+from rigid_body_ros.comparison.horizons import Horizon
+from rigid_body_ros.comparison.motion import Model
+from rigid_body_ros.comparison.summary import rows
+from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.replay.page import ThinnedTorque, total_torque
+from rigid_body_ros.report import moving_body, style
+from rigid_body_ros.report.charts import Curves, Panel
+from rigid_body_ros.report.page import Page
+from rigid_body_ros.scene import Scene
+
+_SINCE_FIRST = 'time from the first measurement (s)'
+#: Number of times at which a torque on a curve is sampled.
+_SAMPLES = 5000
+
+
+def page(found: Comparison, name: str, scene: Scene, command: str) -> Page:
+    """
+    Return the page of a comparison.
+
+    Parameters
+    ----------
+    found : Comparison
+        The comparison; the computed motion is shown if there is a model.
+    name : str
+        Name of the recording.
+    scene : Scene
+        The scene of the model.
+    command : str
+        The command line.
+
+    """
+    stamps = np.unique(np.concatenate([each.times_ns for each in found.errors]))
+    topics = ', '.join(each.topic for each in found.errors)
+    body = _body(found.motion, stamps) if isinstance(found.motion, Model) else None
+    shown = [('moving body', 'the computed motion')] if body else []
+    return Page(f'{name}: {topics}', [('recording', name), *rows(found), *shown],
+                [*_panels(found, stamps)], body, scene.warnings, scene=scene, command=command)
+
+
+def error_panel(label: str, unit: str, times_ns: NDArray[np.int64], errors: Floats,
+                start_ns: int) -> Panel:
+    """Return a panel with the sizes of errors, shape (n, 3), and of their components."""
+    sizes = np.abs(np.column_stack([errors, np.linalg.norm(errors, axis=1)]))
+    names = (*style.ERRORS[1:], style.ERRORS[0])
+    return Panel(label, unit, [Curves.thinned(times_ns, sizes, names, start_ns)], _SINCE_FIRST,
+                 'log')
+
+
+def torque_panels(logs: Sequence[TorqueLog], start_ns: int, end_ns: int,
+                  timeout_ns: int = 0) -> Iterator[Panel]:
+    """Generate a panel for each log that has samples."""
+    logs = [log for log in logs if len(log)]
+    times = np.unique(np.linspace(0, end_ns - start_ns, _SAMPLES).astype(np.int64)) + start_ns
+    for number, log in enumerate(logs, 1):
+        torque = ThinnedTorque(timeout_ns)
+        torque.add(log, times)
+        yield torque.panel(f'torque {number}' if len(logs) > 1 else 'torque', start_ns,
+                           _SINCE_FIRST)
+
+
+def _panels(found: Comparison, stamps: NDArray[np.int64]) -> Iterator[Panel]:
+    start_ns, end_ns = int(stamps[0]), int(stamps[-1])
+    for label, unit, attribute in (('attitude error, body axes', 'rad', 'rotation_vectors'),
+                                   ('rate error, body axes', 'rad/s', 'rates')):
+        for each in found.errors:
+            values = getattr(each, attribute)
+            if values is not None and len(values):
+                yield error_panel(f'{each.topic}: {label}', unit, each.times_ns, values, start_ns)
+    if isinstance(found.motion, Model):
+        yield from torque_panels(found.motion.logs, start_ns, end_ns, found.motion.timeout_ns)
+    torque = found.residual_torque
+    if torque:
+        yield Panel('residual torque, body axes', 'N m', [Curves.thinned(
+            torque.times_ns, torque.torques, style.TORQUES, start_ns)], _SINCE_FIRST)
+    horizons = sorted((one for one in found.horizons if len(one.angles)),
+                      key=lambda one: one.seconds)
+    if horizons:
+        yield _horizon_panel(horizons)
+
+
+def _horizon_panel(horizons: Sequence[Horizon]) -> Panel:
+    seconds = np.array([one.seconds for one in horizons])
+    errors = np.maximum([np.percentile(one.angles, [50.0, 95.0]) for one in horizons], 1e-16)
+    names = 'median', '95 %'
+    texts = [[f'{error:.3g} rad {one.seconds:g} s after a restart, in {len(one.angles)} windows'
+              for one, error in zip(horizons, column)] for column in errors.T]
+    return Panel('attitude error after a restart', 'rad', [Curves(seconds, errors, errors, names)],
+                 'time since the restart from the measurement (s)', 'loglog', texts=texts)
+
+
+def _body(model: Model, stamps: NDArray[np.int64]) -> dict[str, Any]:
+    """Return the propagated motion at some of the measured stamps."""
+    step = -(-len(stamps) // moving_body.MOST)
+    times = np.union1d(stamps[::step], stamps[-1:])
+    motion = model.trajectory(times)
+    torque = total_torque(model.logs, times, motion.attitude, model.timeout_ns)
+    return moving_body.as_data(model.body, times, np.hstack([
+        motion.attitude, motion.angular_velocity, torque, motion.rotor_momentum]))

@@ -1,0 +1,62 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Draw a comparison."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rigid_body_ros.comparison.errors import Comparison
+from rigid_body_ros.comparison.motion import Model
+from rigid_body_ros.report import figures
+
+
+def draw(path: str | Path, found: Comparison, name: str) -> None:
+    """
+    Draw the errors of a comparison over time into a PNG file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The PNG file, with any suffix; an existing file is overwritten.
+    found : Comparison
+        Of each kind of error, that of the first sensor that has it is drawn.
+    name : str
+        Name of the recording, for the title.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+
+    """
+    panels = []
+    for label, unit, attribute in (('attitude error', 'rad', 'rotation_vectors'),
+                                   ('rate error', 'rad/s', 'rates')):
+        for each in found.errors:
+            values = getattr(each, attribute)
+            if values is not None and len(values):
+                panels.append(figures.Panel(label, unit, each.times_ns, values))
+                break
+    torque = found.residual_torque
+    residual = figures.Panel('residual torque', 'N m', torque.times_ns, torque.torques) \
+        if torque else None
+    model = found.motion
+    logs, timeout_ns = (model.logs, model.timeout_ns) if isinstance(model, Model) else ((), 0)
+    horizons = {one.seconds: np.percentile(one.angles, [50.0, 95.0]) for one in found.horizons
+                if len(one.angles)}
+    topics = ', '.join(each.topic for each in found.errors)
+    figures.errors(path, panels, residual, logs, horizons, f'{name}: {topics}', timeout_ns)

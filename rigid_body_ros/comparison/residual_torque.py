@@ -1,0 +1,230 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The torque that would have had to act besides the logged one.
+
+The change of the angular momentum that was measured, less the impulse of everything that the
+model knows, is the impulse of what it does not know. Its slope over a short window is the residual
+torque. Logged torques enter as exact impulses, so a step between two measurements is no error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.comparison.motion import measured_rates, Model
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.sensing.measured import Measured
+
+#: Length of a window, s, and its fewest samples; a window of more than twice the length has a gap.
+WINDOW, FEWEST = 0.25, 11
+#: The nodes of Gauss's formula with two points, exact for a cubic.
+_NODES = 0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0)
+_BLOCK = 2 ** 15
+#: Distance from the median around a sample, in usual ones, from which on it is an outlier.
+_OUTLIER = 10.0
+#: The six entries of an inertia tensor, as symmetric matrices: xx yy zz xy xz yz.
+ENTRIES = np.array([[[(i, j) in ((a, b), (b, a)) for j in range(3)] for i in range(3)]
+                    for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))], float)
+
+
+class Slopes(NamedTuple):
+    """Slopes in windows: rows of the samples at their middles, slopes and standard deviations."""
+
+    rows: NDArray[np.intp]
+    values: Floats
+    deviations: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualTorque:
+    """
+    What would have had to act besides the logged torque, smoothed over a window.
+
+    Attributes
+    ----------
+    times_ns : array of int64, shape (n,)
+    torques : array, shape (n, 3), N m, body axes
+    noise : array, shape (3,), N m
+        Standard deviation of each component, estimated from the scatter within the windows.
+    window_s : float, s
+    logged : array, shape (n, 3), N m, body axes
+        The logged torque, smoothed in the same way.
+    of_inertia : array, shape (n, 3, 6)
+        Torque that the measured motion needs for a unit of each of ixx, iyy, izz, ixy, ixz, iyz.
+
+    """
+
+    times_ns: NDArray[np.int64]
+    torques: Floats
+    noise: Floats
+    window_s: float
+    logged: Floats
+    of_inertia: Floats
+
+
+def residual_torque(model: Model, sensor: Measured) -> ResidualTorque | None:
+    """
+    Return the torque that explains what a sensor measured, beyond the torques of a model.
+
+    J dw/dt - (J w + h) x w + D w + tau_wheel - tau with the measured w, each term averaged over
+    the window.
+
+    Parameters
+    ----------
+    model : Model
+        What is known.
+    sensor : Measured
+        In the time and the axes of the model.
+
+    Returns
+    -------
+    ResidualTorque or None
+        None if the measurement is too short.
+
+    """
+    inside = np.flatnonzero(sensor.stamps >= model.first_ns)
+    sensor = sensor.rows(inside)
+    if len(sensor) < 2:
+        return None
+    stamps, rates = without_outliers(*measured_rates(sensor))
+    seconds = 1e-9 * (stamps - stamps[0])
+    window = _half_window(seconds)
+    if len(stamps) <= 2 * window + 1:
+        return None
+    body, momenta = model.body, model.rotor_momentum(stamps)
+    parts = [rates @ entry - _integral(seconds, np.cross(rates @ entry, rates))
+             for entry in ENTRIES]
+    known = momenta - _integral(seconds, np.cross(momenta, rates)) \
+        + _integral(seconds, rates @ body.damping)
+    logged = impulses(model, stamps, sensor)
+    moments = np.einsum('kij,ij->k', ENTRIES, body.inertia) / ENTRIES.sum(axis=(1, 2))
+    momentum = sum(moment * part for moment, part in zip(moments, parts)) + known - logged
+    slopes = _slopes(seconds, momentum, window)
+    if not len(slopes.rows):
+        return None
+    of_inertia = np.stack([_slopes(seconds, part, window).values for part in parts], axis=-1)
+    return ResidualTorque(
+        stamps[slopes.rows], slopes.values, np.sqrt(np.median(slopes.deviations ** 2, axis=0)),
+        float(np.median(seconds[2 * window:] - seconds[:-2 * window])),
+        _slopes(seconds, logged, window).values, of_inertia)
+
+
+def impulses(model: Model, stamps: NDArray[np.int64], sensor: Measured) -> Floats:
+    """
+    Return the impulses of the logged torques since the first of some times.
+
+    Torques in space axes are turned by the measured attitude, else by that of the model.
+
+    Returns
+    -------
+    array, shape (n, 3), N m s, body axes
+
+    """
+    total = np.zeros((len(stamps), 3))
+    for log in model.logs:
+        changes, _ = log.segments(model.timeout_ns)
+        changes = changes[(changes > stamps[0]) & (changes < stamps[-1])]
+        ends = np.union1d(stamps, changes)
+        spans, impulse = np.diff(ends), np.zeros((len(ends) - 1, 3))
+        for node in _NODES:
+            times = ends[:-1] + (node * spans).astype(np.int64)
+            impulse += 0.5e-9 * spans[:, None] * _in_body(model, log, times, sensor)
+        sums = np.concatenate([np.zeros((1, 3)), np.cumsum(impulse, axis=0)])
+        total += sums[np.searchsorted(ends, stamps)]
+    return total
+
+
+def _in_body(model: Model, log: TorqueLog, times: NDArray[np.int64], sensor: Measured) -> Floats:
+    torques, in_space = log.at(times, model.timeout_ns)
+    rows = np.flatnonzero(in_space)
+    if rows.size:
+        if sensor.attitude is None:
+            attitude = model.at(times[rows]).attitude
+        else:
+            attitude = _interpolated(sensor.stamps, sensor.attitude, times[rows])
+        torques[rows] = so3.rotate(so3.conjugate(attitude), torques[rows])
+    return torques
+
+
+def _interpolated(stamps: NDArray[np.int64], attitude: Floats, times: NDArray[np.int64]) -> Floats:
+    rows = np.clip(np.searchsorted(stamps, times, 'right') - 1, 0, len(stamps) - 2)
+    part = (times - stamps[rows]) / np.diff(stamps)[rows]
+    step = so3.log(so3.multiply(so3.conjugate(attitude[rows]), attitude[rows + 1]))
+    return so3.multiply(attitude[rows], so3.exp(part[:, None] * step))
+
+
+def without_outliers(stamps: NDArray[np.int64], rates: Floats
+                     ) -> tuple[NDArray[np.int64], Floats]:
+    """
+    Return angular velocities without gross outliers.
+
+    An outlier differs from the median of the five samples around it by more than ten times what is
+    usual, and by more than samples usually change. The angular velocity of a body cannot jump and
+    come back.
+
+    Parameters
+    ----------
+    stamps : array of int64, shape (n,), ns
+        Ascending.
+    rates : array, shape (n, 3), rad/s
+        In any axes.
+
+    """
+    from scipy.ndimage import median_filter
+    away = np.linalg.norm(rates - median_filter(rates, (5, 1), mode='nearest'), axis=1)
+    change = np.median(np.linalg.norm(np.diff(rates, axis=0), axis=1))
+    kept = away <= _OUTLIER * np.median(away) + 3.0 * change
+    return stamps[kept], rates[kept]
+
+
+def _integral(seconds: Floats, values: Floats) -> Floats:
+    """Return integrals of a cubic spline through samples, from the first sample on."""
+    from scipy.interpolate import CubicSpline  # takes as long to import as the engine
+    return np.asarray(CubicSpline(seconds, values).antiderivative()(seconds))
+
+
+def _half_window(seconds: Floats) -> int:
+    usual = max(float(np.median(np.diff(seconds))), 1e-9)
+    return max(round(0.5 * WINDOW / usual), FEWEST // 2)
+
+
+def _slopes(seconds: Floats, values: Floats, half: int) -> Slopes:
+    """Return the slopes of straight lines through the samples in each window without a gap."""
+    size = 2 * half + 1
+    middles = np.arange(half, len(seconds) - half)
+    usual = float(np.median(np.diff(seconds)))
+    long = seconds[2 * half:] - seconds[:-2 * half] > 2.0 * usual * (size - 1)
+    rows, slopes, deviations = middles[~long], [], []
+    for first in range(0, len(rows), _BLOCK):
+        part = rows[first:first + _BLOCK] - half
+        times = sliding_window_view(seconds, size)[part]
+        times = times - times.mean(axis=1, keepdims=True)
+        inside = sliding_window_view(values, size, axis=0)[part]
+        inside = inside - inside.mean(axis=2, keepdims=True)
+        spread = np.sum(times ** 2, axis=1)[:, None]
+        slope = np.einsum('nw,nkw->nk', times, inside) / spread
+        left = inside - slope[:, :, None] * times[:, None, :]
+        slopes.append(slope)
+        deviations.append(np.sqrt(np.sum(left ** 2, axis=2) / (size - 2) / spread))
+    empty: Sequence[Floats] = [np.empty((0, values.shape[1]))]
+    return Slopes(rows, np.concatenate([*empty, *slopes]), np.concatenate([*empty, *deviations]))

@@ -1,0 +1,102 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Summarize a comparison as text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import math
+from typing import Any
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats, written
+from rigid_body_ros.comparison.alignment import Alignment
+from rigid_body_ros.comparison.errors import Comparison, statistics
+from rigid_body_ros.comparison.motion import Model
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.propagation.options import FASTEST
+from rigid_body_ros.report.text import lines
+
+
+def summary(found: Comparison) -> str:
+    """Return a summary, one line per fact."""
+    return lines(f'{name:17}{text}' for name, text in rows(found))
+
+
+def rows(found: Comparison) -> Iterator[tuple[str, str]]:
+    """Generate the facts: names, which are empty if a fact continues, and texts."""
+    topics = ', '.join(each.topic for each in found.errors)
+    yield 'measured', f'{found.samples} samples of {topics}, over {found.span_s:.9g} s'
+    rejected = sum(each.rejected for each in found.measured)
+    if rejected:
+        yield 'rejected', f'{rejected} messages without a finite value up to {FASTEST:g} rad/s'
+    if found.left_out:
+        yield 'left out', f'{found.left_out} samples outside of the motion'
+    for damage in dict.fromkeys(each.damage for each in found.measured if each.damage):
+        yield 'lost', damage
+    if isinstance(found.motion, Model) and not found.motion.logs:
+        yield 'torques', 'none in the recording: the body is free'
+    yield from _alignment(found.alignment)
+    yield from _errors('attitude error', 'rad', found.pooled('rotation_vectors'), True)
+    yield from _errors('rate error', 'rad/s', found.pooled('rates'), True)
+    for one in found.horizons:
+        text = f'rms {math.sqrt(np.mean(one.angles ** 2)):.3g}, 95 % ' \
+               f'{np.percentile(one.angles, 95.0):.3g} rad in {len(one.angles)} windows' \
+            if len(one.angles) else 'no window, or no measured attitude'
+        yield f'after {one.seconds:g} s', text
+    torque = found.residual_torque
+    if torque:
+        yield from _errors('residual torque', 'N m', torque.torques)
+        yield '', f'noise {written(torque.noise)} N m, in windows of {torque.window_s:.3g} s'
+    for cause in found.causes:
+        yield 'likely cause', f'{cause.text} ({cause.evidence})'
+
+
+def _alignment(alignment: Alignment) -> Iterator[tuple[str, str]]:
+    sigma = alignment.sigma or {}
+    if 'clock_offset_s' in sigma:
+        spread = _sigma(sigma, 'clock_offset_s', 's')
+        yield 'clock offset', f'{alignment.clock_offset_s:.6g} s ({spread}), added to the ' \
+                              'measured stamps'
+    for name, key, quaternion in (('mounting', 'mount_rad', alignment.mount),
+                                  ('space axes', 'space_rad', alignment.space)):
+        if key in sigma:
+            yield name, f'rotation vector {written(so3.log(quaternion))} rad ' \
+                        f'({_sigma(sigma, key, "rad")})'
+    if alignment.start:
+        text = f'attitude xyzw {written(alignment.start.attitude)}'
+        if 'initial_attitude_rad' in sigma:
+            text += f' ({_sigma(sigma, "initial_attitude_rad", "rad")})'
+        yield 'start', text
+        yield '', f'angular velocity {written(alignment.start.angular_velocity)} rad/s (' \
+                  f'{_sigma(sigma, "initial_angular_velocity_rad_s", "rad/s")})'
+
+
+def _sigma(sigma: dict[str, Any], key: str, unit: str) -> str:
+    largest = float(np.max(sigma[key]))
+    return f'sigma {largest:.2g} {unit}' if math.isfinite(largest) else \
+        'the measurement does not determine it'
+
+
+def _errors(name: str, unit: str, vectors: Floats | None,
+            final: bool = False) -> Iterator[tuple[str, str]]:
+    if vectors is None or not len(vectors):
+        return
+    values = statistics(vectors, final)
+    axes = written(np.array(values.pop('axes_rms')))
+    names = {'rms': 'rms', 'median': 'median', 'p95': '95 %', 'max': 'max', 'final': 'at the end'}
+    parts = ', '.join(f'{names[key]} {value:.3g}' for key, value in values.items())
+    yield name, f'{parts} {unit}'
+    yield '', f'rms about the body axes {axes} {unit}'

@@ -1,0 +1,136 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The state of a rigid body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rigid_body_ros.common.arrays import Floats, written
+from rigid_body_ros.common.errors import quoted
+from rigid_body_ros.common.times import instant
+from rigid_body_ros.kernels import state_layout
+from rigid_body_ros.mechanics import so3
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+_NO_ROTORS = np.zeros((2, 3))
+_NO_ROTORS.flags.writeable = False
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class State:
+    """
+    Attitude, angular velocity and momentum of the rotors at an instant.
+
+    Parameters
+    ----------
+    time_ns : int, ns
+    attitude : array, shape (4,), or scipy.spatial.transform.Rotation
+        Quaternion x y z w that maps body vectors to space vectors. It is normalised, unless its
+        norm is 1 within 4 eps.
+    angular_velocity : array, shape (3,), rad/s, body axes
+    rotor_momentum : array, shape (3,), N m s, body axes
+        Angular momentum of rotors (reaction wheels, propellers) relative to the body.
+
+    Raises
+    ------
+    ValueError
+        A shape does not match, a component is not finite, the quaternion is zero, or the time
+        does not fit int64.
+    TypeError
+        The time is not an integer.
+
+    """
+
+    time_ns: int
+    attitude: Floats
+    angular_velocity: Floats
+    rotor_momentum: Floats
+    #: See `state_layout`.
+    _packed: Floats = field(init=False, repr=False)
+    #: The momentum of the rotors and its low-order part, shape (2, 3).
+    _rotors: Floats = field(init=False, repr=False)
+    #: The step grid that the state was computed from (an `Origin`), or None.
+    _origin: object = field(init=False, repr=False)
+
+    @classmethod
+    def _as_computed(cls, time_ns: int, packed: Floats, origin: object = None,
+                     rotors: Floats = _NO_ROTORS) -> State:
+        """Return a state with exactly these bits; the quaternion is not normalised."""
+        state = object.__new__(cls)
+        packed.flags.writeable = False
+        for name, value in (('time_ns', time_ns), ('attitude', state_layout.attitude(packed)),
+                            ('angular_velocity', state_layout.angular_velocity(packed)),
+                            ('rotor_momentum', rotors[0]), ('_rotors', rotors),
+                            ('_packed', packed),
+                            ('_origin', origin)):
+            object.__setattr__(state, name, value)
+        return state
+
+    def __init__(self, time_ns: int = 0,
+                 attitude: ArrayLike | Rotation = (0.0, 0.0, 0.0, 1.0),
+                 angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+                 rotor_momentum: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        if hasattr(attitude, 'as_quat'):  # a SciPy Rotation; to import SciPy takes long
+            attitude = attitude.as_quat()
+        q = _checked_vector(attitude, 4, 'attitude quaternion (x, y, z, w)')
+        if not q.any():
+            raise ValueError('attitude quaternion (x, y, z, w): expected a non-zero quaternion, '
+                             f'found {q.tolist()}')
+        if not is_normalized(q):
+            q = so3.normalize(q)
+        w = _checked_vector(angular_velocity, 3, 'angular velocity')
+        computed = self._as_computed(instant(time_ns), state_layout.pack(w, q), None,
+                                     _checked_rotors(rotor_momentum))
+        self.__dict__.update(computed.__dict__)
+
+    @cached_property
+    def _has_rotors(self) -> bool:
+        # `any` takes a tenth of a short run.
+        return self._rotors is not _NO_ROTORS and bool(self._rotors.any())
+
+    def __repr__(self) -> str:
+        rotors = f', rotor momentum {written(self.rotor_momentum)} N m s' \
+            if self._has_rotors else ''
+        return (f'State(time {self.time_ns} ns, attitude xyzw {written(self.attitude)}, '
+                f'angular velocity {written(self.angular_velocity)} rad/s{rotors})')
+
+
+def is_normalized(q: Floats) -> NDArray[np.bool_]:
+    """Return whether quaternions, shape (..., 4), are of norm 1 within 4 eps."""
+    return abs(np.sqrt(np.sum(q * q, axis=-1)) - 1.0) <= 4.0 * np.finfo(float).eps
+
+
+def _checked_rotors(momentum: ArrayLike) -> Floats:
+    high = _checked_vector(momentum, 3, 'rotor momentum')
+    if not high.any():
+        return _NO_ROTORS
+    rotors = np.stack([high, np.zeros(3)])
+    rotors.flags.writeable = False
+    return rotors
+
+
+def _checked_vector(values: ArrayLike, size: int, what: str) -> Floats:
+    vector = np.array(values, float)
+    if vector.shape != (size,) or not np.all(np.isfinite(vector)):
+        raise ValueError(f'{what}: expected {size} finite numbers, '
+                         f'found {quoted(vector.tolist())}')
+    return vector

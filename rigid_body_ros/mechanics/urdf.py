@@ -1,0 +1,360 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The inertia of a link in a URDF file, and the frames in which forces on it are accepted.
+
+The format is specified in http://wiki.ros.org/urdf/XML/link and
+http://wiki.ros.org/urdf/XML/joint. Where the specification leaves a choice, this module follows
+urdfdom, the parser of ROS (`parseInertial` in urdf_parser/src/link.cpp, `parseJoint` in
+urdf_parser/src/joint.cpp).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+import math
+import re
+from typing import NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import listed, quoted, shortened
+from rigid_body_ros.mechanics import euler, so3
+from rigid_body_ros.mechanics.frames import Frame, Frames, TurningFrame
+
+#: Attributes of <inertia>, row by row.
+_ENTRIES = ('ixx', 'ixy', 'ixz', 'ixy', 'iyy', 'iyz', 'ixz', 'iyz', 'izz')
+_FIXED, _CONTINUOUS = 'fixed', 'continuous'
+#: Types of joints that move.
+_MOVING = ('revolute', _CONTINUOUS, 'prismatic', 'floating', 'planar')
+#: m; beyond it, products of positions may not fit a double.
+_FARTHEST = 1e300
+#: Numbers as urdfdom reads them; `float` also accepts 1_000 and digits of other scripts.
+_NUMBER = re.compile(r'[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?')
+#: Bound on the rounding error of a rotated tensor, relative to its largest moment.
+_ROTATION_ERROR = 16.0 * np.finfo(float).eps
+
+
+def inertia(text: str, link: str = '') -> Floats:
+    """
+    Return the inertia of a link about its centre of mass, in the axes of the link.
+
+    The result is R I R^T, where I has the entries of <inertia>, and R is the rotation by the roll,
+    pitch and yaw of <origin> about the fixed axes x, y, z. Without a rotation the entries are
+    those of the file; a rotation rounds them by about 1e-16 of the largest moment. The position
+    xyz of the centre of mass is checked, but does not change the tensor. The mass is ignored.
+
+    Parameters
+    ----------
+    text : str
+        Contents of the file, after xacro. All six entries of <inertia> are required: neither the
+        specification nor urdfdom has defaults for them. The xyz and rpy of <origin> default to
+        zero.
+    link : str
+        Name of the link; may be empty if only one link has an <inertial>.
+
+    Returns
+    -------
+    array, shape (3, 3), kg m^2, axes of the link
+        Symmetric; after a rotation, within rounding.
+
+    Raises
+    ------
+    ValueError
+        The text is not URDF, or has not been through xacro; the link does not exist, is not
+        unique, or has no <inertial>; an attribute is missing or is not a list of finite numbers
+        of the expected length; the rotation is a quaternion (URDF 1.1); a moment is zero within
+        the rounding error of the rotation.
+
+    """
+    name, inertial = _inertial_of_link(_parse_robot(text), link)
+    where = f'URDF link {quoted(name)}'
+    entries = _child(inertial, 'inertia')
+    tensor = np.reshape([_numbers(entries, entry, 1, where) for entry in _ENTRIES], (3, 3))
+    _, angles = _origin(inertial, where)
+    if any(angles):
+        _check_thickness(tensor, where)
+    attitude = euler.to_quaternion(angles, 'xyz')
+    return so3.rotate(attitude, so3.rotate(attitude, tensor).T)
+
+
+def fixed_frames(text: str, link: str = '') -> Frames:
+    """
+    Return the frames of the links that fixed joints connect to a link, in either direction.
+
+    The child link of a continuous joint on one of these, such as a propeller, has a frame as well,
+    for forces and torques along the axis of the joint. Links attached to the child have none.
+
+    Parameters
+    ----------
+    text : str
+        Contents of the file, after xacro.
+    link : str
+        Name of the link that is the body; may be empty if only one link has an <inertial>. The
+        body axes are those of the link; the centre of mass is at the xyz of its <inertial>.
+
+    Returns
+    -------
+    Frames
+        By name of the link; that of the body is included. Any other name raises
+        UnknownFrameError, a KeyError and ValueError, with the reason: the joint that moves the
+        link, the joint that has no valid <origin> or <axis>, or that no joints connect the link to
+        the body. The frame of a continuous joint is a `frames.TurningFrame`.
+
+    Raises
+    ------
+    ValueError
+        The text is not URDF, or has not been through xacro; the link does not exist, is not
+        unique, or has no <inertial>; the <origin> of its <inertial> is not valid.
+
+    """
+    robot = _parse_robot(text)
+    body, inertial = _inertial_of_link(robot, link)
+    centre, _ = _origin(inertial, f'URDF link {quoted(body)}')
+    links = [element.get('name', '') for element in robot.findall('{*}link')]
+    paths = _paths(body, _joints(robot, {*links}, body), [-x for x in centre])
+    frames = {name: path.frame for name, path in paths.items() if not path.barrier}
+    others = dict.fromkeys(links, f'no joints connect it to {quoted(body)}')
+    others |= {name: path.barrier for name, path in paths.items()}
+    return Frames(body, frames, {name: others[name] for name in links if name not in frames})
+
+
+def _check_thickness(tensor: Floats, where: str) -> None:
+    """Raise ValueError if the smallest moment may be a rounding error after a rotation."""
+    moments = np.linalg.eigvalsh(tensor)
+    if abs(moments[0]) <= _ROTATION_ERROR * moments[2]:
+        raise ValueError(f'{where}: inertia: expected a positive definite tensor, found principal '
+                         f'moments {moments.tolist()} kg m^2')
+
+
+def _parse_robot(text: str) -> Element:
+    try:
+        robot = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise ValueError(f'URDF: expected XML, found {quoted(text)} ({error})') from None
+    for element in robot.iter():
+        namespace, _, name = element.tag.rpartition('}')
+        if 'xacro' in namespace:
+            raise ValueError('URDF: expected the output of xacro, '
+                             f'found <xacro:{shortened(name, 60)}>; run xacro first')
+    root = robot.tag.rpartition('}')[2]
+    if root != 'robot':
+        raise ValueError(f'URDF: expected the root element <robot>, '
+                         f'found <{shortened(root, 60)}>')
+    return robot
+
+
+def _inertial_of_link(robot: Element, link: str) -> tuple[str, Element]:
+    # {*}: an example of urdfdom has a default namespace, which its parser ignores.
+    links = [(element.get('name', ''), element.find('{*}inertial'))
+             for element in robot.findall('{*}link')]
+    with_inertial = [name for name, inertial in links if inertial is not None]
+    if not link and len(with_inertial) != 1:
+        raise ValueError('URDF: expected the name of a link, or a single link with <inertial>, '
+                         f'found {_listed(with_inertial)}')
+    name = link or with_inertial[0]
+    found = [inertial for other, inertial in links if other == name]
+    if len(found) != 1:
+        raise ValueError(f'URDF: expected one link {quoted(name)}, '
+                         f'found {_listed([other for other, _ in links])}')
+    if found[0] is None:
+        raise ValueError(f'URDF link {quoted(name)}: expected an <inertial>, found none; '
+                         f'links with <inertial>: {_listed(with_inertial)}')
+    return name, found[0]
+
+
+class _Joint(NamedTuple):
+    """
+    A joint between two links.
+
+    Attributes
+    ----------
+    name, parent, child : str
+    shift : list of 3 floats, m
+        Position of the child relative to the parent, in the axes of the parent.
+    turn : list of 3 rows of 3 floats
+        Rotation matrix from the axes of the child to those of the parent.
+    barrier : str
+        Why it does not fix the child to the parent; '' if it does.
+    axis : list of 3 floats
+        Unit vector about which it turns the child, in the axes of the child; empty if it does
+        anything else.
+
+    """
+
+    name: str
+    parent: str
+    child: str
+    shift: list[float]
+    turn: list[list[float]]
+    barrier: str
+    axis: list[float]
+
+
+class _Path(NamedTuple):
+    """
+    A chain of joints from the body to a link.
+
+    Attributes
+    ----------
+    rotation : list of 3 rows of 3 floats
+        Rotation matrix from the axes of the link to those of the body.
+    position, rest : list of 3 floats, m, body axes
+        Position of the link relative to the centre of mass, and the rounding error of that sum.
+    barrier : str
+        Why forces at the link are not accepted; '' if they are.
+    turning : _Joint, optional
+        The continuous joint of which the link is the child; None if the body fixes the link.
+
+    """
+
+    rotation: list[list[float]]
+    position: list[float]
+    rest: list[float]
+    barrier: str = ''
+    turning: _Joint | None = None
+
+    @property
+    def frame(self) -> Frame:
+        """Return the frame of the link."""
+        rotation, position = np.array(self.rotation), np.add(self.position, self.rest)
+        if self.turning:
+            return TurningFrame(rotation, position, self.turning.name, np.array(self.turning.axis))
+        return Frame(rotation, position)
+
+    def across(self, joint: _Joint, to_child: bool) -> _Path:
+        """Return the path to the other link of a joint."""
+        turning = joint if joint.axis and to_child and not self.turning else None
+        barrier = self.barrier or ('' if turning else (self.turning or joint).barrier)
+        if barrier:
+            return self._replace(barrier=barrier)
+        back = [list(row) for row in zip(*joint.turn)]
+        rotation = _product(self.rotation, joint.turn if to_child else back)
+        to_parent = self.rotation if to_child else rotation
+        column = _product(to_parent, [[x if to_child else -x] for x in joint.shift])
+        sums = [total + x for total, (x,) in zip(self.position, column)]
+        rest = [rest + _rounding(total, x)
+                for rest, total, (x,) in zip(self.rest, self.position, column)]
+        if not all(abs(x) <= _FARTHEST for x in sums):
+            barrier = f'expected a position of at most {_FARTHEST:g} m'
+        return _Path(rotation, sums, rest, barrier, turning)
+
+
+def _paths(body: str, joints: list[_Joint], start: list[float]) -> dict[str, _Path]:
+    """Return the path to each link that joints connect to the body, which is at `start`."""
+    joints_of = defaultdict(list)
+    for joint in joints:
+        joints_of[joint.parent].append((joint, joint.child))
+        joints_of[joint.child].append((joint, joint.parent))
+    paths, reached = {body: _Path(np.eye(3).tolist(), start, [0.0] * 3)}, [body]
+    for name in reached:  # grows
+        for joint, other in joints_of[name]:
+            if other not in paths:
+                paths[other] = paths[name].across(joint, other == joint.child)
+                reached.append(other)
+    if sum(joint.parent in paths for joint in joints) >= len(paths):
+        loop = f'the joints between it and {quoted(body)} form a closed loop'
+        return {name: path if name == body else path._replace(barrier=path.barrier or loop)
+                for name, path in paths.items()}
+    return paths
+
+
+def _joints(robot: Element, links: set[str], body: str) -> list[_Joint]:
+    """Return the joints between links that exist."""
+    joints, angles = [], []
+    for element in robot.findall('{*}joint'):
+        parent, child = (_child(element, end).get('link', '') for end in ('parent', 'child'))
+        if {parent, child} <= links:
+            shift, turn, barrier, axis = _attachment(element, body)
+            angles.append(turn)
+            name = element.get('name', '')
+            joints.append(_Joint(name, parent, child, shift, [], barrier, axis))
+    turns = so3.matrix(euler.to_quaternion(np.reshape(angles, (-1, 3)), 'xyz'))  # all at once
+    return [joint._replace(turn=turn) for joint, turn in zip(joints, turns.tolist())]
+
+
+def _attachment(joint: Element,
+                body: str) -> tuple[list[float], list[float], str, list[float]]:
+    """Return the shift, the angles, the barrier and the axis of a joint."""
+    name, kind = quoted(joint.get('name', '')), joint.get('type', '')
+    zero, types, where = [0.0] * 3, (_FIXED, *_MOVING), f'URDF joint {name}'
+    moves = f'joint {name} ({kind}) moves it relative to {quoted(body)}'
+    try:
+        if kind not in types:
+            raise ValueError(f'{where}: type: expected one of {", ".join(types)}, '
+                             f'found {quoted(kind)}')
+        if kind == _FIXED:
+            return *_origin(joint, where), '', []
+        if kind == _CONTINUOUS:
+            return *_origin(joint, where), moves, _axis(joint, f'{where}: axis')
+        return zero, zero, moves, []
+    except ValueError as error:
+        return zero, zero, str(error), []
+
+
+def _axis(joint: Element, where: str) -> list[float]:
+    """Return the unit vector along the <axis> of a joint."""
+    default = '1 0 0' if joint.find('{*}axis') is None else None
+    numbers = _numbers(_child(joint, 'axis'), 'xyz', 3, where, default)
+    largest = max(map(abs, numbers))
+    if not largest:
+        raise ValueError(f'{where}: xyz: expected a vector other than zero, found {numbers}')
+    # By a power of two, which rounds nothing; without it the norm may not fit a double.
+    scaled = [math.ldexp(x, -math.frexp(largest)[1]) for x in numbers]
+    return [x / math.hypot(*scaled) for x in scaled]
+
+
+def _product(one: list[list[float]], other: list[list[float]]) -> list[list[float]]:
+    """Return a product of matrices, 3 by 3 and 3 by n."""
+    return [[a * x + b * y + c * z for x, y, z in zip(*other)] for a, b, c in one]
+
+
+def _rounding(one: float, other: float) -> float:
+    """Return the rounding error of a sum (Knuth, TAOCP 2, 4.2.2, theorem B)."""
+    total = one + other
+    part = total - one
+    return (one - (total - part)) + (other - part)
+
+
+def _listed(names: list[str]) -> str:
+    return listed([*map(repr, names)])
+
+
+def _child(parent: Element, name: str) -> Element:
+    child = parent.find('{*}' + name)
+    return Element(name) if child is None else child
+
+
+def _origin(element: Element, where: str) -> tuple[list[float], list[float]]:
+    """Return the xyz, m, and the roll, pitch and yaw, rad, of the <origin> of an element."""
+    origin = _child(element, 'origin')
+    if origin.get('quat_xyzw') is not None:
+        raise ValueError(f'{where}: expected the rotation as rpy, found quat_xyzw')
+    return _numbers(origin, 'xyz', 3, where, '0 0 0'), _numbers(origin, 'rpy', 3, where, '0 0 0')
+
+
+def _numbers(element: Element, name: str, count: int, where: str,
+             default: str | None = None) -> list[float]:
+    text = element.get(name, default)
+    words = (text or '').split()
+    numbers = [float(word) for word in words if _NUMBER.fullmatch(word)]
+    if not len(numbers) == len(words) == count or not all(map(math.isfinite, numbers)):
+        expected = 'a finite number' if count == 1 else f'{count} finite numbers'
+        found = 'nothing' if text is None else quoted(text)
+        hint = '; run xacro first' if '${' in (text or '') else ''
+        raise ValueError(f'{where}: {name}: expected {expected}, found {found}{hint}')
+    return numbers

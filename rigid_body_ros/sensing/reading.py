@@ -1,0 +1,262 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Read measured attitudes and angular velocities from a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros import messages, recording
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError, listed, quoted, shortened
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.messages import MessageType
+from rigid_body_ros.propagation.options import FASTEST
+from rigid_body_ros.recording import Messages, Source, Track
+from rigid_body_ros.sensing.measured import FEWEST, Measured
+
+#: Variances, rad^2 or rad^2/s^2, from which on a value counts as not measured.
+_MEANINGLESS = 1e3
+
+
+class _Values(NamedTuple):
+    """The doubles of a type: where its values and their covariances are."""
+
+    attitude: slice | None = None
+    attitude_covariance: slice | None = None
+    rate: slice | None = None
+    rate_covariance: slice | None = None
+
+
+_LAYOUTS: dict[MessageType, _Values] = {
+    messages.QUATERNION: _Values(slice(0, 4)),
+    messages.POSE: _Values(slice(3, 7)),
+    messages.POSE_WITH_COVARIANCE: _Values(slice(3, 7), slice(7, 43)),
+    messages.TRANSFORM_STAMPED: _Values(slice(3, 7)),
+    messages.TRANSFORM: _Values(slice(3, 7)),
+    messages.ODOMETRY: _Values(messages.ORIENTATION, slice(7, 43), messages.ANGULAR_VELOCITY,
+                               slice(49, 85)),
+    messages.IMU: _Values(slice(0, 4), slice(4, 13), slice(13, 16), slice(16, 25)),
+    messages.VECTOR3: _Values(rate=slice(0, 3)),
+}
+#: The message types that can be measured.
+KINDS = tuple(_LAYOUTS)
+#: Those that are certainly measurements of an attitude or an angular velocity.
+_CERTAIN = tuple(kind for kind in KINDS if kind is not messages.VECTOR3)
+#: Those whose frames can be chosen.
+_TRANSFORMS = tuple(kind for kind in KINDS if kind.has_child_frame)
+
+
+def read_measured(path: str | Path, topic: str | None = None, *,
+                  frames: tuple[str, str] | None = None, body_frame: str = 'base_link',
+                  space_frame: str = 'world', time_source: str = 'header',
+                  track: Track = lambda items, total: items) -> Measured:
+    """
+    Read a measured topic: attitudes, angular velocities, or both.
+
+    A message without a finite quaternion other than zero, or without a finite angular velocity
+    up to 1e9 rad/s, is rejected. An Imu whose covariance begins with -1 has no such value, and
+    neither has a message with a variance of 1000 or more. A covariance that is zero or not
+    positive definite is unknown.
+
+    Parameters
+    ----------
+    path : str or Path
+        A recording, as for `recording.read`.
+    topic : str, optional
+        A topic of type QuaternionStamped, PoseStamped, PoseWithCovarianceStamped,
+        TransformStamped, TFMessage, Odometry, Imu, or Vector3Stamped (an angular velocity). Can be
+        omitted if only one topic has one of the types but the last.
+    frames : tuple of str, optional
+        The two frames of the transforms or of the Odometry to read. By default those of the
+        space and of the body from a TFMessage, and those that all messages have from the others.
+    body_frame, space_frame : str
+        The frames of the scene.
+    time_source : str
+        'header', 'log' (time of recording) or 'publish' (time of publishing).
+    track : callable, optional
+        Wraps the iteration over blocks of messages, to show progress.
+
+    Returns
+    -------
+    Measured
+        Sorted by stamp. Of messages with equal stamps, the last in the recording is kept.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read; the topic is missing, ambiguous or of another type; it has
+        several pairs of frames, or none that can be chosen; or it has fewer than four messages
+        with finite values and stamps.
+
+    """
+    topic = topic or _only_topic(path)
+    with Source(path, topic, KINDS, time_source) as source:
+        kind = source.kind
+    if frames and not kind.has_child_frame:
+        raise InputError(f'{path}: {source.topic}: --frames: expected a topic of transforms or '
+                         f'odometry, found {kind.name}')
+    if kind is messages.TRANSFORM:
+        frames = frames or (space_frame, body_frame)
+    with Source(path, topic, (kind,), time_source, frames=frames) as source:
+        blocks = list(track(source, source.count))
+        recorded = recording.joined(source.topic, kind, blocks, source.damage)
+    where = f'{path}: {recorded.topic}'
+    if kind is messages.VECTOR3:
+        _check_axes(where, recorded, space_frame)
+    if not len(recorded) and frames and kind.has_child_frame:
+        raise InputError(f'{where}: expected transforms from {quoted(frames[0])} to '
+                         f'{quoted(frames[1])}, found none; choose other frames with --frames')
+    return replace(_measured(where, recorded, kind),
+                   frames=_other_frames(where, recorded, kind, (space_frame, body_frame)))
+
+
+def _only_topic(path: str | Path) -> str:
+    found = recording.topics(path, _CERTAIN)
+    if len(found) != 1:
+        advice = '; choose one with --measured' if found else ''
+        raise InputError(f'{path}: expected one topic of a measured attitude (QuaternionStamped, '
+                         'PoseStamped, PoseWithCovarianceStamped, TransformStamped, TFMessage, '
+                         f'Odometry, Imu), found {listed(found)}{advice}')
+    return found[0]
+
+
+def _check_axes(where: str, recorded: Messages, space_frame: str) -> None:
+    if space_frame in recorded.names:
+        number = int(np.argmax(recorded.frames == recorded.names.index(space_frame))) + 1
+        raise InputError(f'{where}: message {number}: frame_id: expected an angular velocity in '
+                         f'body axes, found {shortened(quoted(space_frame))} (space axes)')
+
+
+def _other_frames(where: str, recorded: Messages, kind: MessageType,
+                  expected: tuple[str, str]) -> str:
+    """Return how frames differ from those of space and body; '' if they do not, or are empty."""
+    if kind.has_child_frame:
+        pairs = [f'{quoted(parent)} to {quoted(child)}' for parent, child in recorded.pairs]
+        if len(pairs) > 1:
+            raise InputError(f'{where}: expected one pair of frames, found {listed(pairs)}; '
+                             'choose one with --frames')
+        same = all(name in ('', frame) for pair in recorded.pairs
+                   for name, frame in zip(pair, expected))
+        return '' if same else f'expected frames {quoted(expected[0])} to ' \
+                               f'{quoted(expected[1])}, found {pairs[0]}'
+    frame = expected[kind in (messages.IMU, messages.VECTOR3)]
+    others = [quoted(name) for name in recorded.names if name not in ('', frame)]
+    return f'expected frame_id {quoted(frame)}, found {listed(others)}' if others else ''
+
+
+def _measured(where: str, recorded: Messages, kind: MessageType) -> Measured:
+    """Return the usable samples of messages, sorted."""
+    layout, values = _LAYOUTS[kind], recorded.values
+    attitude = _given(values, layout.attitude, layout.attitude_covariance, kind,
+                      lambda found: np.any(found != 0.0, axis=1))
+    rate = _given(values, layout.rate, layout.rate_covariance, kind,
+                  lambda found: np.all(np.abs(found) <= FASTEST, axis=1))
+    usable: list[NDArray[np.bool_]] = [
+        each for each in (attitude, rate) if each is not None and each.any()]
+    rows = np.logical_and.reduce([*usable, np.full(len(recorded), bool(usable))])
+    if rows.sum() < FEWEST:
+        lost = f' ({recorded.damage})' if recorded.damage else ''
+        raise InputError(f'{where}: expected at least {FEWEST} messages with a finite attitude '
+                         f'or angular velocity, found {rows.sum()} among {len(recorded)}{lost}')
+    order = _ordered(where, recorded.stamps_ns, np.flatnonzero(rows))
+    values = values[order]
+    has_attitude, has_rate = (each is not None and bool(each.any()) for each in (attitude, rate))
+    quaternions = so3.normalize(values[:, layout.attitude]) if has_attitude else None
+    fixed_axes = kind in (messages.POSE_WITH_COVARIANCE, messages.ODOMETRY)
+    return Measured(
+        recorded.topic, recorded.stamps_ns[order], quaternions,
+        values[:, layout.rate] if has_rate else None,
+        _covariance(values, layout.attitude_covariance, quaternions if fixed_axes else None)
+        if has_attitude else None,
+        _covariance(values, layout.rate_covariance) if has_rate else None,
+        len(recorded) - int(rows.sum()), recorded.damage)
+
+
+def _given(values: Floats, where: slice | None, covariance: slice | None, kind: MessageType,
+           usable: Callable[[Floats], NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
+    """Return which messages have a value; None if the type has none."""
+    if where is None:
+        return None
+    found = values[:, where]
+    given = np.isfinite(found).all(axis=1) & usable(found)
+    if covariance is not None:
+        if kind is messages.IMU:
+            given &= values[:, covariance.start] != -1.0
+        variances = np.diagonal(_block(values[:, covariance]), axis1=1, axis2=2)
+        given &= ~(variances >= _MEANINGLESS).any(axis=1)
+    return given
+
+
+def _block(covariances: Floats) -> Floats:
+    """Return the rotational parts, shape (n, 3, 3), of rows of 9 or 36 covariances."""
+    size = 3 if covariances.shape[1] == 9 else 6
+    return covariances.reshape(-1, size, size)[:, size - 3:, size - 3:]
+
+
+def _covariance(values: Floats, where: slice | None, to_body: Floats | None = None
+                ) -> Floats | None:
+    """Return covariances in body axes; None unless all are known, and positive definite."""
+    if where is None:
+        return None
+    found = _block(values[:, where])
+    if not np.all(np.abs(found) < _MEANINGLESS) \
+            or any(np.any(np.linalg.det(found[:, :size, :size]) <= 0.0) for size in (1, 2, 3)):
+        return None
+    if to_body is None:
+        return found
+    turn = so3.matrix(to_body)
+    return np.asarray(np.swapaxes(turn, 1, 2) @ found @ turn)
+
+
+def _ordered(where: str, stamps: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return rows in ascending order of their stamps, each stamp once."""
+    without = int(np.sum(stamps[rows] == 0))
+    if without > 1:
+        raise InputError(f'{where}: expected stamps in the headers, found 0 in {without} of '
+                         f'{len(rows)} messages; use --time-source log for the times of the '
+                         'recording')
+    rows = rows[np.argsort(stamps[rows], kind='stable')]
+    rows = rows[np.append(np.diff(stamps[rows]) != 0, True)]
+    if len(rows) < FEWEST:
+        raise InputError(f'{where}: expected at least {FEWEST} different stamps, found '
+                         f'{len(rows)}')
+    return rows
+
+
+def read_all(path: str | Path, topics: Iterable[str], **options: Any) -> list[Measured]:
+    """
+    Read measured topics, with the arguments and errors of `read_measured`.
+
+    Raises
+    ------
+    InputError
+        Also if a topic is given twice.
+
+    """
+    frames: tuple[str, str] | None = options.pop('frames', None)
+    names: list[str | None] = [*topics]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f'--measured: expected each topic once, found {name!r} twice')
+    # Among several topics, the frames are those of the transforms.
+    chosen = {*recording.topics(path, _TRANSFORMS)} & {*names} if frames else set()
+    return [read_measured(path, name, frames=frames if name in chosen or not chosen else None,
+                          **options) for name in names or [None]]
