@@ -37,9 +37,9 @@ from rigid_body_ros.mechanics.frames import Frames
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
+from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameter_file import node_parameters
 from rigid_body_ros.runtime.parameters import BIG, checked, is_foreign, Parameter, TINY, Value
-from rigid_body_ros.runtime.reading import read_yaml
 
 #: The name of the node whose parameters a scene file has.
 NODE = 'attitude_node'

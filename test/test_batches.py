@@ -23,7 +23,7 @@ from rigid_body_ros import messages, propagate, recording, RigidBody, scene, Sta
 from rigid_body_ros.propagation import Integration
 from rigid_body_ros.recording import torques, writer
 from rigid_body_ros.replay import batches, replay
-from rigid_body_ros.replay.report import summary
+from rigid_body_ros.replay.summary import summary
 from rigid_body_ros.scene import InputError
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)

@@ -46,8 +46,8 @@ from rigid_body_ros.identification.recorded import read_experiment
 from rigid_body_ros.recording import torques, writer
 from rigid_body_ros.replay import epochs, read, replay
 from rigid_body_ros.replay.many import replay_many
-from rigid_body_ros.replay.report import summary
 from rigid_body_ros.replay.sources import Topics
+from rigid_body_ros.replay.summary import summary
 from rigid_body_ros.replay.verify import verify
 from rigid_body_ros.scene import InputError
 

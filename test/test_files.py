@@ -26,7 +26,7 @@ from rigid_body_ros.comparison import read_measured
 from rigid_body_ros.comparison.recorded import compare_recording, read_motion
 from rigid_body_ros.replay import replay
 from rigid_body_ros.runtime import files
-from rigid_body_ros.runtime.reading import read_json
+from rigid_body_ros.runtime.limits import read_json
 from rigid_body_ros.scene import InputError
 
 TUMBLER = scene.load(CONFIG / 'tumbler.yaml')

@@ -30,7 +30,7 @@ from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.replay import gaps, replay
 from rigid_body_ros.replay.check import energy_balance
-from rigid_body_ros.replay.report import summary
+from rigid_body_ros.replay.summary import summary
 from rigid_body_ros.scene import InputError
 from rosbags.highlevel import AnyReader
 

@@ -30,7 +30,7 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.many import replay_many
-from rigid_body_ros.replay.report import summary
+from rigid_body_ros.replay.summary import summary
 
 MS = 10 ** 6
 STARTED = 1_700_000_000 * SECOND

@@ -31,7 +31,7 @@ from rigid_body_ros.commands import main
 from rigid_body_ros.kernels import body_layout
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.report.page import html
-from rigid_body_ros.tradeoff import Error, measure, Measurement, recommend, report, Setting
+from rigid_body_ros.tradeoff import Error, measure, Measurement, recommend, Setting, summary
 from rigid_body_ros.tradeoff.page import page
 from rigid_body_ros.tradeoff.problem import Problem, Reference
 from test_reference import NAMES
@@ -121,7 +121,7 @@ def test_rotors_that_take_all_momentum_leave_small_drifts_and_a_target_that_is_m
     found = propagate(body, start, wheels=wheels, at=[20 * SECOND],
                       **result.choices[1e-8].measurement.setting.options).attitude
     assert 0.0 < so3.angle_between(found, expected)[0] <= 1e-8
-    assert 'principal axes' not in report.summary(result)
+    assert 'principal axes' not in summary.summary(result)
 
 
 def a_measurement(error, seconds):
@@ -206,10 +206,10 @@ def test_a_target_below_the_last_digits_is_refused_with_their_effect(tmp_path, c
 def test_the_floor_is_shown_as_what_it_is():
     result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
                      State(0, angular_velocity=(0.1, 1.0, 0.2)))
-    meaning = report.as_data(result)['rounding_floor_is']
+    meaning = summary.as_data(result)['rounding_floor_is']
     assert 'the series with other steps, in principal axes and, without torque, the ' in meaning
     assert 'does not show an error common to all' in meaning
-    assert meaning in ' '.join(report.summary(result).split())
+    assert meaning in ' '.join(summary.summary(result).split())
 
 
 def test_a_failed_setting_is_shown_as_failed():
@@ -219,8 +219,8 @@ def test_a_failed_setting_is_shown_as_failed():
     assert failed
     assert {run.setting.solver for run in failed} == {'explicit_euler'}
     assert math.isnan(failed[0].error.attitude)
-    assert report.summary(result, all_rows=True).count('failed: ') == len(failed)
-    assert 'failed: ' not in report.summary(result)
+    assert summary.summary(result, all_rows=True).count('failed: ') == len(failed)
+    assert 'failed: ' not in summary.summary(result)
     assert not any(run.pareto_optimal for run in failed)
 
 
@@ -276,7 +276,7 @@ def test_the_recommendations_come_first_and_then_the_pareto_optimal_settings(cap
 def test_every_target_has_its_own_recommendation(tmp_path):
     body, start = RigidBody.from_moments(1.0, 2.0, 2.5), State(0, angular_velocity=(0.1, 1.0, 0.2))
     result = measure(body, start, targets=[1e-2, 1e-6, 1e-20])
-    data = report.as_data(result)
+    data = summary.as_data(result)
     assert [each['target_rad'] for each in data['targets']] == [1e-2, 1e-6, 1e-20]
     assert data['targets'][2]['recommended'] is None
     for each in data['targets'][:2]:
@@ -318,17 +318,17 @@ def test_another_interpolation_is_advised_only_if_it_helps(shape):
     better = result.better_interpolation
     if shape == 'pulses':
         assert better is None
-        assert ': only more closely spaced samples help\n' in report.summary(result)
+        assert ': only more closely spaced samples help\n' in summary.summary(result)
     else:
         assert error(better.interpolation) < 0.1 * error('hold')
-        assert f'use {better.interpolation} (about ' in report.summary(result)
+        assert f'use {better.interpolation} (about ' in summary.summary(result)
 
 
 def test_curves_follow_the_settings_and_end_at_the_rounding_floor():
     result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
                      State(0, angular_velocity=(0.1, 1.0, 0.2)))
     floor = result.reference.floor
-    for solver, (errors, _) in report.curves(result).items():
+    for solver, (errors, _) in summary.curves(result).items():
         measured = [one.error.attitude for one in result.measurements
                     if one.setting.solver == solver and not one.failure]
         assert errors == [max(error, floor) for error in measured]
@@ -351,7 +351,7 @@ def test_the_page_spells_out_every_setting_and_has_the_recommended_lines():
     panel, = data_of(text)['panels']
     assert {'target 1e-06 rad', 'target 1e-20 rad'} < panel['lines'].keys()
     for each, texts, (solver, (errors, costs)) in zip(panel['curves'], panel['texts'],
-                                                      report.curves(result).items()):
+                                                      summary.curves(result).items()):
         assert each['names'] == [solver]
         np.testing.assert_allclose(array(each['x']), np.maximum(errors, np.finfo(float).eps))
         shown = array(each['low'], '<f4') + each['offsets'][0]

@@ -36,6 +36,7 @@ from rigid_body_ros.commands.arguments import (
     warn_of_frames,
 )
 from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime.terminal import progress
 
 if TYPE_CHECKING:
     from rigid_body_ros.comparison import Comparison
@@ -58,7 +59,7 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
 
 
 def _outputs(options: argparse.Namespace) -> Iterator[tuple[str, str]]:
-    from rigid_body_ros.replay import suffix_of
+    from rigid_body_ros.recording import suffix_of
     if options.output:
         yield options.output, suffix_of(options.output)
     for name, suffix in ((options.json, '.json'), (options.plot, '.png'),
@@ -68,12 +69,11 @@ def _outputs(options: argparse.Namespace) -> Iterator[tuple[str, str]]:
 
 
 def _compared(options: argparse.Namespace, scene: Scene) -> Comparison:
-    from rigid_body_ros import replay
     from rigid_body_ros.comparison.recorded import compare_recording, Reading
     reading = Reading(options.interpolation, options.time_source,
                       options.frames and tuple(options.frames),
-                      replay.progress('reading', size=len),
-                      replay.progress('comparing', ' steps'))
+                      progress('reading', size=len),
+                      progress('comparing', ' steps'))
     return compare_recording(
         options.recording, scene, options.measured or (), topic=options.topic,
         wheel_torque=options.wheel_torque, wheel_momentum=options.wheel_momentum,

@@ -42,6 +42,7 @@ from rigid_body_ros.commands.arguments import (
 )
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime.terminal import progress
 
 if TYPE_CHECKING:
     from rigid_body_ros.ensemble.driver import Pool
@@ -57,7 +58,6 @@ FINAL = 'final'
 def attitude_ensemble(arguments: Sequence[str] | None) -> int:
     """Compute many runs with dispersed parameters."""
     options = parsed(ensemble_parser(), arguments)
-    from rigid_body_ros import replay
     from rigid_body_ros.ensemble import driver, summary
     from rigid_body_ros.ensemble.folder import opened
     with files.reading(options.recording), files.protected('input', options.scene, options.vary):
@@ -68,7 +68,7 @@ def attitude_ensemble(arguments: Sequence[str] | None) -> int:
             if options.report:
                 with files.overwriting(options.overwrite):
                     files.check((options.report, '.html'))
-            driver.compute(ensemble, folder, _pool(options), replay.progress(
+            driver.compute(ensemble, folder, _pool(options), progress(
                 'runs', ' runs', driver.runs_of))
             found = summary.summarized(ensemble, folder)
             _draw(options, folder.picture, found)

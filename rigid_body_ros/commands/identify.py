@@ -37,7 +37,7 @@ from rigid_body_ros.commands.arguments import (
 )
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime import files
-from rigid_body_ros.runtime.terminal import report
+from rigid_body_ros.runtime.terminal import progress, report
 
 if TYPE_CHECKING:
     from rigid_body_ros.identification import Experiment, Identification
@@ -89,7 +89,7 @@ def _identified(options: argparse.Namespace,
     from rigid_body_ros.identification.recorded import read_experiments
     reading = Reading(options.interpolation, options.time_source,
                       options.frames and tuple(options.frames),
-                      replay.progress('reading', size=len))
+                      progress('reading', size=len))
     topics = replay.topics_of(options.topic, options.wheel_torque, options.wheel_momentum)
     experiments = read_experiments(options.recording, scene, options.measured or (), topics,
                                    reading)

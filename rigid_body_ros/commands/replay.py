@@ -70,12 +70,12 @@ def _replay(options: argparse.Namespace) -> int:
 
 
 def _replay_one(options: argparse.Namespace) -> int:
-    from rigid_body_ros import replay
-    from rigid_body_ros.replay.report import summary
+    from rigid_body_ros import recording, replay
+    from rigid_body_ros.replay.summary import summary
     path, = options.input
     if options.also and not options.output:
         raise InputError('--also: expected an output file or folder (-o), found none')
-    outputs = [(options.output, replay.suffix_of(options.output))] if options.output else []
+    outputs = [(options.output, recording.suffix_of(options.output))] if options.output else []
     outputs += [(options.plot, '.png')] if options.plot else []
     outputs += [(options.report, '.html')] if options.report else []
     files.check(*outputs)

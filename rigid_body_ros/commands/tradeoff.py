@@ -35,7 +35,7 @@ from rigid_body_ros.commands.arguments import (
 )
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime import files
-from rigid_body_ros.runtime.terminal import show
+from rigid_body_ros.runtime.terminal import progress, show
 
 if TYPE_CHECKING:
     from rigid_body_ros.mechanics.state import State
@@ -51,7 +51,7 @@ def attitude_tradeoff(arguments: Sequence[str] | None) -> int:
 
 
 def _tradeoff(options: argparse.Namespace) -> int:
-    from rigid_body_ros.tradeoff import report
+    from rigid_body_ros.tradeoff import summary
     outputs = (options.json, '.json'), (options.plot, '.png'), (options.report, '.html')
     with files.reading(options.recording), files.protected('scene', options.scene), \
             files.protected('ensemble', options.ensemble), files.overwriting(options.overwrite):
@@ -60,7 +60,7 @@ def _tradeoff(options: argparse.Namespace) -> int:
         result, title = _measure(options, scene)
         if options.json:
             with files.atomic_output(options.json, '.json') as path:
-                text = json.dumps(report.as_data(result), indent=1)
+                text = json.dumps(summary.as_data(result), indent=1)
                 path.write_text(f'{text}\n', encoding='utf-8')
         if options.plot:
             with files.protected('output', options.json):
@@ -68,13 +68,12 @@ def _tradeoff(options: argparse.Namespace) -> int:
         if options.report:
             with files.protected('output', options.json, options.plot):
                 _write_tradeoff_page(options, result, title, scene)
-    show(report.summary(result, all_rows=options.all))
+    show(summary.summary(result, all_rows=options.all))
     return 0
 
 
 def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
     """Return the result and a title that names the recording and its topic, or the scene."""
-    from rigid_body_ros import replay
     from rigid_body_ros.tradeoff import ensemble, measure, TARGET
     name, logs, wheels, start = _torques(options, scene)
     source = options.recording or options.scene
@@ -84,7 +83,7 @@ def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
         result = measure(scene.body, start, logs, wheels=wheels, targets=targets,
                          end_ns=spread.end_ns if spread else None,
                          torque_timeout=scene.torque_timeout,
-                         track=replay.progress('measuring', ' runs'))
+                         track=progress('measuring', ' runs'))
     except ValueError as error:
         raise InputError(f'{source}: {f"{name}: " if logs or wheels else ""}{error}') from error
     if spread:
@@ -129,10 +128,10 @@ def _spread(options: argparse.Namespace, start: State,
 
 def _plot_tradeoff(path: str, result: Tradeoff, title: str) -> None:
     from rigid_body_ros.report import figures
-    from rigid_body_ros.tradeoff import report
+    from rigid_body_ros.tradeoff import summary
     with files.atomic_output(path, '.png') as temporary:
-        figures.work_precision(temporary, report.curves(result), title,
-                               report.reference_errors(result))
+        figures.work_precision(temporary, summary.curves(result), title,
+                               summary.reference_errors(result))
 
 
 def _write_tradeoff_page(options: argparse.Namespace, result: Tradeoff, title: str,

@@ -25,11 +25,12 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison import coarse
 from rigid_body_ros.comparison.alignment import Alignment
-from rigid_body_ros.comparison.motion import measured_rates, Model, Recorded, States
+from rigid_body_ros.comparison.motion import Model, Recorded, States
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.rates import measured_rates
 
 START, CLOCK, MOUNT = 'start', 'clock', 'mount'
 #: What can be fitted.

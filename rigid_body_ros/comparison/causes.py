@@ -37,7 +37,7 @@ from rigid_body_ros.comparison.motion import Model, Recorded
 from rigid_body_ros.comparison.residual_torque import ResidualTorque
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
-from rigid_body_ros.recording import Track
+from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import Measured
 
 #: Part of the median error that may be left when a cause is undone.
@@ -109,7 +109,7 @@ class _Trial:
 
 
 def find_causes(motion: Model | Recorded, found: Comparison, align: Collection[str],
-                track: Track = lambda items, total: items) -> tuple[Cause, ...]:
+                track: Track = no_progress) -> tuple[Cause, ...]:
     """
     Return the likely causes of errors: none, or one for attitudes and one for angular velocities.
 

@@ -21,9 +21,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.comparison.motion import measured_rates, Model, Recorded
+from rigid_body_ros.comparison.motion import Model, Recorded
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.rates import measured_rates
 
 #: Largest clock offset that is searched for, s.
 LARGEST_OFFSET = 10.0

@@ -30,7 +30,7 @@ from rigid_body_ros.comparison.residual_torque import residual_torque
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
-from rigid_body_ros.recording import Track
+from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import Measured
 
 
@@ -82,7 +82,7 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
 
 def compare_motion(motion: Model | Recorded, measured: Sequence[Measured],
                    align: Collection[str] = (), horizons: Sequence[float] = (),
-                   causes: bool = True, track: Track = lambda items, total: items) -> Comparison:
+                   causes: bool = True, track: Track = no_progress) -> Comparison:
     """Compare as `compare` does, with a model or a recorded motion; `track` shows progress."""
     for seconds in horizons:
         if not duration_ns(seconds, 'horizons'):

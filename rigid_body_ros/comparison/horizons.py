@@ -23,11 +23,12 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison.align import errors_of
-from rigid_body_ros.comparison.motion import measured_rates, Model
+from rigid_body_ros.comparison.motion import Model
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.recording import Track
+from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.rates import measured_rates
 
 #: Samples from which a restart is estimated, unless the horizon is too short for them.
 _SAMPLES = 11
@@ -56,7 +57,7 @@ class Horizon:
 
 
 def horizon(model: Model, sensors: Sequence[Measured], seconds: float,
-            track: Track = lambda items, total: items) -> Horizon:
+            track: Track = no_progress) -> Horizon:
     """
     Return errors after a time, each from a restart from the measurement.
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.mechanics import hermite, so3
+from rigid_body_ros.mechanics import hermite
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
@@ -148,34 +148,3 @@ class Recorded:
         part = (times_ns - stamps[rows]) * 1e-9 / span
         return States(*hermite.between((attitude[rows], rates[rows]),
                                        (attitude[rows + 1], rates[rows + 1]), span, part))
-
-
-def derived_rates(stamps: NDArray[np.int64], attitude: Floats
-                  ) -> tuple[NDArray[np.int64], Floats]:
-    """
-    Return angular velocities from attitudes: mean ones between two samples, at their middle.
-
-    Parameters
-    ----------
-    stamps : array of int64, shape (n,), ns
-        Strictly ascending.
-    attitude : array, shape (n, 4)
-        x y z w.
-
-    Returns
-    -------
-    middles : array of int64, shape (n - 1,), ns
-    rates : array, shape (n - 1, 3), rad/s, body axes
-
-    """
-    spans = np.diff(stamps)
-    turned = so3.log(so3.multiply(so3.conjugate(attitude[:-1]), attitude[1:]))
-    return stamps[:-1] + spans // 2, turned / (1e-9 * spans)[:, None]
-
-
-def measured_rates(sensor: Measured) -> tuple[NDArray[np.int64], Floats]:
-    """Return the angular velocities of a sensor; from its attitudes if it measures none."""
-    if sensor.angular_velocity is not None:
-        return sensor.stamps, sensor.angular_velocity
-    assert sensor.attitude is not None
-    return derived_rates(sensor.stamps, sensor.attitude)

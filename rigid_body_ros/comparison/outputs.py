@@ -22,8 +22,7 @@ from pathlib import Path
 import numpy as np
 from rigid_body_ros import messages
 from rigid_body_ros.comparison.errors import Comparison, Errors
-from rigid_body_ros.recording import Column, Writer
-from rigid_body_ros.replay.outputs import writer_of
+from rigid_body_ros.recording import Column, Writer, writer_of
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 
 ROTATION_VECTOR, ANGULAR_VELOCITY = '/error/rotation_vector', '/error/angular_velocity'

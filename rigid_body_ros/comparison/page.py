@@ -21,21 +21,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.comparison.errors import Comparison
 from rigid_body_ros.comparison.horizons import Horizon
 from rigid_body_ros.comparison.motion import Model
 from rigid_body_ros.comparison.summary import rows
-from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.replay.page import ThinnedTorque, total_torque
 from rigid_body_ros.report import moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page
+from rigid_body_ros.report.panels import error_panel, SINCE_FIRST, torque_panels, total_torque
 from rigid_body_ros.scene import Scene
-
-_SINCE_FIRST = 'time from the first measurement (s)'
-#: Number of times at which a torque on a curve is sampled.
-_SAMPLES = 5000
 
 
 def page(found: Comparison, name: str, scene: Scene, command: str) -> Page:
@@ -62,27 +56,6 @@ def page(found: Comparison, name: str, scene: Scene, command: str) -> Page:
                 [*_panels(found, stamps)], body, scene.warnings, scene=scene, command=command)
 
 
-def error_panel(label: str, unit: str, times_ns: NDArray[np.int64], errors: Floats,
-                start_ns: int) -> Panel:
-    """Return a panel with the sizes of errors, shape (n, 3), and of their components."""
-    sizes = np.abs(np.column_stack([errors, np.linalg.norm(errors, axis=1)]))
-    names = (*style.ERRORS[1:], style.ERRORS[0])
-    return Panel(label, unit, [Curves.thinned(times_ns, sizes, names, start_ns)], _SINCE_FIRST,
-                 'log')
-
-
-def torque_panels(logs: Sequence[TorqueLog], start_ns: int, end_ns: int,
-                  timeout_ns: int = 0) -> Iterator[Panel]:
-    """Generate a panel for each log that has samples."""
-    logs = [log for log in logs if len(log)]
-    times = np.unique(np.linspace(0, end_ns - start_ns, _SAMPLES).astype(np.int64)) + start_ns
-    for number, log in enumerate(logs, 1):
-        torque = ThinnedTorque(timeout_ns)
-        torque.add(log, times)
-        yield torque.panel(f'torque {number}' if len(logs) > 1 else 'torque', start_ns,
-                           _SINCE_FIRST)
-
-
 def _panels(found: Comparison, stamps: NDArray[np.int64]) -> Iterator[Panel]:
     start_ns, end_ns = int(stamps[0]), int(stamps[-1])
     for label, unit, attribute in (('attitude error, body axes', 'rad', 'rotation_vectors'),
@@ -96,7 +69,7 @@ def _panels(found: Comparison, stamps: NDArray[np.int64]) -> Iterator[Panel]:
     torque = found.residual_torque
     if torque:
         yield Panel('residual torque, body axes', 'N m', [Curves.thinned(
-            torque.times_ns, torque.torques, style.TORQUES, start_ns)], _SINCE_FIRST)
+            torque.times_ns, torque.torques, style.TORQUES, start_ns)], SINCE_FIRST)
     horizons = sorted((one for one in found.horizons if len(one.angles)),
                       key=lambda one: one.seconds)
     if horizons:

@@ -28,10 +28,10 @@ from rigid_body_ros.comparison.coarse import LARGEST_OFFSET
 from rigid_body_ros.comparison.comparison import compare_motion
 from rigid_body_ros.comparison.errors import Comparison
 from rigid_body_ros.comparison.motion import Model, Recorded
-from rigid_body_ros.recording import Track
+from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE
 from rigid_body_ros.replay.epochs import chosen
-from rigid_body_ros.replay.outputs import ANGULAR_VELOCITY, ATTITUDE
 from rigid_body_ros.replay.sources import read_sources, Topics, topics_of
+from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.reading import read_all, read_measured
@@ -60,8 +60,8 @@ class Reading:
     interpolation: str | None = None
     time_source: str = 'header'
     frames: tuple[str, str] | None = None
-    track: Track = lambda items, total: items
-    work: Track = lambda items, total: items
+    track: Track = no_progress
+    work: Track = no_progress
 
 
 def compare_recording(path: str | Path, scene: Scene, measured: Sequence[str] = (), *,

@@ -30,10 +30,11 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.comparison.motion import measured_rates, Model
+from rigid_body_ros.comparison.motion import Model
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.rates import measured_rates
 
 #: Length of a window, s, and its fewest samples; a window of more than twice the length has a gap.
 WINDOW, FEWEST = 0.25, 11

@@ -23,19 +23,19 @@ from functools import partial
 from itertools import groupby, islice
 import math
 from operator import itemgetter
-from typing import Any, NoReturn, TYPE_CHECKING
+from typing import NoReturn, TYPE_CHECKING
 
 import numpy as np
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.ensemble.runs import Columns, Ensemble, Span
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.cluster import connected
+from rigid_body_ros.runtime.terminal import Track
 
 if TYPE_CHECKING:  # a worker needs no Parquet
     from rigid_body_ros.ensemble.folder import Folder
 
 #: Wraps an iteration over blocks with a total number of runs, to show progress.
-Track = Callable[[Iterable[Any], int], Iterable[Any]]
 #: A span and its rows.
 Block = tuple[int, int, Columns]
 #: Generates the blocks of an ensemble in the order in which they are complete.

@@ -33,8 +33,8 @@ from rigid_body_ros.ensemble.dispersions import ATTITUDE, UNITS
 from rigid_body_ros.ensemble.streams import normals
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.runtime.limits import read_json
 from rigid_body_ros.runtime.parameters import resembled
-from rigid_body_ros.runtime.reading import read_json
 
 #: The rotation vector of the initial attitude.
 _ROTATION = tuple(f'{ATTITUDE}.{axis}' for axis in 'xyz')

@@ -21,12 +21,12 @@ from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
-from rigid_body_ros.comparison.page import error_panel, torque_panels
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.result import Estimate, Identification
 from rigid_body_ros.identification.summary import rows
 from rigid_body_ros.report.charts import Panel
 from rigid_body_ros.report.page import Page, table
+from rigid_body_ros.report.panels import error_panel, torque_panels
 from rigid_body_ros.scene import Scene
 
 _HEADER = 'parameter', 'value', 'sigma', '95 % interval', 'guess', 'unit'

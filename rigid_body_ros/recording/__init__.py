@@ -25,7 +25,7 @@ Writing: `writer` writes MCAP files, with the records of the format in `containe
 the metadata.yaml of a rosbag2 bag.
 """
 
-from rigid_body_ros.recording.folder import FolderWriter
+from rigid_body_ros.recording.folder import FolderWriter, suffix_of, writer_of
 from rigid_body_ros.recording.source import (
     joined,
     Messages,
@@ -34,7 +34,6 @@ from rigid_body_ros.recording.source import (
     TIME_SOURCES,
     topics,
     TORQUES,
-    Track,
 )
 from rigid_body_ros.recording.torques import (
     epochs,
@@ -44,8 +43,8 @@ from rigid_body_ros.recording.torques import (
     torque_log,
     torque_pieces,
 )
-from rigid_body_ros.recording.writer import Column, Writer
+from rigid_body_ros.recording.writer import ANGULAR_VELOCITY, ATTITUDE, Column, Writer
 
-__all__ = ['TIME_SOURCES', 'TORQUES', 'Column', 'FolderWriter', 'Messages', 'NotInOrderError',
-           'Piece', 'Source', 'Track', 'Writer', 'epochs', 'first_epoch', 'joined', 'read',
-           'topics', 'torque_log', 'torque_pieces']
+__all__ = ['ANGULAR_VELOCITY', 'ATTITUDE', 'TIME_SOURCES', 'TORQUES', 'Column', 'FolderWriter',
+           'Messages', 'NotInOrderError', 'Piece', 'Source', 'Writer', 'epochs', 'first_epoch',
+           'joined', 'read', 'suffix_of', 'topics', 'torque_log', 'torque_pieces', 'writer_of']

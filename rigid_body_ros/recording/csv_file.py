@@ -30,7 +30,7 @@ from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.csv_columns import Columns, columns
 from rigid_body_ros.recording.file import File
-from rigid_body_ros.runtime.reading import open_file
+from rigid_body_ros.runtime.limits import open_file
 
 #: The only topic of a CSV file.
 _TOPIC = '/torque'

@@ -27,6 +27,18 @@ import yaml
 _VERSION = 5
 
 
+def suffix_of(output: str | Path) -> str:
+    """Return the format of an output: '.mcap', or `files.FOLDER` for a rosbag2 folder."""
+    name = Path(output).name.lower()  # like rosbag2
+    return '.mcap' if name.endswith('.mcap') else FOLDER
+
+
+def writer_of(output: str | Path) -> Writer:
+    """Return a writer for the format of an output."""
+    kind = FolderWriter if suffix_of(output) == FOLDER else Writer
+    return kind(output, keep_partial=True)
+
+
 class FolderWriter(Writer):
     """
     Write a folder with an MCAP file and metadata.yaml, otherwise as `Writer` does.

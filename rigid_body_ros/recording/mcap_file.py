@@ -39,7 +39,7 @@ from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Ints, Raw
 from rigid_body_ros.recording.file import File
 from rigid_body_ros.recording.unpack import LARGEST, unpack
-from rigid_body_ros.runtime.reading import open_file
+from rigid_body_ros.runtime.limits import open_file
 import zstandard
 
 #: Size at which records outside of chunks make a block, bytes.

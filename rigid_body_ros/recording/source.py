@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 import os
@@ -39,7 +39,8 @@ from rigid_body_ros.recording.mcap_file import McapFile
 from rigid_body_ros.recording.sqlite_file import SqliteFile
 from rigid_body_ros.recording.unpack import temporary, unpack_each, unpack_file
 from rigid_body_ros.recording.writer import Writer
-from rigid_body_ros.runtime.reading import read_yaml
+from rigid_body_ros.runtime.limits import read_yaml
+from rigid_body_ros.runtime.terminal import no_progress, Track
 import yaml
 from yaml.constructor import BaseConstructor
 
@@ -48,7 +49,6 @@ TIME_SOURCES = ('header', 'log', 'publish')
 #: The message types that carry a torque.
 TORQUES = (messages.WRENCH, messages.BARE_WRENCH)
 #: A wrapper around an iterable with a known total, to show progress: (items, total) -> items.
-Track = Callable[[Iterable[Any], int], Iterable[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +258,7 @@ class Source:
 
 
 def read(path: str | Path, topic: str | None = None, kind: MessageType | None = None,
-         track: Track = lambda items, total: items, time_source: str = 'header',
+         track: Track = no_progress, time_source: str = 'header',
          skip: float = 0.0, preferred: str = '') -> Messages:
     """
     Read the messages of a topic.

@@ -26,7 +26,7 @@ import tempfile
 
 from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.recording.bulk import BadMessageError, Raw
-from rigid_body_ros.runtime.reading import open_file
+from rigid_body_ros.runtime.limits import open_file
 import zstandard
 
 #: Limit on the bytes of a chunk, or of the messages in a block; rosbag2 and mcap write 1 MB.

@@ -34,6 +34,8 @@ from rigid_body_ros.recording.bulk import Raw
 from rigid_body_ros.recording.container import Container, Indexed
 from rigid_body_ros.runtime.files import Part, reported
 
+#: Topics of a recorded motion.
+ATTITUDE, ANGULAR_VELOCITY = '/attitude', '/angular_velocity'
 #: Size at which messages make a chunk, bytes.
 _CHUNK = 2 ** 20
 #: The start of a message record: opcode, length, channel, sequence, log time, publish time.

@@ -14,11 +14,9 @@
 
 """Compute the motion of a body from recorded torques."""
 
-from rigid_body_ros.replay.outputs import suffix_of
-from rigid_body_ros.replay.progress import progress
 from rigid_body_ros.replay.reading import read, torques
 from rigid_body_ros.replay.single import plot, Replay, replay
 from rigid_body_ros.replay.sources import topics_of
 
-__all__ = ['Replay', 'plot', 'progress', 'read', 'replay', 'suffix_of', 'topics_of',
+__all__ = ['Replay', 'plot', 'read', 'replay', 'topics_of',
            'torques']

@@ -31,10 +31,10 @@ from typing import Any
 
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.replay.batches import Collector
-from rigid_body_ros.replay.progress import progress
 from rigid_body_ros.replay.single import replay
 from rigid_body_ros.report.text import lines
 from rigid_body_ros.runtime import files, interrupts
+from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
 from tqdm import tqdm
 

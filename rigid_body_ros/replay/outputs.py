@@ -24,26 +24,18 @@ from rigid_body_ros import messages, recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.propagation import Trajectory
-from rigid_body_ros.recording import Column
+from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE, Column
 from rigid_body_ros.replay import markers
 from rigid_body_ros.replay.batches import Request
-from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 
-ATTITUDE, EULER_ANGLES, ANGULAR_VELOCITY = '/attitude', '/euler_angles', '/angular_velocity'
-_ROTOR_MOMENTUM = '/rotor_momentum'
-_TOPICS = {ATTITUDE: messages.QUATERNION, EULER_ANGLES: messages.VECTOR3,
+_EULER_ANGLES, _ROTOR_MOMENTUM = '/euler_angles', '/rotor_momentum'
+_TOPICS = {ATTITUDE: messages.QUATERNION, _EULER_ANGLES: messages.VECTOR3,
            ANGULAR_VELOCITY: messages.VECTOR3}
 #: Names of the additional topics that can be written.
 IMU, TF, MARKERS, INPUT = 'imu', 'tf', 'markers', 'input'
 _IMU_DATA, _TF = '/imu/data', '/tf'
 _ALSO = {IMU: {_IMU_DATA: messages.IMU}, TF: {_TF: messages.TRANSFORM}, MARKERS: markers.TOPICS}
-
-
-def suffix_of(output: str | Path) -> str:
-    """Return the format of an output: '.mcap', or `files.FOLDER` for a rosbag2 folder."""
-    name = Path(output).name.lower()  # like rosbag2
-    return '.mcap' if name.endswith('.mcap') else files.FOLDER
 
 
 def check_names(also: Collection[str]) -> None:
@@ -52,12 +44,6 @@ def check_names(also: Collection[str]) -> None:
     for name in also:
         if name not in known:
             raise InputError(f'also: expected some of {", ".join(known)}, found {name!r}')
-
-
-def writer_of(output: str | Path) -> recording.Writer:
-    """Return a writer for the format of an output."""
-    kind = recording.FolderWriter if suffix_of(output) == files.FOLDER else recording.Writer
-    return kind(output, keep_partial=True)
 
 
 def topics_of(request: Request) -> dict[str, MessageType]:
@@ -88,7 +74,7 @@ def write(writer: recording.Writer, request: Request, trajectory: Trajectory,
     space, body, sequence = scene.space_frame, scene.body_frame, scene.euler_sequence
     attitude, rates = trajectory.attitude, trajectory.angular_velocity
     columns = [Column(ATTITUDE, space, attitude),
-               Column(EULER_ANGLES, space, trajectory.euler_angles(sequence)),
+               Column(_EULER_ANGLES, space, trajectory.euler_angles(sequence)),
                Column(ANGULAR_VELOCITY, body, rates)]
     if scene.has_rotors:
         columns.append(Column(_ROTOR_MOMENTUM, body, trajectory.rotor_momentum))

@@ -19,16 +19,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats, written
-from rigid_body_ros.mechanics import so3
-from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
+from rigid_body_ros.common.arrays import written
+from rigid_body_ros.mechanics.torque import torque_logs
 from rigid_body_ros.replay.batches import Batch
-from rigid_body_ros.replay.report import rows
 from rigid_body_ros.replay.single import Replay
+from rigid_body_ros.replay.summary import rows
 from rigid_body_ros.report import moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page
+from rigid_body_ros.report.panels import ThinnedTorque, total_torque
 from rigid_body_ros.report.thinning import EveryNth, Extremes
 from rigid_body_ros.scene import Scene
 
@@ -101,51 +100,3 @@ class Collector:
         several = len(self._torques) > 1
         return panels + [torque.panel(f'torque {number}' if several else 'torque', start_ns)
                          for number, torque in enumerate(self._torques, 1)]
-
-
-class ThinnedTorque:
-    """
-    The torque of one log over the time of a motion, thinned while it is added.
-
-    Parameters
-    ----------
-    timeout_ns : int
-        As for `TorqueLog.segments`.
-
-    """
-
-    def __init__(self, timeout_ns: int) -> None:
-        self._timeout_ns, self._extremes = timeout_ns, Extremes(3)
-        self._frames: set[bool] = set()
-        self._taken_ns: int | None = None
-        self._step = True
-
-    def add(self, log: TorqueLog, times: NDArray[np.int64]) -> None:
-        """Add the torque up to the last of these times."""
-        end_ns = int(times[-1])
-        changes, _ = log.segments(self._timeout_ns)
-        known = changes[(changes > (times[0] if self._taken_ns is None else self._taken_ns))
-                        & (changes <= end_ns)]
-        first = times[:1] if self._taken_ns is None else times[:0]
-        grid = times if log.interpolation == 'cubic' else times[-1:]
-        at = np.unique(np.concatenate([first, known, grid]))
-        torque, in_space = log.at(at, self._timeout_ns)
-        self._extremes.add(at, torque)
-        self._frames |= set(np.unique(in_space).tolist())
-        self._taken_ns, self._step = end_ns, log.interpolation == 'hold'
-
-    def panel(self, name: str, start_ns: int, x_label: str = Panel.x_label) -> Panel:
-        """Return the panel."""
-        axes = style.axes_name(np.array([*self._frames], np.bool_))
-        return Panel(f'{name}, {axes}', 'N m', [Curves.of(
-            self._extremes, style.TORQUES, start_ns, self._step)], x_label)
-
-
-def total_torque(logs: Sequence[TorqueLog], times: NDArray[np.int64], attitude: Floats,
-                 timeout_ns: int) -> Floats:
-    """Return the sum of the torques, N m, body axes, shape (n, 3)."""
-    total = np.zeros((len(times), 3))
-    for log in logs:
-        torque, in_space = log.at(times, timeout_ns)
-        total += np.where(in_space[:, None], so3.rotate(so3.conjugate(attitude), torque), torque)
-    return total

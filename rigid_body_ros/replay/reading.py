@@ -26,8 +26,8 @@ from rigid_body_ros import recording
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.replay.epochs import chosen
-from rigid_body_ros.replay.progress import progress
 from rigid_body_ros.replay.sources import absolute, read_sources, Sources, Topics
+from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
 
 

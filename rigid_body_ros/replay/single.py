@@ -45,10 +45,10 @@ from rigid_body_ros.replay.batches import (
 )
 from rigid_body_ros.replay.check import Check, drift, last_digits, LastDigits
 from rigid_body_ros.replay.gaps import Gaps
-from rigid_body_ros.replay.outputs import INPUT, suffix_of
-from rigid_body_ros.replay.progress import progress
+from rigid_body_ros.replay.outputs import INPUT
 from rigid_body_ros.replay.sources import absolute, read_sources, Topics, topics_of
 from rigid_body_ros.runtime import files, interrupts
+from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
 
 #: The types of all topics that a motion depends on.
@@ -208,7 +208,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     request = Request(path, scene, interpolation, rate, until, also, collect)
     with files.reading(path), files.protected('scene', scene.path):
         if output is not None:
-            files.check((output, suffix_of(output)))
+            files.check((output, recording.suffix_of(output)))
         for prepare in progress('loading kernels (compiled on first use)')([warm_up], 1):
             prepare()
         if not is_plain:
@@ -322,7 +322,7 @@ def _replayed(request: Request, source: Source,
     *earlier, result = [found for found, _ in epochs]
     result.collected = request.collect() if request.collect else None
     with ExitStack() as stack:
-        writer = stack.enter_context(outputs.writer_of(output)) if output is not None else None
+        writer = stack.enter_context(recording.writer_of(output)) if output is not None else None
         if writer:
             outputs.add_topics(writer, request)
         logged_ns = epochs[0][1].start.time_ns

@@ -28,8 +28,9 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.recording import Messages, Track
+from rigid_body_ros.recording import Messages
 from rigid_body_ros.replay.epochs import aligned
+from rigid_body_ros.runtime.terminal import Track
 from rigid_body_ros.scene import Scene
 
 #: The topic of the torque on the rotors.

@@ -16,9 +16,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 import sys
+from typing import Any
 
 from rigid_body_ros.common.errors import InputError, printable, shortened
+from rigid_body_ros.runtime import interrupts
+
+#: Wraps an iteration over items, which are this many, to show its progress.
+Track = Callable[[Iterable[Any], int], Iterable[Any]]
 
 
 def report(text: str) -> None:
@@ -52,3 +58,24 @@ def show(text: str, end: str = '\n') -> None:
     except OSError as error:
         sys.stdout = None  # otherwise Python flushes it again at exit
         raise InputError(f'cannot write to standard output: {error.strerror}') from error
+
+
+def progress(label: str, unit: str = ' stamps',
+             size: Callable[[Any], int] = lambda item: 1) -> Track:
+    """Return a function that shows the progress of an iteration, if stderr is a terminal."""
+    from tqdm import tqdm  # takes longer to import than all else here
+
+    def track(items: Iterable[Any], total: int) -> Iterator[Any]:
+        # disable=None: no bar if standard error is not a terminal.
+        with tqdm(None, label, total, unit=unit, unit_scale=True, leave=False,
+                  disable=True if sys.stderr is None else None) as shown:
+            for item in items:
+                yield item
+                shown.update(size(item))
+                interrupts.check()
+    return track
+
+
+def no_progress(items: Iterable[Any], total: int) -> Iterable[Any]:
+    """Return the items: a `Track` that shows nothing."""
+    return items

@@ -29,7 +29,8 @@ from rigid_body_ros.common.errors import InputError, listed, quoted, shortened
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.propagation.options import FASTEST
-from rigid_body_ros.recording import Messages, Source, Track
+from rigid_body_ros.recording import Messages, Source
+from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import FEWEST, Measured
 
 #: Variances, rad^2 or rad^2/s^2, from which on a value counts as not measured.
@@ -67,7 +68,7 @@ _TRANSFORMS = tuple(kind for kind in KINDS if kind.has_child_frame)
 def read_measured(path: str | Path, topic: str | None = None, *,
                   frames: tuple[str, str] | None = None, body_frame: str = 'base_link',
                   space_frame: str = 'world', time_source: str = 'header',
-                  track: Track = lambda items, total: items) -> Measured:
+                  track: Track = no_progress) -> Measured:
     """
     Read a measured topic: attitudes, angular velocities, or both.
 

@@ -28,7 +28,7 @@ from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.propagation import propagate_many
-from rigid_body_ros.runtime.reading import read_json
+from rigid_body_ros.runtime.limits import read_json
 from rigid_body_ros.tradeoff.choices import Advice, Choice, recommend, Spread
 from rigid_body_ros.tradeoff.problem import Problem
 from rigid_body_ros.tradeoff.settings import DEFAULT, Setting

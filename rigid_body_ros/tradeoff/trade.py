@@ -16,12 +16,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 import math
 import time
-from typing import Any
 
 import numpy as np
 from rigid_body_ros.mechanics import so3
@@ -29,6 +28,7 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
 from rigid_body_ros.propagation import Trajectory, warm_up
+from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.tradeoff.choices import Advice, Choice, Error, Measurement, NO_ERROR, recommend
 from rigid_body_ros.tradeoff.interpolation import (
     better_interpolation,
@@ -40,7 +40,6 @@ from rigid_body_ros.tradeoff.problem import Problem, Reference, TIGHTEST, turned
 from rigid_body_ros.tradeoff.settings import Setting, settings_of
 
 #: Wraps an iterable of a given length to show progress.
-Track = Callable[[Iterable[Any], int], Iterable[Any]]
 
 #: rad; the target of `measure` and of --target by default.
 TARGET = 1e-6
@@ -127,7 +126,7 @@ def measure(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
             wheels: TorqueLog | None = None, end_ns: int | None = None,
             torque_timeout: float = 0.0, targets: Sequence[float] = (TARGET,),
             seconds: float = 10.0,
-            track: Track = lambda items, total: items) -> Tradeoff:
+            track: Track = no_progress) -> Tradeoff:
     """
     Measure every solver, and choose the cheapest setting that meets each target.
 

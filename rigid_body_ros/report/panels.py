@@ -1,0 +1,102 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Panels that the pages of several commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.report import style
+from rigid_body_ros.report.charts import Curves, Panel
+from rigid_body_ros.report.thinning import Extremes
+
+#: The label of an abscissa that begins at the first measurement.
+SINCE_FIRST = 'time from the first measurement (s)'
+#: Number of times at which a torque on a curve is sampled.
+_SAMPLES = 5000
+
+
+def error_panel(label: str, unit: str, times_ns: NDArray[np.int64], errors: Floats,
+                start_ns: int) -> Panel:
+    """Return a panel with the sizes of errors, shape (n, 3), and of their components."""
+    sizes = np.abs(np.column_stack([errors, np.linalg.norm(errors, axis=1)]))
+    names = (*style.ERRORS[1:], style.ERRORS[0])
+    return Panel(label, unit, [Curves.thinned(times_ns, sizes, names, start_ns)], SINCE_FIRST,
+                 'log')
+
+
+def torque_panels(logs: Sequence[TorqueLog], start_ns: int, end_ns: int,
+                  timeout_ns: int = 0) -> Iterator[Panel]:
+    """Generate a panel for each log that has samples."""
+    logs = [log for log in logs if len(log)]
+    times = np.unique(np.linspace(0, end_ns - start_ns, _SAMPLES).astype(np.int64)) + start_ns
+    for number, log in enumerate(logs, 1):
+        torque = ThinnedTorque(timeout_ns)
+        torque.add(log, times)
+        yield torque.panel(f'torque {number}' if len(logs) > 1 else 'torque', start_ns,
+                           SINCE_FIRST)
+
+
+class ThinnedTorque:
+    """
+    The torque of one log over the time of a motion, thinned while it is added.
+
+    Parameters
+    ----------
+    timeout_ns : int
+        As for `TorqueLog.segments`.
+
+    """
+
+    def __init__(self, timeout_ns: int) -> None:
+        self._timeout_ns, self._extremes = timeout_ns, Extremes(3)
+        self._frames: set[bool] = set()
+        self._taken_ns: int | None = None
+        self._step = True
+
+    def add(self, log: TorqueLog, times: NDArray[np.int64]) -> None:
+        """Add the torque up to the last of these times."""
+        end_ns = int(times[-1])
+        changes, _ = log.segments(self._timeout_ns)
+        known = changes[(changes > (times[0] if self._taken_ns is None else self._taken_ns))
+                        & (changes <= end_ns)]
+        first = times[:1] if self._taken_ns is None else times[:0]
+        grid = times if log.interpolation == 'cubic' else times[-1:]
+        at = np.unique(np.concatenate([first, known, grid]))
+        torque, in_space = log.at(at, self._timeout_ns)
+        self._extremes.add(at, torque)
+        self._frames |= set(np.unique(in_space).tolist())
+        self._taken_ns, self._step = end_ns, log.interpolation == 'hold'
+
+    def panel(self, name: str, start_ns: int, x_label: str = Panel.x_label) -> Panel:
+        """Return the panel."""
+        axes = style.axes_name(np.array([*self._frames], np.bool_))
+        return Panel(f'{name}, {axes}', 'N m', [Curves.of(
+            self._extremes, style.TORQUES, start_ns, self._step)], x_label)
+
+
+def total_torque(logs: Sequence[TorqueLog], times: NDArray[np.int64], attitude: Floats,
+                 timeout_ns: int) -> Floats:
+    """Return the sum of the torques, N m, body axes, shape (n, 3)."""
+    total = np.zeros((len(times), 3))
+    for log in logs:
+        torque, in_space = log.at(times, timeout_ns)
+        total += np.where(in_space[:, None], so3.rotate(so3.conjugate(attitude), torque), torque)
+    return total
