@@ -28,9 +28,9 @@ from rigid_body_ros.comparison.causes import Cause
 from rigid_body_ros.comparison.comparison import compare
 from rigid_body_ros.comparison.errors import Comparison, Errors
 from rigid_body_ros.comparison.horizons import Horizon
-from rigid_body_ros.comparison.residual_torque import ResidualTorque
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.reading import KINDS, read_all, read_measured
+from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
 __all__ = ['ALIGNMENTS', 'KINDS', 'Alignment', 'Cause', 'Comparison', 'Errors', 'Horizon',
            'Measured', 'ResidualTorque', 'compare', 'read_all', 'read_measured']

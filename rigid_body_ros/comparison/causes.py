@@ -34,11 +34,11 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison.align import CLOCK, MOUNT
 from rigid_body_ros.comparison.errors import compared, Comparison
 from rigid_body_ros.comparison.motion import Model, Recorded
-from rigid_body_ros.comparison.residual_torque import ResidualTorque
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
 #: Part of the median error that may be left when a cause is undone.
 _LEFT = 0.5

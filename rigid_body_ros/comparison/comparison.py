@@ -26,12 +26,12 @@ from rigid_body_ros.comparison.causes import find_causes
 from rigid_body_ros.comparison.errors import compared, Comparison
 from rigid_body_ros.comparison.horizons import horizon
 from rigid_body_ros.comparison.motion import Model, Recorded
-from rigid_body_ros.comparison.residual_torque import residual_torque
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.residual_torque import residual_torque
 
 
 def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None, *,

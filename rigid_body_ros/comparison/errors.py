@@ -29,8 +29,8 @@ from rigid_body_ros.comparison.align import apart, errors_of, START
 from rigid_body_ros.comparison.alignment import Alignment
 from rigid_body_ros.comparison.horizons import Horizon
 from rigid_body_ros.comparison.motion import Model, Recorded, States
-from rigid_body_ros.comparison.residual_torque import ResidualTorque
 from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
 
 @dataclass(frozen=True, eq=False)

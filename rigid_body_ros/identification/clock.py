@@ -21,8 +21,8 @@ from collections.abc import Sequence
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.comparison.motion import Model
-from rigid_body_ros.comparison.residual_torque import residual_torque
 from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.residual_torque import residual_torque
 
 #: s; largest offset that is searched for, and spacing of the offsets that are tried.
 _LARGEST, _SPACING = 10.0, 0.02
