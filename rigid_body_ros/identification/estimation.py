@@ -27,7 +27,6 @@ from rigid_body_ros.comparison.motion import Model
 from rigid_body_ros.identification import residuals
 from rigid_body_ros.identification.clock import likely_offset
 from rigid_body_ros.identification.experiment import (
-    Channel,
     channels_of,
     Experiment,
     typical_rate,
@@ -46,6 +45,7 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Options
+from rigid_body_ros.sensing.measured import Measured
 
 
 def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
@@ -102,7 +102,7 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     return _result(setup, solution, ahead)
 
 
-def _training(channels: list[Channel], validate: float) -> list[Channel]:
+def _training(channels: list[Measured], validate: float) -> list[Measured]:
     first = min(int(channel.stamps[0]) for channel in channels)
     last = max(int(channel.stamps[-1]) for channel in channels)
     end_ns = first + round((1.0 - validate) * (last - first))
@@ -114,7 +114,7 @@ def _training(channels: list[Channel], validate: float) -> list[Channel]:
     return fitted
 
 
-def _setup(body: RigidBody, experiments: list[Experiment], channels: list[list[Channel]],
+def _setup(body: RigidBody, experiments: list[Experiment], channels: list[list[Measured]],
            names: tuple[str, ...], attitude_noise: float | None, rate_noise: float | None,
            torque_timeout: float) -> Setup:
     rate = max(typical_rate(one) for one in channels)
@@ -130,13 +130,13 @@ def _setup(body: RigidBody, experiments: list[Experiment], channels: list[list[C
                  rate_noise, torque_timeout)
 
 
-def _clock_offset(body: RigidBody, experiments: list[Experiment], channels: list[list[Channel]],
+def _clock_offset(body: RigidBody, experiments: list[Experiment], channels: list[list[Measured]],
                   torque_timeout: float) -> float:
     """Return a guess of the clock offset from the recording with the most samples, s."""
     one, sensors = max(zip(experiments, channels),
                        key=lambda pair: sum(len(channel.stamps) for channel in pair[1]))
     model = Model(body, one.start, tuple(one.logs), one.wheels, {'torque_timeout': torque_timeout})
-    return likely_offset(model, [channel.as_measured() for channel in sensors])
+    return likely_offset(model, sensors)
 
 
 def _result(setup: Setup, solution: Solution,

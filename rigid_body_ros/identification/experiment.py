@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Recordings of one body, and the channels of their sensors."""
+"""Recordings of one body, and the channels of their sensors: one quantity of one topic each."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,41 +64,9 @@ class Experiment:
         return [self.log] if isinstance(self.log, TorqueLog) else [*(self.log or ())]
 
 
-@dataclass(frozen=True, eq=False)
-class Channel:
+def channels_of(experiment: Experiment) -> list[Measured]:
     """
-    Attitudes or angular velocities of one topic.
-
-    Attributes
-    ----------
-    topic : str
-    is_attitude : bool
-    is_mounted : bool
-        Whether the values are in the axes of the sensor that `mount` rotates, not in body axes.
-    stamps : array of int64, shape (n,), ns
-    values : array, shape (n, 4) or (n, 3)
-
-    """
-
-    topic: str
-    is_attitude: bool
-    is_mounted: bool
-    stamps: NDArray[np.int64]
-    values: Floats
-
-    def rows(self, chosen: NDArray[np.bool_] | slice) -> Channel:
-        """Return a channel with some of the samples."""
-        return replace(self, stamps=self.stamps[chosen], values=self.values[chosen])
-
-    def as_measured(self) -> Measured:
-        """Return the samples as those of a sensor that measures nothing else."""
-        return Measured(self.topic, self.stamps, self.values if self.is_attitude else None,
-                        None if self.is_attitude else self.values)
-
-
-def channels_of(experiment: Experiment) -> list[Channel]:
-    """
-    Return the channels of a recording, with the samples from its start on.
+    Return each quantity of each sensor of a recording, with the samples from its start on.
 
     Raises
     ------
@@ -108,22 +76,21 @@ def channels_of(experiment: Experiment) -> list[Channel]:
     """
     if not experiment.measured:
         raise InputError('expected at least one measured topic, found none')
-    has_attitude = any(one.attitude is not None for one in experiment.measured)
     return [_checked(channel, experiment.start.time_ns) for measured in experiment.measured
-            for channel in _channels(measured, has_attitude)]
+            for channel in measured.channels()]
 
 
-def _channels(measured: Measured, has_attitude: bool) -> Iterator[Channel]:
-    stamps = np.asarray(measured.stamps, np.int64)
-    mounted = measured.attitude is not None or not has_attitude
-    if measured.attitude is not None:
-        yield Channel(measured.topic, True, True, stamps, np.asarray(measured.attitude, float))
-    if measured.angular_velocity is not None:
-        yield Channel(measured.topic, False, mounted, stamps,
-                      np.asarray(measured.angular_velocity, float))
+def mounted(channels: Sequence[Measured]) -> list[bool]:
+    """
+    Return which channels are in the axes of a sensor that `mount` rotates, not in body axes.
+
+    If there are attitudes, angular velocities of other topics are in body axes.
+    """
+    topics = {channel.topic for channel in channels if channel.is_attitude}
+    return [not topics or channel.topic in topics for channel in channels]
 
 
-def _checked(channel: Channel, start_ns: int) -> Channel:
+def _checked(channel: Measured, start_ns: int) -> Measured:
     what = 'attitudes' if channel.is_attitude else 'angular velocities'
     finite = np.atleast_1d((np.abs(channel.values) <= FASTEST).all(axis=1))
     if channel.is_attitude:
@@ -138,11 +105,11 @@ def _checked(channel: Channel, start_ns: int) -> Channel:
     if len(channel.stamps) < _FEWEST:
         raise InputError(f'{channel.topic}: expected at least {_FEWEST} {what} from the start of '
                          f'the motion on, found {len(channel.stamps)}')
-    return replace(channel, values=so3.normalize(channel.values)) if channel.is_attitude \
+    return replace(channel, attitude=so3.normalize(channel.values)) if channel.is_attitude \
         else channel
 
 
-def typical_rate(channels: Sequence[Channel]) -> float:
+def typical_rate(channels: Sequence[Measured]) -> float:
     """Return the root mean square of the angular velocity, rad/s, robustly."""
     rates = [channel.values if not channel.is_attitude else _rates(channel)
              for channel in channels]
@@ -151,7 +118,7 @@ def typical_rate(channels: Sequence[Channel]) -> float:
     return max(found, 1e-6)
 
 
-def _rates(channel: Channel) -> Floats:
+def _rates(channel: Measured) -> Floats:
     """Return rates from attitudes some time apart."""
     spacing = np.median(np.diff(channel.stamps)) * 1e-9
     lag = min(max(1, round(_LAG / max(spacing, 1e-9))), len(channel.stamps) - 1)
@@ -160,14 +127,14 @@ def _rates(channel: Channel) -> Floats:
     return turned / np.maximum(seconds, 1e-9)[:, None]
 
 
-def local_state(channels: Sequence[Channel], time_ns: int, rate: float, mount: Floats,
+def local_state(channels: Sequence[Measured], time_ns: int, rate: float, mount: Floats,
                 fallback: State) -> tuple[Floats, Floats]:
     """
     Return attitude and angular velocity at a time, from the measurements close to it.
 
     Parameters
     ----------
-    channels : sequence of Channel
+    channels : sequence of Measured
         The sensors.
     time_ns : int
         The time of the state, on the clock of the channels.
@@ -185,13 +152,13 @@ def local_state(channels: Sequence[Channel], time_ns: int, rate: float, mount: F
     """
     attitude, velocity = fallback.attitude, fallback.angular_velocity
     has_rate = False
-    for channel in channels:
+    for channel, is_mounted in zip(channels, mounted(channels)):
         if channel.is_attitude or has_rate:
             continue
         near = _near(channel, time_ns, rate)
         if len(near.stamps):
             velocity = _robust_line((near.stamps - time_ns) * 1e-9, near.values)[0]
-            velocity = so3.rotate(mount, velocity) if channel.is_mounted else velocity
+            velocity = so3.rotate(mount, velocity) if is_mounted else velocity
             has_rate = True
     for channel in (one for one in channels if one.is_attitude):
         near = _near(channel, time_ns, rate)
@@ -206,7 +173,7 @@ def local_state(channels: Sequence[Channel], time_ns: int, rate: float, mount: F
     return attitude, velocity
 
 
-def _near(channel: Channel, time_ns: int, rate: float) -> Channel:
+def _near(channel: Measured, time_ns: int, rate: float) -> Measured:
     span_ns = int(0.5e9 / rate)
     centre = int(np.searchsorted(channel.stamps, time_ns))
     near = channel.rows(slice(max(centre - _LOCAL // 2, 0), centre + _LOCAL))

@@ -29,11 +29,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.experiment import Channel
 from rigid_body_ros.identification.parameters import Parameters, Physics
 from rigid_body_ros.identification.triangles import triangle
 from rigid_body_ros.identification.windows import States, Window
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.sensing.measured import Measured
 
 #: Width of the prior of each coordinate, which only keeps undetermined ones near the guess.
 _PRIOR = 3.0
@@ -309,7 +309,7 @@ class Problem:
         return factor
 
 
-def errors_of(channels: Sequence[Channel], predicted: Sequence[Floats]) -> list[Floats]:
+def errors_of(channels: Sequence[Measured], predicted: Sequence[Floats]) -> list[Floats]:
     """Return predicted minus measured values, shape (c, n, 3), attitudes as rotation vectors."""
     return [-so3.log(so3.multiply(so3.conjugate(here), channel.values))
             if channel.is_attitude else here - channel.values

@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.experiment import Channel
 from rigid_body_ros.identification.problem import errors_of
 from rigid_body_ros.identification.solve import Setup, Solution
 from rigid_body_ros.identification.windows import windows_of
+from rigid_body_ros.sensing.measured import Measured
 
 #: A sample of the validation is left out if its error is this many times the median.
 _OUTLIER = 8.0
@@ -143,7 +143,7 @@ def of_training(setup: Setup, solution: Solution) -> list[Residuals]:
 
 
 def of_validation(setup: Setup, solution: Solution,
-                  every: Sequence[Sequence[Channel]]) -> list[Residuals]:
+                  every: Sequence[Sequence[Measured]]) -> list[Residuals]:
     """
     Return the errors of the samples that were not fitted, in the prediction from the others.
 
@@ -153,7 +153,7 @@ def of_validation(setup: Setup, solution: Solution,
         What was fitted.
     solution : Solution
         The fit.
-    every : sequence of sequence of Channel
+    every : sequence of sequence of Measured
         The channels of each recording, with the samples that were not fitted.
 
     """

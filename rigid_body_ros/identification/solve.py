@@ -29,11 +29,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.experiment import Channel, Experiment, local_state
+from rigid_body_ros.identification.experiment import Experiment, local_state
 from rigid_body_ros.identification.parameters import Parameters, Physics
 from rigid_body_ros.identification.problem import Problem, Weights
 from rigid_body_ros.identification.windows import LEAD_NS, States, Window, windows_of
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.sensing.measured import Measured
 
 #: rad; the body turns by about this much in the first windows.
 _FIRST = 8.0
@@ -71,7 +72,7 @@ class Setup:
     """What is fitted to what: see `identify`."""
 
     experiments: Sequence[Experiment]
-    channels: list[list[Channel]]
+    channels: list[list[Measured]]
     parameters: Parameters
     rate: float
     fits_start: bool
@@ -307,7 +308,7 @@ def _solution(setup: Setup, length_ns: int, problem: Problem, physics: Physics, 
                     evaluations, converged)
 
 
-def _level(error: Floats, channel: Channel, setup: Setup, share: float) -> float:
+def _level(error: Floats, channel: Measured, setup: Setup, share: float) -> float:
     """Return a robust standard deviation of the errors of a channel."""
     return max(_NORMAL * _middle(error) * share, _floor(channel, setup))
 
@@ -318,7 +319,7 @@ def _middle(error: Floats) -> float:
     return float(np.median(finite)) if finite.size else 0.0
 
 
-def _floor(channel: Channel, setup: Setup) -> float:
+def _floor(channel: Measured, setup: Setup) -> float:
     return _ROUNDING * (1.0 if channel.is_attitude else max(1.0, setup.rate))
 
 

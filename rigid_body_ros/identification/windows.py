@@ -22,12 +22,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.experiment import Channel, Experiment
+from rigid_body_ros.identification.experiment import Experiment, mounted
 from rigid_body_ros.identification.parameters import Physics
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import propagate, Trajectory
+from rigid_body_ros.sensing.measured import Measured
 
 #: ns; a window with a fitted clock begins this much before its first sample.
 LEAD_NS = 200_000_000
@@ -70,7 +71,7 @@ class Window:
         The torques that act in the window.
     rotors : array, shape (3,), N m s
         Momentum of the rotors at the beginning, with the initial momentum of the scene.
-    channels : list of Channel
+    channels : list of Measured
     rows : list of slice
         Which samples of each channel of the recording are in the window.
     is_in_body : bool
@@ -84,7 +85,7 @@ class Window:
     logs: list[TorqueLog]
     wheels: TorqueLog | None
     rotors: Floats
-    channels: list[Channel]
+    channels: list[Measured]
     rows: list[slice]
     torque_timeout: float = 0.0
     #: Of all channels, increasing, each once.
@@ -128,9 +129,10 @@ class Window:
         vectors = np.array([one.mount for one in physics])
         mount = so3.exp(vectors)[:, None] if vectors.any() else None
         bias = np.array([one.gyro_bias for one in physics])[:, None]
-        return [_attitudes(channel, attitude[:, rows], mount) if channel.is_attitude
-                else _rates(channel, velocity[:, rows], mount, bias)
-                for channel, rows in zip(self.channels, self._moments)]
+        return [_attitudes(attitude[:, rows], mount) if channel.is_attitude
+                else _rates(velocity[:, rows], mount if is_mounted else None, bias)
+                for channel, rows, is_mounted
+                in zip(self.channels, self._moments, mounted(self.channels))]
 
     def state_at(self, physics: Physics, attitude: Floats, velocity: Floats,
                  time_ns: int) -> tuple[Floats, Floats]:
@@ -166,17 +168,17 @@ class Window:
         return TorqueLog(times, np.broadcast_to(torque, (len(times), 3)))
 
 
-def _attitudes(channel: Channel, attitude: Floats, mount: Floats | None) -> Floats:
-    return attitude if mount is None or not channel.is_mounted else so3.multiply(attitude, mount)
+def _attitudes(attitude: Floats, mount: Floats | None) -> Floats:
+    return attitude if mount is None else so3.multiply(attitude, mount)
 
 
-def _rates(channel: Channel, velocity: Floats, mount: Floats | None, bias: Floats) -> Floats:
-    if mount is not None and channel.is_mounted:
+def _rates(velocity: Floats, mount: Floats | None, bias: Floats) -> Floats:
+    if mount is not None:
         velocity = so3.rotate(so3.conjugate(mount), velocity)
     return velocity + bias
 
 
-def windows_of(number: int, experiment: Experiment, channels: Sequence[Channel], length_ns: int,
+def windows_of(number: int, experiment: Experiment, channels: Sequence[Measured], length_ns: int,
                offset_ns: int, lead_ns: int, torque_timeout: float) -> list[Window]:
     """
     Divide a recording into windows.
@@ -187,7 +189,7 @@ def windows_of(number: int, experiment: Experiment, channels: Sequence[Channel],
         Number of the recording.
     experiment : Experiment
         The recording.
-    channels : sequence of Channel
+    channels : sequence of Measured
         Its sensors.
     length_ns : int
         Length of a window.

@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,6 +71,26 @@ class Measured:
     def __len__(self) -> int:
         return len(self.stamps)
 
+    @property
+    def is_attitude(self) -> bool:
+        """Return whether the topic has attitudes."""
+        return self.attitude is not None
+
+    @property
+    def values(self) -> Floats:
+        """Return the attitudes, or, of a topic without attitudes, the angular velocities."""
+        values = self.angular_velocity if self.attitude is None else self.attitude
+        assert values is not None
+        return values
+
+    def channels(self) -> Iterator[Measured]:
+        """Generate the attitudes without the angular velocities, and the reverse."""
+        stamps = np.asarray(self.stamps, np.int64)
+        if self.attitude is not None:
+            yield Measured(self.topic, stamps, np.asarray(self.attitude, float), None)
+        if self.angular_velocity is not None:
+            yield Measured(self.topic, stamps, None, np.asarray(self.angular_velocity, float))
+
     def check(self) -> None:
         """
         Check what the attributes promise.
@@ -108,7 +129,7 @@ class Measured:
                 raise ValueError(f'{self.topic}: attitude: expected unit quaternions, found norms '
                                  f'from {norms.min():.6g} to {norms.max():.6g}')
 
-    def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Measured:
+    def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Measured:
         """Return a selection of the samples."""
         def of(values: Floats | None) -> Floats | None:
             return None if values is None else values[chosen]
