@@ -58,7 +58,7 @@ def bound(truth):
         inertia[COLUMNS, ROWS] = inertia[ROWS, COLUMNS]
         moved = State(0, so3.multiply(start.attitude, so3.exp(change[6:9])),
                       start.angular_velocity + change[9:])
-        return propagate(RigidBody(inertia), moved, truth.log, at=truth.stamps)
+        return propagate(RigidBody(inertia), moved, truth.log, at=truth.stamps_ns)
     centre, columns = motion(np.zeros(12)), []
     for i in range(12):
         step = np.eye(12)[i] * (1e-8 if i < 6 else 1e-6)

@@ -36,7 +36,7 @@ TURN = Rotation.from_rotvec([0.2, -0.4, 0.3])
 class Truth:
     """A motion under torques that are held: its log, and its states at the measured stamps."""
 
-    stamps: np.ndarray
+    stamps_ns: np.ndarray
     attitude: Rotation
     rates: np.ndarray
     torque_times: np.ndarray
@@ -59,7 +59,7 @@ class Truth:
     def measured(self, attitude_noise=0.0, rate_noise=0.0, clock=0.0, mount=None, space=None,
                  outliers=0.0, seed=0):
         """Return what a sensor measures; its clock is `clock` seconds behind."""
-        random, count = np.random.default_rng(seed), len(self.stamps)
+        random, count = np.random.default_rng(seed), len(self.stamps_ns)
         # Whether a rotation is true depends on its length, which a single one lacks in SciPy 1.8.
         mount, space = (Rotation.identity() if one is None else one for one in (mount, space))
         noise = Rotation.from_rotvec(attitude_noise * random.normal(size=(count, 3)))
@@ -68,7 +68,7 @@ class Truth:
         bad = random.random(count) < outliers
         attitude[bad] = Rotation.random(bad.sum(), random).as_quat()
         rates[bad] += random.normal(scale=10.0, size=(bad.sum(), 3))
-        return Measured('/imu', self.stamps - round(1e9 * clock), attitude, rates)
+        return Measured('/imu', self.stamps_ns - round(1e9 * clock), attitude, rates)
 
 
 @lru_cache
@@ -141,12 +141,12 @@ def messages_of(kind, sensor, attitude_covariance=None, rate_covariance=None):
     two = unknown if rate_covariance is None else np.ravel(rate_covariance)
     wide = [np.zeros((6, 6)), np.zeros((6, 6))]
     wide[0][3:, 3:], wide[1][3:, 3:] = one.reshape(3, 3), two.reshape(3, 3)
-    count = len(sensor.stamps)
+    count = len(sensor.stamps_ns)
     attitude = sensor.attitude if sensor.attitude is not None \
         else np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
     rates = sensor.angular_velocity if sensor.angular_velocity is not None \
         else np.zeros((count, 3))
-    for stamp, q, w in zip(sensor.stamps.tolist(), attitude.tolist(), rates.tolist()):
+    for stamp, q, w in zip(sensor.stamps_ns.tolist(), attitude.tolist(), rates.tolist()):
         yield stamp, _message(kind, stamp, Quaternion(*q), Vector3(*w), (one, two), wide)
 
 

@@ -165,7 +165,7 @@ def test_horizons_see_the_model_not_the_distance():
 def test_horizons_skip_a_gap_of_any_length():
     known = free()
     sensor = known.measured(1e-4)
-    sensor.stamps[-2:] += 10 ** 18
+    sensor.stamps_ns[-2:] += 10 ** 18
     model = Model(known.body, known.start)
     with memory_limit(100e6):
         assert len(horizon(model, [sensor], 0.5).angles) == 39
@@ -174,7 +174,7 @@ def test_horizons_skip_a_gap_of_any_length():
 def test_a_recorded_motion_is_interpolated():
     motion = truth()
     states = Recorded(motion.measured().rows(np.arange(0, 2000, 2)))
-    found = states.at(motion.stamps[1:1990:2])
+    found = states.at(motion.stamps_ns[1:1990:2])
     assert so3.angle_between(found.attitude, motion.attitude.as_quat()[1:1990:2]).max() < 1e-6
     np.testing.assert_allclose(found.angular_velocity, motion.rates[1:1990:2], atol=1e-2)
 
@@ -217,9 +217,9 @@ def test_rotors_damping_and_torques_in_space_axes_are_known():
 
 
 @pytest.mark.parametrize(('change', 'message'), [
-    ({'stamps': np.arange(3)}, '/imu: expected at least 4 samples, found 3'),
-    ({'stamps': np.zeros(2000, int)}, '/imu: expected increasing stamps'),
-    ({'stamps': np.arange(2000.0)}, '/imu: stamps: expected integer nanoseconds'),
+    ({'stamps_ns': np.arange(3)}, '/imu: expected at least 4 samples, found 3'),
+    ({'stamps_ns': np.zeros(2000, int)}, '/imu: expected increasing stamps'),
+    ({'stamps_ns': np.arange(2000.0)}, '/imu: stamps: expected integer nanoseconds'),
     ({'attitude': None, 'angular_velocity': None}, '/imu: expected attitudes or angular'),
     ({'angular_velocity': np.full((2000, 3), 2e9)}, r'at most 1e\+09 rad/s, found 2e\+09'),
     ({'attitude': np.zeros((2000, 3))}, r'/imu: attitude: expected finite numbers of shape '),
@@ -293,4 +293,4 @@ def test_invalid_arguments_are_rejected(change, message):
 def test_measurements_before_the_start_are_rejected():
     sensor = noisy()
     with pytest.raises(InputError, match='/imu: expected measurements during the motion'):
-        compared(replace(sensor, stamps=sensor.stamps - 10 ** 12))
+        compared(replace(sensor, stamps_ns=sensor.stamps_ns - 10 ** 12))

@@ -185,7 +185,7 @@ def fit(tmp_path_factory):
     """Return a folder with a recording, the guess, and what the first command writes."""
     folder, truth = tmp_path_factory.mktemp('fit'), measurements.truth()
     guess = measurements.Truth(*(getattr(truth, name) for name in (
-        'stamps', 'attitude', 'rates', 'torque_times', 'torques')), inertia=0.03 * np.eye(3))
+        'stamps_ns', 'attitude', 'rates', 'torque_times', 'torques')), inertia=0.03 * np.eye(3))
     measurements.write_scene(folder / 'guess.yaml', guess)
     sensor = truth.measured(2e-3, 5e-3, clock=0.01)
     measurements.write(folder / 'in.mcap', torque=torque_messages(truth),
@@ -224,7 +224,7 @@ def test_the_true_motion_ends_within_the_spread(fit, tmp_path):
     table, truth = parquet.read_table(tmp_path / 'out' / 'runs.parquet'), measurements.truth()
     ends = np.stack([table[f'attitude.{axis}'].to_numpy() for axis in 'xyzw'], axis=1)
     # From the truth of a solver that is not the package's: its last state is later.
-    row = np.flatnonzero(truth.stamps == truth.torque_times[-1]).item()
+    row = np.flatnonzero(truth.stamps_ns == truth.torque_times[-1]).item()
     errors = so3.log(so3.multiply(so3.conjugate(truth.attitude.as_quat()[row]), ends))
     distance = errors.mean(0) @ np.linalg.solve(np.cov(errors.T), errors.mean(0))
     assert 0.0 < distance < 16.3  # 99.9 % of chi-square with three degrees of freedom

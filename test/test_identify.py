@@ -119,13 +119,13 @@ def test_chi_square_with_given_noise():
     result = identify(GUESS, tumble().experiment(tumble().measured(ATTITUDE, RATE)),
                       attitude_noise=ATTITUDE, rate_noise=RATE)
     assert 0.9 < result.training.chi2_per_dof < 1.1
-    assert result.training.samples == 2 * len(tumble().stamps)
+    assert result.training.samples == 2 * len(tumble().stamps_ns)
 
 
 def test_gyro_bias():
     clean = tumble().measured(None, RATE)
     bias = np.array([0.02, -0.03, 0.01])
-    gyro = Measured('/gyro', clean.stamps, None, clean.angular_velocity + bias)
+    gyro = Measured('/gyro', clean.stamps_ns, None, clean.angular_velocity + bias)
     result = identify(GUESS, tumble().experiment(gyro), estimate=['inertia', 'start', 'gyro_bias'])
     assert_covered(result, inertia_truth())
     assert_covered(result, dict(zip(('gyro_bias.x', 'gyro_bias.y', 'gyro_bias.z'), bias)))
@@ -154,7 +154,7 @@ def test_a_clock_offset_of_seconds(offset):
 def test_covariances_in_messages_are_not_used():
     # Many drivers fill in constants, and an interval from a wrong one would be wrong.
     plain = tumble().measured(ATTITUDE, RATE)
-    constant = np.tile(np.eye(3), (len(plain.stamps), 1, 1))
+    constant = np.tile(np.eye(3), (len(plain.stamps_ns), 1, 1))
     result = identify(GUESS, tumble().experiment(replace(
         plain, attitude_covariance=constant, rate_covariance=constant)))
     assert result.noise['/imu attitude'] == pytest.approx(ATTITUDE, rel=0.05)
@@ -265,18 +265,19 @@ def test_the_errors_of_all_samples_are_in_the_result():
     result = identify(GUESS, tumble().experiment(measured), validate=0.3)
     first, _, last, _ = result.residuals
     assert [one.is_training for one in result.residuals] == [True, True, False, False]
-    assert np.concatenate([first.stamps, last.stamps]).tolist() == measured.stamps.tolist()
-    assert abs(np.sum(~first.inliers) - bad[:len(first.stamps)].sum()) <= 1
+    stamps_ns = np.concatenate([first.stamps_ns, last.stamps_ns])
+    assert stamps_ns.tolist() == measured.stamps_ns.tolist()
+    assert abs(np.sum(~first.inliers) - bad[:len(first.stamps_ns)].sum()) <= 1
     assert abs(first.autocorrelation) < 0.1
 
 
 def test_validation_is_kept_out_of_the_fit():
     whole = tumble().measured(ATTITUDE, RATE)
     result = identify(GUESS, tumble().experiment(whole), validate=0.3)
-    assert result.training.samples == pytest.approx(1.4 * len(whole.stamps), rel=0.01)
-    assert result.training.samples + result.validation.samples == 2 * len(whole.stamps)
+    assert result.training.samples == pytest.approx(1.4 * len(whole.stamps_ns), rel=0.01)
+    assert result.training.samples + result.validation.samples == 2 * len(whole.stamps_ns)
     assert result.validation.attitude_rms < 2 * ATTITUDE
-    spoilt = Measured(whole.topic, whole.stamps, whole.attitude, whole.angular_velocity.copy())
+    spoilt = Measured(whole.topic, whole.stamps_ns, whole.attitude, whole.angular_velocity.copy())
     spoilt.angular_velocity[-200:] += 1.0
     again = identify(GUESS, tumble().experiment(spoilt), validate=0.3)
     assert np.array_equal(again.body.inertia, result.body.inertia)
@@ -340,15 +341,16 @@ def test_the_result_as_json():
 
 def bad(**changes):
     measured = tumble().measured()
-    fields = {'topic': '/pose', 'stamps': measured.stamps, 'attitude': measured.attitude,
+    fields = {'topic': '/pose', 'stamps_ns': measured.stamps_ns, 'attitude': measured.attitude,
               'angular_velocity': None}
     return tumble().experiment(Measured(**{**fields, **changes}))
 
 
 @pytest.mark.parametrize(('experiment', 'options', 'message'), [
     (lambda: bad(attitude=np.full((999, 4), np.nan)), {}, '/pose: expected finite attitudes'),
-    (lambda: bad(stamps=tumble().stamps - 100 * SECOND), {}, '/pose: expected attitudes from'),
-    (lambda: bad(stamps=tumble().stamps[:3], attitude=tumble().q[:3]), {},
+    (lambda: bad(stamps_ns=tumble().stamps_ns - 100 * SECOND), {},
+     '/pose: expected attitudes from'),
+    (lambda: bad(stamps_ns=tumble().stamps_ns[:3], attitude=tumble().q[:3]), {},
      '/pose: expected at least 8 attitudes'),
     (lambda: tumble().experiment(), {}, 'expected at least one measured topic'),
     (bad, {'estimate': ['mass']}, "estimate: expected names among inertia.*found 'mass'"),

@@ -41,7 +41,7 @@ def tumble(tmp_path):
     truth = measurements.truth()
     record(tmp_path / 'in.mcap', truth, truth.measured(2e-3, 5e-3))
     guess = measurements.Truth(*(getattr(truth, name) for name in (
-        'stamps', 'attitude', 'rates', 'torque_times', 'torques')), inertia=GUESS)
+        'stamps_ns', 'attitude', 'rates', 'torque_times', 'torques')), inertia=GUESS)
     measurements.write_scene(tmp_path / 'guess.yaml', guess)
     return tmp_path
 
@@ -172,7 +172,7 @@ def test_a_flywheel_weighs_a_thrown_drone(tmp_path):
     second = 10 ** 9
     wheels = [(stamp, Vector3Stamped(header(stamp, 'base_link'), Vector3(*momentum)))
               for stamp, momentum in zip((truth.times + second).tolist(), truth.momentum.tolist())]
-    shifted = type(sensor)('/imu', sensor.stamps + second, sensor.attitude,
+    shifted = type(sensor)('/imu', sensor.stamps_ns + second, sensor.attitude,
                            sensor.angular_velocity)
     measurements.write(tmp_path / 'in.mcap', imu=messages_of('Imu', shifted), wheels=wheels)
     (tmp_path / 'guess.yaml').write_text(
@@ -205,14 +205,14 @@ def test_bad_input_has_exit_status_2(tumble, capsys, arguments, message):
 @pytest.mark.parametrize(('change', 'message'), [
     (lambda sensor: {'attitude': np.full_like(sensor.attitude, np.nan),
                      'angular_velocity': np.full_like(sensor.angular_velocity, np.nan)}, 'finite'),
-    (lambda sensor: {'stamps': sensor.stamps + 10 ** 12}, 'during the motion'),
-    (lambda sensor: {'stamps': sensor.stamps[:3], 'attitude': sensor.attitude[:3],
+    (lambda sensor: {'stamps_ns': sensor.stamps_ns + 10 ** 12}, 'during the motion'),
+    (lambda sensor: {'stamps_ns': sensor.stamps_ns[:3], 'attitude': sensor.attitude[:3],
                      'angular_velocity': sensor.angular_velocity[:3]}, 'at least'),
 ])
 def test_useless_measurements_have_exit_status_2(tumble, capsys, change, message):
     truth = measurements.truth()
     sensor = truth.measured()
-    fields = {'topic': '/imu', 'stamps': sensor.stamps, 'attitude': sensor.attitude,
+    fields = {'topic': '/imu', 'stamps_ns': sensor.stamps_ns, 'attitude': sensor.attitude,
               'angular_velocity': sensor.angular_velocity, **change(sensor)}
     record(tumble / 'in.mcap', truth, type(sensor)(**fields))
     assert identify(tumble) == 2

@@ -12,8 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The linters of ROS, with the settings of ROS."""
+"""The linters of ROS, with the settings of ROS, and what no linter checks."""
 
+from collections import Counter
+import re
 import shutil
 import subprocess
 import sys
@@ -21,6 +23,8 @@ import sys
 from conftest import at_night, ROOT
 import pytest
 
+#: Names that still stand for several classes.
+SHARED = ['Extras', 'Model', 'States']
 PYTHON = ['benchmarks', 'docs', 'examples', 'launch', 'rigid_body_ros', 'setup.py', 'test']
 
 
@@ -40,3 +44,11 @@ def test_the_linters_of_ros_find_no_problem(linter, paths):
     subprocess.run([sys.executable, '-W', 'ignore', '-c', 'import sys; from '
                     f'{linter}.main import main; sys.exit(main(sys.argv[1:]))', *paths],
                    cwd=ROOT, check=True)
+
+
+def test_a_class_name_is_defined_once():
+    names = Counter()
+    for path in (ROOT / 'rigid_body_ros').rglob('*.py'):
+        names.update(re.findall(r'^ *class (\w+)[(:]', path.read_text(encoding='utf-8'),
+                                re.MULTILINE))
+    assert sorted(name for name, count in names.items() if count > 1) == SHARED

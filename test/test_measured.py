@@ -71,7 +71,7 @@ def only(path, kind, sensor, *covariances):
 @pytest.mark.parametrize('kind', [*BOTH, *ATTITUDES, 'Vector3Stamped'])
 def test_every_type_is_read(tmp_path, measured, kind):
     found = read_measured(only(tmp_path, kind, measured, KNOWN, KNOWN), '/it')
-    np.testing.assert_array_equal(found.stamps, measured.stamps)
+    np.testing.assert_array_equal(found.stamps_ns, measured.stamps_ns)
     if kind == 'Vector3Stamped':
         assert found.attitude is None
     else:
@@ -152,7 +152,7 @@ def test_messages_out_of_order_are_sorted(tmp_path, measured):
     sensor = measured.rows(np.append(order, [5, 6]))
     sensor.attitude[-2:] = [0.0, 0.0, 0.0, 1.0]
     found = read_measured(only(tmp_path, 'PoseStamped', sensor), '/it')
-    np.testing.assert_array_equal(found.stamps, measured.stamps[:50])
+    np.testing.assert_array_equal(found.stamps_ns, measured.stamps_ns[:50])
     assert found.attitude[5:7].tolist() == [[0.0, 0.0, 0.0, 1.0]] * 2  # the last of equal stamps
 
 
@@ -212,7 +212,7 @@ def test_two_bodies_in_one_topic_are_told_apart(tmp_path, measured, kind):
                                          "'world' to 'b'; choose one with --frames"):
         read_measured(path)
     found = read_measured(path, frames=('world', 'b'))
-    np.testing.assert_array_equal(found.stamps, measured.stamps[1:40:2])
+    np.testing.assert_array_equal(found.stamps_ns, measured.stamps_ns[1:40:2])
 
 
 @pytest.mark.parametrize('little_endian', [True, False])
@@ -364,9 +364,9 @@ def bad_recordings(measured):
     nan = measured.rows(np.arange(100))
     nan.attitude[:] = np.nan
     late = measured.rows(np.arange(100))
-    late.stamps[:] += 1000 * SECOND
+    late.stamps_ns[:] += 1000 * SECOND
     unstamped = measured.rows(np.arange(100))
-    unstamped.stamps[:] = 0
+    unstamped.stamps_ns[:] = 0
     yield few, '/pose: expected at least 4 messages with a finite attitude', ()
     yield nan, 'found 0 among 100', ()
     yield late, '/pose: expected measurements during the motion', ()

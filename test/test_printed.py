@@ -160,7 +160,7 @@ def with_frames(path, kind):
     sensor = tumble.measured()
     measured = [(stamp, transform(stamp, Quaternion(*q), NAME, NAME) if kind == 'transform' else
                  Vector3Stamped(header(stamp, NAME), Vector3(*w))) for stamp, q, w in zip(
-        sensor.stamps.tolist(), sensor.attitude.tolist(), sensor.angular_velocity.tolist())]
+        sensor.stamps_ns.tolist(), sensor.attitude.tolist(), sensor.angular_velocity.tolist())]
     write(path, torque=torques, it=measured)
 
 

@@ -52,7 +52,7 @@ class Truth:
         phases = np.outer(self.times * 1e-9, [0.7, 1.1, 1.7]) + np.arange(3.0)
         self.torques = self.amplitude * np.sin(phases) * self.axes
         spacing = SECOND // self.measured_hz
-        self.stamps = np.arange(1, round(self.seconds * self.measured_hz)) * spacing
+        self.stamps_ns = np.arange(1, round(self.seconds * self.measured_hz)) * spacing
         self.q, self.w = self._integrated()
 
     @property
@@ -75,10 +75,10 @@ class Truth:
     def measured(self, attitude=0.0, rate=0.0, seed=0, topic='/imu'):
         """Return attitudes and rates with noise; None leaves one of them out."""
         random = np.random.default_rng(seed)
-        turned, added = random.standard_normal((2, len(self.stamps), 3))
+        turned, added = random.standard_normal((2, len(self.stamps_ns), 3))
         q = None if attitude is None else so3.multiply(self.q, so3.exp(attitude * turned))
         w = None if rate is None else self.w + rate * added
-        return Measured(topic, self.stamps, q, w)
+        return Measured(topic, self.stamps_ns, q, w)
 
     def _integrated(self):
         inertia, inverse = self.inertia.tolist(), np.linalg.inv(self.inertia).tolist()
@@ -102,8 +102,8 @@ class Truth:
         rows = []
         for k in range(len(self.times) - 1):
             begin, end = self.times[k:k + 2] * 1e-9
-            inside = self.stamps[(self.stamps >= self.times[k])
-                                 & (self.stamps < self.times[k + 1])] * 1e-9
+            inside = self.stamps_ns[(self.stamps_ns >= self.times[k])
+                                    & (self.stamps_ns < self.times[k + 1])] * 1e-9
             spin = (momenta[k + 1] - momenta[k]) / (end - begin)
             acting = self.gain * self.torques[k] + self.bias
             vectors = (one.tolist() for one in (acting, momenta[k], spin))
@@ -117,22 +117,22 @@ class Truth:
 
 def shifted(measured, seconds):
     """Return measurements whose clock is behind by some time."""
-    return Measured(measured.topic, measured.stamps - round(seconds * SECOND), measured.attitude,
-                    measured.angular_velocity)
+    return Measured(measured.topic, measured.stamps_ns - round(seconds * SECOND),
+                    measured.attitude, measured.angular_velocity)
 
 
 def mounted(measured, vector):
     """Return measurements in the axes of a sensor that is turned by a rotation vector."""
     turn, rates = so3.exp(vector), measured.angular_velocity
-    return Measured(measured.topic, measured.stamps, so3.multiply(measured.attitude, turn),
+    return Measured(measured.topic, measured.stamps_ns, so3.multiply(measured.attitude, turn),
                     None if rates is None else so3.rotate(so3.conjugate(turn), rates))
 
 
 def with_outliers(measured, fraction, seed=0):
     """Return measurements of which some are far off."""
     random = np.random.default_rng(seed)
-    bad = random.random(len(measured.stamps)) < fraction
+    bad = random.random(len(measured.stamps_ns)) < fraction
     q, w = measured.attitude.copy(), measured.angular_velocity.copy()
     q[bad] = Rotation.random(int(bad.sum()), random_state=seed).as_quat()
     w[bad] += 5.0 * random.standard_normal((int(bad.sum()), 3))
-    return Measured(measured.topic, measured.stamps, q, w), bad
+    return Measured(measured.topic, measured.stamps_ns, q, w), bad

@@ -150,8 +150,8 @@ def _torques(options: argparse.Namespace, scene: Scene
                              'neither')
         return (), None, scene.start, scene.start.time_ns + until_ns
     topics = replay.topics_of(options.topic, options.wheel_torque, options.wheel_momentum)
-    logs, wheels, stamps, start = replay.torques(options.recording, scene, topics)
-    end_ns = int(stamps[-1]) if until_ns is None else start.time_ns + until_ns
+    logs, wheels, stamps_ns, start = replay.torques(options.recording, scene, topics)
+    end_ns = int(stamps_ns[-1]) if until_ns is None else start.time_ns + until_ns
     return tuple(logs), wheels, start, max(end_ns, start.time_ns)
 
 

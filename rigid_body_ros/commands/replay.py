@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.replay import Replay
     from rigid_body_ros.replay.index import Picture
     from rigid_body_ros.replay.many import Outcome, Pool
-    from rigid_body_ros.replay.page import Collector
+    from rigid_body_ros.replay.page import PageCollector
     from rigid_body_ros.scene import Scene
 
 #: Exit statuses; docs/nodes.md has their meaning.
@@ -93,15 +93,15 @@ def _replay_one(options: argparse.Namespace) -> int:
     return OK
 
 
-def _collector(scene: Scene) -> Callable[[], Collector]:
-    from rigid_body_ros.replay.page import Collector
-    return partial(Collector, scene)
+def _collector(scene: Scene) -> Callable[[], PageCollector]:
+    from rigid_body_ros.replay.page import PageCollector
+    return partial(PageCollector, scene)
 
 
 def _write_page(options: argparse.Namespace, result: Replay, name: str) -> None:
-    from rigid_body_ros.replay.page import Collector
+    from rigid_body_ros.replay.page import PageCollector
     from rigid_body_ros.report import page
-    assert isinstance(result.collected, Collector)
+    assert isinstance(result.collected, PageCollector)
     line = command_line(options, 'input', 'scene', 'output', 'plot', 'report')
     page.write(options.report, result.collected.page(result, name, line))
 

@@ -25,7 +25,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison import coarse
 from rigid_body_ros.comparison.alignment import Alignment
-from rigid_body_ros.comparison.motion import Model, Recorded, States
+from rigid_body_ros.comparison.motion import Model, Poses, Recorded
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.runtime import interrupts
@@ -116,26 +116,26 @@ class _Problem:
         #: Standard deviations of attitude and rate of each sensor.
         self._scales = [(1.0, 1.0)] * len(sensors)
         #: The latest motions, by start and stamps; a mounting does not change them.
-        self._kept: dict[bytes, States] = {}
+        self._kept: dict[bytes, Poses] = {}
 
     def _inside(self, sensor: Measured) -> NDArray[np.intp]:
         margin = 10_000_000 if 'clock_offset_s' in self._names else 0
-        stamps = sensor.stamps + round(1e9 * self._value.clock_offset_s)
-        return np.flatnonzero((stamps >= self._motion.first_ns + margin)
-                              & (stamps <= self._motion.last_ns - margin))
+        stamps_ns = sensor.stamps_ns + round(1e9 * self._value.clock_offset_s)
+        return np.flatnonzero((stamps_ns >= self._motion.first_ns + margin)
+                              & (stamps_ns <= self._motion.last_ns - margin))
 
     def grow(self) -> None:
         """Fit the start to longer and longer beginnings of the measurement."""
         assert isinstance(self._motion, Model)
         every, first_ns = self._rows, self._motion.first_ns
-        stamps = np.concatenate([sensor.stamps[rows] for sensor, rows
-                                 in zip(self._sensors, every)]) - first_ns
-        stamps += round(1e9 * self._value.clock_offset_s)
-        last = int(stamps.max())
-        horizon = int(np.partition(stamps, min(15, len(stamps) - 1))[:16].max())
+        stamps_ns = np.concatenate([sensor.stamps_ns[rows] for sensor, rows
+                                    in zip(self._sensors, every)]) - first_ns
+        stamps_ns += round(1e9 * self._value.clock_offset_s)
+        last = int(stamps_ns.max())
+        horizon = int(np.partition(stamps_ns, min(15, len(stamps_ns) - 1))[:16].max())
         self._from_first_samples()
         while horizon < last:
-            self._rows = [_thinned(rows[sensor.stamps[rows] - first_ns <= horizon], _STAGE)
+            self._rows = [_thinned(rows[sensor.stamps_ns[rows] - first_ns <= horizon], _STAGE)
                           for sensor, rows in zip(self._sensors, every)]
             self._fit(1e-5)
             horizon = max(2 * horizon, 1)
@@ -147,7 +147,7 @@ class _Problem:
         assert start is not None
         for sensor, rows in zip(self._sensors, self._rows):
             aligned = self._value.applied(sensor.rows(rows[:16]))
-            if len(rows) < 4 or aligned.stamps[0] - start.time_ns > 10 ** 9:
+            if len(rows) < 4 or aligned.stamps_ns[0] - start.time_ns > 10 ** 9:
                 continue
             attitude, rate = start.attitude, start.angular_velocity
             if aligned.angular_velocity is not None:
@@ -155,7 +155,7 @@ class _Problem:
             elif aligned.attitude is not None:
                 rate = measured_rates(aligned)[1][:5].mean(axis=0)
             if aligned.attitude is not None and 'initial_attitude_rad' in self._names:
-                late = 1e-9 * (aligned.stamps[0] - start.time_ns)
+                late = 1e-9 * (aligned.stamps_ns[0] - start.time_ns)
                 attitude = so3.multiply(aligned.attitude[0], so3.exp(-late * rate))
             other = replace(self._value, start=State(
                 start.time_ns, so3.normalize(attitude), rate, start.rotor_momentum))
@@ -265,13 +265,13 @@ class _Problem:
         interrupts.check()
         aligned = [value.applied(sensor.rows(rows))
                    for sensor, rows in zip(self._sensors, self._rows)]
-        stamps = np.concatenate([sensor.stamps for sensor in aligned])
+        stamps_ns = np.concatenate([sensor.stamps_ns for sensor in aligned])
         to_sensor = so3.conjugate(value.mount)
-        states, first, parts = self._states(value.start, stamps), 0, []
+        states, first, parts = self._states(value.start, stamps_ns), 0, []
         for sensor, scales in zip(aligned, self._scales):
             part = slice(first, first + len(sensor))
-            errors = errors_of(sensor, States(states.attitude[part],
-                                              states.angular_velocity[part]))
+            errors = errors_of(sensor, Poses(states.attitude[part],
+                                             states.angular_velocity[part]))
             # In the axes of the sensor: there, what a mounting cannot change does not turn the
             # noise either, and an undetermined direction shows as exactly that.
             parts += [(so3.rotate(to_sensor, error) / scale).ravel()
@@ -279,8 +279,8 @@ class _Problem:
             first += len(sensor)
         return np.concatenate(parts)
 
-    def _states(self, start: State | None, stamps: NDArray[np.int64]) -> States:
-        key = stamps.tobytes()
+    def _states(self, start: State | None, stamps_ns: NDArray[np.int64]) -> Poses:
+        key = stamps_ns.tobytes()
         moved = self._motion
         if start and isinstance(moved, Model):
             moved = replace(moved, start=start)
@@ -289,11 +289,11 @@ class _Problem:
             if len(self._kept) == _KEPT:
                 del self._kept[next(iter(self._kept))]
             # A step of the clock may lead out of the motion, unless the offset is nearly right.
-            self._kept[key] = moved.at(np.clip(stamps, moved.first_ns, moved.last_ns))
+            self._kept[key] = moved.at(np.clip(stamps_ns, moved.first_ns, moved.last_ns))
         return self._kept[key]
 
 
-def errors_of(sensor: Measured, states: States) -> tuple[Floats | None, Floats | None]:
+def errors_of(sensor: Measured, states: Poses) -> tuple[Floats | None, Floats | None]:
     """
     Return what a sensor measured relative to a motion at the same times.
 
@@ -315,9 +315,10 @@ def errors_of(sensor: Measured, states: States) -> tuple[Floats | None, Floats |
 
 def apart(motion: Model | Recorded, sensors: Sequence[Measured]) -> InputError:
     """Return the error that measurements and motion do not overlap in time."""
+    stamps_ns = sensors[0].stamps_ns
     return InputError(f'{sensors[0].topic}: expected measurements during the motion, which begins '
-                      f'at {motion.first_ns} ns, found them from {sensors[0].stamps[0]} ns to '
-                      f'{sensors[0].stamps[-1]} ns; are the clocks the same (--time-source log)?')
+                      f'at {motion.first_ns} ns, found them from {stamps_ns[0]} ns to '
+                      f'{stamps_ns[-1]} ns; are the clocks the same (--time-source log)?')
 
 
 def _thinned(rows: NDArray[np.intp], most: int | None) -> NDArray[np.intp]:

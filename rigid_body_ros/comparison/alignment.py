@@ -84,7 +84,7 @@ class Alignment:
 
         def turned(covariance: Floats | None) -> Floats | None:
             return None if covariance is None else turn @ covariance @ turn.T
-        return replace(sensor, stamps=sensor.stamps + round(1e9 * self.clock_offset_s),
+        return replace(sensor, stamps_ns=sensor.stamps_ns + round(1e9 * self.clock_offset_s),
                        attitude=attitude, angular_velocity=rate,
                        attitude_covariance=turned(sensor.attitude_covariance),
                        rate_covariance=turned(sensor.rate_covariance))

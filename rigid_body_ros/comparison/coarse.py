@@ -67,13 +67,13 @@ def guess(motion: Model | Recorded, sensors: Sequence[Measured], clock: bool,
 def _offset(motion: Model | Recorded, sensor: Measured, mount: bool) -> float:
     """Return the offset at which measured and computed angular velocities agree best, s."""
     from scipy.ndimage import median_filter
-    stamps, rates = measured_rates(sensor)
+    stamps_ns, rates = measured_rates(sensor)
     rates = median_filter(rates, (5, 1), mode='nearest')  # without single outliers
-    first_ns, last_ns = int(stamps[0]), int(stamps[-1])
-    step = max(int(np.median(np.diff(stamps))), (last_ns - first_ns) // _POINTS, 1000)
+    first_ns, last_ns = int(stamps_ns[0]), int(stamps_ns[-1])
+    step = max(int(np.median(np.diff(stamps_ns))), (last_ns - first_ns) // _POINTS, 1000)
     most = round(1e9 * LARGEST_OFFSET) // step
     grid = first_ns + step * np.arange((last_ns - first_ns) // step + 1)
-    measured = np.stack([np.interp(grid - first_ns, stamps - first_ns, column)
+    measured = np.stack([np.interp(grid - first_ns, stamps_ns - first_ns, column)
                          for column in rates.T])
     wider = first_ns + step * np.arange(-most, len(grid) + most)
     inside = (wider >= motion.first_ns) & (wider <= motion.last_ns)
@@ -130,7 +130,7 @@ def _best_lag(measured: Floats, computed: Floats, inside: NDArray[np.bool_],
 def _mounting(motion: Model | Recorded, sensor: Measured, offset_ns: int
               ) -> tuple[Floats, Floats]:
     """Return the rotations of mounting and space that explain a sensor best."""
-    times = sensor.stamps + offset_ns
+    times = sensor.stamps_ns + offset_ns
     inside = (times >= motion.first_ns) & (times <= motion.last_ns)
     if inside.sum() < 2:
         return _IDENTITY, _IDENTITY

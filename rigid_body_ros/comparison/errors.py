@@ -28,7 +28,7 @@ from rigid_body_ros.comparison.align import align as aligned_by
 from rigid_body_ros.comparison.align import apart, errors_of, START
 from rigid_body_ros.comparison.alignment import Alignment
 from rigid_body_ros.comparison.horizons import Horizon
-from rigid_body_ros.comparison.motion import Model, Recorded, States
+from rigid_body_ros.comparison.motion import Model, Poses, Recorded
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
@@ -100,8 +100,8 @@ class Comparison:
     @property
     def span_s(self) -> float:
         """Return the time from the first sample to the last, s."""
-        stamps = np.concatenate([each.times_ns for each in self.errors])
-        return 1e-9 * float(stamps.max() - stamps.min())
+        stamps_ns = np.concatenate([each.times_ns for each in self.errors])
+        return 1e-9 * float(stamps_ns.max() - stamps_ns.min())
 
     @property
     def aligned(self) -> tuple[Measured, ...]:
@@ -153,7 +153,7 @@ def compared(motion: Model | Recorded, measured: Sequence[Measured],
     within = [inside(motion, sensor) for sensor in sensors]
     if not any(len(sensor) for sensor in within):
         raise apart(motion, sensors)
-    errors = tuple(Errors(sensor.topic, sensor.stamps, *errors_of(sensor, states))
+    errors = tuple(Errors(sensor.topic, sensor.stamps_ns, *errors_of(sensor, states))
                    for sensor, states in zip(within, _states(motion, within)))
     left_out = sum(map(len, sensors)) - sum(map(len, within))
     return Comparison(tuple(measured), alignment, errors, left_out, (), None, motion)
@@ -161,13 +161,14 @@ def compared(motion: Model | Recorded, measured: Sequence[Measured],
 
 def inside(motion: Model | Recorded, sensor: Measured) -> Measured:
     """Return the samples within a motion."""
-    return sensor.rows((sensor.stamps >= motion.first_ns) & (sensor.stamps <= motion.last_ns))
+    stamps_ns = sensor.stamps_ns
+    return sensor.rows((stamps_ns >= motion.first_ns) & (stamps_ns <= motion.last_ns))
 
 
-def _states(motion: Model | Recorded, sensors: Sequence[Measured]) -> list[States]:
-    states = motion.at(np.concatenate([sensor.stamps for sensor in sensors]))
+def _states(motion: Model | Recorded, sensors: Sequence[Measured]) -> list[Poses]:
+    states = motion.at(np.concatenate([sensor.stamps_ns for sensor in sensors]))
     ends = np.cumsum([0, *(len(sensor) for sensor in sensors)])
-    return [States(states.attitude[first:end], states.angular_velocity[first:end])
+    return [Poses(states.attitude[first:end], states.angular_velocity[first:end])
             for first, end in pairwise(ends.tolist())]
 
 

@@ -85,33 +85,33 @@ def horizon(model: Model, sensors: Sequence[Measured], seconds: float,
     with_attitude = [sensor for sensor in sensors if sensor.attitude is not None]
     if not with_attitude:
         return Horizon(seconds, np.empty(0))
-    sensor = with_attitude[0].rows(with_attitude[0].stamps >= model.first_ns)
-    stamps, step = sensor.stamps, round(1e9 * seconds)
-    if len(stamps) < 2:
+    sensor = with_attitude[0].rows(with_attitude[0].stamps_ns >= model.first_ns)
+    stamps_ns, step = sensor.stamps_ns, round(1e9 * seconds)
+    if len(stamps_ns) < 2:
         return Horizon(seconds, np.empty(0))
-    spacing = int(np.median(np.diff(stamps)))
+    spacing = int(np.median(np.diff(stamps_ns)))
     if step < _SHORTEST * spacing:
         raise InputError(f'{sensor.topic}: expected a horizon of at least {1e-9 * spacing:g} s, '
                          f'the time between two samples, found {seconds:g} s')
     # A sample may be late by up to half an interval.
     half = spacing // 2
-    _, rows = np.unique((stamps - stamps[0] + half) // step, return_index=True)
-    momenta = model.rotor_momentum(stamps[rows])
+    _, rows = np.unique((stamps_ns - stamps_ns[0] + half) // step, return_index=True)
+    momenta = model.rotor_momentum(stamps_ns[rows])
     windows = list(zip(rows[:-1].tolist(), rows[1:].tolist(), momenta))
     found = [_error(model, sensor, (first, last), step, momentum)
              for first, last, momentum in track(windows, len(windows))
-             if abs(stamps[last] - stamps[first] - step) <= 2 * half]
+             if abs(stamps_ns[last] - stamps_ns[first] - step) <= 2 * half]
     return Horizon(seconds, np.array(found, float))
 
 
 def _error(model: Model, sensor: Measured, window: tuple[int, int], step: int,
            momentum: Floats) -> float:
     first, last = window
-    count = np.searchsorted(sensor.stamps, sensor.stamps[first] + step // 5, 'right') - first
+    count = np.searchsorted(sensor.stamps_ns, sensor.stamps_ns[first] + step // 5, 'right') - first
     count = min(max(int(count), 2), _SAMPLES, last - first + 1)
     start = _restarted(model, sensor.rows(np.arange(first, first + count)), momentum)
     end = sensor.rows(np.array([last]))
-    motion = model.between(start, int(end.stamps[0])).at(end.stamps)
+    motion = model.between(start, int(end.stamps_ns[0])).at(end.stamps_ns)
     assert sensor.attitude is not None
     return float(so3.angle_between(motion.attitude[0], sensor.attitude[last]))
 
@@ -119,14 +119,14 @@ def _error(model: Model, sensor: Measured, window: tuple[int, int], step: int,
 def _restarted(model: Model, samples: Measured, momentum: Floats) -> State:
     """Return the state at the first of a few samples that fits all of them best."""
     assert samples.attitude is not None
-    first_ns, (_, rates) = int(samples.stamps[0]), measured_rates(samples)
+    first_ns, (_, rates) = int(samples.stamps_ns[0]), measured_rates(samples)
     start = State(first_ns, samples.attitude[0], np.median(rates, axis=0), momentum)
     if len(samples) < 3:
         return start
-    seconds = 1e-9 * (samples.stamps - first_ns)
+    seconds = 1e-9 * (samples.stamps_ns - first_ns)
     columns = np.stack([np.ones(len(seconds)), seconds], axis=1)
     for _ in range(_CORRECTIONS):
-        motion = model.between(start, int(samples.stamps[-1])).at(samples.stamps)
+        motion = model.between(start, int(samples.stamps_ns[-1])).at(samples.stamps_ns)
         vectors, rate_errors = errors_of(samples, motion)
         assert vectors is not None
         # In space axes: a constant error of the attitude is constant there.

@@ -33,7 +33,7 @@ from rigid_body_ros.propagation import propagate, Trajectory
 from rigid_body_ros.sensing.measured import Measured
 
 
-class States(NamedTuple):
+class Poses(NamedTuple):
     """Attitudes x y z w, shape (n, 4), and angular velocities, rad/s, body axes, shape (n, 3)."""
 
     attitude: Floats
@@ -77,10 +77,10 @@ class Model:
         """Return the torque timeout, ns; 0 if a torque is held for ever."""
         return round(1e9 * self.options.get('torque_timeout', 0.0))
 
-    def at(self, times_ns: NDArray[np.int64]) -> States:
+    def at(self, times_ns: NDArray[np.int64]) -> Poses:
         """Return the states at times, in any order, none before the start."""
         motion = self.trajectory(times_ns)
-        return States(motion.attitude, motion.angular_velocity)
+        return Poses(motion.attitude, motion.angular_velocity)
 
     def trajectory(self, times_ns: NDArray[np.int64]) -> Trajectory:
         """Return the motion at times, in any order, none before the start."""
@@ -117,14 +117,14 @@ class Recorded:
     @property
     def first_ns(self) -> int:
         """Return the time of the earliest state."""
-        return int(self.samples.stamps[0])
+        return int(self.samples.stamps_ns[0])
 
     @property
     def last_ns(self) -> int:
         """Return the time of the latest state."""
-        return int(self.samples.stamps[-1])
+        return int(self.samples.stamps_ns[-1])
 
-    def at(self, times_ns: NDArray[np.int64]) -> States:
+    def at(self, times_ns: NDArray[np.int64]) -> Poses:
         """
         Return the states at times.
 
@@ -136,15 +136,15 @@ class Recorded:
             A time is after the last sample.
 
         """
-        stamps, attitude = self.samples.stamps, self.samples.attitude
+        stamps_ns, attitude = self.samples.stamps_ns, self.samples.attitude
         rates = self.samples.angular_velocity
         assert attitude is not None
         assert rates is not None
-        if times_ns.size and times_ns.max() > stamps[-1]:
+        if times_ns.size and times_ns.max() > stamps_ns[-1]:
             raise InputError(f'expected a motion up to the last measurement at {times_ns.max()} '
-                             f'ns, found its end at {stamps[-1]} ns')
-        rows = np.clip(np.searchsorted(stamps, times_ns, 'right') - 1, 0, len(stamps) - 2)
-        span = np.diff(stamps)[rows] * 1e-9
-        part = (times_ns - stamps[rows]) * 1e-9 / span
-        return States(*hermite.between((attitude[rows], rates[rows]),
-                                       (attitude[rows + 1], rates[rows + 1]), span, part))
+                             f'ns, found its end at {stamps_ns[-1]} ns')
+        rows = np.clip(np.searchsorted(stamps_ns, times_ns, 'right') - 1, 0, len(stamps_ns) - 2)
+        span = np.diff(stamps_ns)[rows] * 1e-9
+        part = (times_ns - stamps_ns[rows]) * 1e-9 / span
+        return Poses(*hermite.between((attitude[rows], rates[rows]),
+                                      (attitude[rows + 1], rates[rows + 1]), span, part))

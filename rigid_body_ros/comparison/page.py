@@ -48,16 +48,16 @@ def page(found: Comparison, name: str, scene: Scene, command: str) -> Page:
         The command line.
 
     """
-    stamps = np.unique(np.concatenate([each.times_ns for each in found.errors]))
+    stamps_ns = np.unique(np.concatenate([each.times_ns for each in found.errors]))
     topics = ', '.join(each.topic for each in found.errors)
-    body = _body(found.motion, stamps) if isinstance(found.motion, Model) else None
+    body = _body(found.motion, stamps_ns) if isinstance(found.motion, Model) else None
     shown = [('moving body', 'the computed motion')] if body else []
     return Page(f'{name}: {topics}', [('recording', name), *rows(found), *shown],
-                [*_panels(found, stamps)], body, scene.warnings, scene=scene, command=command)
+                [*_panels(found, stamps_ns)], body, scene.warnings, scene=scene, command=command)
 
 
-def _panels(found: Comparison, stamps: NDArray[np.int64]) -> Iterator[Panel]:
-    start_ns, end_ns = int(stamps[0]), int(stamps[-1])
+def _panels(found: Comparison, stamps_ns: NDArray[np.int64]) -> Iterator[Panel]:
+    start_ns, end_ns = int(stamps_ns[0]), int(stamps_ns[-1])
     for label, unit, attribute in (('attitude error, body axes', 'rad', 'rotation_vectors'),
                                    ('rate error, body axes', 'rad/s', 'rates')):
         for each in found.errors:
@@ -86,10 +86,10 @@ def _horizon_panel(horizons: Sequence[Horizon]) -> Panel:
                  'time since the restart from the measurement (s)', 'loglog', texts=texts)
 
 
-def _body(model: Model, stamps: NDArray[np.int64]) -> dict[str, Any]:
+def _body(model: Model, stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
     """Return the propagated motion at some of the measured stamps."""
-    step = -(-len(stamps) // moving_body.MOST)
-    times = np.union1d(stamps[::step], stamps[-1:])
+    step = -(-len(stamps_ns) // moving_body.MOST)
+    times = np.union1d(stamps_ns[::step], stamps_ns[-1:])
     motion = model.trajectory(times)
     torque = total_torque(model.logs, times, motion.attitude, model.timeout_ns)
     return moving_body.as_data(model.body, times, np.hstack([

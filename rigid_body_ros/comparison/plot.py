@@ -49,10 +49,10 @@ def draw(path: str | Path, found: Comparison, name: str) -> None:
         for each in found.errors:
             values = getattr(each, attribute)
             if values is not None and len(values):
-                panels.append(figures.Panel(label, unit, each.times_ns, values))
+                panels.append(figures.Series(label, unit, each.times_ns, values))
                 break
     torque = found.residual_torque
-    residual = figures.Panel('residual torque', 'N m', torque.times_ns, torque.torques) \
+    residual = figures.Series('residual torque', 'N m', torque.times_ns, torque.torques) \
         if torque else None
     model = found.motion
     logs, timeout_ns = (model.logs, model.timeout_ns) if isinstance(model, Model) else ((), 0)

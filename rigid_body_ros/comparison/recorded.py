@@ -108,7 +108,7 @@ def compare_recording(path: str | Path, scene: Scene, measured: Sequence[str] = 
     topics = topics_of(topic, wheel_torque, wheel_momentum)
     if motion is None:
         model: Model | Recorded = read_model(path, scene, topics, reading,
-                                             min(int(each.stamps[0]) for each in sensors))
+                                             min(int(each.stamps_ns[0]) for each in sensors))
         assert isinstance(model, Model)
         check_overlap(path, model, sensors, CLOCK in align)
     else:
@@ -169,7 +169,7 @@ def read_motion(path: str | Path, scene: Scene) -> Recorded:
     if ATTITUDE in found and ANGULAR_VELOCITY in found:
         attitude = measured(ATTITUDE)
         rates = measured(ANGULAR_VELOCITY)
-        if not np.array_equal(attitude.stamps, rates.stamps):
+        if not np.array_equal(attitude.stamps_ns, rates.stamps_ns):
             raise InputError(f'{path}: expected the same stamps on {ATTITUDE} and '
                              f'{ANGULAR_VELOCITY}, found others')
         return Recorded(replace(attitude, angular_velocity=rates.angular_velocity))
@@ -184,10 +184,10 @@ def check_overlap(path: str | Path, model: Model, sensors: Sequence[Measured],
                   searched: bool) -> None:
     """Raise InputError if the measurements end before the torques begin, or the reverse."""
     margin = round(1e9 * LARGEST_OFFSET) if searched else 0
-    stamps = [int(time) for log in model.logs if len(log) for time in log.times_ns[[0, -1]]]
-    first, last = model.first_ns, max(stamps, default=model.last_ns)
+    stamps_ns = [int(time) for log in model.logs if len(log) for time in log.times_ns[[0, -1]]]
+    first, last = model.first_ns, max(stamps_ns, default=model.last_ns)
     for sensor in sensors:
-        begin, end = int(sensor.stamps[0]), int(sensor.stamps[-1])
+        begin, end = int(sensor.stamps_ns[0]), int(sensor.stamps_ns[-1])
         if end + margin < first or begin - margin > last:
             raise InputError(
                 f'{path}: {sensor.topic}: expected measurements during the motion, from {first} '

@@ -103,14 +103,14 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
 
 
 def _training(channels: list[Measured], validate: float) -> list[Measured]:
-    first = min(int(channel.stamps[0]) for channel in channels)
-    last = max(int(channel.stamps[-1]) for channel in channels)
+    first = min(int(channel.stamps_ns[0]) for channel in channels)
+    last = max(int(channel.stamps_ns[-1]) for channel in channels)
     end_ns = first + round((1.0 - validate) * (last - first))
-    fitted = [channel.rows(channel.stamps <= end_ns) for channel in channels]
+    fitted = [channel.rows(channel.stamps_ns <= end_ns) for channel in channels]
     for channel in fitted:
-        if len(channel.stamps) < 2:
+        if len(channel) < 2:
             raise InputError(f'{channel.topic}: expected samples before the part for validation, '
-                             f'found {len(channel.stamps)}')
+                             f'found {len(channel)}')
     return fitted
 
 
@@ -120,12 +120,13 @@ def _setup(body: RigidBody, experiments: list[Experiment], channels: list[list[M
     rate = max(typical_rate(one) for one in channels)
     torques = [np.sqrt(np.mean(np.sum(log.torques ** 2, axis=1)))
                for experiment in experiments for log in experiment.logs if len(log)]
-    span_s = max(float(one.stamps[-1] - one.stamps[0]) for every in channels for one in every)
+    span_ns = max(float(one.stamps_ns[-1] - one.stamps_ns[0])
+                  for every in channels for one in every)
     offset = _clock_offset(body, experiments, channels, torque_timeout) \
         if 'clock_offset' in names else 0.0
     guess = Physics(body.inertia, body.damping, clock_offset=offset)
     parameters = Parameters(names, guess, rate, float(max(torques, default=0.0)),
-                            max(span_s * 1e-9, 1e-9))
+                            max(span_ns * 1e-9, 1e-9))
     return Setup(experiments, channels, parameters, rate, START in names, attitude_noise,
                  rate_noise, torque_timeout)
 
@@ -134,7 +135,7 @@ def _clock_offset(body: RigidBody, experiments: list[Experiment], channels: list
                   torque_timeout: float) -> float:
     """Return a guess of the clock offset from the recording with the most samples, s."""
     one, sensors = max(zip(experiments, channels),
-                       key=lambda pair: sum(len(channel.stamps) for channel in pair[1]))
+                       key=lambda pair: sum(len(channel) for channel in pair[1]))
     model = Model(body, one.start, tuple(one.logs), one.wheels, {'torque_timeout': torque_timeout})
     return likely_offset(model, sensors)
 
@@ -200,7 +201,7 @@ def _start(setup: Setup, solution: Solution, number: int) -> tuple[State, _Start
     if not solution.problem.windows[k].is_first or not setup.fits_start:
         return replace(given, rotor_momentum=momentum), None
     attitude, velocity = (solution.problem.reference.attitude[k],
-                          solution.problem.reference.velocity[k])
+                          solution.problem.reference.angular_velocity[k])
     start = State(given.time_ns, attitude, velocity, momentum)
     names = [f'initial_angular_velocity.{axis}' for axis in 'xyz']
     values, guesses, scales, turn = (velocity, given.angular_velocity, np.full(3, setup.rate),

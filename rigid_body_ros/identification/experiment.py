@@ -98,13 +98,13 @@ def _checked(channel: Measured, start_ns: int) -> Measured:
     if not finite.any():
         raise InputError(f'{channel.topic}: expected finite {what}, found none among '
                          f'{len(finite)} samples')
-    channel = channel.rows(finite & (channel.stamps >= start_ns))
-    if not len(channel.stamps):
+    channel = channel.rows(finite & (channel.stamps_ns >= start_ns))
+    if not len(channel):
         raise InputError(f'{channel.topic}: expected {what} from the start of the motion '
                          f'({start_ns} ns) on, found only earlier ones')
-    if len(channel.stamps) < _FEWEST:
+    if len(channel) < _FEWEST:
         raise InputError(f'{channel.topic}: expected at least {_FEWEST} {what} from the start of '
-                         f'the motion on, found {len(channel.stamps)}')
+                         f'the motion on, found {len(channel)}')
     return replace(channel, attitude=so3.normalize(channel.values)) if channel.is_attitude \
         else channel
 
@@ -120,10 +120,10 @@ def typical_rate(channels: Sequence[Measured]) -> float:
 
 def _rates(channel: Measured) -> Floats:
     """Return rates from attitudes some time apart."""
-    spacing = np.median(np.diff(channel.stamps)) * 1e-9
-    lag = min(max(1, round(_LAG / max(spacing, 1e-9))), len(channel.stamps) - 1)
+    spacing = np.median(np.diff(channel.stamps_ns)) * 1e-9
+    lag = min(max(1, round(_LAG / max(spacing, 1e-9))), len(channel) - 1)
     turned = so3.log(so3.multiply(so3.conjugate(channel.values[:-lag]), channel.values[lag:]))
-    seconds = (channel.stamps[lag:] - channel.stamps[:-lag]) * 1e-9
+    seconds = (channel.stamps_ns[lag:] - channel.stamps_ns[:-lag]) * 1e-9
     return turned / np.maximum(seconds, 1e-9)[:, None]
 
 
@@ -156,17 +156,17 @@ def local_state(channels: Sequence[Measured], time_ns: int, rate: float, mount: 
         if channel.is_attitude or has_rate:
             continue
         near = _near(channel, time_ns, rate)
-        if len(near.stamps):
-            velocity = _robust_line((near.stamps - time_ns) * 1e-9, near.values)[0]
+        if len(near):
+            velocity = _robust_line((near.stamps_ns - time_ns) * 1e-9, near.values)[0]
             velocity = so3.rotate(mount, velocity) if is_mounted else velocity
             has_rate = True
     for channel in (one for one in channels if one.is_attitude):
         near = _near(channel, time_ns, rate)
-        if not len(near.stamps):
+        if not len(near):
             continue
-        middle = near.values[np.argsort(near.stamps)[len(near.stamps) // 2]]
+        middle = near.values[np.argsort(near.stamps_ns)[len(near) // 2]]
         turned = so3.log(so3.multiply(so3.conjugate(middle), near.values))
-        here, slope = _robust_line((near.stamps - time_ns) * 1e-9, turned)
+        here, slope = _robust_line((near.stamps_ns - time_ns) * 1e-9, turned)
         attitude = so3.multiply(so3.multiply(middle, so3.exp(here)), so3.conjugate(mount))
         velocity = velocity if has_rate else so3.rotate(mount, slope)
         break
@@ -175,9 +175,9 @@ def local_state(channels: Sequence[Measured], time_ns: int, rate: float, mount: 
 
 def _near(channel: Measured, time_ns: int, rate: float) -> Measured:
     span_ns = int(0.5e9 / rate)
-    centre = int(np.searchsorted(channel.stamps, time_ns))
+    centre = int(np.searchsorted(channel.stamps_ns, time_ns))
     near = channel.rows(slice(max(centre - _LOCAL // 2, 0), centre + _LOCAL))
-    distances = np.abs(near.stamps - time_ns)
+    distances = np.abs(near.stamps_ns - time_ns)
     closest = np.sort(distances)[:3]
     return near.rows(distances <= max(span_ns, int(closest.max(initial=0))))
 

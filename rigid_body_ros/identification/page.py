@@ -67,16 +67,16 @@ def _panels(found: Identification, first: Experiment) -> Iterator[Panel]:
     parts = [one for one in found.residuals if one.recording == 0 and one.inliers.any()]
     if not parts:
         return
-    start_ns = min(int(one.stamps[one.inliers].min()) for one in parts)
-    end_ns = max(int(one.stamps[one.inliers].max()) for one in parts)
+    start_ns = min(int(one.stamps_ns[one.inliers].min()) for one in parts)
+    end_ns = max(int(one.stamps_ns[one.inliers].max()) for one in parts)
     parts.sort(key=lambda one: (one.topic, not one.is_attitude, not one.is_training))
     for _, group in groupby(parts, key=lambda one: one.name):
         pieces = [*group]
         label, unit = ('attitude', 'rad') if pieces[0].is_attitude else ('rate', 'rad/s')
-        times = np.concatenate([one.stamps[one.inliers] for one in pieces])
+        times = np.concatenate([one.stamps_ns[one.inliers] for one in pieces])
         panel = error_panel(f'{pieces[0].topic}: {label} error, axes of the sensor', unit, times,
                             np.concatenate([one.kept for one in pieces]), start_ns)
-        lines = [('start of the validation', 1e-9 * float(one.stamps[0] - start_ns))
+        lines = [('start of the validation', 1e-9 * float(one.stamps_ns[0] - start_ns))
                  for one in pieces if not one.is_training]
         yield replace(panel, lines=dict(lines))
     yield from torque_panels(first.logs, start_ns, end_ns)

@@ -31,7 +31,7 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.parameters import Parameters, Physics
 from rigid_body_ros.identification.triangles import triangle
-from rigid_body_ros.identification.windows import States, Window
+from rigid_body_ros.identification.windows import Guesses, Window
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.measured import Measured
 
@@ -87,7 +87,7 @@ class _Linearization:
     jacobian: Floats
 
 
-class Problem:
+class LeastSquares:
     """
     The least-squares problem of some windows.
 
@@ -95,7 +95,7 @@ class Problem:
     ----------
     parameters : Parameters
     windows : sequence of Window
-    states : States
+    states : Guesses
         A guess of the state of each window.
     weights : Weights
     rate : float, rad/s
@@ -107,7 +107,7 @@ class Problem:
 
     """
 
-    def __init__(self, parameters: Parameters, windows: Sequence[Window], states: States,
+    def __init__(self, parameters: Parameters, windows: Sequence[Window], states: Guesses,
                  weights: Weights, rate: float, fits_start: bool,
                  fits_attitude: Sequence[bool]) -> None:
         self.parameters, self.windows, self.reference = parameters, windows, states
@@ -130,7 +130,7 @@ class Problem:
         """Return the number of unknowns."""
         return self.parameters.size + sum(len(unknown) for unknown in self.unknowns)
 
-    def states(self) -> States:
+    def states(self) -> Guesses:
         """Return the states at the latest point that the solver accepted."""
         assert self._base is not None
         return self._changed(slice(None), self._base.changes)
@@ -185,10 +185,10 @@ class Problem:
                 change[unknown] -= np.linalg.solve(factor[:own, :own], wanted)
         return changes
 
-    def _changed(self, k: int | slice, changes: Floats) -> States:
+    def _changed(self, k: int | slice, changes: Floats) -> Guesses:
         """Return a reference state, or all of them, with changes of shape (c, 6)."""
-        return States(so3.multiply(self.reference.attitude[k], so3.exp(changes[:, :3])),
-                      self.reference.velocity[k] + self._rate * changes[:, 3:])
+        return Guesses(so3.multiply(self.reference.attitude[k], so3.exp(changes[:, :3])),
+                       self.reference.angular_velocity[k] + self._rate * changes[:, 3:])
 
     def _triangle(self, k: int, physics: Physics, moved_physics: Sequence[Physics],
                   change: Floats, largest: Floats) -> Floats:

@@ -64,9 +64,9 @@ def read_experiment(path: str | Path, scene: Scene, measured: Sequence[str], top
     sensors = read_all(path, measured, frames=reading.frames, body_frame=scene.body_frame,
                        space_frame=scene.space_frame, time_source=reading.time_source,
                        track=reading.track)
-    model = read_model(path, scene, topics, reading, min(int(one.stamps[0]) for one in sensors))
+    model = read_model(path, scene, topics, reading, min(int(one.stamps_ns[0]) for one in sensors))
     check_overlap(path, model, sensors, False)
-    inside = [one.rows(one.stamps <= model.last_ns) for one in sensors]
+    inside = [one.rows(one.stamps_ns <= model.last_ns) for one in sensors]
     return Experiment(model.start, model.logs, inside, model.wheels)
 
 
@@ -85,7 +85,7 @@ def read_experiments(paths: Sequence[str | Path], scene: Scene, measured: Sequen
     for path in paths:
         experiments.append(read_experiment(path, scene, measured, topics, reading))
         for one in experiments[-1].measured:
-            columns = one.stamps, one.attitude, one.angular_velocity
+            columns = one.stamps_ns, one.attitude, one.angular_velocity
             digest = sha256(b''.join(column.tobytes() for column in columns
                                      if column is not None)).digest()
             name = f'{path}: {one.topic}'

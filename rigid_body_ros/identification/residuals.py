@@ -46,7 +46,7 @@ class Residuals:
         Whether these are errors of attitudes, not of angular velocities.
     is_training : bool
         Whether the samples were fitted.
-    stamps : array of int64, shape (n,), ns
+    stamps_ns : array of int64, shape (n,), ns
         As measured.
     errors : array, shape (n, 3)
         Predicted minus measured; rotation vectors (rad) or angular velocities (rad/s) in the axes
@@ -62,7 +62,7 @@ class Residuals:
     topic: str
     is_attitude: bool
     is_training: bool
-    stamps: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]
     errors: Floats
     inliers: NDArray[np.bool_]
     noise: float
@@ -137,7 +137,7 @@ def of_training(setup: Setup, solution: Solution) -> list[Residuals]:
                 solution.weights.sigma[number]):
             used = np.isfinite(errors[:, 0])  # a clock offset moves some before the start
             result.append(Residuals(number, channel.topic, channel.is_attitude, True,
-                                    channel.stamps[used], errors[used], inliers[used],
+                                    channel.stamps_ns[used], errors[used], inliers[used],
                                     float(noise)))
     return result
 
@@ -162,7 +162,7 @@ def of_validation(setup: Setup, solution: Solution,
     for number, (experiment, channels) in enumerate(zip(setup.experiments, every)):
         k = [k for k, one in enumerate(problem.windows) if one.experiment == number][-1]
         last = problem.windows[k]
-        rest = [channel.rows(slice(len(fitted.stamps), None))
+        rest = [channel.rows(slice(len(fitted), None))
                 for channel, fitted in zip(channels, setup.channels[number])]
         whole, = windows_of(number, experiment, channels, 2 ** 62, offset_ns, 0,
                             setup.torque_timeout)
@@ -174,5 +174,5 @@ def of_validation(setup: Setup, solution: Solution,
             sizes = np.linalg.norm(errors, axis=1)
             limit = _OUTLIER * max(float(np.median(sizes)) if len(sizes) else 0.0, noise)
             result.append(Residuals(number, channel.topic, channel.is_attitude, False,
-                                    channel.stamps, errors, sizes <= limit, float(noise)))
+                                    channel.stamps_ns, errors, sizes <= limit, float(noise)))
     return result

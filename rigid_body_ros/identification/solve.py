@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.experiment import Experiment, local_state
 from rigid_body_ros.identification.parameters import Parameters, Physics
-from rigid_body_ros.identification.problem import Problem, Weights
-from rigid_body_ros.identification.windows import LEAD_NS, States, Window, windows_of
+from rigid_body_ros.identification.problem import LeastSquares, Weights
+from rigid_body_ros.identification.windows import Guesses, LEAD_NS, Window, windows_of
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.measured import Measured
 
@@ -88,20 +88,20 @@ class Setup:
     @property
     def span_ns(self) -> int:
         """Return the length of the longest recording, ns."""
-        return max(max(int(channel.stamps[-1]) for channel in channels)
-                   - min(int(channel.stamps[0]) for channel in channels)
+        return max(max(int(channel.stamps_ns[-1]) for channel in channels)
+                   - min(int(channel.stamps_ns[0]) for channel in channels)
                    for channels in self.channels) + 1
 
     @property
     def longest_ns(self) -> int:
         """Return the longest length of a window, ns."""
-        most = max(len(channel.stamps) for channels in self.channels for channel in channels)
+        most = max(len(channel) for channels in self.channels for channel in channels)
         return max(int(self.span_ns * min(1.0, _LONGEST / most)), 1)
 
     @property
     def shortest_ns(self) -> int:
         """Return the length of the first windows, ns."""
-        spacing = max(float(np.median(np.diff(channel.stamps))) for channels in self.channels
+        spacing = max(float(np.median(np.diff(channel.stamps_ns))) for channels in self.channels
                       for channel in channels)
         return int(min(max(1e9 * _FIRST / self.rate, _SHORTEST * spacing), self.longest_ns))
 
@@ -123,7 +123,7 @@ class Solution:
     Attributes
     ----------
     length_ns : int
-    problem : Problem
+    problem : LeastSquares
         Its reference states are those of the solution.
     physics : Physics
     errors : list of list of array, shape (n, 3)
@@ -138,7 +138,7 @@ class Solution:
     """
 
     length_ns: int
-    problem: Problem
+    problem: LeastSquares
     physics: Physics
     errors: list[list[Floats]]
     weights: Weights
@@ -238,17 +238,18 @@ def _first(setup: Setup, windows: list[Window], physics: Physics) -> Solution:
             continue
         pairs.append(local_state(setup.channels[window.experiment], window.anchor_ns - offset_ns,
                                  setup.rate, mount, start))
-    states = States(*(np.array(values) for values in zip(*pairs)))
+    states = Guesses(*(np.array(values) for values in zip(*pairs)))
     ones = Weights([[1.0 for _ in channels] for channels in setup.channels],
-                   [[np.ones(len(channel.stamps)) for channel in channels]
+                   [[np.ones(len(channel)) for channel in channels]
                     for channels in setup.channels])
     return _solution(setup, setup.shortest_ns, _problem(setup, windows, states, ones), physics,
                      0, False, False)
 
 
-def _problem(setup: Setup, windows: list[Window], states: States, weights: Weights) -> Problem:
-    return Problem(setup.parameters, windows, states, weights, setup.rate, setup.fits_start,
-                   setup.fits_attitude)
+def _problem(setup: Setup, windows: list[Window], states: Guesses,
+             weights: Weights) -> LeastSquares:
+    return LeastSquares(setup.parameters, windows, states, weights, setup.rate, setup.fits_start,
+                        setup.fits_attitude)
 
 
 def _fitted(setup: Setup, previous: Solution, length_ns: int, tolerance: float, most: int,
@@ -268,7 +269,7 @@ def _fitted(setup: Setup, previous: Solution, length_ns: int, tolerance: float, 
                      result.status > 0, is_last)
 
 
-def _states(setup: Setup, solution: Solution, windows: list[Window]) -> States:
+def _states(setup: Setup, solution: Solution, windows: list[Window]) -> Guesses:
     """Return the states of a solution at the beginnings of other windows."""
     old, pairs = solution.problem, []
     begins = [(one.experiment, one.anchor_ns) for one in old.windows]
@@ -276,12 +277,12 @@ def _states(setup: Setup, solution: Solution, windows: list[Window]) -> States:
         k = max(bisect_right(begins, (window.experiment, window.anchor_ns)) - 1,
                 bisect_left(begins, (window.experiment,)))
         pairs.append(old.windows[k].state_at(solution.physics, old.reference.attitude[k],
-                                             old.reference.velocity[k], window.anchor_ns))
-    return States(*(np.array(values) for values in zip(*pairs)))
+                                             old.reference.angular_velocity[k], window.anchor_ns))
+    return Guesses(*(np.array(values) for values in zip(*pairs)))
 
 
-def _solution(setup: Setup, length_ns: int, problem: Problem, physics: Physics, evaluations: int,
-              converged: bool, is_last: bool) -> Solution:
+def _solution(setup: Setup, length_ns: int, problem: LeastSquares, physics: Physics,
+              evaluations: int, converged: bool, is_last: bool) -> Solution:
     errors = problem.residuals(physics)
     unknown = problem.size
     total = sum(int(np.isfinite(error).sum()) for every in errors for error in every)
@@ -323,7 +324,7 @@ def _floor(channel: Measured, setup: Setup) -> float:
     return _ROUNDING * (1.0 if channel.is_attitude else max(1.0, setup.rate))
 
 
-def _predicts(setup: Setup, problem: Problem, physics: Physics) -> bool:
+def _predicts(setup: Setup, problem: LeastSquares, physics: Physics) -> bool:
     """Return whether errors before a fit are so small that derivatives are of use."""
     errors = problem.residuals(physics)
     for window in problem.windows:

@@ -35,23 +35,23 @@ LEAD_NS = 200_000_000
 
 
 @dataclass(eq=False)
-class States:
+class Guesses:
     """
-    Several states.
+    Guesses of several states.
 
     Attributes
     ----------
     attitude : array, shape (k, 4)
-    velocity : array, shape (k, 3), rad/s
+    angular_velocity : array, shape (k, 3), rad/s
 
     """
 
     attitude: Floats
-    velocity: Floats
+    angular_velocity: Floats
 
-    def rows(self, chosen: Sequence[int] | slice) -> States:
+    def rows(self, chosen: Sequence[int] | slice) -> Guesses:
         """Return some of the states."""
-        return States(self.attitude[chosen], self.velocity[chosen])
+        return Guesses(self.attitude[chosen], self.angular_velocity[chosen])
 
 
 @dataclass(eq=False)
@@ -89,19 +89,20 @@ class Window:
     rows: list[slice]
     torque_timeout: float = 0.0
     #: Of all channels, increasing, each once.
-    stamps: NDArray[np.int64] = field(init=False)
+    stamps_ns: NDArray[np.int64] = field(init=False)
     is_in_body: bool = field(init=False)
     _scaled: tuple[float, list[TorqueLog]] = field(init=False)
-    #: Where in `stamps` those of each channel are.
+    #: Where in `stamps_ns` those of each channel are.
     _moments: list[NDArray[np.intp]] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.stamps = np.unique(np.concatenate([channel.stamps for channel in self.channels]))
+        stamps_ns = [channel.stamps_ns for channel in self.channels]
+        self.stamps_ns = np.unique(np.concatenate(stamps_ns))
         self.is_in_body = not any(log.in_space.any() for log in self.logs)
         self._scaled = 1.0, self.logs
-        self._moments = [np.searchsorted(self.stamps, channel.stamps) for channel in self.channels]
+        self._moments = [np.searchsorted(self.stamps_ns, each) for each in stamps_ns]
 
-    def predict(self, physics: Sequence[Physics], states: States) -> list[Floats]:
+    def predict(self, physics: Sequence[Physics], states: Guesses) -> list[Floats]:
         """
         Return what the sensors measure without noise, for each channel.
 
@@ -109,7 +110,7 @@ class Window:
         ----------
         physics : sequence of Physics, length c
             The parameters.
-        states : States
+        states : Guesses
             The c states at the beginning.
 
         Returns
@@ -122,8 +123,8 @@ class Window:
             As for `propagate`.
 
         """
-        motions = [self._motion(*one, self.stamps + round(one[0].clock_offset * 1e9))
-                   for one in zip(physics, states.attitude, states.velocity)]
+        motions = [self._motion(*one, self.stamps_ns + round(one[0].clock_offset * 1e9))
+                   for one in zip(physics, states.attitude, states.angular_velocity)]
         attitude = np.stack([motion.attitude for motion in motions])
         velocity = np.stack([motion.angular_velocity for motion in motions])
         vectors = np.array([one.mount for one in physics])
@@ -151,7 +152,7 @@ class Window:
     @property
     def size(self) -> int:
         """Return the number of samples of all channels."""
-        return sum(len(channel.stamps) for channel in self.channels)
+        return sum(len(channel) for channel in self.channels)
 
     def _acting(self, physics: Physics) -> list[TorqueLog]:
         if physics.torque_gain != self._scaled[0]:
@@ -163,7 +164,7 @@ class Window:
     def _bias(self, torque: Floats) -> TorqueLog:
         times = np.array([self.anchor_ns])
         if self.torque_timeout:  # a bias does not time out
-            end_ns = int(self.stamps.max()) + LEAD_NS
+            end_ns = int(self.stamps_ns.max()) + LEAD_NS
             times = np.arange(self.anchor_ns, end_ns, max(1, int(self.torque_timeout * 0.5e9)))
         return TorqueLog(times, np.broadcast_to(torque, (len(times), 3)))
 
@@ -205,18 +206,18 @@ def windows_of(number: int, experiment: Experiment, channels: Sequence[Measured]
 
     """
     start_ns = experiment.start.time_ns
-    first_ns = max(start_ns, min(int(channel.stamps[0]) for channel in channels) + offset_ns)
-    last_ns = max(int(channel.stamps[-1]) for channel in channels) + offset_ns
+    first_ns = max(start_ns, min(int(channel.stamps_ns[0]) for channel in channels) + offset_ns)
+    last_ns = max(int(channel.stamps_ns[-1]) for channel in channels) + offset_ns
     count = max(1, round((last_ns - first_ns) / length_ns))
     edges = first_ns + np.arange(count + 1) * ((last_ns - first_ns) // count + 1)
     anchors = np.append(start_ns, np.maximum(edges[1:-1] - lead_ns, start_ns))
     momenta = _rotor_momenta(experiment, anchors, torque_timeout)
     result = []
     for k, anchor_ns in enumerate(anchors.tolist()):
-        rows = [slice(*np.searchsorted(channel.stamps + offset_ns, [edges[k], edges[k + 1]]))
+        rows = [slice(*np.searchsorted(channel.stamps_ns + offset_ns, [edges[k], edges[k + 1]]))
                 for channel in channels]
         parts = [channel.rows(part) for channel, part in zip(channels, rows)]
-        if not any(len(part.stamps) for part in parts):
+        if not any(len(part) for part in parts):
             continue
         end_ns = int(edges[k + 1]) + LEAD_NS
         wheels = experiment.wheels

@@ -67,7 +67,7 @@ class ArrivalStamps:
         return self._last_ns
 
 
-class Reading(NamedTuple):
+class ClockReading(NamedTuple):
     """The time of a clock, ns, and by how much it has jumped since the last reading, ns."""
 
     now_ns: int
@@ -102,12 +102,12 @@ class JumpDetector:
         #: The longest recent pause; it is forgotten in as much time.
         self._pause_ns = 0
 
-    def read(self) -> Reading:
+    def read(self) -> ClockReading:
         """Return the time, 0 before simulated time begins, and the jump, 0 if there is none."""
         before_ns = time.monotonic_ns()
         now_ns = self._clock.now().nanoseconds
         if not now_ns:
-            return Reading(0, 0)
+            return ClockReading(0, 0)
         if not self._now_ns:
             self._now_ns, self._read_at_ns, self._advanced_at_ns = now_ns, before_ns, before_ns
         # At most: the process may be interrupted while it reads the clocks.
@@ -122,7 +122,7 @@ class JumpDetector:
             self._advanced_at_ns = before_ns
         has_jumped = (-ahead_ns > self._most_back_ns
                       or ahead_ns > self.most_ahead_ns + expected_ns)
-        return Reading(now_ns, ahead_ns if has_jumped else 0)
+        return ClockReading(now_ns, ahead_ns if has_jumped else 0)
 
 
 class ClockMonitor:

@@ -44,10 +44,10 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.diagnostics import Diagnostics
 from rigid_body_ros.node.drain import DrainCallback
 from rigid_body_ros.node.lockstep import Lockstep
-from rigid_body_ros.node.outputs import Outputs
-from rigid_body_ros.node.parameters import check_qos_overrides, Parameters
+from rigid_body_ros.node.outputs import Publishers
+from rigid_body_ros.node.parameters import check_qos_overrides, NodeParameters
 from rigid_body_ros.node.realtime import Realtime
-from rigid_body_ros.node.sources import check_topics, Source, sources_of
+from rigid_body_ros.node.sources import check_topics, sources_of, TorqueTopic
 from rigid_body_ros.scene import LOCKSTEP
 from std_srvs.srv import Trigger
 
@@ -91,7 +91,7 @@ class AttitudeComponent:
         #: What is created in `activate`, and before it.
         self._active: set[Any] = set()
         self._own: set[Any] = set()
-        self._parameters = Parameters(node, lambda rate: self._mode.set_rate(rate), is_managed)
+        self._parameters = NodeParameters(node, lambda rate: self._mode.set_rate(rate), is_managed)
         try:
             self._configure()
         except BaseException:
@@ -110,7 +110,7 @@ class AttitudeComponent:
         with _one_line_errors():
             self._diagnostics = Diagnostics(self._node, self._sources)
             self._inputs = Inputs(self._scene, self._diagnostics)
-            self._outputs = Outputs(self._node, self._scene, self._sources, self._diagnostics)
+            self._outputs = Publishers(self._node, self._scene, self._sources, self._diagnostics)
             mode = Lockstep if self._scene.mode == LOCKSTEP else Realtime
             self._mode = mode(self._node, self._parameters, self._inputs, self._outputs,
                               self._diagnostics, self._checkpoint)
@@ -222,7 +222,7 @@ class AttitudeComponent:
                 kind, topic, callback, copy(qos), raw=True, event_callbacks=events,
                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
-        def torques(source: Source) -> DrainCallback:
+        def torques(source: TorqueTopic) -> DrainCallback:
             callback = DrainCallback(partial(self._on_torque, source.number), self._start_work,
                                      partial(self._diagnostics.count_missing, source.number))
             callback.subscription = subscription(

@@ -50,7 +50,7 @@ from rigid_body_ros.live.events import (
 )
 from rigid_body_ros.live.torque_queue import Sender
 from rigid_body_ros.node.drain import DrainCallback
-from rigid_body_ros.node.sources import Source
+from rigid_body_ros.node.sources import TorqueTopic
 
 if TYPE_CHECKING:  # Lyrical has it in rclpy.endpoint_info
     from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -92,7 +92,7 @@ class Diagnostics:
     torque received is applied, rejected for a cause, or waiting.
     """
 
-    def __init__(self, node: Node, sources: Sequence[Source]) -> None:
+    def __init__(self, node: Node, sources: Sequence[TorqueTopic]) -> None:
         self._node, self._sources = node, {source.number: source for source in sources}
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         # Latched, so that it reaches a subscription that is not connected yet.

@@ -28,8 +28,8 @@ from rigid_body_ros.live.inputs import Inputs, Torque
 from rigid_body_ros.live.run import Run
 from rigid_body_ros.live.torque_queue import Queued, TorqueQueue
 from rigid_body_ros.node.diagnostics import Diagnostics
-from rigid_body_ros.node.outputs import Outputs
-from rigid_body_ros.node.parameters import Parameters
+from rigid_body_ros.node.outputs import Publishers
+from rigid_body_ros.node.parameters import NodeParameters
 from rigid_body_ros.scene import LOCKSTEP
 
 #: s; length of a slice of work, after which all other callbacks run.
@@ -45,16 +45,16 @@ class Mode:
     Parameters
     ----------
     node : Node
-    parameters : Parameters
+    parameters : NodeParameters
     inputs : Inputs
-    outputs : Outputs
+    outputs : Publishers
     diagnostics : Diagnostics
     checkpoint : Checkpoint, optional
         If it has a state, the run goes on from it.
 
     """
 
-    def __init__(self, node: Node, parameters: Parameters, inputs: Inputs, outputs: Outputs,
+    def __init__(self, node: Node, parameters: NodeParameters, inputs: Inputs, outputs: Publishers,
                  diagnostics: Diagnostics, checkpoint: Checkpoint | None) -> None:
         scene = parameters.scene
         self._node, self._parameters, self._outputs = node, parameters, outputs

@@ -36,7 +36,7 @@ from rigid_body_ros.live.run import LOG_DEPTH
 from rigid_body_ros.mechanics import euler
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.diagnostics import Diagnostics
-from rigid_body_ros.node.sources import Source
+from rigid_body_ros.node.sources import TorqueTopic
 from rigid_body_ros.scene import Scene
 from sensor_msgs.msg import Imu
 
@@ -52,7 +52,7 @@ _LOG_QOS = QoSProfile(depth=LOG_DEPTH, reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class Outputs:
+class Publishers:
     """
     The publishers of a node.
 
@@ -60,7 +60,7 @@ class Outputs:
     failure is counted and logged.
     """
 
-    def __init__(self, node: Node, scene: Scene, sources: Iterable[Source],
+    def __init__(self, node: Node, scene: Scene, sources: Iterable[TorqueTopic],
                  diagnostics: Diagnostics) -> None:
         self._node, self._diagnostics = node, diagnostics
         space, body, sequence = scene.space_frame, scene.body_frame, scene.euler_sequence

@@ -47,7 +47,7 @@ _EPOCH = ('start_time', *(f'initial_attitude.{name}' for name in 'xyzw'),
           *(f'initial_rotor_momentum.{name}' for name in 'xyz'))
 
 
-class Parameters:
+class NodeParameters:
     """
     Declare the parameters of a scene, and store the scene.
 

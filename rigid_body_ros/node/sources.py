@@ -28,7 +28,7 @@ from rigid_body_ros.scene import Scene
 _WHEEL_TORQUE = 'wheel_torque'
 
 
-class Source(NamedTuple):
+class TorqueTopic(NamedTuple):
     """A topic of torques."""
 
     #: The source of `Propagator.apply`, or WHEELS.
@@ -40,17 +40,18 @@ class Source(NamedTuple):
     status: str
 
 
-def sources_of(scene: Scene) -> tuple[Source, ...]:
+def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
     """Return the sources of torque of a scene, in the order in which they are summed."""
     suffixes = ['', *(f'_{number}' for number in range(1, len(scene.torque_topics)))]
-    sources = [Source(number, topic, f'~/accepted_torque{suffix}', f'torques{suffix}')
+    sources = [TorqueTopic(number, topic, f'~/accepted_torque{suffix}', f'torques{suffix}')
                for number, (topic, suffix) in enumerate(zip(scene.torque_topics, suffixes))]
     if scene.wheels:
-        sources.append(Source(WHEELS, _WHEEL_TORQUE, '~/accepted_wheel_torque', 'wheel torques'))
+        sources.append(TorqueTopic(WHEELS, _WHEEL_TORQUE, '~/accepted_wheel_torque',
+                                   'wheel torques'))
     return tuple(sources)
 
 
-def check_topics(node: Node, sources: Iterable[Source], others: Iterable[str]) -> None:
+def check_topics(node: Node, sources: Iterable[TorqueTopic], others: Iterable[str]) -> None:
     """
     Check that the topics of the sources differ from each other and from others of the node.
 

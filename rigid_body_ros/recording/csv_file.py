@@ -115,11 +115,11 @@ def _is_number(text: str) -> bool:
 
 
 def _raw(rows: list[tuple[int, list[float]]]) -> Raw:
-    stamps = np.array([stamp_ns for stamp_ns, _ in rows], np.int64)
+    stamps_ns = np.array([stamp_ns for stamp_ns, _ in rows], np.int64)
     values = np.zeros((len(rows), 6))
     values[:, 3:] = [torque for _, torque in rows]
     filled = np.empty(len(rows), messages.WRENCH.layout(''))
-    messages.WRENCH.fill(filled, stamps, values, '')
+    messages.WRENCH.fill(filled, stamps_ns, values, '')
     size = filled.dtype.itemsize
     return Raw(np.frombuffer(filled.tobytes(), np.uint8), np.arange(len(rows)) * size,
-               np.full(len(rows), size), stamps, stamps)
+               np.full(len(rows), size), stamps_ns, stamps_ns)

@@ -238,12 +238,12 @@ class Source:
         except bulk.BadMessageError as error:
             raise self._error(error, self.topic, number) from error
         self._longer += decoded.longer
-        stamps = decoded.stamps_ns
+        stamps_ns = decoded.stamps_ns
         if self._time_source == 'publish':
-            stamps = raw.publish_ns
+            stamps_ns = raw.publish_ns
         elif self._time_source == 'log' or not self.kind.has_header:
-            stamps = raw.log_ns
-        return Messages(self.topic, stamps, decoded.frames, decoded.names, decoded.values,
+            stamps_ns = raw.log_ns
+        return Messages(self.topic, stamps_ns, decoded.frames, decoded.names, decoded.values,
                         before=number, pairs=tuple(pairs))
 
     def _decompressed(self, raw: Raw, topic: str, number: int) -> Raw:

@@ -161,14 +161,14 @@ class Writer:
         step = max(1, _CHUNK // layout.itemsize)
         for first in range(0, len(stamps_ns), step):
             block = slice(first, first + step)
-            stamps = stamps_ns[block]
-            times = stamps + delay_ns
-            rows = np.empty(len(times), layout)
+            part_ns = stamps_ns[block]
+            logged_ns = part_ns + delay_ns
+            rows = np.empty(len(part_ns), layout)
             indexed, position = [], 0
             for (name, field), column in zip(fields, columns):
-                self._fill(rows[name], stamps, times, column, column.values[block])
-                offsets = position + np.arange(len(times)) * layout.itemsize
-                indexed.append(Indexed(self._channels[column.topic], times, offsets))
+                self._fill(rows[name], part_ns, logged_ns, column, column.values[block])
+                offsets = position + np.arange(len(part_ns)) * layout.itemsize
+                indexed.append(Indexed(self._channels[column.topic], logged_ns, offsets))
                 position += field.itemsize
             self._container.add_chunk(rows.tobytes(), indexed)
 

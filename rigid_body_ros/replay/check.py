@@ -89,8 +89,8 @@ def last_digits(scene: Scene, log: TorqueLog | Sequence[TorqueLog], start: State
     speed = float(np.linalg.norm(trajectory.angular_velocity, axis=1).max())
     covered_ns = end_ns - begin_ns
     logs = torque_logs(log)
-    stamps = np.unique(np.concatenate([one.times_ns for one in (*logs, *torque_logs(wheels))]))
-    following = stamps[stamps > begin_ns][_SAMPLES - 1:_SAMPLES]
+    stamps_ns = np.unique(np.concatenate([one.times_ns for one in (*logs, *torque_logs(wheels))]))
+    following = stamps_ns[stamps_ns > begin_ns][_SAMPLES - 1:_SAMPLES]
     if following.size:
         covered_ns = min(covered_ns, int(following[0]) - begin_ns)
     if speed * covered_ns * 1e-9 > _ANGLE:

@@ -32,7 +32,7 @@ from rigid_body_ros.report.thinning import EveryNth, Extremes
 from rigid_body_ros.scene import Scene
 
 
-class Collector:
+class PageCollector:
     """
     What a page shows of a motion, thinned while the motion is computed.
 

@@ -132,20 +132,20 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *,
     try:
         parts = []
         for one, rows in zip(epochs, _rows(epochs, recorded.stamps_ns, values)):
-            stamps, states = _until(one.start.time_ns + until_ns, recorded.stamps_ns[rows],
-                                    values[rows])
+            stamps_ns, states = _until(one.start.time_ns + until_ns, recorded.stamps_ns[rows],
+                                       values[rows])
             if is_state:
-                _check_torques(one, stamps)
-            parts.append((one, stamps, states))
+                _check_torques(one, stamps_ns)
+            parts.append((one, stamps_ns, states))
     except InputError as error:
         raise InputError(f'{motion_path}: {source.topic}: {error}') from error
     compared = [_compared(path, scene, *part) for part in parts]
     same, angles = (np.concatenate(each) for each in zip(*compared))
     is_node = epochs[0].is_epoch
-    return Verified(source.topic, np.concatenate([stamps for _, stamps, _ in parts]), same, angles,
-                    _different_versions(made_by), len(epochs) if is_node else 0,
-                    sum(len(stamps) > 0 for _, stamps, _ in parts) if is_node else 0,
-                    sum(_pending(one, stamps, until_ns) for one, stamps, _ in parts)
+    return Verified(source.topic, np.concatenate([stamps_ns for _, stamps_ns, _ in parts]), same,
+                    angles, _different_versions(made_by), len(epochs) if is_node else 0,
+                    sum(len(stamps_ns) > 0 for _, stamps_ns, _ in parts) if is_node else 0,
+                    sum(_pending(one, stamps_ns, until_ns) for one, stamps_ns, _ in parts)
                     if is_node and is_state else 0)
 
 

@@ -146,7 +146,7 @@ def work_precision(path: str | Path, curves: Mapping[str, tuple[Sequence[float],
     save(figure, path, dpi=200)
 
 
-class Panel(NamedTuple):
+class Series(NamedTuple):
     """Vectors over time: what they are, their unit, times in ns, shape (n,), values (n, 3)."""
 
     label: str
@@ -155,7 +155,7 @@ class Panel(NamedTuple):
     values: Floats
 
 
-def errors(path: str | Path, panels: Sequence[Panel], residual: Panel | None,
+def errors(path: str | Path, panels: Sequence[Series], residual: Series | None,
            logs: Sequence[TorqueLog], horizons: Mapping[float, Floats], title: str,
            timeout_ns: int = 0) -> None:
     """
@@ -165,9 +165,9 @@ def errors(path: str | Path, panels: Sequence[Panel], residual: Panel | None,
     ----------
     path : str or Path
         The PNG file, with any suffix; an existing file is overwritten.
-    panels : sequence of Panel
+    panels : sequence of Series
         Errors in body axes, at least one.
-    residual : Panel, optional
+    residual : Series, optional
         Residual torque, drawn on a linear axis.
     logs : sequence of TorqueLog
         Drawn as by `motion`.
@@ -210,8 +210,8 @@ def errors(path: str | Path, panels: Sequence[Panel], residual: Panel | None,
     save(figure, path, dpi=120)
 
 
-def _draw_errors(row: Axes, panel: Panel, start_ns: int) -> None:
-    seconds, values = _thinned(panel, start_ns)
+def _draw_errors(row: Axes, series: Series, start_ns: int) -> None:
+    seconds, values = _thinned(series, start_ns)
     least = float(np.finfo(float).tiny)
     sizes = np.maximum(np.abs(np.column_stack([np.linalg.norm(values, axis=1), values])), least)
     for column, name, colour, width in zip(sizes.T, ERRORS,
@@ -220,7 +220,7 @@ def _draw_errors(row: Axes, panel: Panel, start_ns: int) -> None:
                      zorder=3 if name == '|e|' else 2)
     shown = sizes[:, 0][sizes[:, 0] > 0.0]
     row.set_ylim(0.03 * float(np.percentile(shown, 5.0)), 3.0 * float(shown.max()))
-    row.set_ylabel(f'{panel.label} ({panel.unit})')
+    row.set_ylabel(f'{series.label} ({series.unit})')
     row.grid(alpha=0.3)
     legend(row, handlelength=2.5)
 
@@ -236,9 +236,9 @@ def _draw_horizons(row: Axes, horizons: Mapping[float, Floats]) -> None:
     legend(row)
 
 
-def _thinned(panel: Panel, start_ns: int) -> tuple[Floats, Floats]:
-    chosen = np.unique(np.linspace(0, len(panel.times_ns) - 1, _POINTS).astype(int))
-    return 1e-9 * (panel.times_ns[chosen] - start_ns), panel.values[chosen]
+def _thinned(series: Series, start_ns: int) -> tuple[Floats, Floats]:
+    chosen = np.unique(np.linspace(0, len(series.times_ns) - 1, _POINTS).astype(int))
+    return 1e-9 * (series.times_ns[chosen] - start_ns), series.values[chosen]
 
 
 def _draw_angles(panel: Axes, seconds: Floats, angles: Floats, sequence: str) -> None:

@@ -39,7 +39,7 @@ class Measured:
     Attributes
     ----------
     topic : str
-    stamps : array of int64, shape (n,)
+    stamps_ns : array of int64, shape (n,)
         Time of each sample, ns, increasing.
     attitude : array, shape (n, 4), optional
         Unit quaternions x y z w, from body to space axes; None if the topic has none.
@@ -59,7 +59,7 @@ class Measured:
     """
 
     topic: str
-    stamps: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]
     attitude: Floats | None
     angular_velocity: Floats | None
     attitude_covariance: Floats | None = None
@@ -69,7 +69,7 @@ class Measured:
     frames: str = ''
 
     def __len__(self) -> int:
-        return len(self.stamps)
+        return len(self.stamps_ns)
 
     @property
     def is_attitude(self) -> bool:
@@ -85,11 +85,11 @@ class Measured:
 
     def channels(self) -> Iterator[Measured]:
         """Generate the attitudes without the angular velocities, and the reverse."""
-        stamps = np.asarray(self.stamps, np.int64)
+        stamps_ns = np.asarray(self.stamps_ns, np.int64)
         if self.attitude is not None:
-            yield Measured(self.topic, stamps, np.asarray(self.attitude, float), None)
+            yield Measured(self.topic, stamps_ns, np.asarray(self.attitude, float), None)
         if self.angular_velocity is not None:
-            yield Measured(self.topic, stamps, None, np.asarray(self.angular_velocity, float))
+            yield Measured(self.topic, stamps_ns, None, np.asarray(self.angular_velocity, float))
 
     def check(self) -> None:
         """
@@ -103,10 +103,10 @@ class Measured:
             angular velocity is above 1e9 rad/s.
 
         """
-        count = len(instants(self.stamps, f'{self.topic}: stamps'))
+        count = len(instants(self.stamps_ns, f'{self.topic}: stamps'))
         if count < FEWEST:
             raise ValueError(f'{self.topic}: expected at least {FEWEST} samples, found {count}')
-        if not np.all(np.diff(self.stamps) > 0):
+        if not np.all(np.diff(self.stamps_ns) > 0):
             raise ValueError(f'{self.topic}: expected increasing stamps, found others')
         if self.attitude is None and self.angular_velocity is None:
             raise ValueError(f'{self.topic}: expected attitudes or angular velocities, '
@@ -133,7 +133,7 @@ class Measured:
         """Return a selection of the samples."""
         def of(values: Floats | None) -> Floats | None:
             return None if values is None else values[chosen]
-        return replace(self, stamps=self.stamps[chosen], attitude=of(self.attitude),
+        return replace(self, stamps_ns=self.stamps_ns[chosen], attitude=of(self.attitude),
                        angular_velocity=of(self.angular_velocity),
                        attitude_covariance=of(self.attitude_covariance),
                        rate_covariance=of(self.rate_covariance))

@@ -35,10 +35,10 @@ def measured_rates(sensor: Measured) -> tuple[NDArray[np.int64], Floats]:
     rates : array, shape (n, 3) or (n - 1, 3), rad/s, body axes
 
     """
-    stamps, attitude = sensor.stamps, sensor.attitude
+    stamps_ns, attitude = sensor.stamps_ns, sensor.attitude
     if sensor.angular_velocity is not None:
-        return stamps, sensor.angular_velocity
+        return stamps_ns, sensor.angular_velocity
     assert attitude is not None
-    spans = np.diff(stamps)
+    spans = np.diff(stamps_ns)
     turned = so3.log(so3.multiply(so3.conjugate(attitude[:-1]), attitude[1:]))
-    return stamps[:-1] + spans // 2, turned / (1e-9 * spans)[:, None]
+    return stamps_ns[:-1] + spans // 2, turned / (1e-9 * spans)[:, None]

@@ -227,15 +227,15 @@ def _covariance(values: Floats, where: slice | None, to_body: Floats | None = No
     return np.asarray(np.swapaxes(turn, 1, 2) @ found @ turn)
 
 
-def _ordered(where: str, stamps: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.intp]:
+def _ordered(where: str, stamps_ns: NDArray[np.int64], rows: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return rows in ascending order of their stamps, each stamp once."""
-    without = int(np.sum(stamps[rows] == 0))
+    without = int(np.sum(stamps_ns[rows] == 0))
     if without > 1:
         raise InputError(f'{where}: expected stamps in the headers, found 0 in {without} of '
                          f'{len(rows)} messages; use --time-source log for the times of the '
                          'recording')
-    rows = rows[np.argsort(stamps[rows], kind='stable')]
-    rows = rows[np.append(np.diff(stamps[rows]) != 0, True)]
+    rows = rows[np.argsort(stamps_ns[rows], kind='stable')]
+    rows = rows[np.append(np.diff(stamps_ns[rows]) != 0, True)]
     if len(rows) < FEWEST:
         raise InputError(f'{where}: expected at least {FEWEST} different stamps, found '
                          f'{len(rows)}')

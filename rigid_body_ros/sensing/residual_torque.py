@@ -105,21 +105,21 @@ def residual_torque(model: Model, sensor: Measured) -> ResidualTorque | None:
         None if the measurement is too short.
 
     """
-    inside = np.flatnonzero(sensor.stamps >= model.first_ns)
+    inside = np.flatnonzero(sensor.stamps_ns >= model.first_ns)
     sensor = sensor.rows(inside)
     if len(sensor) < 2:
         return None
-    stamps, rates = without_outliers(*measured_rates(sensor))
-    seconds = 1e-9 * (stamps - stamps[0])
+    stamps_ns, rates = without_outliers(*measured_rates(sensor))
+    seconds = 1e-9 * (stamps_ns - stamps_ns[0])
     window = _half_window(seconds)
-    if len(stamps) <= 2 * window + 1:
+    if len(stamps_ns) <= 2 * window + 1:
         return None
-    body, momenta = model.body, model.rotor_momentum(stamps)
+    body, momenta = model.body, model.rotor_momentum(stamps_ns)
     parts = [rates @ entry - _integral(seconds, np.cross(rates @ entry, rates))
              for entry in ENTRIES]
     known = momenta - _integral(seconds, np.cross(momenta, rates)) \
         + _integral(seconds, rates @ body.damping)
-    logged = impulses(model, stamps, sensor)
+    logged = impulses(model, stamps_ns, sensor)
     moments = np.einsum('kij,ij->k', ENTRIES, body.inertia) / ENTRIES.sum(axis=(1, 2))
     momentum = sum(moment * part for moment, part in zip(moments, parts)) + known - logged
     slopes = _slopes(seconds, momentum, window)
@@ -127,12 +127,12 @@ def residual_torque(model: Model, sensor: Measured) -> ResidualTorque | None:
         return None
     of_inertia = np.stack([_slopes(seconds, part, window).values for part in parts], axis=-1)
     return ResidualTorque(
-        stamps[slopes.rows], slopes.values, np.sqrt(np.median(slopes.deviations ** 2, axis=0)),
+        stamps_ns[slopes.rows], slopes.values, np.sqrt(np.median(slopes.deviations ** 2, axis=0)),
         float(np.median(seconds[2 * window:] - seconds[:-2 * window])),
         _slopes(seconds, logged, window).values, of_inertia)
 
 
-def impulses(model: Model, stamps: NDArray[np.int64], sensor: Measured) -> Floats:
+def impulses(model: Model, stamps_ns: NDArray[np.int64], sensor: Measured) -> Floats:
     """
     Return the impulses of the logged torques since the first of some times.
 
@@ -143,17 +143,17 @@ def impulses(model: Model, stamps: NDArray[np.int64], sensor: Measured) -> Float
     array, shape (n, 3), N m s, body axes
 
     """
-    total = np.zeros((len(stamps), 3))
+    total = np.zeros((len(stamps_ns), 3))
     for log in model.logs:
         changes, _ = log.segments(model.timeout_ns)
-        changes = changes[(changes > stamps[0]) & (changes < stamps[-1])]
-        ends = np.union1d(stamps, changes)
+        changes = changes[(changes > stamps_ns[0]) & (changes < stamps_ns[-1])]
+        ends = np.union1d(stamps_ns, changes)
         spans, impulse = np.diff(ends), np.zeros((len(ends) - 1, 3))
         for node in _NODES:
             times = ends[:-1] + (node * spans).astype(np.int64)
             impulse += 0.5e-9 * spans[:, None] * _in_body(model, log, times, sensor)
         sums = np.concatenate([np.zeros((1, 3)), np.cumsum(impulse, axis=0)])
-        total += sums[np.searchsorted(ends, stamps)]
+        total += sums[np.searchsorted(ends, stamps_ns)]
     return total
 
 
@@ -164,19 +164,20 @@ def _in_body(model: Model, log: TorqueLog, times: NDArray[np.int64], sensor: Mea
         if sensor.attitude is None:
             attitude = model.at(times[rows]).attitude
         else:
-            attitude = _interpolated(sensor.stamps, sensor.attitude, times[rows])
+            attitude = _interpolated(sensor.stamps_ns, sensor.attitude, times[rows])
         torques[rows] = so3.rotate(so3.conjugate(attitude), torques[rows])
     return torques
 
 
-def _interpolated(stamps: NDArray[np.int64], attitude: Floats, times: NDArray[np.int64]) -> Floats:
-    rows = np.clip(np.searchsorted(stamps, times, 'right') - 1, 0, len(stamps) - 2)
-    part = (times - stamps[rows]) / np.diff(stamps)[rows]
+def _interpolated(stamps_ns: NDArray[np.int64], attitude: Floats,
+                  times_ns: NDArray[np.int64]) -> Floats:
+    rows = np.clip(np.searchsorted(stamps_ns, times_ns, 'right') - 1, 0, len(stamps_ns) - 2)
+    part = (times_ns - stamps_ns[rows]) / np.diff(stamps_ns)[rows]
     step = so3.log(so3.multiply(so3.conjugate(attitude[rows]), attitude[rows + 1]))
     return so3.multiply(attitude[rows], so3.exp(part[:, None] * step))
 
 
-def without_outliers(stamps: NDArray[np.int64], rates: Floats
+def without_outliers(stamps_ns: NDArray[np.int64], rates: Floats
                      ) -> tuple[NDArray[np.int64], Floats]:
     """
     Return angular velocities without gross outliers.
@@ -187,7 +188,7 @@ def without_outliers(stamps: NDArray[np.int64], rates: Floats
 
     Parameters
     ----------
-    stamps : array of int64, shape (n,), ns
+    stamps_ns : array of int64, shape (n,), ns
         Ascending.
     rates : array, shape (n, 3), rad/s
         In any axes.
@@ -197,7 +198,7 @@ def without_outliers(stamps: NDArray[np.int64], rates: Floats
     away = np.linalg.norm(rates - median_filter(rates, (5, 1), mode='nearest'), axis=1)
     change = np.median(np.linalg.norm(np.diff(rates, axis=0), axis=1))
     kept = away <= _OUTLIER * np.median(away) + 3.0 * change
-    return stamps[kept], rates[kept]
+    return stamps_ns[kept], rates[kept]
 
 
 def _integral(seconds: Floats, values: Floats) -> Floats:
