@@ -12,14 +12,29 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The type of floating-point arrays, and short arrays as text."""
+"""The type of floating-point arrays, the entries of a symmetric one, and short ones as text."""
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
+#: Row and column of each entry of a symmetric tensor, in the order of a scene.
+ENTRIES = {'xx': (0, 0), 'yy': (1, 1), 'zz': (2, 2), 'xy': (0, 1), 'xz': (0, 2), 'yz': (1, 2)}
+ROWS, COLUMNS = zip(*ENTRIES.values())
 
 
 def written(values: Floats) -> str:
     """Return a short array as text, each number with six digits: '(0.5, 1e-06, 2)'."""
     return f"({', '.join(f'{value:.6g}' for value in values)})"
+
+
+def entries(tensor: ArrayLike) -> Floats:
+    """Return the six entries of a symmetric tensor, in the order of `ENTRIES`."""
+    return np.asarray(tensor, float)[ROWS, COLUMNS]
+
+
+def symmetric(values: ArrayLike) -> Floats:
+    """Return the symmetric tensor with six entries, in the order of `ENTRIES`."""
+    tensor = np.empty((3, 3))
+    tensor[ROWS, COLUMNS] = tensor[COLUMNS, ROWS] = values
+    return tensor

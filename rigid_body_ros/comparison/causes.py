@@ -29,7 +29,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from rigid_body_ros.common.arrays import Floats, written
+from rigid_body_ros.common.arrays import entries, Floats, symmetric, written
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison.align import CLOCK, MOUNT
 from rigid_body_ros.comparison.errors import compared, Comparison
@@ -243,7 +243,7 @@ def _of_model(model: Model, found: ResidualTorque, measured: Sequence[Measured]
     inertia = _inertia(model, found)
     if inertia is not None:
         yield _Trial('inertia', 'the inertia: ixx iyy izz ixy ixz iyz = '
-                     f'{written(_entries(inertia.inertia))} kg m^2 explains the growth of the '
+                     f'{written(entries(inertia.inertia))} kg m^2 explains the growth of the '
                      'error; fit it with attitude_identify', replace(model, body=inertia),
                      measured)
 
@@ -272,30 +272,25 @@ def _slope(x: Floats, y: Floats) -> float:
 
 def _inertia(model: Model, found: ResidualTorque) -> RigidBody | None:
     """Return the body whose inertia needs the least residual torque; None if there is none."""
-    entries = _entries(model.body.inertia)
+    own = entries(model.body.inertia)
     # What the inertia must explain: its own torque now, less what is left over.
-    target = np.einsum('nak,k->na', found.of_inertia, entries) - found.torques
+    target = np.einsum('nak,k->na', found.of_inertia, own) - found.torques
     rows, values = found.of_inertia.reshape(-1, 6), target.ravel()
     if not found.logged.any():  # only ratios are determined: keep the trace
         free = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
         scale = np.abs(rows).max() or 1.0
         rows = np.vstack([rows, scale * len(rows) * free])
-        values = np.append(values, scale * len(values) * entries[:3].sum())
+        values = np.append(values, scale * len(values) * own[:3].sum())
     weights = np.ones(len(values))
     for _ in range(10):
         fitted = np.linalg.lstsq(weights[:, None] * rows, weights * values, rcond=None)[0]
         left = np.abs(values - rows @ fitted)
         weights = 1.0 / np.sqrt(np.maximum(
             left / max(2.0 * float(np.median(left)), 1e-300), 1.0))
-    xx, yy, zz, xy, xz, yz = fitted
     try:
-        return RigidBody([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], model.body.damping)
+        return RigidBody(symmetric(fitted), model.body.damping)
     except ValueError:  # no body has that inertia
         return None
-
-
-def _entries(inertia: Floats) -> Floats:
-    return inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 def _with_torque(model: Model, turn: Floats) -> Model:

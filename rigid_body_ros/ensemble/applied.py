@@ -21,16 +21,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import ENTRIES, Floats
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels.elementary_arrays import exponentials
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import TorqueLog
-
-#: The entries of a symmetric tensor, in the order of the columns.
-ENTRIES = {'xx': (0, 0), 'yy': (1, 1), 'zz': (2, 2), 'xy': (0, 1), 'xz': (0, 2), 'yz': (1, 2)}
 
 
 @dataclass(frozen=True, eq=False)

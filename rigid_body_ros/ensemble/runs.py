@@ -24,12 +24,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import ENTRIES, Floats
 from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.ensemble.applied import (
     Applied,
     components,
-    ENTRIES,
     later,
     relative_inertia,
     tensors,

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import groupby
 
 import numpy as np
 from rigid_body_ros.identification.experiment import Experiment
@@ -64,19 +63,16 @@ def _cells(one: Estimate) -> list[str]:
 
 
 def _panels(found: Identification, first: Experiment) -> Iterator[Panel]:
-    parts = [one for one in found.residuals if one.recording == 0 and one.inliers.any()]
-    if not parts:
+    quantities = found.first_errors()
+    if not quantities:
         return
-    start_ns = min(int(one.stamps_ns[one.inliers].min()) for one in parts)
-    end_ns = max(int(one.stamps_ns[one.inliers].max()) for one in parts)
-    parts.sort(key=lambda one: (one.topic, not one.is_attitude, not one.is_training))
-    for _, group in groupby(parts, key=lambda one: one.name):
-        pieces = [*group]
-        label, unit = ('attitude', 'rad') if pieces[0].is_attitude else ('rate', 'rad/s')
-        times = np.concatenate([one.stamps_ns[one.inliers] for one in pieces])
-        panel = error_panel(f'{pieces[0].topic}: {label} error, axes of the sensor', unit, times,
-                            np.concatenate([one.kept for one in pieces]), start_ns)
-        lines = [('start of the validation', 1e-9 * float(one.stamps_ns[0] - start_ns))
-                 for one in pieces if not one.is_training]
+    times_ns = [np.concatenate([part.kept_ns for part in parts]) for parts in quantities]
+    start_ns = min(int(each.min()) for each in times_ns)
+    for parts, each_ns in zip(quantities, times_ns):
+        label, unit = ('attitude', 'rad') if parts[0].is_attitude else ('rate', 'rad/s')
+        panel = error_panel(f'{parts[0].topic}: {label} error, axes of the sensor', unit, each_ns,
+                            np.concatenate([part.kept for part in parts]), start_ns)
+        lines = [('start of the validation', 1e-9 * float(part.stamps_ns[0] - start_ns))
+                 for part in parts if not part.is_training]
         yield replace(panel, lines=dict(lines))
-    yield from torque_panels(first.logs, start_ns, end_ns)
+    yield from torque_panels(first.logs, start_ns, max(int(each.max()) for each in times_ns))

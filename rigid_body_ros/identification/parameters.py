@@ -22,24 +22,20 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import COLUMNS, ENTRIES, entries, Floats, ROWS, symmetric
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics.body import RigidBody
 
-#: The entries of a symmetric tensor, in the order of a scene.
-_ROWS, _COLUMNS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
-_ENTRIES = ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')
 #: Component names by name of the parameter.
 COMPONENTS = {
-    'inertia': tuple(f'inertia.i{entry}' for entry in _ENTRIES),
-    'inertia_diagonal': tuple(f'inertia.i{entry}' for entry in _ENTRIES[:3]),
+    'inertia': tuple(f'inertia.i{entry}' for entry in ENTRIES),
+    'inertia_diagonal': tuple(f'inertia.i{entry}' for entry in [*ENTRIES][:3]),
     'torque_gain': ('torque_gain',),
     'torque_bias': tuple(f'torque_bias.{axis}' for axis in 'xyz'),
     'clock_offset': ('clock_offset',),
     'mount': tuple(f'mount.{axis}' for axis in 'xyz'),
     'gyro_bias': tuple(f'gyro_bias.{axis}' for axis in 'xyz'),
-    'damping': tuple(f'damping.d{entry}' for entry in _ENTRIES),
+    'damping': tuple(f'damping.d{entry}' for entry in ENTRIES),
     'rotor_momentum': tuple(f'initial_rotor_momentum.{axis}' for axis in 'xyz'),
 }
 #: The name of the initial attitude and angular velocity.
@@ -56,7 +52,7 @@ _LITTLE = 1e-3
 #: Tensors without negative eigenvalues whose sums are all damping tensors nearby: n n^T.
 _DIRECTIONS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]], float)
 #: Column i has the entries xx ... yz of the tensor of direction i.
-_OF_DIRECTIONS = np.array([[n[i] * n[j] for n in _DIRECTIONS] for i, j in zip(_ROWS, _COLUMNS)])
+_OF_DIRECTIONS = np.array([[n[i] * n[j] for n in _DIRECTIONS] for i, j in zip(ROWS, COLUMNS)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,18 +91,6 @@ class Physics:
     def body(self) -> RigidBody:
         """Return the body."""
         return RigidBody(self.inertia, self.damping)
-
-
-def entries(tensor: ArrayLike) -> Floats:
-    """Return the six entries xx, yy, zz, xy, xz, yz of a symmetric tensor."""
-    return np.asarray(tensor, float)[_ROWS, _COLUMNS]
-
-
-def tensor(values: Floats) -> Floats:
-    """Return the symmetric tensor with the entries xx, yy, zz, xy, xz, yz."""
-    result = np.empty((3, 3))
-    result[_ROWS, _COLUMNS] = result[_COLUMNS, _ROWS] = values
-    return result
 
 
 def second_moments(inertia: Floats) -> Floats:
@@ -243,7 +227,7 @@ class Parameters:
             return {'inertia': inertia_of(factor @ factor.T)}
         if name == 'damping':
             factor = np.zeros((3, 3))
-            factor[_COLUMNS, _ROWS] = part
+            factor[COLUMNS, ROWS] = part
             return {'damping': self._scales[name][0] * factor @ factor.T}
         return _attribute(name, part * self._scales[name])
 
@@ -251,9 +235,9 @@ class Parameters:
         scaled = part * self._scales[name]
         if name.startswith('inertia'):
             rest = np.zeros(6 - len(part))
-            return {'inertia': physics.inertia + tensor(np.append(scaled, rest))}
+            return {'inertia': physics.inertia + symmetric(np.append(scaled, rest))}
         if name == 'damping':
-            return {'damping': physics.damping + tensor(_OF_DIRECTIONS @ scaled)}
+            return {'damping': physics.damping + symmetric(_OF_DIRECTIONS @ scaled)}
         return _attribute(name, _values(name, physics) + scaled)
 
 
@@ -275,7 +259,7 @@ def _scales(inertia: Floats, rate: float, torque: float, span_s: float) -> dict[
     moments = np.diag(inertia)
     largest = float(moments.max())
     acting = max(torque, largest * rate / span_s)
-    return {'inertia': np.sqrt(moments[list(_ROWS)] * moments[list(_COLUMNS)]),
+    return {'inertia': np.sqrt(moments[list(ROWS)] * moments[list(COLUMNS)]),
             'inertia_diagonal': moments.copy(),
             'torque_gain': np.ones(1), 'torque_bias': np.full(3, acting),
             'clock_offset': np.ones(1), 'mount': np.ones(3), 'gyro_bias': np.full(3, rate),

@@ -48,15 +48,10 @@ def draw(path: str | Path, found: Identification, experiment: Experiment, name: 
         The file cannot be written.
 
     """
-    parts: dict[str, list[figures.Series]] = {}
-    for one in found.residuals:
-        if one.recording == 0 and one.inliers.any():
-            quantity, unit = ('attitude', 'rad') if one.is_attitude else ('rate', 'rad/s')
-            parts.setdefault(one.name, []).append(figures.Series(
-                f'{literal(one.topic)}:\n{quantity} error', unit, one.stamps_ns[one.inliers],
-                one.kept))
-    panels = [figures.Series(each[0].label, each[0].unit,
-                             np.concatenate([one.times_ns for one in each]),
-                             np.concatenate([one.values for one in each]))
-              for each in parts.values()]
+    panels = []
+    for parts in found.first_errors():
+        quantity, unit = ('attitude', 'rad') if parts[0].is_attitude else ('rate', 'rad/s')
+        panels.append(figures.Series(f'{literal(parts[0].topic)}:\n{quantity} error', unit,
+                                     np.concatenate([part.kept_ns for part in parts]),
+                                     np.concatenate([part.kept for part in parts])))
     figures.errors(path, panels, None, experiment.logs, {}, name)

@@ -21,10 +21,10 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from rigid_body_ros.common.arrays import ENTRIES, entries
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison.recorded import check_overlap, read_model, Reading
 from rigid_body_ros.identification.experiment import Experiment
-from rigid_body_ros.identification.parameters import entries
 from rigid_body_ros.identification.result import Identification
 from rigid_body_ros.replay.sources import Topics
 from rigid_body_ros.scene import PARAMETERS, Scene
@@ -127,10 +127,8 @@ def _changed(found: Identification) -> dict[str, float]:
     names = {name.split('.')[0] for name in found.estimates}
     start = found.starts[0]
     groups = {
-        'inertia': ([f'i{entry}' for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')],
-                    entries(found.body.inertia)),
-        'damping': ([f'd{entry}' for entry in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')],
-                    entries(found.body.damping)),
+        'inertia': ([f'i{entry}' for entry in ENTRIES], entries(found.body.inertia)),
+        'damping': ([f'd{entry}' for entry in ENTRIES], entries(found.body.damping)),
         'initial_attitude': ('xyzw', start.attitude),
         'initial_angular_velocity': ('xyz', start.angular_velocity),
         'initial_rotor_momentum': ('xyz', start.rotor_momentum)}

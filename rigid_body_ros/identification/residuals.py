@@ -79,6 +79,11 @@ class Residuals:
         return self.errors[self.inliers]
 
     @property
+    def kept_ns(self) -> NDArray[np.int64]:
+        """Return the stamps of these errors, ns."""
+        return self.stamps_ns[self.inliers]
+
+    @property
     def autocorrelation(self) -> float:
         """Return the correlation of the errors of neighbouring samples; 0 if they are white."""
         total = float(np.sum(self.kept ** 2))

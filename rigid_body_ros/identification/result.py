@@ -118,6 +118,14 @@ class Identification:
         with np.errstate(invalid='ignore'):  # without any error, 0 / 0
             return self.covariance / np.outer(sigma, sigma)
 
+    def first_errors(self) -> list[list[Residuals]]:
+        """Return the errors of each quantity of the first recording, those of the fit first."""
+        quantities: dict[str, list[Residuals]] = {}
+        for errors in self.residuals:
+            if errors.recording == 0 and errors.inliers.any():
+                quantities.setdefault(errors.name, []).append(errors)
+        return [*quantities.values()]
+
     @property
     def noise(self) -> dict[str, float]:
         """Return the standard deviation of each quantity of each topic, given or estimated."""

@@ -29,7 +29,7 @@ from typing import NamedTuple, TYPE_CHECKING
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import entries, Floats, symmetric
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.sensing.measured import Measured
@@ -45,9 +45,8 @@ _NODES = 0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0)
 _BLOCK = 2 ** 15
 #: Distance from the median around a sample, in usual ones, from which on it is an outlier.
 _OUTLIER = 10.0
-#: The six entries of an inertia tensor, as symmetric matrices: xx yy zz xy xz yz.
-ENTRIES = np.array([[[(i, j) in ((a, b), (b, a)) for j in range(3)] for i in range(3)]
-                    for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))], float)
+#: Tensors with one of the six entries.
+_UNITS = [symmetric(unit) for unit in np.eye(6)]
 
 
 class Slopes(NamedTuple):
@@ -115,13 +114,12 @@ def residual_torque(model: Model, sensor: Measured) -> ResidualTorque | None:
     if len(stamps_ns) <= 2 * window + 1:
         return None
     body, momenta = model.body, model.rotor_momentum(stamps_ns)
-    parts = [rates @ entry - _integral(seconds, np.cross(rates @ entry, rates))
-             for entry in ENTRIES]
+    parts = [rates @ unit - _integral(seconds, np.cross(rates @ unit, rates)) for unit in _UNITS]
     known = momenta - _integral(seconds, np.cross(momenta, rates)) \
         + _integral(seconds, rates @ body.damping)
     logged = impulses(model, stamps_ns, sensor)
-    moments = np.einsum('kij,ij->k', ENTRIES, body.inertia) / ENTRIES.sum(axis=(1, 2))
-    momentum = sum(moment * part for moment, part in zip(moments, parts)) + known - logged
+    momentum = sum(entry * part for entry, part in zip(entries(body.inertia), parts)) \
+        + known - logged
     slopes = _slopes(seconds, momentum, window)
     if not len(slopes.rows):
         return None
