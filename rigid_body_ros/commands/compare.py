@@ -50,11 +50,11 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
             files.protected('scene', options.scene), files.overwriting(options.overwrite):
         files.check(*_outputs(options))
         scene = load_scene(options)
-        found = _compared(options, scene)
-        warn_of_frames(options, options.recording, found.measured)
-        _write(options, found, scene)
+        comparison = _compared(options, scene)
+        warn_of_frames(options, options.recording, comparison.measured)
+        _write(options, comparison, scene)
     from rigid_body_ros.comparison.summary import summary
-    show_summary(summary(found), 17, [name for name, _ in _outputs(options)])
+    show_summary(summary(comparison), 17, [name for name, _ in _outputs(options)])
     return 0
 
 
@@ -81,30 +81,30 @@ def _compared(options: argparse.Namespace, scene: Scene) -> Comparison:
         reading=reading)
 
 
-def _write(options: argparse.Namespace, found: Comparison, scene: Scene) -> None:
+def _write(options: argparse.Namespace, comparison: Comparison, scene: Scene) -> None:
     from rigid_body_ros.comparison import outputs
     with files.protected('output', options.output, options.json):
         if options.plot:
             from rigid_body_ros.comparison import plot  # matplotlib takes long to load
             with files.atomic_output(options.plot, '.png') as path:
-                plot.draw(path, found, Path(options.recording).name)
+                plot.draw(path, comparison, Path(options.recording).name)
     with files.protected('output', options.json):
         if options.output:
-            outputs.write(options.output, found, scene.body_frame)
+            outputs.write(options.output, comparison, scene.body_frame)
     if options.json:
         with files.atomic_output(options.json, '.json') as path:
-            path.write_text(f'{json.dumps(found.as_dict(), indent=1)}\n', encoding='utf-8')
+            path.write_text(f'{json.dumps(comparison.as_dict(), indent=1)}\n', encoding='utf-8')
     if options.report:
         with files.protected('output', options.output, options.json, options.plot):
-            _write_page(options, found, scene)
+            _write_page(options, comparison, scene)
 
 
-def _write_page(options: argparse.Namespace, found: Comparison, scene: Scene) -> None:
+def _write_page(options: argparse.Namespace, comparison: Comparison, scene: Scene) -> None:
     from rigid_body_ros.comparison.page import page
     from rigid_body_ros.report.page import write
     line = command_line(options, 'recording', 'scene', 'motion', 'output', 'json', 'plot',
                         'report')
-    write(options.report, page(found, Path(options.recording).name, scene, line))
+    write(options.report, page(comparison, Path(options.recording).name, scene, line))
 
 
 def compare_parser() -> argparse.ArgumentParser:

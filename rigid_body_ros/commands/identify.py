@@ -54,18 +54,18 @@ def attitude_identify(arguments: Sequence[str] | None) -> int:
             files.overwriting(options.overwrite):
         files.check(*_outputs(options))
         scene = load_scene(options)
-        found, first = _identified(options, scene)
-        written = _write(options, found, first, scene) if found.is_complete or options.force \
+        fit, first = _identified(options, scene)
+        written = _write(options, fit, first, scene) if fit.is_complete or options.force \
             else []
     from rigid_body_ros.identification.summary import summary
-    show_summary(summary(found), 17, written)
-    if not found.is_complete:
-        report(f'{options.command}: {_incomplete(options, found)}')
-    return OK if found.is_complete else PARTIAL
+    show_summary(summary(fit), 17, written)
+    if not fit.is_complete:
+        report(f'{options.command}: {_incomplete(options, fit)}')
+    return OK if fit.is_complete else PARTIAL
 
 
-def _incomplete(options: argparse.Namespace, found: Identification) -> str:
-    names = [name for name, one in found.estimates.items() if not one.identifiable]
+def _incomplete(options: argparse.Namespace, fit: Identification) -> str:
+    names = [name for name, one in fit.estimates.items() if not one.identifiable]
     text = f'the data does not determine {listed(names)}' if names \
         else 'the fit did not converge'
     if [*_outputs(options)] and not options.force:
@@ -96,23 +96,23 @@ def _identified(options: argparse.Namespace,
     for path, experiment in zip(options.recording, experiments):
         warn_of_frames(options, path, experiment.measured)
     try:
-        found = identify(scene.body, experiments, estimate=options.estimate,
-                         attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
-                         validate=options.validate,
-                         torque_timeout=scene.torque_timeout)
+        fit = identify(scene.body, experiments, estimate=options.estimate,
+                       attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
+                       validate=options.validate,
+                       torque_timeout=scene.torque_timeout)
     except ValueError as error:
         raise InputError(f'{options.recording[0]}: {error}') from error
-    return found, experiments[0]
+    return fit, experiments[0]
 
 
-def _write(options: argparse.Namespace, found: Identification, first: Experiment,
+def _write(options: argparse.Namespace, fit: Identification, first: Experiment,
            scene: Scene) -> list[str]:
     """Write the outputs, and return their names."""
     from rigid_body_ros.identification.recorded import fitted_scene
     written: list[str] = []
     for name, suffix, text in (
-            (options.json, '.json', f'{json.dumps(found.as_dict(), indent=1)}\n'),
-            (options.output, '.yaml', fitted_scene(scene, found))):
+            (options.json, '.json', f'{json.dumps(fit.as_dict(), indent=1)}\n'),
+            (options.output, '.yaml', fitted_scene(scene, fit))):
         if name:
             with files.protected('output', *written), files.atomic_output(name, suffix) as path:
                 path.write_text(text, encoding='utf-8')
@@ -121,21 +121,21 @@ def _write(options: argparse.Namespace, found: Identification, first: Experiment
         from rigid_body_ros.identification import plot  # matplotlib takes long to load
         with files.protected('output', *written), \
                 files.atomic_output(options.plot, '.png') as path:
-            plot.draw(path, found, first, Path(options.recording[0]).name)
+            plot.draw(path, fit, first, Path(options.recording[0]).name)
         written.append(options.plot)
     if options.report:
         with files.protected('output', *written):
-            _write_page(options, found, first, scene)
+            _write_page(options, fit, first, scene)
         written.append(options.report)
     return written
 
 
-def _write_page(options: argparse.Namespace, found: Identification, first: Experiment,
+def _write_page(options: argparse.Namespace, fit: Identification, first: Experiment,
                 scene: Scene) -> None:
     from rigid_body_ros.identification.page import page
     from rigid_body_ros.report.page import write
     line = command_line(options, 'recording', 'scene', 'output', 'json', 'plot', 'report')
-    write(options.report, page(found, first, Path(options.recording[0]).name, scene, line))
+    write(options.report, page(fit, first, Path(options.recording[0]).name, scene, line))
 
 
 def identify_parser() -> argparse.ArgumentParser:

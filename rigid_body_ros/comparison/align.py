@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -114,7 +114,7 @@ class _Problem:
         if not any(len(rows) for rows in self._rows):
             raise apart(motion, sensors)
         #: Standard deviations of attitude and rate of each sensor.
-        self._scales = [(1.0, 1.0)] * len(sensors)
+        self._scales = np.ones((len(sensors), 2))
         #: The latest motions, by start and stamps; a mounting does not change them.
         self._kept: dict[bytes, Poses] = {}
 
@@ -192,29 +192,30 @@ class _Problem:
         Errors of the model last for many samples. With the correlation r of neighbours, n samples
         count as n (1 - r) / (1 + r).
         """
-        residuals, first, found = self._residuals(self._value), 0, [0.0]
-        for sensor, rows in zip(self._sensors, self._rows):
-            for values in (sensor.attitude, sensor.angular_velocity):
-                count = 0 if values is None else 3 * len(rows)
-                part = np.clip(residuals[first:first + count].reshape(-1, 3), -3.0, 3.0)
-                products = np.sum(part[1:] * part[:-1], axis=0)
-                found += (products / np.maximum(np.sum(part * part, axis=0), 1e-300)).tolist()
-                first += count
-        neighbours = min(max(found), 0.9999)
+        correlations = [0.0]
+        for _, _, errors in self._blocks():
+            clipped = np.clip(errors, -3.0, 3.0)
+            products = np.sum(clipped[1:] * clipped[:-1], axis=0)
+            squares = np.sum(clipped * clipped, axis=0)
+            correlations += (products / np.maximum(squares, 1e-300)).tolist()
+        neighbours = min(max(correlations), 0.9999)
         return float(np.sqrt((1.0 + neighbours) / (1.0 - neighbours)))
 
     def _estimate_scales(self) -> None:
-        residuals, first, scales = self._residuals(self._value), 0, []
-        for sensor, rows, old in zip(self._sensors, self._rows, self._scales):
-            found = []
-            for values, scale in zip((sensor.attitude, sensor.angular_velocity), old):
-                count = 0 if values is None else 3 * len(rows)
-                part = np.abs(residuals[first:first + count])
-                found.append(max(1.4826 * scale * float(np.median(part)), 1e-13)
-                             if count else scale)
-                first += count
-            scales.append((found[0], found[1]))
-        self._scales = scales
+        for sensor, quantity, errors in self._blocks():
+            if len(errors):
+                self._scales[sensor, quantity] *= 1.4826 * float(np.median(np.abs(errors)))
+        self._scales = np.maximum(self._scales, 1e-13)
+
+    def _blocks(self) -> Iterator[tuple[int, int, Floats]]:
+        """Generate the residuals of attitudes (0) and rates (1) of each sensor, shape (n, 3)."""
+        residuals, first = self._residuals(self._value), 0
+        for number, (sensor, rows) in enumerate(zip(self._sensors, self._rows)):
+            for quantity, values in enumerate((sensor.attitude, sensor.angular_velocity)):
+                if values is not None:
+                    last = first + 3 * len(rows)
+                    yield number, quantity, residuals[first:last].reshape(-1, 3)
+                    first = last
 
     def _fit(self, tolerance: float, kept: NDArray[np.bool_] | None = None) -> Floats:
         """Improve the value; without chosen rows, by a robust loss. Return the Jacobian."""

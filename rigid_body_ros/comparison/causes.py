@@ -108,7 +108,7 @@ class _Trial:
     judged: str | None = None
 
 
-def find_causes(motion: Model | Recorded, found: Comparison, align: Collection[str],
+def find_causes(motion: Model | Recorded, comparison: Comparison, align: Collection[str],
                 track: Track = no_progress) -> tuple[Cause, ...]:
     """
     Return the likely causes of errors: none, or one for attitudes and one for angular velocities.
@@ -116,23 +116,23 @@ def find_causes(motion: Model | Recorded, found: Comparison, align: Collection[s
     Parameters
     ----------
     motion : Model or Recorded
-        As it was for `found`.
-    found : Comparison
+        As it was for `comparison`.
+    comparison : Comparison
         With the residual torque.
     align : collection of str
-        As it was for `found`.
+        As it was for `comparison`.
     track : callable, optional
         Wraps the iteration over possible causes, to show progress.
 
     """
-    kinds = [kind for kind in (ATTITUDE, RATE) if found.pooled(kind) is not None]
-    before = {kind: _median(found, kind) for kind in kinds}
-    hopeless = {kind: before[kind] < _NOTHING or _is_noise(found, kind, before[kind])
+    kinds = [kind for kind in (ATTITUDE, RATE) if comparison.pooled(kind) is not None]
+    before = {kind: _median(comparison, kind) for kind in kinds}
+    hopeless = {kind: before[kind] < _NOTHING or _is_noise(comparison, kind, before[kind])
                 for kind in kinds}
     if all(hopeless.values()):
         return ()
     tried: list[_Tried] = []
-    trials = list(_trials(motion, found, align))
+    trials = list(_trials(motion, comparison, align))
     for trial in track(trials, len(trials)):
         kind = trial.judged or kinds[0]
         if hopeless[kind]:
@@ -165,32 +165,31 @@ def _best(tried: Sequence[_Tried]) -> _Tried | None:
     return next((each for each in good if each.cause.after <= _ABOUT * least + _NOTHING), None)
 
 
-def _median(found: Comparison, kind: str) -> float:
-    errors = found.pooled(kind)
+def _median(comparison: Comparison, kind: str) -> float:
+    errors = comparison.pooled(kind)
     assert errors is not None
     return float(np.median(np.linalg.norm(errors, axis=1)))
 
 
-def _is_noise(found: Comparison, kind: str, median: float) -> bool:
+def _is_noise(comparison: Comparison, kind: str, median: float) -> bool:
     """Return whether the errors change so much between samples that no cause explains most."""
     usual = 1.0
     if kind == RATE:
         usual = float(np.median(np.concatenate([np.linalg.norm(sensor.angular_velocity, axis=1)
-                                                for sensor in found.measured
+                                                for sensor in comparison.measured
                                                 if sensor.angular_velocity is not None])))
     if median > _SMALL * usual:  # so large that a change between samples can be motion
         return False
-    changes = [np.diff(getattr(each, kind), axis=0) for each in found.errors
-               if getattr(each, kind) is not None]
+    changes = [np.diff(getattr(errors, kind), axis=0) for errors in comparison.of(kind)]
     # The difference of two samples of white noise is sqrt(2) times as large as the noise.
     noise = float(np.median(np.linalg.norm(np.concatenate(changes), axis=1))) / math.sqrt(2.0)
     return _LEFT * median < noise
 
 
-def _trials(motion: Model | Recorded, found: Comparison,
+def _trials(motion: Model | Recorded, comparison: Comparison,
             align: Collection[str]) -> Iterator[_Trial]:
     """Generate causes, the simplest first."""
-    measured = found.measured
+    measured = comparison.measured
     yield from _misread(motion, measured)
     if CLOCK not in align:
         yield _Trial('clock_offset', _clock_text, motion, measured, (CLOCK,))
@@ -202,8 +201,8 @@ def _trials(motion: Model | Recorded, found: Comparison,
             gyros = [replace(sensor, attitude=None) for sensor in measured
                      if sensor.angular_velocity is not None]
             yield _Trial('constant_rotation', _rotation_text, motion, gyros, (MOUNT,), RATE)
-    if isinstance(motion, Model) and found.residual_torque is not None:
-        yield from _of_model(motion, found.residual_torque, measured)
+    if isinstance(motion, Model) and comparison.residual_torque is not None:
+        yield from _of_model(motion, comparison.residual_torque, measured)
 
 
 def _misread(motion: Model | Recorded, measured: Sequence[Measured]) -> Iterator[_Trial]:
@@ -226,11 +225,11 @@ def _misread(motion: Model | Recorded, measured: Sequence[Measured]) -> Iterator
         yield _Trial('degrees', _DEGREES, motion, changed(rate=math.pi / 180.0), judged=RATE)
 
 
-def _of_model(model: Model, found: ResidualTorque, measured: Sequence[Measured]
+def _of_model(model: Model, residual: ResidualTorque, measured: Sequence[Measured]
               ) -> Iterator[_Trial]:
     """Generate causes in the model: its torque and its inertia."""
-    needed = found.torques + found.logged
-    logged = found.logged
+    needed = residual.torques + residual.logged
+    logged = residual.logged
     if logged.any():
         turn = _best_axes(logged, needed)
         if not np.array_equal(turn, np.eye(3)):
@@ -240,7 +239,7 @@ def _of_model(model: Model, found: ResidualTorque, measured: Sequence[Measured]
         if scale > 0.0:
             yield _Trial('torque_scale', f'the torque is {scale:.4g} times the logged '
                          'one', _with_torque(model, scale * np.eye(3)), measured)
-    inertia = _inertia(model, found)
+    inertia = _inertia(model, residual)
     if inertia is not None:
         yield _Trial('inertia', 'the inertia: ixx iyy izz ixy ixz iyz = '
                      f'{written(entries(inertia.inertia))} kg m^2 explains the growth of the '
@@ -270,13 +269,13 @@ def _slope(x: Floats, y: Floats) -> float:
     return slope
 
 
-def _inertia(model: Model, found: ResidualTorque) -> RigidBody | None:
+def _inertia(model: Model, residual: ResidualTorque) -> RigidBody | None:
     """Return the body whose inertia needs the least residual torque; None if there is none."""
     own = entries(model.body.inertia)
     # What the inertia must explain: its own torque now, less what is left over.
-    target = np.einsum('nak,k->na', found.of_inertia, own) - found.torques
-    rows, values = found.of_inertia.reshape(-1, 6), target.ravel()
-    if not found.logged.any():  # only ratios are determined: keep the trace
+    target = np.einsum('nak,k->na', residual.of_inertia, own) - residual.torques
+    rows, values = residual.of_inertia.reshape(-1, 6), target.ravel()
+    if not residual.logged.any():  # only ratios are determined: keep the trace
         free = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
         scale = np.abs(rows).max() or 1.0
         rows = np.vstack([rows, scale * len(rows) * free])
@@ -297,17 +296,17 @@ def _with_torque(model: Model, turn: Floats) -> Model:
     return replace(model, logs=tuple(log.with_torques(log.torques @ turn.T) for log in model.logs))
 
 
-def _clock_text(found: Comparison) -> str:
-    offset = found.alignment.clock_offset_s
+def _clock_text(comparison: Comparison) -> str:
+    offset = comparison.alignment.clock_offset_s
     late = 'early' if offset > 0.0 else 'late'
     return f'the measured stamps are {abs(offset):.4g} s too {late} for the torques; ' \
            '--align clock corrects that'
 
 
-def _rotation_text(found: Comparison) -> str:
-    parts = []
-    for name, quaternion in (('the axes of the sensor and of the body', found.alignment.mount),
-                             ('the two space axes', found.alignment.space)):
+def _rotation_text(comparison: Comparison) -> str:
+    parts, alignment = [], comparison.alignment
+    for name, quaternion in (('the axes of the sensor and of the body', alignment.mount),
+                             ('the two space axes', alignment.space)):
         if so3.angle_between(quaternion, [0.0, 0.0, 0.0, 1.0]) > 3e-3:
             parts.append(f'{_turn_text(quaternion)} between {name}')
     return f'a constant rotation: {" and ".join(parts) or "too small to name"}; --align mount ' \

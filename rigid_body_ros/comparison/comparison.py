@@ -89,12 +89,13 @@ def compare_motion(motion: Model | Recorded, measured: Sequence[Measured],
             raise ValueError(f'horizons: expected positive seconds, found {seconds}')
     if horizons and isinstance(motion, Recorded):
         raise InputError('horizons: expected a model that can restart, found a recorded motion')
-    found = compared(motion, measured, align)
+    comparison = compared(motion, measured, align)
     if isinstance(motion, Model):
-        model, aligned = found.motion, found.aligned
+        model, aligned = comparison.motion, comparison.aligned
         assert isinstance(model, Model)
         best = max(aligned, key=lambda sensor: (sensor.angular_velocity is not None, len(sensor)))
-        found = replace(found, residual_torque=residual_torque(model, best), horizons=tuple(
-            horizon(model, aligned, seconds, track) for seconds in horizons))
-    return replace(found, causes=find_causes(motion, found, align, track)) \
-        if causes else found
+        comparison = replace(
+            comparison, residual_torque=residual_torque(model, best),
+            horizons=tuple(horizon(model, aligned, seconds, track) for seconds in horizons))
+    return replace(comparison, causes=find_causes(motion, comparison, align, track)) \
+        if causes else comparison

@@ -95,13 +95,13 @@ class Comparison:
     @property
     def samples(self) -> int:
         """Return the number of samples that are compared."""
-        return sum(len(each.times_ns) for each in self.errors)
+        return sum(len(errors.times_ns) for errors in self.errors)
 
     @property
     def span_s(self) -> float:
         """Return the time from the first sample to the last, s."""
-        stamps_ns = np.concatenate([each.times_ns for each in self.errors])
-        return 1e-9 * float(stamps_ns.max() - stamps_ns.min())
+        times_ns = np.concatenate([errors.times_ns for errors in self.errors])
+        return 1e-9 * float(np.ptp(times_ns))
 
     @property
     def aligned(self) -> tuple[Measured, ...]:
@@ -109,31 +109,35 @@ class Comparison:
         return tuple(inside(self.motion, self.alignment.applied(sensor))
                      for sensor in self.measured)
 
+    def of(self, name: str) -> list[Errors]:
+        """Return the errors of the sensors that measure 'rotation_vectors' or 'rates'."""
+        return [errors for errors in self.errors
+                if getattr(errors, name) is not None and len(errors.times_ns)]
+
     def pooled(self, name: str) -> Floats | None:
         """
         Return the 'rotation_vectors' or 'rates' of all sensors in the order of time.
 
         None if no sensor measures that within the motion.
         """
-        chosen = [each for each in self.errors
-                  if getattr(each, name) is not None and len(each.times_ns)]
+        chosen = self.of(name)
         if not chosen:
             return None
-        times = np.concatenate([each.times_ns for each in chosen])
-        values = np.concatenate([getattr(each, name) for each in chosen])
-        return np.asarray(values[np.argsort(times, kind='stable')])
+        times_ns = np.concatenate([errors.times_ns for errors in chosen])
+        values = np.concatenate([getattr(errors, name) for errors in chosen])
+        return np.asarray(values[np.argsort(times_ns, kind='stable')])
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as JSON types; units are in the names."""
         torque = self.residual_torque
         found: dict[str, Any] = {
-            'recording': self.recording, 'measured': [each.topic for each in self.errors],
-            'samples': self.samples, 'span_s': self.span_s,
-            'left_out': self.left_out, 'rejected': sum(each.rejected for each in self.measured),
+            'recording': self.recording, 'measured': [errors.topic for errors in self.errors],
+            'samples': self.samples, 'span_s': self.span_s, 'left_out': self.left_out,
+            'rejected': sum(sensor.rejected for sensor in self.measured),
             'alignment': self.alignment.as_dict(),
             'attitude_error_rad': statistics(self.pooled('rotation_vectors'), final=True),
             'rate_error_rad_s': statistics(self.pooled('rates'), final=True),
-            'horizons': [_horizon_dict(each) for each in self.horizons],
+            'horizons': [_horizon_dict(horizon) for horizon in self.horizons],
             'residual_torque_N_m': statistics(torque.torques if torque else None),
             'likely_causes': [cause.as_dict() for cause in self.causes]}
         if torque:
@@ -195,9 +199,7 @@ def statistics(vectors: Floats | None, final: bool = False) -> dict[str, Any]:
     return dict(zip(names, values))
 
 
-def _horizon_dict(found: Horizon) -> dict[str, Any]:
-    angles, has_any = found.angles, bool(len(found.angles))
-    return {'seconds': found.seconds, 'windows': len(angles),
-            'attitude_rms_rad': float(np.sqrt(np.mean(angles ** 2))) if has_any else None,
-            'attitude_median_rad': float(np.median(angles)) if has_any else None,
-            'attitude_p95_rad': float(np.percentile(angles, 95.0)) if has_any else None}
+def _horizon_dict(horizon: Horizon) -> dict[str, Any]:
+    values = statistics(horizon.angles[:, None])
+    return {'seconds': horizon.seconds, 'windows': len(horizon.angles),
+            **{f'attitude_{name}_rad': values[name] for name in ('rms', 'median', 'p95')}}

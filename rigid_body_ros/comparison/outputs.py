@@ -29,7 +29,7 @@ ROTATION_VECTOR, ANGULAR_VELOCITY = '/error/rotation_vector', '/error/angular_ve
 RESIDUAL_TORQUE = '/residual_torque'
 
 
-def write(path: str | Path, found: Comparison, body_frame: str) -> None:
+def write(path: str | Path, comparison: Comparison, body_frame: str) -> None:
     """
     Write the errors and the residual torque of a comparison.
 
@@ -37,7 +37,7 @@ def write(path: str | Path, found: Comparison, body_frame: str) -> None:
     ----------
     path : str or Path
         An MCAP file or, if the name does not end in .mcap, a new rosbag2 folder.
-    found : Comparison
+    comparison : Comparison
         Stamps are in the time of the motion. Errors of several sensors share the topics.
     body_frame : str
         The frame_id of all messages.
@@ -53,13 +53,13 @@ def write(path: str | Path, found: Comparison, body_frame: str) -> None:
             writer.add_topic(topic, messages.VECTOR3)
         writer.add_topic(RESIDUAL_TORQUE, messages.WRENCH)
         writer.add_metadata(NAME, {'fingerprint': json.dumps(fingerprint()),
-                                   'alignment': json.dumps(found.alignment.as_dict())})
-        for errors in found.errors:
+                                   'alignment': json.dumps(comparison.alignment.as_dict())})
+        for errors in comparison.errors:
             _write_errors(writer, errors, body_frame)
-        if found.residual_torque:
-            torques = found.residual_torque.torques
+        if comparison.residual_torque:
+            torques = comparison.residual_torque.torques
             values = np.hstack([np.zeros_like(torques), torques])
-            writer.write_columns(found.residual_torque.times_ns,
+            writer.write_columns(comparison.residual_torque.times_ns,
                                  [Column(RESIDUAL_TORQUE, body_frame, values)])
 
 

@@ -32,13 +32,13 @@ from rigid_body_ros.report.panels import error_panel, SINCE_FIRST, torque_panels
 from rigid_body_ros.scene import Scene
 
 
-def page(found: Comparison, name: str, scene: Scene, command: str) -> Page:
+def page(comparison: Comparison, name: str, scene: Scene, command: str) -> Page:
     """
     Return the page of a comparison.
 
     Parameters
     ----------
-    found : Comparison
+    comparison : Comparison
         The comparison; the computed motion is shown if there is a model.
     name : str
         Name of the recording.
@@ -48,40 +48,43 @@ def page(found: Comparison, name: str, scene: Scene, command: str) -> Page:
         The command line.
 
     """
-    stamps_ns = np.unique(np.concatenate([each.times_ns for each in found.errors]))
-    topics = ', '.join(each.topic for each in found.errors)
-    body = _body(found.motion, stamps_ns) if isinstance(found.motion, Model) else None
+    stamps_ns = np.unique(np.concatenate([errors.times_ns for errors in comparison.errors]))
+    topics = ', '.join(errors.topic for errors in comparison.errors)
+    body = _body(comparison.motion, stamps_ns) if isinstance(comparison.motion, Model) else None
     shown = [('moving body', 'the computed motion')] if body else []
-    return Page(f'{name}: {topics}', [('recording', name), *rows(found), *shown],
-                [*_panels(found, stamps_ns)], body, scene.warnings, scene=scene, command=command)
+    return Page(f'{name}: {topics}', [('recording', name), *rows(comparison), *shown],
+                [*_panels(comparison, stamps_ns)], body, scene.warnings, scene=scene,
+                command=command)
 
 
-def _panels(found: Comparison, stamps_ns: NDArray[np.int64]) -> Iterator[Panel]:
+def _panels(comparison: Comparison, stamps_ns: NDArray[np.int64]) -> Iterator[Panel]:
     start_ns, end_ns = int(stamps_ns[0]), int(stamps_ns[-1])
     for label, unit, attribute in (('attitude error, body axes', 'rad', 'rotation_vectors'),
                                    ('rate error, body axes', 'rad/s', 'rates')):
-        for each in found.errors:
-            values = getattr(each, attribute)
-            if values is not None and len(values):
-                yield error_panel(f'{each.topic}: {label}', unit, each.times_ns, values, start_ns)
-    if isinstance(found.motion, Model):
-        yield from torque_panels(found.motion.logs, start_ns, end_ns, found.motion.timeout_ns)
-    torque = found.residual_torque
+        for errors in comparison.of(attribute):
+            yield error_panel(f'{errors.topic}: {label}', unit, errors.times_ns,
+                              getattr(errors, attribute), start_ns)
+    model = comparison.motion
+    if isinstance(model, Model):
+        yield from torque_panels(model.logs, start_ns, end_ns, model.timeout_ns)
+    torque = comparison.residual_torque
     if torque:
         yield Panel('residual torque, body axes', 'N m', [Curves.thinned(
             torque.times_ns, torque.torques, style.TORQUES, start_ns)], SINCE_FIRST)
-    horizons = sorted((one for one in found.horizons if len(one.angles)),
-                      key=lambda one: one.seconds)
+    horizons = sorted((horizon for horizon in comparison.horizons if len(horizon.angles)),
+                      key=lambda horizon: horizon.seconds)
     if horizons:
         yield _horizon_panel(horizons)
 
 
 def _horizon_panel(horizons: Sequence[Horizon]) -> Panel:
-    seconds = np.array([one.seconds for one in horizons])
-    errors = np.maximum([np.percentile(one.angles, [50.0, 95.0]) for one in horizons], 1e-16)
+    seconds = np.array([horizon.seconds for horizon in horizons])
+    errors = np.maximum([np.percentile(horizon.angles, [50.0, 95.0]) for horizon in horizons],
+                        1e-16)
     names = 'median', '95 %'
-    texts = [[f'{error:.3g} rad {one.seconds:g} s after a restart, in {len(one.angles)} windows'
-              for one, error in zip(horizons, column)] for column in errors.T]
+    texts = [[f'{error:.3g} rad {horizon.seconds:g} s after a restart, in '
+              f'{len(horizon.angles)} windows' for horizon, error in zip(horizons, column)]
+             for column in errors.T]
     return Panel('attitude error after a restart', 'rad', [Curves(seconds, errors, errors, names)],
                  'time since the restart from the measurement (s)', 'loglog', texts=texts)
 

@@ -24,7 +24,7 @@ from rigid_body_ros.comparison.motion import Model
 from rigid_body_ros.report import figures
 
 
-def draw(path: str | Path, found: Comparison, name: str) -> None:
+def draw(path: str | Path, comparison: Comparison, name: str) -> None:
     """
     Draw the errors of a comparison over time into a PNG file.
 
@@ -32,7 +32,7 @@ def draw(path: str | Path, found: Comparison, name: str) -> None:
     ----------
     path : str or Path
         The PNG file, with any suffix; an existing file is overwritten.
-    found : Comparison
+    comparison : Comparison
         Of each kind of error, that of the first sensor that has it is drawn.
     name : str
         Name of the recording, for the title.
@@ -43,20 +43,16 @@ def draw(path: str | Path, found: Comparison, name: str) -> None:
         The file cannot be written.
 
     """
-    panels = []
-    for label, unit, attribute in (('attitude error', 'rad', 'rotation_vectors'),
-                                   ('rate error', 'rad/s', 'rates')):
-        for each in found.errors:
-            values = getattr(each, attribute)
-            if values is not None and len(values):
-                panels.append(figures.Series(label, unit, each.times_ns, values))
-                break
-    torque = found.residual_torque
+    panels = [figures.Series(label, unit, errors.times_ns, getattr(errors, attribute))
+              for label, unit, attribute in (('attitude error', 'rad', 'rotation_vectors'),
+                                             ('rate error', 'rad/s', 'rates'))
+              for errors in comparison.of(attribute)[:1]]
+    torque = comparison.residual_torque
     residual = figures.Series('residual torque', 'N m', torque.times_ns, torque.torques) \
         if torque else None
-    model = found.motion
+    model = comparison.motion
     logs, timeout_ns = (model.logs, model.timeout_ns) if isinstance(model, Model) else ((), 0)
-    horizons = {one.seconds: np.percentile(one.angles, [50.0, 95.0]) for one in found.horizons
-                if len(one.angles)}
-    topics = ', '.join(each.topic for each in found.errors)
+    horizons = {horizon.seconds: np.percentile(horizon.angles, [50.0, 95.0])
+                for horizon in comparison.horizons if len(horizon.angles)}
+    topics = ', '.join(errors.topic for errors in comparison.errors)
     figures.errors(path, panels, residual, logs, horizons, f'{name}: {topics}', timeout_ns)

@@ -30,37 +30,38 @@ from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.report.text import lines
 
 
-def summary(found: Comparison) -> str:
+def summary(comparison: Comparison) -> str:
     """Return a summary, one line per fact."""
-    return lines(f'{name:17}{text}' for name, text in rows(found))
+    return lines(f'{name:17}{text}' for name, text in rows(comparison))
 
 
-def rows(found: Comparison) -> Iterator[tuple[str, str]]:
+def rows(comparison: Comparison) -> Iterator[tuple[str, str]]:
     """Generate the facts: names, which are empty if a fact continues, and texts."""
-    topics = ', '.join(each.topic for each in found.errors)
-    yield 'measured', f'{found.samples} samples of {topics}, over {found.span_s:.9g} s'
-    rejected = sum(each.rejected for each in found.measured)
+    topics = ', '.join(errors.topic for errors in comparison.errors)
+    yield 'measured', f'{comparison.samples} samples of {topics}, over {comparison.span_s:.9g} s'
+    rejected = sum(sensor.rejected for sensor in comparison.measured)
     if rejected:
         yield 'rejected', f'{rejected} messages without a finite value up to {FASTEST:g} rad/s'
-    if found.left_out:
-        yield 'left out', f'{found.left_out} samples outside of the motion'
-    for damage in dict.fromkeys(each.damage for each in found.measured if each.damage):
+    if comparison.left_out:
+        yield 'left out', f'{comparison.left_out} samples outside of the motion'
+    for damage in dict.fromkeys(sensor.damage for sensor in comparison.measured if sensor.damage):
         yield 'lost', damage
-    if isinstance(found.motion, Model) and not found.motion.logs:
+    if isinstance(comparison.motion, Model) and not comparison.motion.logs:
         yield 'torques', 'none in the recording: the body is free'
-    yield from _alignment(found.alignment)
-    yield from _errors('attitude error', 'rad', found.pooled('rotation_vectors'), True)
-    yield from _errors('rate error', 'rad/s', found.pooled('rates'), True)
-    for one in found.horizons:
-        text = f'rms {math.sqrt(np.mean(one.angles ** 2)):.3g}, 95 % ' \
-               f'{np.percentile(one.angles, 95.0):.3g} rad in {len(one.angles)} windows' \
-            if len(one.angles) else 'no window, or no measured attitude'
-        yield f'after {one.seconds:g} s', text
-    torque = found.residual_torque
+    yield from _alignment(comparison.alignment)
+    yield from _errors('attitude error', 'rad', comparison.pooled('rotation_vectors'), True)
+    yield from _errors('rate error', 'rad/s', comparison.pooled('rates'), True)
+    for horizon in comparison.horizons:
+        angles = horizon.angles
+        text = f'rms {math.sqrt(np.mean(angles ** 2)):.3g}, 95 % ' \
+               f'{np.percentile(angles, 95.0):.3g} rad in {len(angles)} windows' \
+            if len(angles) else 'no window, or no measured attitude'
+        yield f'after {horizon.seconds:g} s', text
+    torque = comparison.residual_torque
     if torque:
         yield from _errors('residual torque', 'N m', torque.torques)
         yield '', f'noise {written(torque.noise)} N m, in windows of {torque.window_s:.3g} s'
-    for cause in found.causes:
+    for cause in comparison.causes:
         yield 'likely cause', f'{cause.text} ({cause.evidence})'
 
 

@@ -55,15 +55,15 @@ def likely_offset(model: Model, sensors: Sequence[Measured]) -> float:
 
     """
     sensor = max(sensors, key=lambda one: (one.angular_velocity is not None, len(one)))
-    found = residual_torque(model, sensor)
-    if found is None or not found.logged.any():
+    residual = residual_torque(model, sensor)
+    if residual is None or not residual.logged.any():
         return 0.0
-    seconds = 1e-9 * (found.times_ns - found.times_ns[0])
+    seconds = 1e-9 * (residual.times_ns - residual.times_ns[0])
     rows = slice(None, None, -(-len(seconds) // _ROWS))
     largest = min(_LARGEST, _OVERLAP * seconds[-1])
     offsets = _SPACING * np.arange(-int(largest / _SPACING), int(largest / _SPACING) + 1)
-    left = np.array([_unexplained(seconds[rows] + offset, found.of_inertia[rows], seconds,
-                                  found.logged) for offset in offsets])
+    left = np.array([_unexplained(seconds[rows] + offset, residual.of_inertia[rows], seconds,
+                                  residual.logged) for offset in offsets])
     best = int(np.argmin(left))
     return float(offsets[best]) if left[best] < _BETTER * left[len(left) // 2] else 0.0
 

@@ -31,14 +31,14 @@ from rigid_body_ros.scene import Scene
 _HEADER = 'parameter', 'value', 'sigma', '95 % interval', 'guess', 'unit'
 
 
-def page(found: Identification, first: Experiment, name: str, scene: Scene,
+def page(fit: Identification, first: Experiment, name: str, scene: Scene,
          command: str) -> Page:
     """
     Return the page of an identification.
 
     Parameters
     ----------
-    found : Identification
+    fit : Identification
         Outliers are not drawn.
     first : Experiment
         The first recording, whose errors and torques are drawn.
@@ -50,9 +50,9 @@ def page(found: Identification, first: Experiment, name: str, scene: Scene,
         The command line.
 
     """
-    estimates = table(_HEADER, [_cells(one) for one in found.estimates.values()])
-    return Page(f'{name}: estimated parameters', [('recording', name), *rows(found)],
-                [*_panels(found, first)], warnings=scene.warnings, table=estimates, scene=scene,
+    estimates = table(_HEADER, [_cells(one) for one in fit.estimates.values()])
+    return Page(f'{name}: estimated parameters', [('recording', name), *rows(fit)],
+                [*_panels(fit, first)], warnings=scene.warnings, table=estimates, scene=scene,
                 command=command)
 
 
@@ -62,8 +62,8 @@ def _cells(one: Estimate) -> list[str]:
     return [one.name, f'{one.value:.7g}', *spread, f'{one.start:.5g}', one.unit]
 
 
-def _panels(found: Identification, first: Experiment) -> Iterator[Panel]:
-    quantities = found.first_errors()
+def _panels(fit: Identification, first: Experiment) -> Iterator[Panel]:
+    quantities = fit.first_errors()
     if not quantities:
         return
     times_ns = [np.concatenate([part.kept_ns for part in parts]) for parts in quantities]

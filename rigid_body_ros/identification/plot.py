@@ -25,7 +25,7 @@ from rigid_body_ros.report import figures
 from rigid_body_ros.report.labels import literal
 
 
-def draw(path: str | Path, found: Identification, experiment: Experiment, name: str) -> None:
+def draw(path: str | Path, fit: Identification, experiment: Experiment, name: str) -> None:
     """
     Draw the errors of the first recording over time, with its torques, into a PNG file.
 
@@ -35,7 +35,7 @@ def draw(path: str | Path, found: Identification, experiment: Experiment, name: 
     ----------
     path : str or Path
         The PNG file, with any suffix; an existing file is overwritten.
-    found : Identification
+    fit : Identification
         The result.
     experiment : Experiment
         The first recording.
@@ -49,7 +49,7 @@ def draw(path: str | Path, found: Identification, experiment: Experiment, name: 
 
     """
     panels = []
-    for parts in found.first_errors():
+    for parts in fit.first_errors():
         quantity, unit = ('attitude', 'rad') if parts[0].is_attitude else ('rate', 'rad/s')
         panels.append(figures.Series(f'{literal(parts[0].topic)}:\n{quantity} error', unit,
                                      np.concatenate([part.kept_ns for part in parts]),

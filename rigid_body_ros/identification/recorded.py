@@ -96,7 +96,7 @@ def read_experiments(paths: Sequence[str | Path], scene: Scene, measured: Sequen
     return experiments
 
 
-def fitted_scene(scene: Scene, found: Identification) -> str:
+def fitted_scene(scene: Scene, fit: Identification) -> str:
     """
     Return a scene file with the estimates of the first recording.
 
@@ -105,7 +105,7 @@ def fitted_scene(scene: Scene, found: Identification) -> str:
     """
     values = {name: value for name, value in scene.values.items()
               if value != PARAMETERS[name].default or name.startswith('inertia')}
-    changed = _changed(found)
+    changed = _changed(fit)
     if any(name.startswith('inertia') for name in changed):
         values.pop('robot_description', None)
         values.pop('link', None)
@@ -116,19 +116,19 @@ def fitted_scene(scene: Scene, found: Identification) -> str:
             group, _, key = name.rpartition('.')
             (tree.setdefault(group, {}) if group else tree)[key] = values[name]
     comments = [f'# {name}: {one.value!r} {one.unit}'.rstrip()
-                for name, one in found.estimates.items()
+                for name, one in fit.estimates.items()
                 if name.split('.')[0] in _NOT_IN_SCENES]
     text = yaml.safe_dump({'/**': {'ros__parameters': tree}}, sort_keys=False)
     return '\n'.join(['# Fitted by attitude_identify.', *comments, text])
 
 
-def _changed(found: Identification) -> dict[str, float]:
+def _changed(fit: Identification) -> dict[str, float]:
     """Return the estimated parameters of a scene, with those that depend on them."""
-    names = {name.split('.')[0] for name in found.estimates}
-    start = found.starts[0]
+    names = {name.split('.')[0] for name in fit.estimates}
+    start = fit.starts[0]
     groups = {
-        'inertia': ([f'i{entry}' for entry in ENTRIES], entries(found.body.inertia)),
-        'damping': ([f'd{entry}' for entry in ENTRIES], entries(found.body.damping)),
+        'inertia': ([f'i{entry}' for entry in ENTRIES], entries(fit.body.inertia)),
+        'damping': ([f'd{entry}' for entry in ENTRIES], entries(fit.body.damping)),
         'initial_attitude': ('xyzw', start.attitude),
         'initial_angular_velocity': ('xyz', start.angular_velocity),
         'initial_rotor_momentum': ('xyz', start.rotor_momentum)}

@@ -35,16 +35,16 @@ _TINY = 0.1
 _LARGE = 2.0
 
 
-def summary(found: Identification) -> str:
+def summary(fit: Identification) -> str:
     """Return a table of the estimates, and one line for each other fact."""
-    return lines([*_table(found), *(f'{name:17}{text}' for name, text in rows(found))])
+    return lines([*_table(fit), *(f'{name:17}{text}' for name, text in rows(fit))])
 
 
-def _table(found: Identification) -> Iterator[str]:
-    width = max([len(name) for name in found.estimates] + [9])
+def _table(fit: Identification) -> Iterator[str]:
+    width = max([len(name) for name in fit.estimates] + [9])
     yield f'{"parameter":{width}}  {"value":>13}  {"sigma":>9}  {"95 % interval":>27}  ' \
           f'{"guess":>11}  unit'
-    for name, one in found.estimates.items():
+    for name, one in fit.estimates.items():
         yield f'{name:{width}}  {one.value:13.7g}  {_spread(one)}  {one.start:11.5g}  {one.unit}'
 
 
@@ -55,28 +55,28 @@ def _spread(one: Estimate) -> str:
     return f'{one.sigma:9.2g}  {f"{low:.6g} to {high:.6g}":>27}'
 
 
-def rows(found: Identification) -> Iterator[tuple[str, str]]:
+def rows(fit: Identification) -> Iterator[tuple[str, str]]:
     """Generate the facts other than the estimates: names and texts."""
-    for direction in found.unidentifiable:
+    for direction in fit.unidentifiable:
         yield 'not determined', f'{", ".join(direction.components)}: {direction.reason}'
-    for first, second, value in _correlated(found):
+    for first, second, value in _correlated(fit):
         yield 'correlated', f'{first} and {second}: {value:.4f}'
-    for name, level in found.noise.items():
+    for name, level in fit.noise.items():
         unit = 'rad' if 'attitude' in name.split()[1] else 'rad/s'
-        yield 'noise', f'{name}: {level:.4g} {unit}, {_colour(found.autocorrelation[name])}'
-    yield from _misfit('training', found.training)
-    if found.validation:
-        yield from _misfit('validation', found.validation)
-    if (found.training.chi2_per_dof or 0.0) > _LARGE:
+        yield 'noise', f'{name}: {level:.4g} {unit}, {_colour(fit.autocorrelation[name])}'
+    yield from _misfit('training', fit.training)
+    if fit.validation:
+        yield from _misfit('validation', fit.validation)
+    if (fit.training.chi2_per_dof or 0.0) > _LARGE:
         yield 'warning', 'the errors are larger than the given noise, so the model lacks ' \
                          'something, and the intervals are too short'
-    alike = [name for name, value in found.autocorrelation.items() if value > _ALIKE]
-    if alike and (found.training.chi2_per_dof or 0.0) > _TINY:
+    alike = [name for name, value in fit.autocorrelation.items() if value > _ALIKE]
+    if alike and (fit.training.chi2_per_dof or 0.0) > _TINY:
         yield 'warning', f'{", ".join(alike)}: neighbouring errors are almost the same, so the ' \
                          'model lacks something, and the intervals are much too short'
-    state = 'converged' if found.converged else 'did not converge'
-    yield 'fit', f'{state} after {found.evaluations} evaluations, in windows of ' \
-                 f'{found.window_s:.4g} s'
+    state = 'converged' if fit.converged else 'did not converge'
+    yield 'fit', f'{state} after {fit.evaluations} evaluations, in windows of ' \
+                 f'{fit.window_s:.4g} s'
 
 
 def _colour(autocorrelation: float) -> str:
@@ -84,8 +84,8 @@ def _colour(autocorrelation: float) -> str:
     return f'errors {"white" if white else "not white"} (autocorrelation {autocorrelation:.2f})'
 
 
-def _correlated(found: Identification) -> list[tuple[str, str, float]]:
-    names, matrix = [*found.estimates], np.triu(np.nan_to_num(found.correlation), 1)
+def _correlated(fit: Identification) -> list[tuple[str, str, float]]:
+    names, matrix = [*fit.estimates], np.triu(np.nan_to_num(fit.correlation), 1)
     pairs = np.argwhere(np.abs(matrix) > _CORRELATED).tolist()
     pairs.sort(key=lambda pair: -abs(matrix[pair[0], pair[1]]))
     return [(names[i], names[j], float(matrix[i, j])) for i, j in pairs[:_PAIRS]]

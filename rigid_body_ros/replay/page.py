@@ -97,6 +97,6 @@ class PageCollector:
                   Panel('angular velocity, body axes', 'rad/s', curves(7, style.RATES))]
         if self._scene.has_rotors:
             panels.append(Panel('rotor momentum, body axes', 'N m s', curves(10, style.MOMENTA)))
-        several = len(self._torques) > 1
-        return panels + [torque.panel(f'torque {number}' if several else 'torque', start_ns)
-                         for number, torque in enumerate(self._torques, 1)]
+        names = style.torque_names(len(self._torques))
+        return panels + [torque.panel(name, start_ns)
+                         for torque, name in zip(self._torques, names)]

@@ -38,6 +38,7 @@ from rigid_body_ros.report.style import (
     QUATERNION,
     RATES,
     STYLES,
+    torque_names,
     TORQUES,
 )
 
@@ -92,9 +93,8 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
         momentum = trajectory.rotor_momentum[rows]
         _draw_curves(panels[3], seconds, momentum, MOMENTA)
         label(panels[3].yaxis, 'rotor momentum,\nbody axes', 'N m s', momentum)
-    for number, one in enumerate(logs, 1):
-        name = f'torque {number}' if len(logs) > 1 else 'torque'
-        _draw_torque(panels[number - 1 - len(logs)], one, name, start_ns, end_ns, timeout_ns)
+    for panel, log, name in zip(panels[3 + has_rotors:], logs, torque_names(len(logs))):
+        _draw_torque(panel, log, name, start_ns, end_ns, timeout_ns)
     figure.align_ylabels(panels)
     panels[-1].set_xlim(0.0, max(float(seconds[-1]), 1e-9))
     label(panels[-1].xaxis, 'time from the start', 's', np.append(seconds, 1e-9))
@@ -194,9 +194,8 @@ def errors(path: str | Path, panels: Sequence[Series], residual: Series | None,
     rows = figure.subplots(count, 1, squeeze=False)[:, 0]
     for row, panel in zip(rows, panels):
         _draw_errors(row, panel, start_ns)
-    for number, log in enumerate(logs):
-        name = f'torque {number + 1}' if len(logs) > 1 else 'torque'
-        _draw_torque(rows[len(panels) + number], log, name, start_ns, end_ns, timeout_ns)
+    for row, log, name in zip(rows[len(panels):], logs, torque_names(len(logs))):
+        _draw_torque(row, log, name, start_ns, end_ns, timeout_ns)
     if residual is not None:
         seconds, values = _thinned(residual, start_ns)
         _draw_curves(rows[shared - 1], seconds, values, TORQUES)

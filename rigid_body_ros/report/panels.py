@@ -47,11 +47,10 @@ def torque_panels(logs: Sequence[TorqueLog], start_ns: int, end_ns: int,
     """Generate a panel for each log that has samples."""
     logs = [log for log in logs if len(log)]
     times = np.unique(np.linspace(0, end_ns - start_ns, _SAMPLES).astype(np.int64)) + start_ns
-    for number, log in enumerate(logs, 1):
+    for log, name in zip(logs, style.torque_names(len(logs))):
         torque = ThinnedTorque(timeout_ns)
         torque.add(log, times)
-        yield torque.panel(f'torque {number}' if len(logs) > 1 else 'torque', start_ns,
-                           SINCE_FIRST)
+        yield torque.panel(name, start_ns, SINCE_FIRST)
 
 
 class ThinnedTorque:

@@ -36,6 +36,11 @@ def euler_names(sequence: str) -> tuple[str, ...]:
         tuple(f'{axis}{number}' for number, axis in enumerate(sequence, 1))
 
 
+def torque_names(count: int) -> list[str]:
+    """Return the names of so many torques, which are numbered unless there is one."""
+    return ['torque'] if count == 1 else [f'torque {number}' for number in range(1, count + 1)]
+
+
 def axes_name(in_space: NDArray[np.bool_]) -> str:
     """Return the name of the axes that torques are given in."""
     return 'body axes' if not in_space.any() else 'space axes' if in_space.all() else 'mixed axes'
