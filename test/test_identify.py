@@ -142,6 +142,16 @@ def test_clock_offset_and_mount():
     assert result.estimates['clock_offset'].sigma < 1e-3
 
 
+def test_a_mount_turns_the_rates_of_its_topic_too():
+    vector = np.array([0.12, -0.13, 0.09])
+    truth = Truth(seconds=5.0)
+    experiment = truth.experiment(mounted(truth.measured(), vector))
+    result = identify(RigidBody(INERTIA), experiment, estimate=['start', 'mount'])
+    found = [result.estimates[f'mount.{axis}'].value for axis in 'xyz']
+    np.testing.assert_allclose(found, vector, atol=1e-9)
+    assert result.training.rate_rms < 1e-9
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize('offset', [1.5, *at_night(-1.5)])
 def test_a_clock_offset_of_seconds(offset):
