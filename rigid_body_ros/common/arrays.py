@@ -12,7 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The type of floating-point arrays, the entries of a symmetric one, and short ones as text."""
+"""Arrays of floating-point numbers: their type, as text, as JSON, and as entries of a tensor."""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +28,11 @@ ROWS, COLUMNS = zip(*ENTRIES.values())
 def written(values: Floats) -> str:
     """Return a short array as text, each number with six digits: '(0.5, 1e-06, 2)'."""
     return f"({', '.join(f'{value:.6g}' for value in values)})"
+
+
+def as_json(values: ArrayLike) -> Any:
+    """Return an array, or a number, as JSON types; None for what is not finite."""
+    return np.where(np.isfinite(values), values, None).tolist()  # type: ignore[call-overload]
 
 
 def entries(tensor: ArrayLike) -> Floats:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import as_json, Floats
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.sensing.measured import Measured
@@ -69,7 +69,7 @@ class Alignment:
             found['initial_attitude_xyzw'] = self.start.attitude.tolist()
             found['initial_angular_velocity_rad_s'] = self.start.angular_velocity.tolist()
         if self.sigma:
-            found['sigma'] = {name: _finite(value) for name, value in self.sigma.items()}
+            found['sigma'] = {name: as_json(value) for name, value in self.sigma.items()}
         return found
 
     def applied(self, sensor: Measured) -> Measured:
@@ -92,8 +92,3 @@ class Alignment:
 
 def _upper(quaternion: Floats) -> Floats:
     return -quaternion if quaternion[3] < 0.0 else quaternion
-
-
-def _finite(value: Any) -> Any:
-    each = [float(one) if np.isfinite(one) else None for one in np.atleast_1d(value)]
-    return each[0] if np.ndim(value) == 0 else each

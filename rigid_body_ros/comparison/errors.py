@@ -32,6 +32,9 @@ from rigid_body_ros.comparison.motion import Model, Poses, Recorded
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
+#: What is compared: its name, its unit, and the attribute of `Errors`.
+QUANTITIES = ('attitude error', 'rad', 'rotation_vectors'), ('rate error', 'rad/s', 'rates')
+
 
 @dataclass(frozen=True, eq=False)
 class Errors:

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.comparison.errors import Comparison
+from rigid_body_ros.comparison.errors import Comparison, QUANTITIES
 from rigid_body_ros.comparison.horizons import Horizon
 from rigid_body_ros.comparison.motion import Model
 from rigid_body_ros.comparison.summary import rows
@@ -59,10 +59,9 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str) -> Page:
 
 def _panels(comparison: Comparison, stamps_ns: NDArray[np.int64]) -> Iterator[Panel]:
     start_ns, end_ns = int(stamps_ns[0]), int(stamps_ns[-1])
-    for label, unit, attribute in (('attitude error, body axes', 'rad', 'rotation_vectors'),
-                                   ('rate error, body axes', 'rad/s', 'rates')):
+    for label, unit, attribute in QUANTITIES:
         for errors in comparison.of(attribute):
-            yield error_panel(f'{errors.topic}: {label}', unit, errors.times_ns,
+            yield error_panel(f'{errors.topic}: {label}, body axes', unit, errors.times_ns,
                               getattr(errors, attribute), start_ns)
     model = comparison.motion
     if isinstance(model, Model):

@@ -19,7 +19,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from rigid_body_ros.comparison.errors import Comparison
+from rigid_body_ros.comparison.errors import Comparison, QUANTITIES
 from rigid_body_ros.comparison.motion import Model
 from rigid_body_ros.report import figures
 
@@ -44,8 +44,7 @@ def draw(path: str | Path, comparison: Comparison, name: str) -> None:
 
     """
     panels = [figures.Series(label, unit, errors.times_ns, getattr(errors, attribute))
-              for label, unit, attribute in (('attitude error', 'rad', 'rotation_vectors'),
-                                             ('rate error', 'rad/s', 'rates'))
+              for label, unit, attribute in QUANTITIES
               for errors in comparison.of(attribute)[:1]]
     torque = comparison.residual_torque
     residual = figures.Series('residual torque', 'N m', torque.times_ns, torque.torques) \

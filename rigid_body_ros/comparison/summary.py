@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.comparison.alignment import Alignment
-from rigid_body_ros.comparison.errors import Comparison, statistics
+from rigid_body_ros.comparison.errors import Comparison, QUANTITIES, statistics
 from rigid_body_ros.comparison.motion import Model
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation.options import FASTEST
@@ -49,8 +49,8 @@ def rows(comparison: Comparison) -> Iterator[tuple[str, str]]:
     if isinstance(comparison.motion, Model) and not comparison.motion.logs:
         yield 'torques', 'none in the recording: the body is free'
     yield from _alignment(comparison.alignment)
-    yield from _errors('attitude error', 'rad', comparison.pooled('rotation_vectors'), True)
-    yield from _errors('rate error', 'rad/s', comparison.pooled('rates'), True)
+    for label, unit, attribute in QUANTITIES:
+        yield from _errors(label, unit, comparison.pooled(attribute), True)
     for horizon in comparison.horizons:
         angles = horizon.angles
         text = f'rms {math.sqrt(np.mean(angles ** 2)):.3g}, 95 % ' \

@@ -17,11 +17,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-import math
 from typing import Any
 
 import numpy as np
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import as_json, Floats
 from rigid_body_ros.identification.identifiability import Direction
 from rigid_body_ros.identification.residuals import Misfit, Residuals
 from rigid_body_ros.mechanics.body import RigidBody
@@ -149,15 +148,10 @@ class Identification:
             'guess_attitude_xyzw': self.guess_attitude.tolist(),
             'covariance': {'names': [*self.estimates],
                            'units': [one.unit for one in self.estimates.values()],
-                           'matrix': _rows(self.covariance)},
-            'correlation': _rows(self.correlation),
+                           'matrix': as_json(self.covariance)},
+            'correlation': as_json(self.correlation),
             'noise': self.noise, 'autocorrelation': self.autocorrelation,
             'window_s': self.window_s,
             'training': self.training.as_dict(),
             'validation': self.validation.as_dict() if self.validation else None,
             'evaluations': self.evaluations, 'converged': self.converged}
-
-
-def _rows(matrix: Floats) -> list[list[float | None]]:
-    return [[value if math.isfinite(value) else None for value in row]
-            for row in matrix.tolist()]
