@@ -70,17 +70,17 @@ def _offset(motion: Model | Recorded, sensor: Measured, mount: bool) -> float:
     stamps_ns, rates = measured_rates(sensor)
     rates = median_filter(rates, (5, 1), mode='nearest')  # without single outliers
     first_ns, last_ns = int(stamps_ns[0]), int(stamps_ns[-1])
-    step = max(int(np.median(np.diff(stamps_ns))), (last_ns - first_ns) // _POINTS, 1000)
-    most = round(1e9 * LARGEST_OFFSET) // step
-    grid = first_ns + step * np.arange((last_ns - first_ns) // step + 1)
-    measured = np.stack([np.interp(grid - first_ns, stamps_ns - first_ns, column)
+    step_ns = max(int(np.median(np.diff(stamps_ns))), (last_ns - first_ns) // _POINTS, 1000)
+    most = round(1e9 * LARGEST_OFFSET) // step_ns
+    grid_ns = first_ns + step_ns * np.arange((last_ns - first_ns) // step_ns + 1)
+    measured = np.stack([np.interp(grid_ns - first_ns, stamps_ns - first_ns, column)
                          for column in rates.T])
-    wider = first_ns + step * np.arange(-most, len(grid) + most)
-    inside = (wider >= motion.first_ns) & (wider <= motion.last_ns)
-    computed = np.zeros((3, len(wider)))
+    wider_ns = first_ns + step_ns * np.arange(-most, len(grid_ns) + most)
+    inside = (wider_ns >= motion.first_ns) & (wider_ns <= motion.last_ns)
+    computed = np.zeros((3, len(wider_ns)))
     if inside.any():
-        computed[:, inside] = motion.at(wider[inside]).angular_velocity.T
-    return _best_lag(measured, computed, inside, mount) * 1e-9 * step
+        computed[:, inside] = motion.at(wider_ns[inside]).angular_velocity.T
+    return _best_lag(measured, computed, inside, mount) * 1e-9 * step_ns
 
 
 def _best_lag(measured: Floats, computed: Floats, inside: NDArray[np.bool_],
@@ -130,11 +130,11 @@ def _best_lag(measured: Floats, computed: Floats, inside: NDArray[np.bool_],
 def _mounting(motion: Model | Recorded, sensor: Measured, offset_ns: int
               ) -> tuple[Floats, Floats]:
     """Return the rotations of mounting and space that explain a sensor best."""
-    times = sensor.stamps_ns + offset_ns
-    inside = (times >= motion.first_ns) & (times <= motion.last_ns)
+    times_ns = sensor.stamps_ns + offset_ns
+    inside = (times_ns >= motion.first_ns) & (times_ns <= motion.last_ns)
     if inside.sum() < 2:
         return _IDENTITY, _IDENTITY
-    states = motion.at(times[inside])
+    states = motion.at(times_ns[inside])
     if sensor.attitude is None:
         assert sensor.angular_velocity is not None
         return kabsch(sensor.angular_velocity[inside], states.angular_velocity), _IDENTITY

@@ -86,29 +86,31 @@ def horizon(model: Model, sensors: Sequence[Measured], seconds: float,
     if not with_attitude:
         return Horizon(seconds, np.empty(0))
     sensor = with_attitude[0].rows(with_attitude[0].stamps_ns >= model.first_ns)
-    stamps_ns, step = sensor.stamps_ns, round(1e9 * seconds)
+    stamps_ns, step_ns = sensor.stamps_ns, round(1e9 * seconds)
     if len(stamps_ns) < 2:
         return Horizon(seconds, np.empty(0))
-    spacing = int(np.median(np.diff(stamps_ns)))
-    if step < _SHORTEST * spacing:
-        raise InputError(f'{sensor.topic}: expected a horizon of at least {1e-9 * spacing:g} s, '
-                         f'the time between two samples, found {seconds:g} s')
+    spacing_ns = int(np.median(np.diff(stamps_ns)))
+    if step_ns < _SHORTEST * spacing_ns:
+        raise InputError(f'{sensor.topic}: expected a horizon of at least '
+                         f'{1e-9 * spacing_ns:g} s, the time between two samples, found '
+                         f'{seconds:g} s')
     # A sample may be late by up to half an interval.
-    half = spacing // 2
-    _, rows = np.unique((stamps_ns - stamps_ns[0] + half) // step, return_index=True)
+    half_ns = spacing_ns // 2
+    _, rows = np.unique((stamps_ns - stamps_ns[0] + half_ns) // step_ns, return_index=True)
     momenta = model.rotor_momentum(stamps_ns[rows])
     windows = list(zip(rows[:-1].tolist(), rows[1:].tolist(), momenta))
-    found = [_error(model, sensor, (first, last), step, momentum)
-             for first, last, momentum in track(windows, len(windows))
-             if abs(stamps_ns[last] - stamps_ns[first] - step) <= 2 * half]
-    return Horizon(seconds, np.array(found, float))
+    angles = [_error(model, sensor, (first, last), step_ns, momentum)
+              for first, last, momentum in track(windows, len(windows))
+              if abs(stamps_ns[last] - stamps_ns[first] - step_ns) <= 2 * half_ns]
+    return Horizon(seconds, np.array(angles, float))
 
 
-def _error(model: Model, sensor: Measured, window: tuple[int, int], step: int,
+def _error(model: Model, sensor: Measured, window: tuple[int, int], step_ns: int,
            momentum: Floats) -> float:
     first, last = window
-    count = np.searchsorted(sensor.stamps_ns, sensor.stamps_ns[first] + step // 5, 'right') - first
-    count = min(max(int(count), 2), _SAMPLES, last - first + 1)
+    until_ns = sensor.stamps_ns[first] + step_ns // 5
+    count = int(np.searchsorted(sensor.stamps_ns, until_ns, 'right')) - first
+    count = min(max(count, 2), _SAMPLES, last - first + 1)
     start = _restarted(model, sensor.rows(np.arange(first, first + count)), momentum)
     end = sensor.rows(np.array([last]))
     motion = model.between(start, int(end.stamps_ns[0])).at(end.stamps_ns)

@@ -91,8 +91,8 @@ def _horizon_panel(horizons: Sequence[Horizon]) -> Panel:
 def _body(model: Model, stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
     """Return the propagated motion at some of the measured stamps."""
     step = -(-len(stamps_ns) // moving_body.MOST)
-    times = np.union1d(stamps_ns[::step], stamps_ns[-1:])
-    motion = model.trajectory(times)
-    torque = total_torque(model.logs, times, motion.attitude, model.timeout_ns)
-    return moving_body.as_data(model.body, times, np.hstack([
+    times_ns = np.union1d(stamps_ns[::step], stamps_ns[-1:])
+    motion = model.trajectory(times_ns)
+    torque = total_torque(model.logs, times_ns, motion.attitude, model.timeout_ns)
+    return moving_body.as_data(model.body, times_ns, np.hstack([
         motion.attitude, motion.angular_velocity, torque, motion.rotor_momentum]))

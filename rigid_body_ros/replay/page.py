@@ -66,21 +66,21 @@ class PageCollector:
         for torque, log in zip(self._torques, logs):
             torque.add(log, motion.times_ns)
         chosen = self._keys.chosen(len(motion.times_ns))
-        times, attitude = motion.times_ns[chosen], motion.attitude[chosen]
-        torques = total_torque(logs, times, attitude, scene.timeout_ns)
-        self._keys.add(len(motion.times_ns), times, np.hstack([
+        times_ns, attitude = motion.times_ns[chosen], motion.attitude[chosen]
+        torques = total_torque(logs, times_ns, attitude, scene.timeout_ns)
+        self._keys.add(len(motion.times_ns), times_ns, np.hstack([
             attitude, motion.angular_velocity[chosen], torques, motion.rotor_momentum[chosen]]))
 
     def page(self, result: Replay, name: str, command: str) -> Page:
         """Return the page of a replay of the recording `name`."""
-        times, keys = self._keys.result()
+        times_ns, keys = self._keys.result()
         body = result.scene.body
         story = [('recording', name), *rows(result),
                  ('start', f'attitude {written(result.start.attitude)} (x y z w), body rates '
                            f'{written(result.start.angular_velocity)} rad/s'),
                  ('moments', f'{written(body.principal_moments)} kg m^2')]
         return Page(f'{name}: {result.topic}', story, self._panels(),
-                    moving_body.as_data(body, times, keys), result.scene.warnings,
+                    moving_body.as_data(body, times_ns, keys), result.scene.warnings,
                     scene=result.scene, command=command)
 
     def _panels(self) -> list[Panel]:
