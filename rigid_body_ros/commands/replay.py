@@ -124,7 +124,7 @@ def _replay_many(options: argparse.Namespace) -> int:
 def _pool(options: argparse.Namespace) -> Pool | None:
     if not options.scheduler:
         return None
-    from rigid_body_ros.replay.remote import on_cluster
+    from rigid_body_ros.replay.many import on_cluster
     return on_cluster(options.scheduler, partial(note, options))
 
 
