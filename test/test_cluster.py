@@ -27,7 +27,7 @@ from conftest import at_night, ROOT
 import psutil
 import pytest
 from rigid_body_ros.commands import main
-from rigid_body_ros.replay import remote
+from rigid_body_ros.replay import many
 from rigid_body_ros.runtime import cluster
 from test_ensemble import arguments, COMMAND, contents, count, ENVIRONMENT, inputs, run
 
@@ -129,27 +129,25 @@ def tasks(dask_scheduler):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('seconds', [0.0, 1e-3, 10.0])
-def test_every_item_is_computed_once_whatever_the_size_of_a_task(scheduler, seconds):
+def test_every_item_is_computed_once(scheduler):
     with cluster.connected(str(scheduler), pytest.fail) as connection:
-        found = connection.results(sorted, range(-50, 0), pytest.fail, seconds)
-        assert sorted(found) == [*range(-50, 0)]
+        assert sorted(connection.map(abs, range(-50, 0))) == [*range(1, 51)]
 
 
 @pytest.mark.slow
 def test_an_error_of_the_function_is_raised(scheduler):
     with cluster.connected(str(scheduler), pytest.fail) as connection, \
-            pytest.raises(TypeError, match='expected str'):
-        [*connection.results(''.join, ['1', 2], pytest.fail)]
+            pytest.raises(TypeError, match='bad operand'):
+        [*connection.map(abs, [1, '2'])]
 
 
 @pytest.mark.slow
 def test_what_kills_every_worker_ends(scheduler):
     with cluster.connected(str(scheduler), lambda text: None) as connection:
-        found = connection.results(partial(os.execv, '/bin/false'), ['false'],
-                                   lambda items, why: [*items, why])
-        assert [*found] == ['false', '4 workers died one after the other']
-        assert [*connection.results(sorted, [1], pytest.fail)] == [1]
+        found = connection.map(partial(os.execv, '/bin/false'), [['false']],
+                               lambda item, error: [*item, str(error)])
+        assert [*found] == [['false', '4 workers died one after the other']]
+        assert [*connection.map(abs, [-1])] == [1]
 
 
 @pytest.mark.slow
@@ -190,7 +188,7 @@ def test_recordings_are_replayed_with_the_same_bytes(inputs, scheduler, capsys, 
 
 @pytest.mark.slow
 def test_recordings_need_a_shared_folder(inputs, scheduler, capsys, monkeypatch):
-    monkeypatch.setattr(remote, '_absolute', lambda task: task)
+    monkeypatch.setattr(many, '_absolute', lambda task: task)
     monkeypatch.chdir(inputs)  # which to the workers is a folder of another machine
     names = ['in.csv', 'copy.csv']
     (inputs / names[1]).write_bytes((inputs / names[0]).read_bytes())

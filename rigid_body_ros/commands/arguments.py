@@ -17,18 +17,18 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
-import os
-import shlex
+from collections.abc import Callable, Iterable, Sequence
 import sys
 from typing import Any, NoReturn, TYPE_CHECKING
 
 from rigid_body_ros.common.errors import InputError, printable
 from rigid_body_ros.runtime import interrupts
-from rigid_body_ros.runtime.terminal import report, show
+from rigid_body_ros.runtime.terminal import progress, report, show
 
 if TYPE_CHECKING:
     from rigid_body_ros.comparison import Measured
+    from rigid_body_ros.comparison.recorded import Reading
+    from rigid_body_ros.replay.sources import Topics
     from rigid_body_ros.scene import Scene
 
 
@@ -81,33 +81,6 @@ def parsed(parser: argparse.ArgumentParser,
     return options
 
 
-def command_line(options: argparse.Namespace, *names: str) -> str:
-    """
-    Return the command line, with file names in place of paths.
-
-    Parameters
-    ----------
-    options : Namespace
-        From `parsed`.
-    names : str
-        The options that are paths.
-
-    """
-    given = [value for name in names if (value := getattr(options, name))]
-    paths = [os.fspath(path) for value in given
-             for path in (value if isinstance(value, list) else [value])]
-    return shlex.join([options.command, *(_without_folder(os.fspath(text), paths)
-                                          for text in options.arguments)])
-
-
-def _without_folder(argument: str, paths: Sequence[str]) -> str:
-    for path in paths:
-        option = argument.removesuffix(path)
-        if option != argument and (not option or option.startswith('-')):
-            return option + os.path.basename(os.path.abspath(path))
-    return argument
-
-
 def load_scene(options: argparse.Namespace) -> Scene:
     """Return the scene of the options, and report its notes and warnings."""
     from rigid_body_ros.scene import load
@@ -132,16 +105,17 @@ def warn_of_frames(options: argparse.Namespace, path: str, measured: Iterable[Me
             report(f'{options.command}: warning: {path}: {one.topic}: {one.frames}')
 
 
-def show_summary(summary: str, width: int, outputs: Iterable[str]) -> None:
-    """Print a summary, and the names of the outputs below, in a column of the same width."""
-    names = ', '.join(outputs)
-    show(summary + (f'\n{"wrote":{width}}{printable(names)}' if names else ''))
+def topics_of(options: argparse.Namespace) -> Topics:
+    """Return the topics of the torques that are given."""
+    from rigid_body_ros import replay
+    return replay.topics_of(options.topic, options.wheel_torque, options.wheel_momentum)
 
 
-def torque_options(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the options that choose the torques, as keyword arguments of `replay`."""
-    return {'topic': options.topic, 'wheel_torque': options.wheel_torque,
-            'wheel_momentum': options.wheel_momentum, 'interpolation': options.interpolation}
+def reading_of(options: argparse.Namespace, **more: Any) -> Reading:
+    """Return how to read torques and measurements, with more attributes of `Reading`."""
+    from rigid_body_ros.comparison.recorded import Reading
+    return Reading(options.interpolation, options.time_source,
+                   options.frames and tuple(options.frames), progress('reading', size=len), **more)
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
@@ -164,6 +138,25 @@ def add_torques(parser: argparse.ArgumentParser) -> None:
                         's, body axes), linear between samples; needs a scene with wheels: true')
 
 
+def add_interpolation(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the interpolation of the torques."""
+    parser.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
+                        help="interpolation of the torques between samples (default: the scene's)")
+
+
+def add_measured(parser: argparse.ArgumentParser, topics: str) -> None:
+    """Add the options for torques and measurements; the help describes the measured topics."""
+    parser.add_argument('--measured', action='append', metavar='TOPIC', help=topics)
+    parser.add_argument('--frames', nargs=2, metavar=('PARENT', 'CHILD'),
+                        help='the two frames of measured transforms or odometry (default: those '
+                        'of the scene)')
+    add_torques(parser)
+    add_interpolation(parser)
+    parser.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
+                        help='time of torques and measurements: the stamp in the header, or when '
+                        'the message was logged or published (default: header)')
+
+
 def add_scheduler(parser: argparse._ActionsContainer) -> None:
     """Add the option for a Dask scheduler."""
     parser.add_argument('--scheduler', metavar='ADDRESS|FILE', help='compute on the workers of '
@@ -183,22 +176,19 @@ def add_overwrite(parser: argparse.ArgumentParser) -> None:
                         help='replace output files that exist; folders are never replaced')
 
 
-def positive(text: str) -> float:
-    """Return a number from 1e-9 to 1e9, as the type of an option."""
-    return _number(text, 1e-9, 1e9)
+def within(low: float, high: float, what: str = 'a number',
+           kind: Callable[[str], Any] = float) -> Callable[[str], Any]:
+    """Return a function that reads a number between limits, as the type of an option."""
+    def read(text: str) -> Any:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = None
+        if value is None or not low <= value <= high:
+            limits = f'{low} to {high}' if kind is int else f'{low:g} to {high:g}'
+            raise argparse.ArgumentTypeError(f'expected {what} from {limits}, found {text!r}')
+        return value
+    return read
 
 
-def angle(text: str) -> float:
-    """Return an angle from 1e-15 to 1 rad, as the type of an option."""
-    return _number(text, 1e-15, 1.0)
-
-
-def _number(text: str, low: float, high: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f'expected a number from {low:g} to {high:g}, '
-                                         f'found {text!r}')
-    return value
+positive = within(1e-9, 1e9)

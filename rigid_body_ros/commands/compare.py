@@ -17,25 +17,23 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
-import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import (
+    add_measured,
     add_overwrite,
     add_report,
     add_scene,
-    add_torques,
-    command_line,
     load_scene,
     parsed,
     Parser,
     positive,
-    show_summary,
+    reading_of,
     warn_of_frames,
 )
-from rigid_body_ros.runtime import files
+from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.runtime.terminal import progress
 
 if TYPE_CHECKING:
@@ -46,65 +44,36 @@ if TYPE_CHECKING:
 def attitude_compare(arguments: Sequence[str] | None) -> int:
     """Compare measured motion with the motion under recorded torques."""
     options = parsed(compare_parser(), arguments)
-    with files.reading(options.recording, options.motion), \
-            files.protected('scene', options.scene), files.overwriting(options.overwrite):
-        files.check(*_outputs(options))
+    name = Path(options.recording).name
+    from rigid_body_ros.comparison.summary import summary
+    from rigid_body_ros.recording import suffix_of
+    with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
         scene = load_scene(options)
         comparison = _compared(options, scene)
         warn_of_frames(options, options.recording, comparison.measured)
-        _write(options, comparison, scene)
-    from rigid_body_ros.comparison.summary import summary
-    show_summary(summary(comparison), 17, [name for name, _ in _outputs(options)])
+        if options.plot:
+            from rigid_body_ros.comparison import plot  # matplotlib takes long to load
+            outputs.write(options.plot, lambda path: plot.draw(path, comparison, name))
+        if options.output:
+            from rigid_body_ros.comparison.outputs import write
+            with outputs.writing(options.output):
+                write(options.output, comparison, scene.body_frame)
+        if options.json:
+            outputs.write_json(comparison.as_dict())
+        if options.report:
+            from rigid_body_ros.comparison.page import page
+            outputs.write_page(lambda line: page(comparison, name, scene, line))
+    outputs.show(summary(comparison), 17)
     return 0
 
 
-def _outputs(options: argparse.Namespace) -> Iterator[tuple[str, str]]:
-    from rigid_body_ros.recording import suffix_of
-    if options.output:
-        yield options.output, suffix_of(options.output)
-    for name, suffix in ((options.json, '.json'), (options.plot, '.png'),
-                         (options.report, '.html')):
-        if name:
-            yield name, suffix
-
-
 def _compared(options: argparse.Namespace, scene: Scene) -> Comparison:
-    from rigid_body_ros.comparison.recorded import compare_recording, Reading
-    reading = Reading(options.interpolation, options.time_source,
-                      options.frames and tuple(options.frames),
-                      progress('reading', size=len),
-                      progress('comparing', ' steps'))
+    from rigid_body_ros.comparison.recorded import compare_recording
     return compare_recording(
         options.recording, scene, options.measured or (), topic=options.topic,
         wheel_torque=options.wheel_torque, wheel_momentum=options.wheel_momentum,
         motion=options.motion, align=options.align, horizons=options.horizon or (),
-        reading=reading)
-
-
-def _write(options: argparse.Namespace, comparison: Comparison, scene: Scene) -> None:
-    from rigid_body_ros.comparison import outputs
-    with files.protected('output', options.output, options.json):
-        if options.plot:
-            from rigid_body_ros.comparison import plot  # matplotlib takes long to load
-            with files.atomic_output(options.plot, '.png') as path:
-                plot.draw(path, comparison, Path(options.recording).name)
-    with files.protected('output', options.json):
-        if options.output:
-            outputs.write(options.output, comparison, scene.body_frame)
-    if options.json:
-        with files.atomic_output(options.json, '.json') as path:
-            path.write_text(f'{json.dumps(comparison.as_dict(), indent=1)}\n', encoding='utf-8')
-    if options.report:
-        with files.protected('output', options.output, options.json, options.plot):
-            _write_page(options, comparison, scene)
-
-
-def _write_page(options: argparse.Namespace, comparison: Comparison, scene: Scene) -> None:
-    from rigid_body_ros.comparison.page import page
-    from rigid_body_ros.report.page import write
-    line = command_line(options, 'recording', 'scene', 'motion', 'output', 'json', 'plot',
-                        'report')
-    write(options.report, page(comparison, Path(options.recording).name, scene, line))
+        reading=reading_of(options, work=progress('comparing', ' steps')))
 
 
 def compare_parser() -> argparse.ArgumentParser:
@@ -116,20 +85,10 @@ def compare_parser() -> argparse.ArgumentParser:
     parser.add_argument('recording', metavar='RECORDING',
                         help='recording of torques and measurements, as for attitude_replay')
     add_scene(parser)
-    parser.add_argument('--measured', action='append', metavar='TOPIC',
-                        help='measured topic (QuaternionStamped, PoseStamped, '
-                        'PoseWithCovarianceStamped, TransformStamped, TFMessage, Odometry, Imu, '
-                        'or Vector3Stamped, an angular velocity); may be repeated (default: the '
-                        'only topic of one of these types but the last)')
-    parser.add_argument('--frames', nargs=2, metavar=('PARENT', 'CHILD'),
-                        help='the two frames of measured transforms or odometry (default: those '
-                        'of the scene)')
-    add_torques(parser)
-    parser.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
-                        help="interpolation of the torques between samples (default: the scene's)")
-    parser.add_argument('--time-source', choices=('header', 'log', 'publish'), default='header',
-                        help='time of torques and measurements: the stamp in the header, or when '
-                        'the message was logged or published (default: header)')
+    add_measured(parser, 'measured topic (QuaternionStamped, PoseStamped, '
+                 'PoseWithCovarianceStamped, TransformStamped, TFMessage, Odometry, Imu, '
+                 'or Vector3Stamped, an angular velocity); may be repeated (default: the '
+                 'only topic of one of these types but the last)')
     parser.add_argument('--motion', metavar='FILE',
                         help='compare this recorded motion, such as the output of '
                         'attitude_replay, instead of computing one')
@@ -159,5 +118,5 @@ def _names(text: str) -> tuple[str, ...]:
     for name in names:
         if name not in ALIGNMENTS:
             raise argparse.ArgumentTypeError(f'expected some of {", ".join(ALIGNMENTS)}, '
-                                             f'separated by commas, found {name!r}')
+                                             f'separated by commas, comparison {name!r}')
     return names

@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 import hashlib
@@ -32,14 +32,15 @@ from rigid_body_ros.commands.arguments import (
     add_scene,
     add_scheduler,
     add_torques,
-    command_line,
     load_scene,
     note,
     parsed,
     Parser,
     positive,
-    show_summary,
+    topics_of,
+    within,
 )
+from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import progress
@@ -60,22 +61,21 @@ def attitude_ensemble(arguments: Sequence[str] | None) -> int:
     options = parsed(ensemble_parser(), arguments)
     from rigid_body_ros.ensemble import driver, summary
     from rigid_body_ros.ensemble.folder import opened
-    with files.reading(options.recording), files.protected('input', options.scene, options.vary):
+    with checked(options) as outputs:
         ensemble = _ensemble(options)
         identity = _identity(ensemble, options.times)
         with opened(options.output, identity, ensemble.columns, options.runs, ensemble.times,
                     note=partial(note, options)) as folder:
-            if options.report:
-                with files.overwriting(options.overwrite):
-                    files.check((options.report, '.html'))
             driver.compute(ensemble, folder, _pool(options), progress(
                 'runs', ' runs', driver.runs_of))
             found = summary.summarized(ensemble, folder)
             _draw(options, folder.picture, found)
             folder.finish({**identity, **found})
             if options.report:
-                _write_page(options, found, ensemble.scene)
-    show_summary(summary.text_of(found), 17, filter(None, [options.output, options.report]))
+                from rigid_body_ros.ensemble.page import page
+                outputs.write_page(lambda line: page(
+                    found, _title(options), ensemble.scene, line))
+    outputs.show(summary.text_of(found), 17, [options.output, *outputs.names])
     if found['failed'] == found['runs']:
         raise InputError(f'{options.output}: expected runs that can be computed, found that all '
                          f'{found["runs"]} failed')
@@ -94,14 +94,6 @@ def _draw(options: argparse.Namespace, path: Path, found: Mapping[str, Any]) -> 
     from rigid_body_ros.ensemble.summary import ranked
     with files.atomic_output(path, '.png') as temporary:
         spread.draw(temporary, found, ranked(found), _title(options))
-
-
-def _write_page(options: argparse.Namespace, found: Mapping[str, Any], scene: Scene) -> None:
-    from rigid_body_ros.ensemble.page import page
-    from rigid_body_ros.report.page import write
-    line = command_line(options, 'scene', 'vary', 'recording', 'output', 'report')
-    with files.overwriting(options.overwrite):
-        write(options.report, page(found, _title(options), scene, line))
 
 
 def _title(options: argparse.Namespace) -> str:
@@ -149,9 +141,8 @@ def _torques(options: argparse.Namespace, scene: Scene
             raise InputError('--until: expected the end of the motion, or a --recording, found '
                              'neither')
         return (), None, scene.start, scene.start.time_ns + until_ns
-    topics = replay.topics_of(options.topic, options.wheel_torque, options.wheel_momentum)
-    logs, wheels, stamps_ns, start = replay.torques(options.recording, scene, topics)
-    end_ns = int(stamps_ns[-1]) if until_ns is None else start.time_ns + until_ns
+    logs, wheels, stamps, start = replay.torques(options.recording, scene, topics_of(options))
+    end_ns = int(stamps[-1]) if until_ns is None else start.time_ns + until_ns
     return tuple(logs), wheels, start, max(end_ns, start.time_ns)
 
 
@@ -199,8 +190,8 @@ def ensemble_parser() -> argparse.ArgumentParser:
     parser.add_argument('--vary', required=True, metavar='FILE',
                         help='YAML file with the distribution of each dispersed parameter, or '
                         'the JSON file of attitude_identify: its estimates then vary jointly')
-    parser.add_argument('--runs', required=True, type=_integer(1, 10 ** 9), metavar='N',
-                        help='number of runs')
+    parser.add_argument('--runs', required=True, metavar='N', help='number of runs',
+                        type=within(1, 10 ** 9, 'an integer', int))
     parser.add_argument('--recording', metavar='IN',
                         help='recording of torques, as for attitude_replay (default: no torque)')
     add_torques(parser)
@@ -210,11 +201,12 @@ def ensemble_parser() -> argparse.ArgumentParser:
     parser.add_argument('--times', type=_times, default=FINAL, metavar=f'HZ|{FINAL}',
                         help='states to keep: HZ times a second from the start, and the end, in '
                         'motion.zarr; or the final state only (default: final)')
-    parser.add_argument('--seed', type=_integer(0, 2 ** 63 - 1), default=0, metavar='S',
-                        help='seed of the random numbers (default: 0)')
+    parser.add_argument('--seed', type=within(0, 2 ** 63 - 1, 'an integer', int), default=0,
+                        metavar='S', help='seed of the random numbers (default: 0)')
     pool = parser.add_mutually_exclusive_group()
-    pool.add_argument('--workers', type=_integer(1, 1024), metavar='K', help='number of '
-                      'threads; it does not change the results (default: one for each processor)')
+    pool.add_argument('--workers', type=within(1, 1024, 'an integer', int), metavar='K',
+                      help='number of threads; it does not change the results (default: one for '
+                      'each processor)')
     add_scheduler(pool)
     parser.add_argument('-o', '--output', required=True, metavar='FOLDER',
                         help='folder for the results: a new one, or that of the same ensemble')
@@ -230,16 +222,3 @@ def _times(text: str) -> float | str:
     except argparse.ArgumentTypeError as error:
         raise argparse.ArgumentTypeError(str(error).replace(
             'expected', f'expected {FINAL} or', 1)) from error
-
-
-def _integer(low: int, high: int) -> Callable[[str], int]:
-    def checked(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = low - 1
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f'expected an integer from {low} to {high}, found '
-                                             f'{text!r}')
-        return value
-    return checked

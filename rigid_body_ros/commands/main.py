@@ -22,6 +22,7 @@ They are therefore imported after signals are handled.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import import_module
 import signal
 import sys
@@ -39,47 +40,8 @@ SIGNALLED = 128
 _BROKEN_PIPE = 13
 
 
-def attitude_replay(arguments: Sequence[str] | None = None) -> int:
-    """Run `attitude_replay` and return its exit status."""
-    return _run('replay', 'attitude_replay', arguments)
-
-
-def attitude_tradeoff(arguments: Sequence[str] | None = None) -> int:
-    """Run `attitude_tradeoff` and return its exit status."""
-    return _run('tradeoff', 'attitude_tradeoff', arguments)
-
-
-def attitude_compare(arguments: Sequence[str] | None = None) -> int:
-    """Run `attitude_compare` and return its exit status."""
-    return _run('compare', 'attitude_compare', arguments)
-
-
-def attitude_identify(arguments: Sequence[str] | None = None) -> int:
-    """Run `attitude_identify` and return its exit status."""
-    return _run('identify', 'attitude_identify', arguments)
-
-
-def attitude_ensemble(arguments: Sequence[str] | None = None) -> int:
-    """Run `attitude_ensemble` and return its exit status."""
-    return _run('ensemble', 'attitude_ensemble', arguments)
-
-
-def attitude_node(arguments: Sequence[str] | None = None) -> int:
-    """Run `attitude_node` and return its exit status."""
-    return _run('nodes', 'attitude_node', arguments)
-
-
-def attitude_lifecycle_node(arguments: Sequence[str] | None = None) -> int:
-    """Run `attitude_lifecycle_node` and return its exit status."""
-    return _run('nodes', 'attitude_lifecycle_node', arguments)
-
-
-def attitude_controller(arguments: Sequence[str] | None = None) -> int:
-    """Run `attitude_controller` and return its exit status."""
-    return _run('nodes', 'attitude_controller', arguments)
-
-
-def _run(module: str, name: str, arguments: Sequence[str] | None) -> int:
+def _run(module: str, name: str, arguments: Sequence[str] | None = None) -> int:
+    """Run a command of a module of this package, and return its exit status."""
     def command() -> int:
         import logging
         run = getattr(import_module(f'{__package__}.{module}'), name)
@@ -129,3 +91,14 @@ def _called(command: Callable[[], int]) -> int:
         if sys.stdout is not None:
             show('', end='')
         raise
+
+
+#: What each entry point calls, with its arguments (default: those of the process).
+attitude_replay = partial(_run, 'replay', 'attitude_replay')
+attitude_tradeoff = partial(_run, 'tradeoff', 'attitude_tradeoff')
+attitude_compare = partial(_run, 'compare', 'attitude_compare')
+attitude_identify = partial(_run, 'identify', 'attitude_identify')
+attitude_ensemble = partial(_run, 'ensemble', 'attitude_ensemble')
+attitude_node = partial(_run, 'nodes', 'attitude_node')
+attitude_lifecycle_node = partial(_run, 'nodes', 'attitude_lifecycle_node')
+attitude_controller = partial(_run, 'nodes', 'attitude_controller')

@@ -12,47 +12,31 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The commands that run a node until a signal ends it."""
+"""The commands that run a node until it ends or a signal ends it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from functools import partial
+from importlib import import_module
 
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import interrupts
 
 
-def attitude_node(arguments: Sequence[str] | None) -> int:
-    """Run the node until a signal ends it."""
-    with _needs_ros('attitude_node'):
-        from rigid_body_ros.node import main
-    main(arguments)
-    return 0
-
-
-def attitude_lifecycle_node(arguments: Sequence[str] | None) -> int:
-    """Run the managed node until a signal ends it."""
-    with _needs_ros('attitude_lifecycle_node'):
-        from rigid_body_ros.node.lifecycle import main
-    main(arguments)
-    return 0
-
-
-def attitude_controller(arguments: Sequence[str] | None) -> int:
-    """Run the controller until the end of the maneuver, or until a signal ends it."""
-    with _needs_ros('attitude_controller'):
-        from rigid_body_ros.node.attitude_controller import main
-    main(arguments)
-    return 0
-
-
-@contextmanager
-def _needs_ros(command: str) -> Iterator[None]:
+def _run(command: str, module: str, arguments: Sequence[str] | None) -> int:
     try:
-        yield
+        main = import_module(module).main
     except ModuleNotFoundError as error:
         raise InputError(f"{command} needs ROS 2, but the module '{error.name}' is not "
                          'installed: source a ROS 2 installation, or run '
                          'pip install "rigid_body_ros[ros]"') from error
     interrupts.check()  # the import takes long
+    main(arguments)
+    return 0
+
+
+attitude_node = partial(_run, 'attitude_node', 'rigid_body_ros.node')
+attitude_lifecycle_node = partial(_run, 'attitude_lifecycle_node', 'rigid_body_ros.node.lifecycle')
+attitude_controller = partial(_run, 'attitude_controller',
+                              'rigid_body_ros.node.attitude_controller')

@@ -17,36 +17,31 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import (
+    add_interpolation,
     add_overwrite,
     add_report,
     add_scene,
     add_scheduler,
     add_torques,
-    command_line,
     load_scene,
     note,
     parsed,
     Parser,
     positive,
-    show_summary,
-    torque_options,
 )
+from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import show
 
 if TYPE_CHECKING:
-    from rigid_body_ros.replay import Replay
-    from rigid_body_ros.replay.index import Picture
-    from rigid_body_ros.replay.many import Outcome, Pool
-    from rigid_body_ros.replay.page import PageCollector
-    from rigid_body_ros.scene import Scene
+    from rigid_body_ros.replay.many import Pool
 
 #: Exit statuses; docs/nodes.md has their meaning.
 OK, DIFFERENT = 0, 1
@@ -54,60 +49,49 @@ OK, DIFFERENT = 0, 1
 
 def attitude_replay(arguments: Sequence[str] | None) -> int:
     """Compute the motion under recorded torques, or compare it with a recorded one."""
-    return _replay(parsed(replay_parser(), arguments))
-
-
-def _replay(options: argparse.Namespace) -> int:
-    with files.reading(*options.input), files.protected('scene', options.scene), \
-            files.overwriting(options.overwrite):
-        if options.verify:
-            return _verify(options)
-        if len(options.input) > 1:
-            return _replay_many(options)
-        if options.scheduler:
-            raise InputError('--scheduler: expected several recordings, found one')
-        return _replay_one(options)
+    options = parsed(replay_parser(), arguments)
+    if options.verify:
+        return _verify(options)
+    if len(options.input) > 1:
+        return _replay_many(options)
+    if options.scheduler:
+        raise InputError('--scheduler: expected several recordings, found one')
+    return _replay_one(options)
 
 
 def _replay_one(options: argparse.Namespace) -> int:
-    from rigid_body_ros import recording, replay
+    from rigid_body_ros import replay
+    from rigid_body_ros.recording import suffix_of
     from rigid_body_ros.replay.summary import summary
     path, = options.input
+    name = Path(path).name
     if options.also and not options.output:
         raise InputError('--also: expected an output file or folder (-o), found none')
-    outputs = [(options.output, recording.suffix_of(options.output))] if options.output else []
-    outputs += [(options.plot, '.png')] if options.plot else []
-    outputs += [(options.report, '.html')] if options.report else []
-    files.check(*outputs)
-    scene = load_scene(options)
-    result = replay.replay(path, scene, options.output, keep=bool(options.plot),
-                           collect=_collector(scene) if options.report else None,
-                           **_replay_options(options))
-    if options.plot:
-        with files.protected('output', options.output):
-            replay.plot(options.plot, result, Path(path).name)
-    if options.report:
-        with files.protected('output', options.output, options.plot):
-            _write_page(options, result, Path(path).name)
-    show_summary(summary(result), 14, [name for name, _ in outputs])
+    with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
+        scene, collect = load_scene(options), None
+        if options.report:
+            from rigid_body_ros.replay.page import PageCollector
+            collect = partial(PageCollector, scene)
+        with outputs.writing(options.output):
+            result = replay.replay(path, scene, options.output, keep=bool(options.plot),
+                                   collect=collect, **_replay_options(options))
+        if options.plot:
+            with outputs.writing(options.plot):
+                replay.plot(options.plot, result, name)
+        if options.report:
+            assert isinstance(result.collected, PageCollector)
+            outputs.write_page(partial(result.collected.page, result, name))
+    outputs.show(summary(result), 14)
     return OK
 
 
-def _collector(scene: Scene) -> Callable[[], PageCollector]:
-    from rigid_body_ros.replay.page import PageCollector
-    return partial(PageCollector, scene)
-
-
-def _write_page(options: argparse.Namespace, result: Replay, name: str) -> None:
-    from rigid_body_ros.replay.page import PageCollector
-    from rigid_body_ros.report import page
-    assert isinstance(result.collected, PageCollector)
-    line = command_line(options, 'input', 'scene', 'output', 'plot', 'report')
-    page.write(options.report, result.collected.page(result, name, line))
+def _torque_options(options: argparse.Namespace) -> dict[str, Any]:
+    return {'topic': options.topic, 'wheel_torque': options.wheel_torque,
+            'wheel_momentum': options.wheel_momentum, 'interpolation': options.interpolation}
 
 
 def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
-    return {**torque_options(options), 'rate': options.rate, 'until': options.until,
+    return {**_torque_options(options), 'rate': options.rate, 'until': options.until,
             'start': options.start, 'time_source': options.time_source, 'also': options.also}
 
 
@@ -117,16 +101,19 @@ def _replay_many(options: argparse.Namespace) -> int:
         raise InputError(f'--plot: expected one recording, found {len(options.input)}')
     if not options.output:
         raise InputError('-o: expected a folder for several recordings, found none')
-    outputs, scene = outputs_in(options.output, options.input), load_scene(options)
-    if options.report:
-        with files.protected('output', *outputs):
-            files.check((options.report, '.html'))
-    outcomes = replay_many(options.input, scene, options.output, _pool(options),
-                           collect=_picture() if options.report else None,
-                           **_replay_options(options))
-    if options.report:
-        with files.protected('output', *outputs):
-            _write_index(options, outcomes, scene)
+    with checked(options) as outputs:
+        picture = None
+        if options.report:
+            from rigid_body_ros.replay.index import page, Picture
+            picture = Picture
+        with outputs.writing():
+            written = outputs_in(options.output, options.input)
+            scene = load_scene(options)
+            outcomes = replay_many(options.input, scene, options.output, _pool(options),
+                                   collect=picture, **_replay_options(options))
+        if options.report:
+            with files.protected('output', *written):
+                outputs.write_page(lambda line: page(outcomes, scene, line))
     show(table(outcomes))
     failed = [outcome.path for outcome in outcomes if outcome.error]
     if failed:
@@ -138,21 +125,8 @@ def _replay_many(options: argparse.Namespace) -> int:
 def _pool(options: argparse.Namespace) -> Pool | None:
     if not options.scheduler:
         return None
-    from rigid_body_ros.replay.remote import on_cluster
+    from rigid_body_ros.replay.many import on_cluster
     return on_cluster(options.scheduler, partial(note, options))
-
-
-def _picture() -> type[Picture]:
-    from rigid_body_ros.replay.index import Picture
-    return Picture
-
-
-def _write_index(options: argparse.Namespace, outcomes: Sequence[Outcome],
-                 scene: Scene) -> None:
-    from rigid_body_ros.replay.index import page
-    from rigid_body_ros.report.page import write
-    line = command_line(options, 'input', 'scene', 'output', 'report')
-    write(options.report, page(outcomes, scene, line))
 
 
 def _verify(options: argparse.Namespace) -> int:
@@ -164,7 +138,7 @@ def _verify(options: argparse.Namespace) -> int:
     if unused:
         raise InputError(f'--verify: cannot be combined with --{unused[0]}')
     result = verify(options.input[0], load_scene(options), options.verify,
-                    until=options.until, **torque_options(options))
+                    until=options.until, **_torque_options(options))
     show(summary(result))
     return OK if result.same.all() else DIFFERENT
 
@@ -191,8 +165,7 @@ def replay_parser() -> argparse.ArgumentParser:
                         help='recorded motion to compare with the computed one, bit for bit: the '
                         'committed states of a node, of all its epochs, or the attitude of a '
                         'replay; if they differ, the exit status is 1')
-    parser.add_argument('--interpolation', choices=('hold', 'linear', 'cubic'),
-                        help="interpolation of the torques between samples (default: the scene's)")
+    add_interpolation(parser)
     parser.add_argument('--rate', type=positive, metavar='HZ',
                         help='output rate (default: one output at each torque stamp)')
     parser.add_argument('--start', type=positive, default=0.0, metavar='SECONDS',

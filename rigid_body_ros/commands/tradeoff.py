@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,14 +26,14 @@ from rigid_body_ros.commands.arguments import (
     add_report,
     add_scene,
     add_torques,
-    angle,
-    command_line,
     load_scene,
     parsed,
     Parser,
+    topics_of,
+    within,
 )
+from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import progress, show
 
 if TYPE_CHECKING:
@@ -47,27 +46,20 @@ if TYPE_CHECKING:
 
 def attitude_tradeoff(arguments: Sequence[str] | None) -> int:
     """Measure the cost and the error of every solver."""
-    return _tradeoff(parsed(tradeoff_parser(), arguments))
-
-
-def _tradeoff(options: argparse.Namespace) -> int:
+    options = parsed(tradeoff_parser(), arguments)
     from rigid_body_ros.tradeoff import summary
-    outputs = (options.json, '.json'), (options.plot, '.png'), (options.report, '.html')
-    with files.reading(options.recording), files.protected('scene', options.scene), \
-            files.protected('ensemble', options.ensemble), files.overwriting(options.overwrite):
-        files.check(*(output for output in outputs if output[0]))
+    with checked(options) as outputs:
         scene = load_scene(options)
         result, title = _measure(options, scene)
         if options.json:
-            with files.atomic_output(options.json, '.json') as path:
-                text = json.dumps(summary.as_data(result), indent=1)
-                path.write_text(f'{text}\n', encoding='utf-8')
+            outputs.write_json(summary.as_data(result))
         if options.plot:
-            with files.protected('output', options.json):
-                _plot_tradeoff(options.plot, result, title)
+            from rigid_body_ros.report import figures  # matplotlib takes long to load
+            outputs.write(options.plot, lambda path: figures.work_precision(
+                path, summary.curves(result), title, summary.reference_errors(result)))
         if options.report:
-            with files.protected('output', options.json, options.plot):
-                _write_tradeoff_page(options, result, title, scene)
+            from rigid_body_ros.tradeoff.page import page
+            outputs.write_page(lambda line: page(result, title, scene, line))
     show(summary.summary(result, all_rows=options.all))
     return 0
 
@@ -95,11 +87,10 @@ def _torques(options: argparse.Namespace, scene: Scene
              ) -> tuple[str, Sequence[TorqueLog], TorqueLog | None, State]:
     """Return the names of the topics, the torques on body and rotors, and the initial state."""
     from rigid_body_ros import replay
-    topics = replay.topics_of(options.topic, options.wheel_torque, options.wheel_momentum)
-    is_plain = topics.is_plain(scene)
+    topics = topics_of(options)
     if options.recording is None:
         return 'no torque', [], None, scene.start
-    if is_plain:
+    if topics.is_plain(scene):
         topic = next(iter(topics.torques), None)
         recorded, log, start = replay.read(options.recording, scene, topic)
         return recorded.topic, [log], None, start
@@ -126,22 +117,6 @@ def _spread(options: argparse.Namespace, start: State,
     return spread
 
 
-def _plot_tradeoff(path: str, result: Tradeoff, title: str) -> None:
-    from rigid_body_ros.report import figures
-    from rigid_body_ros.tradeoff import summary
-    with files.atomic_output(path, '.png') as temporary:
-        figures.work_precision(temporary, summary.curves(result), title,
-                               summary.reference_errors(result))
-
-
-def _write_tradeoff_page(options: argparse.Namespace, result: Tradeoff, title: str,
-                         scene: Scene) -> None:
-    from rigid_body_ros.report.page import write
-    from rigid_body_ros.tradeoff.page import page
-    line = command_line(options, 'recording', 'scene', 'ensemble', 'json', 'plot', 'report')
-    write(options.report, page(result, title, scene, line))
-
-
 def tradeoff_parser() -> argparse.ArgumentParser:
     """Return the argument parser of `attitude_tradeoff`."""
     from rigid_body_ros.tradeoff import TARGET
@@ -153,7 +128,7 @@ def tradeoff_parser() -> argparse.ArgumentParser:
     parser.add_argument('--recording', metavar='IN', help='recording of torques, as for '
                         'attitude_replay (default: 50 turns without torque)')
     add_torques(parser)
-    parser.add_argument('--target', type=angle, action='append', metavar='RAD',
+    parser.add_argument('--target', type=within(1e-15, 1.0), action='append', metavar='RAD',
                         help='largest attitude error of the solver that is allowed anywhere in '
                         'the recording; the error of the interpolation between torque samples is '
                         f'reported separately; may be repeated (default: {TARGET:g}, or that '

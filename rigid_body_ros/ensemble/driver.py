@@ -16,11 +16,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from functools import partial
-from itertools import groupby, islice
 import math
 from operator import itemgetter
 from typing import NoReturn, TYPE_CHECKING
@@ -28,14 +26,13 @@ from typing import NoReturn, TYPE_CHECKING
 import numpy as np
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.ensemble.runs import Columns, Ensemble, Span
-from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.cluster import connected
-from rigid_body_ros.runtime.terminal import Track
+from rigid_body_ros.runtime.pool import WorkerError, Workers
 
-if TYPE_CHECKING:  # a worker needs no Parquet
+if TYPE_CHECKING:  # a worker needs neither Parquet nor MCAP
     from rigid_body_ros.ensemble.folder import Folder
+    from rigid_body_ros.runtime.terminal import Track
 
-#: Wraps an iteration over blocks with a total number of runs, to show progress.
 #: A span and its rows.
 Block = tuple[int, int, Columns]
 #: Generates the blocks of an ensemble in the order in which they are complete.
@@ -43,14 +40,9 @@ Pool = Callable[[Ensemble, list[Span]], Generator[Block]]
 #: The span of a block, and that of a part of it.
 Part = tuple[Span, Span]
 
-#: s; how often to look for signals.
-_INTERVAL = 0.1
-#: Number of parts of a block, which different workers may compute: a block may take minutes.
+#: Largest number of parts of a block, which different workers compute: a block may take minutes.
+#: A part costs Dask some 20 ms.
 _PARTS = 8
-#: s; how long a task is computed on a worker: long enough for Dask's cost per task, a few
-#: milliseconds, not to matter, and short enough to lose little with a worker. With motions the
-#: results of a task are some 10 MB for each tenth of a second.
-_TASK, _TASK_WITH_MOTIONS = 2.0, 0.25
 
 
 def compute(ensemble: Ensemble, folder: Folder, pool: Pool, track: Track) -> None:
@@ -81,39 +73,23 @@ def runs_of(block: Block) -> int:
 def threads(workers: int) -> Pool:
     """Return a pool of threads; the kernels release Python's lock."""
     def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
-        waiting = iter(spans)
-        pool = ThreadPoolExecutor(workers)
-        try:
-            busy: set[Future[Block]] = {pool.submit(_block, ensemble, span)
-                                        for span in islice(waiting, 2 * workers)}
-            while busy:
-                done, busy = wait(busy, _INTERVAL, FIRST_COMPLETED)
-                interrupts.check()
-                busy |= {pool.submit(_block, ensemble, span)
-                         for span in islice(waiting, len(done))}
-                for future in done:
-                    yield future.result()
-        except BaseException:  # also if the consumer stops
-            interrupts.abandon_threads()
-            raise
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+        with Workers(workers) as found:
+            yield from found.map(partial(_block, ensemble), spans)
     return blocks
 
 
 def cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
     """Return the workers of a Dask scheduler, with the arguments and errors of `connected`."""
-    def died(parts: Sequence[Part], why: str) -> NoReturn:
-        raise InputError(f'{scheduler}: cannot compute runs {parts[0][1][0]} to '
-                         f'{parts[-1][1][1] - 1}: {why}; their logs may have the reason')
+    def died(part: Part, error: WorkerError) -> NoReturn:
+        first, stop = part[1]
+        raise InputError(f'{scheduler}: cannot compute runs {first} to {stop - 1}: {error}; their '
+                         'logs may have the reason') from error
 
     def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
         if spans:
-            parts = [part for span in spans for part in _parts(span)]
-            seconds = _TASK if ensemble.times_ns is None else _TASK_WITH_MOTIONS
             with connected(scheduler, note) as found:
-                yield from _joined(found.results(partial(_computed, ensemble), parts, died,
-                                                 seconds))
+                yield from _joined(found.map(partial(_part, ensemble), _parts(spans, found),
+                                             died))
     return blocks
 
 
@@ -121,19 +97,17 @@ def _block(ensemble: Ensemble, span: Span) -> Block:
     return *span, ensemble.rows(*span)
 
 
-def _parts(span: Span) -> Iterator[Part]:
-    size = math.ceil((span[1] - span[0]) / _PARTS)
-    for first in range(*span, size):
-        yield span, (first, min(first + size, span[1]))
+def _part(ensemble: Ensemble, part: Part) -> tuple[Span, Block]:
+    return part[0], _block(ensemble, part[1])
 
 
-def _computed(ensemble: Ensemble, parts: Sequence[Part]) -> list[tuple[Span, Block]]:
-    """Compute, on a worker, consecutive parts; those of a block at once, which is faster."""
-    found = []
-    for span, same in groupby(parts, itemgetter(0)):
-        spans = [part for _, part in same]
-        found.append((span, _block(ensemble, (spans[0][0], spans[-1][1]))))
-    return found
+def _parts(spans: list[Span], workers: Workers) -> Iterator[Part]:
+    """Generate blocks; parts of them once there are fewer blocks than the workers can begin."""
+    for left, span in zip(range(len(spans), 0, -1), spans):
+        parts = min(math.ceil(workers.ahead() / left), _PARTS)
+        size = math.ceil((span[1] - span[0]) / parts)
+        for first in range(*span, size):
+            yield span, (first, min(first + size, span[1]))
 
 
 def _joined(parts: Iterable[tuple[Span, Block]]) -> Iterator[Block]:

@@ -17,31 +17,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager, ExitStack, redirect_stderr, suppress
-from dataclasses import dataclass
+from contextlib import closing, contextmanager, ExitStack, redirect_stderr
+from dataclasses import dataclass, field, replace
 from functools import partial
 import io
-import multiprocessing
-from multiprocessing.connection import Connection, wait
 import os
 from pathlib import Path
 import re
+import socket
+from tempfile import TemporaryDirectory
 import threading
 from typing import Any
 
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.replay.batches import Collector
-from rigid_body_ros.replay.single import replay
+from rigid_body_ros.replay.single import Replay, replay
 from rigid_body_ros.report.text import lines
-from rigid_body_ros.runtime import files, interrupts
+from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime.cluster import connected
+from rigid_body_ros.runtime.pool import Processes, WorkerError
 from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
 from tqdm import tqdm
 
-#: s; how often to check for signals.
-_CHECK_INTERVAL = 0.1
-#: s; how long a worker process may take to clean up.
-_PATIENCE = 10.0
 #: Names of partial outputs.
 _PARTIAL = '*.partial*.mcap'
 
@@ -172,108 +170,86 @@ def _partial_outputs_reported(folder: Path) -> Iterator[None]:
 
 def _in_processes(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
                   ) -> Generator[Outcome]:
-    """Generate the outcomes in the order in which the workers finish."""
-    waiting = [*reversed(tasks)]
-    idle: list[_Worker] = []
-    busy: list[_Worker] = []
-    try:
-        while waiting or busy:
-            while waiting and len(busy) < (os.cpu_count() or 1):
-                busy.append(idle.pop() if idle else _Worker([path for path, _ in tasks]))
-                busy[-1].begin(waiting.pop(), scene, options)
-            ready = wait([worker.connection for worker in busy], _CHECK_INTERVAL)
-            for worker in [worker for worker in busy if worker.connection in ready]:
-                busy.remove(worker)
-                outcome = worker.result()
-                if worker.is_alive:
-                    idle.append(worker)
-                yield outcome
-            interrupts.check()
-    finally:
-        for worker in busy:
-            worker.interrupt()
-        for worker in [*idle, *busy]:
-            worker.end()
+    """Generate the outcomes in the order in which the processes finish."""
+    replay = _Replay([path for path, _ in tasks], scene, options)
+    with Processes() as processes:
+        yield from processes.map(partial(_in_process, replay), tasks, _died)
 
 
-class _Worker:
+def on_cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
+    """Return the workers of a scheduler, with the arguments and errors of `connected`."""
+    def outcomes(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
+                 ) -> Generator[Outcome]:
+        given = {_absolute(task): task for task in tasks}
+        folder = os.path.dirname(next(iter(given))[1])
+        with files.reported(folder), \
+                TemporaryDirectory(prefix='.', dir=folder, ignore_cleanup_errors=True) as shared, \
+                connected(scheduler, note) as cluster:
+            replay = _Replay([path for path, _ in given], scene, options, shared)
+            for outcome in cluster.map(replay, given, _died):
+                path, output = given[outcome.path, outcome.output]
+                yield replace(outcome, path=path, output=output)
+    return outcomes
+
+
+@dataclass(frozen=True)
+class _Replay:
     """
-    A worker process that replays one recording at a time.
+    What a worker does with a recording.
 
-    Parameters
+    Attributes
     ----------
     inputs : sequence of str
         All recordings; no output may replace them.
+    scene : Scene
+    options : dict
+        As for `replay`.
+    shared : str
+        A folder that a worker finds only if it shares the file system of the command.
+    overwrite : bool
+        Whether outputs may replace existing files.
 
     """
 
-    def __init__(self, inputs: Sequence[str]) -> None:
-        # Spawn, because a fork would copy the locks of threads but not the threads.
-        context = multiprocessing.get_context('spawn')
-        self.connection, theirs = context.Pipe()
-        self._process = context.Process(
-            target=_run_worker, args=(theirs, inputs, files.may_overwrite()), daemon=True)
-        with interrupts.blocked_in_children():
-            self._process.start()
-        theirs.close()  # otherwise the end of the process would go unnoticed
-        self.is_alive = True
+    inputs: Sequence[str]
+    scene: Scene
+    options: dict[str, Any]
+    shared: str = os.sep
+    overwrite: bool = field(default_factory=files.may_overwrite)
 
-    def begin(self, task: Task, scene: Scene, options: dict[str, Any]) -> None:
-        self._task = task
-        with suppress(OSError):  # the process has died; `result` reports it
-            self.connection.send((task, scene, options))
-
-    def result(self) -> Outcome:
-        try:
-            outcome: Outcome = self.connection.recv()
-        except (EOFError, OSError):
-            self._process.join()
-            self.is_alive = False
-            code = self._process.exitcode or 0
-            end = f'killed (signal {-code})' if code < 0 else f'exited with status {code}'
-            return Outcome(*self._task, error=f'{self._task[0]}: worker process {end}')
-        return outcome
-
-    def interrupt(self) -> None:
-        self._process.terminate()
-
-    def end(self) -> None:
-        self.connection.close()
-        self._process.join(_PATIENCE)
-        self._process.kill()  # in case it does not respond
-        self._process.join()
+    def __call__(self, task: Task) -> Outcome:
+        path, output = task
+        if not os.path.isdir(self.shared):
+            return Outcome(path, output, error=f'{output}: expected a folder that all workers '
+                           f'share, not found on {socket.gethostname()}')
+        with files.reading(*self.inputs), files.overwriting(self.overwrite):
+            try:
+                result = replay(path, self.scene, output, **self.options)
+            except InputError as error:
+                return Outcome(path, output, error=str(error))
+        return Outcome(path, output, _summary(result, output), collected=result.collected)
 
 
-def _run_worker(connection: Connection, inputs: Sequence[str], overwrite: bool) -> None:
+def _in_process(replay: _Replay, task: Task) -> Outcome:
     # Replace the default lock, a semaphore, which stays in the system if the process is killed.
     tqdm.set_lock(threading.RLock())
-    with suppress(KeyboardInterrupt), interrupts.deferred(until_exit=True), \
-            files.reading(*inputs), files.overwriting(overwrite):
-        for work in iter(partial(_next_task, connection), None):
-            with redirect_stderr(io.StringIO()):  # one progress bar is enough
-                outcome = replayed(*work)
-            with suppress(OSError):  # the parent process has exited
-                connection.send(outcome)
+    with redirect_stderr(io.StringIO()):  # one progress bar is enough
+        return replay(task)
 
 
-def _next_task(connection: Connection) -> Any:
-    """Return a task with scene and options; None if the parent process has exited."""
-    try:
-        return connection.recv()
-    except (EOFError, OSError):
-        return None
+def _died(task: Task, error: WorkerError) -> Outcome:
+    return Outcome(*task, error=f'{task[0]}: {error}')
 
 
-def replayed(task: Task, scene: Scene, options: dict[str, Any]) -> Outcome:
-    """Return the result for one recording."""
+def _absolute(task: Task) -> Task:
     path, output = task
-    try:
-        result = replay(path, scene, output, **options)
-    except InputError as error:
-        return Outcome(path, output, error=str(error))
+    return os.path.abspath(path), os.path.abspath(output)
+
+
+def _summary(result: Replay, output: str) -> str:
     lost = f'; lost: {result.damage}' if result.damage else ''
     warned = ''.join(f'; warning: {gaps.warning}' for gaps in result.gaps if gaps.warning)
     epochs = f'{len(result.earlier) + 1} epochs, the last: ' if result.earlier else ''
-    return Outcome(path, output, f'{epochs}{result.messages} torques, '
-                   f'{(result.last.time_ns - result.start.time_ns) * 1e-9:.9g} s -> {output}; '
-                   f'{result.check}{lost}{warned}', collected=result.collected)
+    return (f'{epochs}{result.messages} torques, '
+            f'{(result.last.time_ns - result.start.time_ns) * 1e-9:.9g} s -> {output}; '
+            f'{result.check}{lost}{warned}')

@@ -17,50 +17,41 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 import json
 import logging
-import math
 from pathlib import Path
 import pickle
-from queue import Empty, SimpleQueue
 import re
 import socket
-import time
 from typing import Any, TYPE_CHECKING
 import warnings
 
 from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.kernels.jit import sources_hash
-from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
+from rigid_body_ros.runtime.pool import WorkerError, Workers
 
 if TYPE_CHECKING:  # takes a second to import, and only --scheduler needs it
-    from distributed import Client, Future
+    from distributed import Client
 
-#: Returns results for a list of items.
-Function = Callable[[list[Any]], list[Any]]
-#: Returns results for a list of items that no worker survives, and for the reason.
-Died = Callable[[list[Any], str], list[Any]]
-
-#: s; how long to try to connect, and how often to look for signals and new workers.
-_PATIENCE, _INTERVAL = 10.0, 0.1
-#: Tasks for each thread of the workers: one runs and one waits.
-_AHEAD = 2
+#: s; how long to try to connect.
+_PATIENCE = 10.0
 _ADDRESS = re.compile(r'\w+://.+|[^/\s]+:\d+')
 
 
-@dataclass(frozen=True)
-class Cluster:
+class Cluster(Workers):
     """
-    A connection to a Dask scheduler.
+    The workers of a Dask scheduler, see `connected`.
 
-    Attributes
+    What a worker that dies had to compute is computed by others. Functions, items and results are
+    pickled; a function is sent once to each worker.
+
+    Parameters
     ----------
     name : str
         The scheduler, for messages.
@@ -70,28 +61,24 @@ class Cluster:
 
     """
 
-    name: str
-    client: Client
-    note: Callable[[str], None]
+    def __init__(self, name: str, client: Client, note: Callable[[str], None]) -> None:
+        self.client = client
+        self._name, self._note, self._has_workers = name, note, True
+        self._executor = client.get_executor(pure=False)
+        self._versions = _versions()
 
-    def results(self, function: Function, items: Iterable[Any], died: Died,
-                seconds: float = 0.0) -> Iterator[Any]:
+    def ahead(self) -> int:
+        """Return how many items to submit; workers may join at any time."""
+        threads = sum(self.client.nthreads().values())
+        if self._has_workers and not threads:
+            self._note(f'{self._name}: no workers; waiting for one')
+        self._has_workers, self._workers = bool(threads), max(threads, 1)
+        return super().ahead()
+
+    def map(self, function: Callable[[Any], Any], items: Iterable[Any],
+            died: Callable[[Any, WorkerError], Any] | None = None) -> Iterator[Any]:
         """
-        Generate the results of a function for all items, in the order in which tasks finish.
-
-        What a worker that dies had to compute is computed by others. If the iteration ends
-        early, the tasks that did not begin are cancelled when the connection is closed.
-
-        Parameters
-        ----------
-        function : function of a list of items
-            Returns a list of results. Sent once to each worker, by pickle.
-        items : iterable
-            A task has consecutive ones, by pickle.
-        died : function of a list of items and a reason
-            Returns the results if all workers die that try to compute them.
-        seconds : float, s
-            Approximate duration of a task, which has at least one item.
+        Generate the results of a function for all items, see `Workers`.
 
         Raises
         ------
@@ -101,12 +88,30 @@ class Cluster:
             A signal was received.
 
         """
-        work = _Work(self, function, deque(items), seconds)
+        # A task, unlike scattered data, is computed again if all workers die that have it.
+        self._function = self.client.submit(bytes, pickle.dumps(function), pure=False)
         try:
-            yield from work.results(died)
+            yield from super().map(function, items, died)
         except OSError as error:
-            raise InputError(f'{self.name}: lost the connection to the scheduler: '
+            raise InputError(f'{self._name}: lost the connection to the scheduler: '
                              f'{reason(error)}') from error
+
+    def _submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
+        call = pickle.dumps(_Call(self._versions, item), 5, buffer_callback=_out_of_band)
+        return self._executor.submit(pickle.loads, call, buffers=[self._function])
+
+    def _result(self, future: Future[Any]) -> Any:
+        from distributed import KilledWorker
+        try:
+            return future.result()
+        except KilledWorker as error:
+            raise WorkerError(f'{error.allowed_failures + 1} workers died one after the '
+                             'other') from error
+        except ImportError as error:
+            raise InputError(f'{self._name}: a worker cannot import what it needs of {NAME}: '
+                             f'{reason(error)}') from error
+        except CancelledError as error:
+            raise InputError(f'{self._name}: lost the connection to the scheduler') from error
 
 
 @contextmanager
@@ -192,85 +197,6 @@ def _quiet() -> Iterator[None]:
         logging.disable(before)
 
 
-class _Work:
-    """
-    Items that are computed in tasks.
-
-    Parameters
-    ----------
-    cluster : Cluster
-    function : function of a list of items
-    items : deque
-    seconds : float, s
-        Approximate duration of a task.
-
-    """
-
-    def __init__(self, cluster: Cluster, function: Function, items: deque[Any],
-                 seconds: float) -> None:
-        self._cluster, self._items, self._seconds = cluster, items, seconds
-        # A task, unlike scattered data, is computed again if all workers die that have it.
-        self._function = cluster.client.submit(bytes, pickle.dumps(function), pure=False)
-        self._versions = _versions()
-        self._busy: dict[Future, list[Any]] = {}
-        self._done: SimpleQueue[Future] = SimpleQueue()
-        #: Items per second of one thread, in the task that finished last.
-        self._rate = 0.0
-        self._has_workers = True
-
-    def results(self, died: Died) -> Iterator[Any]:
-        """Generate the results; `died` returns those of items which no worker survives."""
-        self._submit()
-        while self._busy:
-            done = self._next()
-            items = self._busy.pop(done)
-            results = self._results(done, items, died)
-            self._submit()
-            yield from results
-
-    def _submit(self) -> None:
-        """Submit as many tasks as the workers can begin soon."""
-        threads = sum(self._cluster.client.nthreads().values())
-        if self._has_workers and not threads:
-            self._cluster.note(f'{self._cluster.name}: no workers; waiting for one')
-        self._has_workers = bool(threads)
-        while self._items and len(self._busy) < _AHEAD * max(threads, 1):
-            items = [self._items.popleft() for _ in range(self._size(threads))]
-            call = pickle.dumps(_Call(self._versions, items), 5, buffer_callback=_out_of_band)
-            task = self._cluster.client.submit(pickle.loads, call, buffers=[self._function],
-                                               pure=False)
-            self._busy[task] = items
-            task.add_done_callback(self._done.put)
-
-    def _size(self, threads: int) -> int:
-        """Return the number of items for a task; towards the end, every thread gets some."""
-        share = math.ceil(len(self._items) / (_AHEAD * max(threads, 1)))
-        return max(1, min(round(self._rate * self._seconds), share))
-
-    def _next(self) -> Future:
-        while True:
-            interrupts.check()
-            try:
-                return self._done.get(timeout=_INTERVAL)
-            except Empty:
-                self._submit()  # new workers may have joined
-
-    def _results(self, done: Future, items: list[Any], died: Died) -> list[Any]:
-        from distributed import KilledWorker
-        try:
-            results, seconds = done.result()
-        except KilledWorker as error:
-            return died(items, f'{error.allowed_failures + 1} workers died one after the other')
-        except ImportError as error:
-            raise InputError(f'{self._cluster.name}: a worker cannot import what it needs of '
-                             f'{NAME}: {reason(error)}') from error
-        except CancelledError as error:
-            raise InputError(f'{self._cluster.name}: lost the connection to the '
-                             'scheduler') from error
-        self._rate = len(items) / max(seconds, 1e-9)
-        return results
-
-
 def _versions() -> dict[str, str]:
     """Return what has to be the same in all processes, so that their bits are the same."""
     return {**fingerprint(), f'sources of {NAME}': sources_hash()[:12]}
@@ -286,30 +212,26 @@ class _Call:
     """
 
     versions: Mapping[str, str]
-    items: list[Any]
+    item: Any
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return _compute, (self.versions, pickle.PickleBuffer(b''), self.items)
+        return _compute, (self.versions, pickle.PickleBuffer(b''), self.item)
 
 
 def _out_of_band(buffer: pickle.PickleBuffer) -> None:
     """Leave a buffer out of a pickle."""
 
 
-def _compute(versions: Mapping[str, str], function: bytes, items: list[Any]
-             ) -> tuple[list[Any], float]:
-    """Return, on a worker, the results for some items, and how long they took, s."""
+def _compute(versions: Mapping[str, str], function: bytes, item: Any) -> Any:
+    """Return, on a worker, the result for an item."""
     for name, found in _versions().items():
         if found != versions.get(name):
             raise InputError(f'{socket.gethostname()}: expected the versions of this command, '
                              f'{name} {versions.get(name)}, found {found}; other versions may '
                              'give other bits')
-    began = time.perf_counter()
-    results = _loaded(function)(items)
-    return results, time.perf_counter() - began
+    return _loaded(function)(item)
 
 
 @lru_cache(maxsize=1)  # for all tasks of a worker
-def _loaded(function: bytes) -> Function:
-    loaded: Function = pickle.loads(function)
-    return loaded
+def _loaded(function: bytes) -> Any:
+    return pickle.loads(function)

@@ -1,0 +1,136 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The files that a command writes: checked before the work, and apart from all that it reads."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+import json
+import os
+from pathlib import Path
+import shlex
+from typing import Any, TYPE_CHECKING
+
+from rigid_body_ros.common.errors import printable
+from rigid_body_ros.runtime import files
+from rigid_body_ros.runtime.terminal import show
+
+if TYPE_CHECKING:
+    from rigid_body_ros.report.page import Page
+
+#: Options that name recordings, options that name files of any kind, and the suffixes of outputs.
+_RECORDINGS = 'input', 'recording', 'motion'
+_PATHS = *_RECORDINGS, 'scene', 'ensemble', 'vary', 'output', 'json', 'plot', 'report'
+_SUFFIXES = {'json': '.json', 'plot': '.png', 'report': '.html'}
+
+
+@contextmanager
+def checked(options: argparse.Namespace,
+            *outputs: tuple[str | None, str]) -> Iterator[Outputs]:
+    """
+    Check the outputs of a command, and protect its inputs in the context.
+
+    Parameters
+    ----------
+    options : Namespace
+        From `parsed`; the outputs are those of --json, --plot and --report.
+    outputs : tuples of path or None and suffix
+        Others, as for `files.check`.
+
+    Raises
+    ------
+    InputError
+        As for `files.check`.
+
+    """
+    with files.reading(*_given(options, *_RECORDINGS)), \
+            files.protected('scene', *_given(options, 'scene')), \
+            files.protected('ensemble', *_given(options, 'ensemble')), \
+            files.protected('input', *_given(options, 'vary')):
+        yield Outputs(options, *outputs)
+
+
+class Outputs:
+    """
+    The outputs of a command that its options name, see `checked`.
+
+    Attributes
+    ----------
+    names : list of str
+        Their paths.
+
+    """
+
+    def __init__(self, options: argparse.Namespace, *outputs: tuple[str | None, str]) -> None:
+        shared = [(getattr(options, name, None), suffix) for name, suffix in _SUFFIXES.items()]
+        given = [(path, suffix) for path, suffix in (*outputs, *shared) if path]
+        with files.overwriting(options.overwrite):
+            files.check(*given)
+        self._options, self._suffixes = options, dict(given)
+        self.names = [*self._suffixes]
+
+    @contextmanager
+    def writing(self, name: str | None = None) -> Iterator[None]:
+        """Protect, in the context, all outputs but one, which may replace a file if allowed."""
+        with files.protected('output', *(other for other in self.names if other != name)), \
+                files.overwriting(self._options.overwrite):
+            yield
+
+    def write(self, name: str, write: Callable[[Path], object]) -> None:
+        """Write an output with a function that takes a path."""
+        with self.writing(name), files.atomic_output(name, self._suffixes[name]) as path:
+            write(path)
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write an output that is text."""
+        self.write(name, lambda path: path.write_text(text, encoding='utf-8'))
+
+    def write_json(self, data: Mapping[str, Any]) -> None:
+        """Write the file of --json."""
+        self.write_text(self._options.json, f'{json.dumps(data, indent=1)}\n')
+
+    def write_page(self, page: Callable[[str], Page]) -> None:
+        """Write the page of --report; it has the command line."""
+        from rigid_body_ros.report.page import write
+        with self.writing(self._options.report):
+            write(self._options.report, page(_command_line(self._options)))
+
+    def show(self, summary: str, width: int, names: list[str] | None = None) -> None:
+        """Print a summary, and the names of all or some outputs in a column of the same width."""
+        shown = ', '.join(self.names if names is None else names)
+        show(summary + (f'\n{"wrote":{width}}{printable(shown)}' if shown else ''))
+
+
+def _given(options: argparse.Namespace, *names: str) -> list[str]:
+    """Return the paths that options name: none, one or several each."""
+    values = [value for name in names if (value := getattr(options, name, None))]
+    return [path for value in values for path in (value if isinstance(value, list) else [value])]
+
+
+def _command_line(options: argparse.Namespace) -> str:
+    """Return the command line, with file names in place of paths."""
+    paths = [*map(os.fspath, _given(options, *_PATHS))]
+    return shlex.join([options.command, *(_without_folder(os.fspath(text), paths)
+                                          for text in options.arguments)])
+
+
+def _without_folder(argument: str, paths: list[str]) -> str:
+    for path in paths:
+        option = argument.removesuffix(path)
+        if option != argument and (not option or option.startswith('-')):
+            return option + os.path.basename(os.path.abspath(path))
+    return argument

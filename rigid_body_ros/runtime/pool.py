@@ -1,0 +1,190 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Compute in threads or in processes; `cluster` has the workers of a Dask scheduler."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
+from itertools import islice
+import multiprocessing
+from multiprocessing.connection import Connection
+import os
+from typing import Any
+
+from rigid_body_ros.runtime import interrupts
+
+#: s; how often to look for signals, and for workers that join.
+_INTERVAL = 0.1
+#: s; how long a worker process may take to clean up.
+_PATIENCE = 10.0
+
+
+class WorkerError(Exception):
+    """The process that was to compute an item has died; the message says how."""
+
+
+class Workers:
+    """
+    Threads, for functions that release Python's lock; a context manager.
+
+    Parameters
+    ----------
+    workers : int
+        Number of threads.
+
+    """
+
+    def __init__(self, workers: int) -> None:
+        self._workers = workers
+        self._executor: Executor = ThreadPoolExecutor(workers)
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        if kind:
+            interrupts.abandon_threads()
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def map(self, function: Callable[[Any], Any], items: Iterable[Any],
+            died: Callable[[Any, WorkerError], Any] | None = None) -> Iterator[Any]:
+        """
+        Generate the results of a function for all items, in the order in which they are there.
+
+        Parameters
+        ----------
+        function : callable
+            Takes an item.
+        items : iterable
+            Items are taken as workers become idle.
+        died : callable, optional
+            Takes an item whose worker has died, and the error, and returns a result.
+
+        Raises
+        ------
+        WorkerError
+            A worker has died, and `died` is not given.
+        KeyboardInterrupt
+            A signal was received.
+
+        """
+        waiting, busy = iter(items), dict[Future[Any], Any]()
+        while True:
+            for item in islice(waiting, max(self.ahead() - len(busy), 0)):
+                busy[self._submit(function, item)] = item
+            if not busy:
+                return
+            done, _ = wait(busy, _INTERVAL, FIRST_COMPLETED)
+            interrupts.check()
+            for future in done:
+                item = busy.pop(future)
+                try:
+                    result = self._result(future)
+                except WorkerError as error:
+                    if died is None:
+                        raise
+                    result = died(item, error)
+                yield result
+
+    def ahead(self) -> int:
+        """Return how many items to submit: each worker computes one, and one waits."""
+        return 2 * self._workers
+
+    def _submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
+        return self._executor.submit(function, item)
+
+    def _result(self, future: Future[Any]) -> Any:
+        return future.result()
+
+
+class Processes(Workers):
+    """
+    A process for each processor; one that dies affects only the item that it computes.
+
+    Functions, items and results are pickled.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(os.cpu_count() or 1)
+        self._last: dict[_Process, Future[Any]] = {}
+
+    def __exit__(self, *error: object) -> None:
+        for process, future in self._last.items():
+            process.end(is_idle=future.done())
+        for process in self._last:
+            process.wait()
+        super().__exit__(None)
+
+    def ahead(self) -> int:
+        """Return how many items to submit: one that waits would have a process of its own."""
+        return self._workers
+
+    def _submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
+        idle = (process for process, future in self._last.items()
+                if future.done() and not future.exception())
+        process = next(idle, None) or _Process()
+        self._last[process] = super()._submit(process.call, (function, item))
+        return self._last[process]
+
+
+class _Process:
+    """A process that computes one item at a time."""
+
+    def __init__(self) -> None:
+        # Spawn, because a fork would copy the locks of threads but not the threads.
+        context = multiprocessing.get_context('spawn')
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        with interrupts.blocked_in_children():
+            self._process.start()
+        theirs.close()  # otherwise the end of the process would go unnoticed
+
+    def call(self, work: tuple[Callable[[Any], Any], Any]) -> Any:
+        try:
+            self._connection.send(work)
+            return self._connection.recv()
+        except (EOFError, OSError):
+            self._process.join()
+            code = self._process.exitcode or 0
+            end = f'killed (signal {-code})' if code < 0 else f'exited with status {code}'
+            raise WorkerError(f'worker process {end}') from None
+
+    def end(self, is_idle: bool) -> None:
+        if is_idle:
+            self._connection.close()
+        else:
+            self._process.terminate()
+
+    def wait(self) -> None:
+        self._process.join(_PATIENCE)
+        self._process.kill()  # in case it does not respond
+        self._process.join()
+
+
+def _serve(connection: Connection) -> None:
+    with suppress(KeyboardInterrupt), interrupts.deferred(until_exit=True):
+        for function, item in _received(connection):
+            result = function(item)
+            with suppress(OSError):  # the parent process has exited
+                connection.send(result)
+
+
+def _received(connection: Connection) -> Iterator[Any]:
+    """Generate what is sent until the connection is closed or the parent process has exited."""
+    with suppress(EOFError, OSError):
+        while True:
+            yield connection.recv()
