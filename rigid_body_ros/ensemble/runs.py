@@ -45,7 +45,6 @@ from rigid_body_ros.ensemble.dispersions import (
 )
 from rigid_body_ros.ensemble.fitted import Fitted
 from rigid_body_ros.ensemble.reach import limit, Reach
-from rigid_body_ros.ensemble.streams import stream
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.bodies import RigidBodies
@@ -237,11 +236,11 @@ class Ensemble:
         """
         gain, offset = applied.torque_gain[row], float(applied.clock_offset[row])
         torques = [gain * log.torques for log in self.logs]
-        for one in self.dispersions:
-            if one.key == NOISE:
-                random = stream(self.seed, int(applied.runs[row]), NOISE)
-                torques = [torque + one.bounds[0] * random.standard_normal(torque.shape)
-                           for torque in torques]
+        if self._noise:
+            stream = np.random.SeedSequence(self.seed, spawn_key=(int(applied.runs[row]),))
+            random = np.random.default_rng(stream)
+            torques = [torque + random.normal(0.0, self._noise, torque.shape)
+                       for torque in torques]
         logs = [later(log, offset, torque) for log, torque in zip(self.logs, torques)]
         bias = applied.torque_bias[row]
         if bias.any():
@@ -257,8 +256,12 @@ class Ensemble:
     def _have_own_logs(self) -> bool:
         """Return whether the runs have logs that differ by more than a gain."""
         varied = {name.split('.')[0] for name in self.columns}
-        return (bool(varied & {'torque_bias', 'clock_offset'})
-                or NOISE in {one.key for one in self.dispersions})
+        return self._noise > 0.0 or bool(varied & {'torque_bias', 'clock_offset'})
+
+    @cached_property
+    def _noise(self) -> float:
+        """Return the standard deviation of the noise of the torques, N m."""
+        return sum(one.bounds[0] for one in self.dispersions if one.key == NOISE)
 
     @cached_property
     def _at_once(self) -> int:
@@ -312,8 +315,7 @@ class Ensemble:
 
     @cached_property
     def _reach(self) -> Reach:
-        noise = sum(one.bounds[0] for one in self.dispersions if one.key == NOISE)
-        return Reach(self.logs, self.wheels, self.start.time_ns, self.end_ns, noise,
+        return Reach(self.logs, self.wheels, self.start.time_ns, self.end_ns, self._noise,
                      Options(**self.scene.options))
 
     def _computed(self, applied: Applied) -> _Found:
