@@ -157,12 +157,12 @@ class Motions:
                     self._remove_damaged(row, column)
         return None
 
-    def chunks(self) -> Iterator[tuple[int, Floats]]:
-        """Generate the first run of each chunk, and the motions, shape (n, m, 7)."""
+    def chunks(self) -> Iterator[Floats]:
+        """Generate the motions of all runs in their order, shape (n, m, 7)."""
         for first in range(0, self._runs, self._shape[0]):
             with self._reported('read'):
                 motions = self._array[first:min(first + self._shape[0], self._runs)]
-            yield first, motions
+            yield motions
 
     def _create(self) -> None:
         import numcodecs
