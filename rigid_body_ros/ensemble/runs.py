@@ -44,7 +44,8 @@ from rigid_body_ros.ensemble.dispersions import (
     UNITS,
 )
 from rigid_body_ros.ensemble.fitted import Fitted
-from rigid_body_ros.ensemble.reach import limit, Reach
+from rigid_body_ros.ensemble.motions import COMPONENTS
+from rigid_body_ros.ensemble.reach import Reach
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.bodies import RigidBodies
@@ -61,8 +62,7 @@ _START = {**{f'inertia.i{entry}': 'kg m^2' for entry in ENTRIES},
           **{f'initial_attitude.{axis}': '' for axis in 'xyzw'},
           **{f'initial_angular_velocity.{axis}': 'rad/s' for axis in 'xyz'}}
 ANGLE, MOTION = 'angle_from_nominal', 'motion'
-_END = {**{f'attitude.{axis}': '' for axis in 'xyzw'},
-        **{f'angular_velocity.{axis}': 'rad/s' for axis in 'xyz'}, ANGLE: 'rad'}
+_END = {**COMPONENTS, ANGLE: 'rad'}
 
 #: Largest number of runs computed at once, and of their torque samples and fixed steps: enough for
 #: the time in Python not to matter, and few enough for an interrupt not to wait. Samples in logs
@@ -303,7 +303,7 @@ class Ensemble:
     @cached_property
     def _farthest(self) -> float:
         """Return how far a run may turn, rad."""
-        return limit(float(replace(self._reach, noise=0.0).turned(self._applied_without)[0]))
+        return self._reach.limit(self._applied_without)
 
     def _too_far(self, applied: Applied) -> list[str]:
         """Return the reason for each run that would turn too far to be computed, otherwise ''."""
