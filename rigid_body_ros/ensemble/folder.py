@@ -118,6 +118,8 @@ class Folder:
 
     Attributes
     ----------
+    table, picture : Path
+        The files of all rows and of the picture.
     misfits : list of str
         The runs of blocks that were found, but are not as they were written.
 
@@ -132,6 +134,7 @@ class Folder:
     def __init__(self, path: str | Path, identity: Mapping[str, Any], units: Mapping[str, str],
                  runs: int, times: Floats | None = None) -> None:
         self.path, self.runs, self.times = Path(path), runs, times
+        self.table, self.picture = self.path / _TABLE, self.path / _PICTURE
         self._schema = arrow.schema([
             ('run', arrow.int64()), ('status', arrow.string()), ('message', arrow.string()),
             *(arrow.field(name, arrow.float64(), metadata={'unit': unit})
@@ -151,16 +154,6 @@ class Folder:
             self.misfits = self._blocks.find(runs)
         if self.missing():
             self._remove_results()
-
-    @property
-    def table(self) -> Path:
-        """Return the file of all rows."""
-        return self.path / _TABLE
-
-    @property
-    def picture(self) -> Path:
-        """Return the file of the picture."""
-        return self.path / _PICTURE
 
     def missing(self) -> list[Span]:
         """Return the first run of each block that has to be computed, and the one after it."""
