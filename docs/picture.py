@@ -28,6 +28,7 @@ import sys
 from tempfile import TemporaryDirectory
 
 from playwright.sync_api import sync_playwright
+from rigid_body_ros.commands.main import attitude_ensemble, attitude_replay
 
 HERE = Path(__file__).resolve().parent
 RECORDING = HERE.parent / 'test' / 'recordings' / 'torque_free_intermediate_axis'
@@ -45,8 +46,8 @@ def main() -> int:
     """Draw the pictures, and return the exit status."""
     with TemporaryDirectory() as folder:
         page = Path(folder) / 'page.html'
-        status = main.attitude_replay([f'{RECORDING}.mcap', '--scene', f'{RECORDING}.yaml',
-                                      '--rate', '20', '--until', '34', '--report', str(page)])
+        status = attitude_replay([f'{RECORDING}.mcap', '--scene', f'{RECORDING}.yaml',
+                                  '--rate', '20', '--until', '34', '--report', str(page)])
         if not status:
             draw(page)
     return status or draw_ensemble()
@@ -57,9 +58,8 @@ def draw_ensemble() -> int:
     with TemporaryDirectory() as folder:
         vary, runs = Path(folder) / 'vary.yaml', Path(folder) / 'runs'
         vary.write_text(VARY)
-        status = main.attitude_ensemble(['--scene', f'{RECORDING}.yaml', '--vary', str(vary),
-                                        '--until', '34', '--times', '10', '--runs', '2000', '-o',
-                                        str(runs)])
+        status = attitude_ensemble(['--scene', f'{RECORDING}.yaml', '--vary', str(vary), '--until',
+                                    '34', '--times', '10', '--runs', '2000', '-o', str(runs)])
         if not status:
             shutil.copyfile(runs / 'bands.png', HERE / 'ensemble.png')
     return status

@@ -14,15 +14,14 @@
 
 """Dispersions: what a file may say, the statistics of what is drawn, and percentiles."""
 
-import zlib
-
 from conftest import nearest_rank
 import numpy as np
 import pytest
 from rigid_body_ros.ensemble import streams
 from rigid_body_ros.ensemble.dispersions import Dispersion, draws, load
-from rigid_body_ros.ensemble.percentiles import of_columns, of_rows, percentiles
+from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.scene import InputError
+from scipy import stats
 
 RUNS = np.arange(100_000)
 VARY = (Dispersion('initial_attitude', 'tilt', (0.02,)),
@@ -69,45 +68,35 @@ def test_a_key_draws_the_same_without_the_others():
     assert np.unique(np.concatenate([*every.values()], axis=1)).size == 500
 
 
-@pytest.mark.parametrize('seed', [0, 1, 2 ** 32, 2 ** 63 - 1])
-def test_streams_have_the_bits_of_numpy(seed):
-    runs = np.random.default_rng(seed).integers(0, 2 ** 32, 2000)
-    runs[:2] = 0, 2 ** 32 - 1
-    alone = [streams.stream(seed, run, 'inertia') for run in runs.tolist()]
-    expected = [random.standard_normal(3) for random in alone]
-    assert np.array_equal(streams.normals(seed, runs, 'inertia', 3), expected)
-    alone = [streams.stream(seed, run, 'inertia') for run in runs.tolist()]
-    assert np.array_equal(streams.uniforms(seed, runs, 'inertia'),
-                          [random.random() for random in alone])
+@pytest.mark.parametrize('seed', [0, 2 ** 32, 2 ** 63 - 1])
+@pytest.mark.parametrize('count', [1, 3, 4, 17])
+def test_the_numbers_of_a_run_do_not_depend_on_the_other_runs(seed, count):
+    runs = np.arange(10 ** 9 - 50, 10 ** 9)
+    for draw in (streams.uniforms, streams.normals):
+        together = draw(seed, runs, 'inertia', count)
+        alone = [draw(seed, runs[[row]], 'inertia', count)[0] for row in range(len(runs))]
+        assert np.array_equal(together, alone)
+        assert np.array_equal(together[::-3], draw(seed, runs[::-3], 'inertia', count))
+        assert np.unique(together).size == together.size
 
 
-def test_a_stream_is_that_of_the_design():
-    sequence = np.random.SeedSequence(3, spawn_key=(7, zlib.crc32(b'torque_gain')))
-    expected = np.random.Generator(np.random.PCG64(sequence)).standard_normal(4)
-    assert np.array_equal(streams.stream(3, 7, 'torque_gain').standard_normal(4), expected)
+def test_normal_numbers_have_the_normal_distribution():
+    numbers = streams.normals(3, RUNS, 'inertia', 2).ravel()
+    assert stats.kstest(numbers, 'norm').pvalue > 0.01
+    tails = np.count_nonzero(np.abs(numbers) > 3.0)
+    expected = 2.0 * stats.norm.sf(3.0) * numbers.size
+    assert abs(tails - expected) < 4.0 * np.sqrt(expected)
 
 
 @pytest.mark.parametrize('numbers', [
     np.random.default_rng(1).exponential(size=10_007), np.zeros(5), np.array([3.0]),
-    np.array([5e-324, 0.0, 1e308, 1.0, np.nan, 1.0 + 2.0 ** -52, 1e-300])])
+    np.array([5e-324, 0.0, 1e308, 1.0, 1.0 + 2.0 ** -52, 1e-300])])
 def test_percentiles_are_among_the_numbers(numbers):
-    def chunks():
-        return np.array_split(numbers, 3)
     wanted = [1, 5, 25, 50, 75, 95, 99, 100]
-    finite = numbers[np.isfinite(numbers)]
-    assert percentiles(chunks, wanted) == nearest_rank(finite, wanted)
-    assert percentiles(lambda: [np.array([np.nan])], wanted) == []
-
-
-def test_percentiles_of_columns_are_those_of_each():
-    numbers = np.random.default_rng(1).exponential(size=(1003, 4)) * [1.0, 1e-9, 0.0, np.nan]
-    numbers[5:80, 1] = np.nan
-    expected = [nearest_rank(column[np.isfinite(column)], [1, 50, 100])
-                for column in numbers.T[:3]]
-    for found in (of_columns(lambda: np.array_split(numbers, 3), [1, 50, 100], 4),
-                  of_rows(numbers.T.copy(), [1, 50, 100])):
-        np.testing.assert_array_equal(found[:, :3].T, expected)
-        assert np.isnan(found[:, 3]).all()
+    assert percentiles(numbers.copy(), wanted).tolist() == nearest_rank(numbers, wanted)
+    rows = np.stack([numbers, 0.3 * numbers[::-1]])
+    expected = [nearest_rank(row, wanted) for row in rows]
+    np.testing.assert_array_equal(percentiles(rows, wanted), expected)
 
 
 def test_a_file_is_read(tmp_path):

@@ -21,6 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 import hashlib
+from importlib.metadata import version
 import json
 import os
 from pathlib import Path
@@ -156,7 +157,7 @@ def _identity(ensemble: Ensemble, times: float | str) -> dict[str, Any]:
         'scene': f'sha256:{hashlib.sha256(values.encode()).hexdigest()}',
         'recording': recording_hash([*ensemble.logs, *filter(None, [ensemble.wheels])]),
         'start_ns': ensemble.start.time_ns, 'end_ns': ensemble.end_ns, 'times': times,
-        'versions': fingerprint()})))
+        'versions': {**fingerprint(), 'scipy': version('scipy')}})))
 
 
 def recording_hash(logs: Sequence[TorqueLog]) -> str:

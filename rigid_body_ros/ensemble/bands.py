@@ -16,32 +16,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.ensemble.folder import Folder
-from rigid_body_ros.ensemble.percentiles import of_columns, of_rows
+from rigid_body_ros.ensemble.percentiles import percentiles
 from rigid_body_ros.mechanics import so3
 
 _PERCENTILES = (5, 25, 50, 75, 95)
-#: Largest number of times, enough for a picture: the percentiles need 80 kB for each.
+#: Largest number of times, enough for a picture.
 _TIMES = 500
-#: Largest number of angles that are kept in memory, 8 bytes each.
+#: Largest number of angles in memory, 8 bytes each, unless there are more runs.
 _KEPT = 2 ** 24
 
 
-def bands(folder: Folder, nominal: Floats) -> dict[str, Any]:
+def bands(folder: Folder, nominal: Floats, runs: int) -> dict[str, Any]:
     """
     Return percentiles of the angle between the attitudes of the runs and the nominal one, as JSON.
 
     Parameters
     ----------
     folder : Folder
-        Complete, with times; at least one run did not fail.
+        Complete, with times.
     nominal : array, shape (m, 7)
         The nominal motion at the times of the folder.
+    runs : int
+        Number of runs that did not fail, at least one.
 
     Returns
     -------
@@ -52,18 +55,18 @@ def bands(folder: Folder, nominal: Floats) -> dict[str, Any]:
     """
     assert folder.times is not None
     rows = np.unique(np.linspace(0, len(folder.times) - 1, _TIMES).astype(int))
-
-    def angles() -> Iterator[tuple[int, Floats]]:
-        for first, motions in folder.motions():
-            with np.errstate(invalid='ignore'):  # failed runs
-                yield first, np.asarray(
-                    so3.angle_between(motions[:, rows, :4], nominal[rows, :4]))
-    if len(rows) * folder.runs > _KEPT:
-        found = of_columns(lambda: (chunk for _, chunk in angles()), _PERCENTILES, len(rows))
-    else:
-        kept = np.empty((len(rows), folder.runs))
-        for first, chunk in angles():
-            kept[:, first:first + len(chunk)] = chunk.T
-        found = of_rows(kept, _PERCENTILES)
+    passes = math.ceil(len(rows) / max(_KEPT // runs, 1))
+    found = np.concatenate([percentiles(_angles(folder, nominal, some, runs), _PERCENTILES)
+                            for some in np.array_split(rows, passes)])
     return {'times_s': folder.times[rows].tolist(),
-            **{f'p{k}_rad': column.tolist() for k, column in zip(_PERCENTILES, found)}}
+            **{f'p{k}_rad': column.tolist() for k, column in zip(_PERCENTILES, found.T)}}
+
+
+def _angles(folder: Folder, nominal: Floats, rows: NDArray[np.int64], runs: int) -> Floats:
+    """Return the angles of the runs that did not fail at some times, shape (times, runs)."""
+    angles, end = np.empty((len(rows), runs)), 0
+    for motions in folder.motions():
+        attitudes = motions[np.isfinite(motions[:, 0, 0])][:, rows, :4]
+        first, end = end, end + len(attitudes)
+        angles[:, first:end] = so3.angle_between(attitudes, nominal[rows, :4]).T
+    return angles

@@ -80,7 +80,7 @@ class Dispersion:
         """
         if self.kind == 'uniform':
             low, high = self.bounds
-            return (low + (high - low) * uniforms(seed, runs, self.key))[:, None]
+            return low + (high - low) * uniforms(seed, runs, self.key, 1)
         count = 3 if self.kind in ('relative', 'tilt') else 1
         return self.bounds[0] * normals(seed, runs, self.key, count)
 

@@ -118,6 +118,8 @@ class Folder:
 
     Attributes
     ----------
+    table, picture : Path
+        The files of all rows and of the picture.
     misfits : list of str
         The runs of blocks that were found, but are not as they were written.
 
@@ -132,6 +134,7 @@ class Folder:
     def __init__(self, path: str | Path, identity: Mapping[str, Any], units: Mapping[str, str],
                  runs: int, times: Floats | None = None) -> None:
         self.path, self.runs, self.times = Path(path), runs, times
+        self.table, self.picture = self.path / _TABLE, self.path / _PICTURE
         self._schema = arrow.schema([
             ('run', arrow.int64()), ('status', arrow.string()), ('message', arrow.string()),
             *(arrow.field(name, arrow.float64(), metadata={'unit': unit})
@@ -151,16 +154,6 @@ class Folder:
             self.misfits = self._blocks.find(runs)
         if self.missing():
             self._remove_results()
-
-    @property
-    def table(self) -> Path:
-        """Return the file of all rows."""
-        return self.path / _TABLE
-
-    @property
-    def picture(self) -> Path:
-        """Return the file of the picture."""
-        return self.path / _PICTURE
 
     def missing(self) -> list[Span]:
         """Return the first run of each block that has to be computed, and the one after it."""
@@ -223,15 +216,13 @@ class Folder:
         """Write `summary.json`, after all other results; raise InputError if that fails."""
         self._write(_SUMMARY, summary)
 
-    def motions(self) -> Iterator[tuple[int, Floats]]:
+    def motions(self) -> Iterator[Floats]:
         """
-        Generate the motions of all runs, in chunks that fit into memory.
+        Generate the motions of all runs in their order, in chunks that fit into memory.
 
         Yields
         ------
-        first : int
-            The first run of the chunk.
-        motions : array, shape (n, m, 7)
+        array, shape (n, m, 7)
             Attitude, x y z w, body to space, and angular velocity, rad/s, body axes, at `times`;
             NaN for failed runs.
 
@@ -249,12 +240,7 @@ class Folder:
         wanted = min(stop, self.runs)
         groups = range(-(-wanted // GROUP))
         column = parquet.ParquetFile(self.table).read_row_groups([*groups], columns=[name])
-        return _floats(column.column(name))[:wanted]
-
-    def chunks(self, name: str) -> Iterator[Floats]:
-        """Generate a column of `runs.parquet`, NaN for failed runs."""
-        for batch in parquet.ParquetFile(self.table).iter_batches(columns=[name]):
-            yield _floats(batch.column(name))
+        return np.asarray(column.column(name).to_numpy(), float)[:wanted]
 
     def failures(self) -> dict[str, int]:
         """Return how many runs failed for each cause."""
@@ -341,7 +327,3 @@ def _remove_parts(path: Path) -> None:
                 if _PART.fullmatch(part.name):
                     part.unlink()
         remove_parts(path / 'motion.zarr')
-
-
-def _floats(column: arrow.Array) -> Floats:
-    return np.asarray(column.to_numpy(zero_copy_only=False), float)

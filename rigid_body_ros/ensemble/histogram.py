@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Histogram of more angles than fit into memory."""
+"""Histogram of angles."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 import math
 from typing import Any
 
@@ -29,38 +29,31 @@ _BARS = 60
 _DECADES = 100.0
 
 
-def histogram(chunks: Callable[[], Iterable[Floats]], runs: int,
-              percentiles: Mapping[str, float]) -> dict[str, Any]:
+def histogram(angles: Floats, percentiles: Mapping[str, float]) -> dict[str, Any]:
     """
     Return how many runs have an angle in each of some intervals, as JSON.
 
     Parameters
     ----------
-    chunks : callable
-        Returns all angles in chunks, rad; NaN is left out.
-    runs : int
-        Number of angles that are not NaN, at least one.
+    angles : array, shape (n,), rad
+        At least one.
     percentiles : mapping
-        The percentiles 'p1', 'p5', 'p99' and 'p100' of the angles, rad.
+        Their percentiles 'p1', 'p5', 'p99' and 'p100', rad.
 
     Returns
     -------
     dict
-        'edges_rad', shape (n + 1,), and 'runs', shape (n,). The intervals are equally wide from
+        'edges_rad', shape (m + 1,), and 'runs', shape (m,). The intervals are equally wide from
         0 to the largest angle. If the angles span decades, they are equally wide on a logarithmic
         axis, from a tenth of the first percentile or the smallest angle, whichever is larger. The
         first interval has the smaller angles, too.
 
     """
-    bars = min(math.isqrt(runs), _BARS)
+    bars = min(math.isqrt(angles.size), _BARS)
     largest = max(percentiles['p100'], float(np.finfo(float).tiny))
     if percentiles['p1'] > 0.0 and _DECADES * percentiles['p5'] < percentiles['p99']:
-        smallest = np.fmin.reduce([np.fmin.reduce(chunk) for chunk in chunks()])
-        edges = np.geomspace(max(0.1 * percentiles['p1'], smallest), largest, bars + 1)
+        edges = np.geomspace(max(0.1 * percentiles['p1'], angles.min()), largest, bars + 1)
     else:
         edges = np.linspace(0.0, largest, bars + 1)
-    counts = np.zeros(bars, np.int64)
-    for chunk in chunks():
-        inside = np.maximum(chunk[np.isfinite(chunk)], edges[0])
-        counts += np.histogram(inside, edges)[0]
+    counts, _ = np.histogram(np.maximum(angles, edges[0]), edges)
     return {'edges_rad': edges.tolist(), 'runs': counts.tolist()}

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 import re
 
@@ -130,8 +131,8 @@ class Motions:
         """
         with self._reported('write'):
             self._array[first:first + len(motions)] = motions
-            for name in self._names(first, first + len(motions)):
-                files.flush(self._path / 'motion' / name)
+            for row, column in self._chunks(first, first + len(motions)):
+                files.flush(self._file(row, column))
             files.flush(self._path / 'motion')
 
     def read(self, first: int, stop: int) -> Floats | None:
@@ -146,8 +147,7 @@ class Motions:
             They cannot be read.
 
         """
-        chunks = [self._path / 'motion' / name for name in self._names(first, stop)]
-        if not all(chunk.exists() for chunk in chunks):
+        if not all(self._file(*chunk).exists() for chunk in self._chunks(first, stop)):
             return None
         with self._reported('read'):
             try:
@@ -157,12 +157,12 @@ class Motions:
                     self._remove_damaged(row, column)
         return None
 
-    def chunks(self) -> Iterator[tuple[int, Floats]]:
-        """Generate the first run of each chunk, and the motions, shape (n, m, 7)."""
+    def chunks(self) -> Iterator[Floats]:
+        """Generate the motions of all runs in their order, shape (n, m, 7)."""
         for first in range(0, self._runs, self._shape[0]):
             with self._reported('read'):
                 motions = self._array[first:min(first + self._shape[0], self._runs)]
-            yield first, motions
+            yield motions
 
     def _create(self) -> None:
         import numcodecs
@@ -189,19 +189,16 @@ class Motions:
         try:
             self._array[row * runs:(row + 1) * runs, column * times:(column + 1) * times]
         except (RuntimeError, ValueError):
-            (self._path / 'motion' / f'{row}.{column}.0').unlink()
+            self._file(row, column).unlink()
 
     def _chunks(self, first: int, stop: int) -> Iterator[tuple[int, int]]:
         """Generate the rows and columns of the chunks of some runs."""
         runs, times = self._shape
-        for row in range(first // runs, -(-stop // runs)):
-            for column in range(-(-self._times.size // times)):
-                yield row, column
+        return product(range(first // runs, -(-stop // runs)),
+                       range(-(-self._times.size // times)))
 
-    def _names(self, first: int, stop: int) -> Iterator[str]:
-        """Generate the names of the chunks of some runs."""
-        for row, column in self._chunks(first, stop):
-            yield f'{row}.{column}.0'
+    def _file(self, row: int, column: int) -> Path:
+        return self._path / 'motion' / f'{row}.{column}.0'
 
     @contextmanager
     def _reported(self, verb: str) -> Iterator[None]:

@@ -23,7 +23,7 @@ rotors does not change it. The bounds depend on the values of a run only, not on
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 import math
 
@@ -83,6 +83,11 @@ class Reach:
             too_fast = _norm(applied.starts.angular_velocity) > FASTEST
         return np.where(impossible | too_fast, np.nan, turned)
 
+    def limit(self, nominal: Applied) -> float:
+        """Return how far a run may turn, rad, if the nominal one has no noise."""
+        turned, = replace(self, noise=0.0).turned(nominal).tolist()
+        return max(FARTHEST, _TIMES_NOMINAL * turned)
+
     def _rates(self, applied: Applied) -> Floats:
         """Return bounds on how fast the motions change, rad/s, shape (n,)."""
         least = applied.bodies._constants[:, body_layout.MOMENTS:body_layout.MOMENTS + 3].min(-1)
@@ -116,15 +121,13 @@ class Reach:
         Bounds on the impulses of the torques on the body and on the rotors, N m s, the largest
         torque on the body, N m, and how long torques act on it, s.
         """
-        acting = sum(float(spans[(strengths > 0.0) | (self.noise > 0.0)].sum())
-                     for strengths, spans in map(self._pieces, self.logs))
-        return (self._impulse(self.logs), self._impulse([self.wheels] if self.wheels else []),
-                sum(_largest(log) for log in self.logs), acting)
-
-    def _impulse(self, logs: Iterable[TorqueLog]) -> float:
-        """Return a bound on the impulse of torques, N m s."""
-        return sum(float((strengths * spans).sum()) for strengths, spans in map(
-            self._pieces, logs))
+        on_body = [self._pieces(log) for log in self.logs]
+        on_rotors = [self._pieces(self.wheels)] if self.wheels else []
+        body, motors = (sum(float((strengths * spans).sum()) for strengths, spans in pieces)
+                        for pieces in (on_body, on_rotors))
+        return (body, motors, sum(float(strengths.max(initial=0.0)) for strengths, _ in on_body),
+                sum(float(spans[(strengths > 0.0) | (self.noise > 0.0)].sum())
+                    for strengths, spans in on_body))
 
     def _pieces(self, log: TorqueLog) -> tuple[Floats, Floats]:
         """Return how strong a torque is from each sample to the next, N m, and how long, s."""
@@ -136,14 +139,5 @@ class Reach:
         return strengths, np.minimum(np.diff(ends) / 1e9, longest)
 
 
-def limit(nominal: float) -> float:
-    """Return how far a run may turn if the nominal one turns at most by this angle, rad."""
-    return max(FARTHEST, _TIMES_NOMINAL * nominal)
-
-
 def _norm(vectors: Floats) -> Floats:
     return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1)))
-
-
-def _largest(log: TorqueLog) -> float:
-    return float(_norm(log.torques).max(initial=0.0))

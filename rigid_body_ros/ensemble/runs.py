@@ -43,8 +43,8 @@ from rigid_body_ros.ensemble.dispersions import (
     UNITS,
 )
 from rigid_body_ros.ensemble.fitted import Fitted
-from rigid_body_ros.ensemble.reach import limit, Reach
-from rigid_body_ros.ensemble.streams import stream
+from rigid_body_ros.ensemble.motions import COMPONENTS
+from rigid_body_ros.ensemble.reach import Reach
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.bodies import RigidBodies
@@ -61,8 +61,7 @@ _START = {**{f'inertia.i{entry}': 'kg m^2' for entry in ENTRIES},
           **{f'initial_attitude.{axis}': '' for axis in 'xyzw'},
           **{f'initial_angular_velocity.{axis}': 'rad/s' for axis in 'xyz'}}
 ANGLE, MOTION = 'angle_from_nominal', 'motion'
-_END = {**{f'attitude.{axis}': '' for axis in 'xyzw'},
-        **{f'angular_velocity.{axis}': 'rad/s' for axis in 'xyz'}, ANGLE: 'rad'}
+_END = {**COMPONENTS, ANGLE: 'rad'}
 
 #: Largest number of runs computed at once, and of their torque samples and fixed steps: enough for
 #: the time in Python not to matter, and few enough for an interrupt not to wait. Samples in logs
@@ -236,11 +235,11 @@ class Ensemble:
         """
         gain, offset = applied.torque_gain[row], float(applied.clock_offset[row])
         torques = [gain * log.torques for log in self.logs]
-        for one in self.dispersions:
-            if one.key == NOISE:
-                random = stream(self.seed, int(applied.runs[row]), NOISE)
-                torques = [torque + one.bounds[0] * random.standard_normal(torque.shape)
-                           for torque in torques]
+        if self._noise:
+            stream = np.random.SeedSequence(self.seed, spawn_key=(int(applied.runs[row]),))
+            random = np.random.default_rng(stream)
+            torques = [torque + random.normal(0.0, self._noise, torque.shape)
+                       for torque in torques]
         logs = [later(log, offset, torque) for log, torque in zip(self.logs, torques)]
         bias = applied.torque_bias[row]
         if bias.any():
@@ -256,8 +255,12 @@ class Ensemble:
     def _have_own_logs(self) -> bool:
         """Return whether the runs have logs that differ by more than a gain."""
         varied = {name.split('.')[0] for name in self.columns}
-        return (bool(varied & {'torque_bias', 'clock_offset'})
-                or NOISE in {one.key for one in self.dispersions})
+        return self._noise > 0.0 or bool(varied & {'torque_bias', 'clock_offset'})
+
+    @cached_property
+    def _noise(self) -> float:
+        """Return the standard deviation of the noise of the torques, N m."""
+        return sum(one.bounds[0] for one in self.dispersions if one.key == NOISE)
 
     @cached_property
     def _at_once(self) -> int:
@@ -299,7 +302,7 @@ class Ensemble:
     @cached_property
     def _farthest(self) -> float:
         """Return how far a run may turn, rad."""
-        return limit(float(replace(self._reach, noise=0.0).turned(self._applied_without)[0]))
+        return self._reach.limit(self._applied_without)
 
     def _too_far(self, applied: Applied) -> list[str]:
         """Return the reason for each run that would turn too far to be computed, otherwise ''."""
@@ -311,8 +314,7 @@ class Ensemble:
 
     @cached_property
     def _reach(self) -> Reach:
-        noise = sum(one.bounds[0] for one in self.dispersions if one.key == NOISE)
-        return Reach(self.logs, self.wheels, self.start.time_ns, self.end_ns, noise,
+        return Reach(self.logs, self.wheels, self.start.time_ns, self.end_ns, self._noise,
                      Options(**self.scene.options))
 
     def _computed(self, applied: Applied) -> _Found:

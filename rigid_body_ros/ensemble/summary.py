@@ -17,7 +17,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -50,14 +49,17 @@ def summarized(ensemble: Ensemble, folder: Folder) -> dict[str, Any]:
         has times and a run did not fail, 'bands' as well.
 
     """
-    failures = folder.failures()
-    failed, angles = sum(failures.values()), partial(folder.chunks, ANGLE)
-    found = dict(zip((f'p{k}' for k in _PERCENTILES), percentiles(angles, _PERCENTILES)))
-    over_time = {'bands': bands(folder, ensemble.nominal_motion)} if found and folder.times \
-        is not None else {}
-    return {'runs': folder.runs, 'failed': failed, 'failures': failures,
-            'angle_from_nominal_rad': found, **over_time,
-            'histogram': histogram(angles, folder.runs - failed, found) if found else {},
+    angles = folder.numbers(ANGLE, folder.runs)
+    angles = angles[np.isfinite(angles)]
+    results: dict[str, Any] = {'angle_from_nominal_rad': {}, 'histogram': {}}
+    if angles.size:
+        found = dict(zip((f'p{k}' for k in _PERCENTILES),
+                         percentiles(angles, _PERCENTILES).tolist()))
+        results = {'angle_from_nominal_rad': found, 'histogram': histogram(angles, found)}
+        if folder.times is not None:
+            results['bands'] = bands(folder, ensemble.nominal_motion, angles.size)
+    return {'runs': folder.runs, 'failed': folder.runs - angles.size,
+            'failures': folder.failures(), **results,
             'rank_correlation': _correlations(ensemble, folder)}
 
 

@@ -22,6 +22,7 @@ from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.metadata import version
 import json
 import logging
 from pathlib import Path
@@ -199,7 +200,8 @@ def _quiet() -> Iterator[None]:
 
 def _versions() -> dict[str, str]:
     """Return what has to be the same in all processes, so that their bits are the same."""
-    return {**fingerprint(), f'sources of {NAME}': sources_hash()[:12]}
+    return {**fingerprint(), 'scipy': version('scipy'),
+            f'sources of {NAME}': sources_hash()[:12]}
 
 
 @dataclass(frozen=True)
