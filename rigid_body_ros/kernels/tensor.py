@@ -21,8 +21,8 @@ of its moments: (J w) x w of a rod is a difference of terms a million times larg
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from decimal import Decimal, localcontext
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -64,27 +64,12 @@ def euler_coefficients(tensor: NDArray[Any]) -> Floats:
         The tensor is singular.
 
     """
-    # Doubles are integers over a power of two. Integer arithmetic takes a fraction of the time of
-    # Fractions in lowest terms, and Python rounds quotients of integers correctly.
-    ratios = [[entry.as_integer_ratio() for entry in row] for row in tensor.tolist()]
-    scale = max(below for row in ratios for _, below in row)
-    j = [[above * (scale // below) for above, below in row] for row in ratios]
-    gyroscopic = [
-        [j[1][1] - j[2][2], j[0][1], -j[0][2], 0, -j[1][2], j[1][2]],
-        [-j[0][1], j[2][2] - j[0][0], j[1][2], j[0][2], 0, -j[0][2]],
-        [j[0][2], -j[1][2], j[0][0] - j[1][1], -j[0][1], j[0][1], 0],
-    ]
-    cofactors = [[j[(a + 1) % 3][(b + 1) % 3] * j[(a + 2) % 3][(b + 2) % 3]
-                  - j[(a + 1) % 3][(b + 2) % 3] * j[(a + 2) % 3][(b + 1) % 3]
-                  for b in range(3)] for a in range(3)]
-    determinant = sum(j[0][b] * cofactors[0][b] for b in range(3))
-    solved = [[sum(row[k] * gyroscopic[k][column] for k in range(3)) for column in range(6)]
-              + [entry * scale for entry in row]
-              for row in cofactors]  # the tensor is symmetric, and so are its cofactors
-    high = [[entry / determinant for entry in row] for row in solved]
-    low = [[_rounding_error(entry, determinant, value) for entry, value in zip(*rows)]
-           for rows in zip(solved, high)]
-    return np.array([high, low])
+    j, one = _integers(tensor)
+    return _solved(j, [
+        [j[1][1] - j[2][2], j[0][1], -j[0][2], 0, -j[1][2], j[1][2], one, 0, 0],
+        [-j[0][1], j[2][2] - j[0][0], j[1][2], j[0][2], 0, -j[0][2], 0, one, 0],
+        [j[0][2], -j[1][2], j[0][0] - j[1][1], -j[0][1], j[0][1], 0, 0, 0, one],
+    ])
 
 
 def damping_coefficients(tensor: Floats, damping: Floats) -> Floats:
@@ -103,27 +88,40 @@ def damping_coefficients(tensor: Floats, damping: Floats) -> Floats:
     array, shape (2, 3, 3), 1/s
 
     """
-    rows = [[Fraction(entry) for entry in row] for row in tensor.tolist()]
-    columns = [[Fraction(entry) for entry in column] for column in damping.T.tolist()]
-    determinant = _dot(rows[0], _cross(rows[1], rows[2]))
-    inverse = [_cross(rows[(a + 1) % 3], rows[(a + 2) % 3]) for a in range(3)]
-    exact = [[_dot(row, column) / determinant for column in columns] for row in inverse]
-    high = [[float(entry) for entry in row] for row in exact]
-    low = [[float(entry - Fraction(value)) for entry, value in zip(*pair)]
-           for pair in zip(exact, high)]
+    entries, _ = _integers(np.concatenate([tensor, damping]))
+    return _solved(entries[:3], entries[3:])
+
+
+def _integers(entries: NDArray[Any]) -> tuple[list[list[int]], int]:
+    # Return entries times their common denominator, and that. Doubles are integers over a power
+    # of two. Integer arithmetic takes a fraction of the time of Fractions in lowest terms, and
+    # Python rounds quotients of integers correctly.
+    ratios = [[entry.as_integer_ratio() for entry in row] for row in entries.tolist()]
+    one = max(below for row in ratios for _, below in row)
+    return [[above * (one // below) for above, below in row] for row in ratios], one
+
+
+def _solved(tensor: list[list[int]], right: list[list[int]]) -> Floats:
+    # Return the solutions for columns of right-hand sides by Cramer's rule, and their low-order
+    # parts. The tensor is symmetric, and so are its cofactors.
+    cofactors = [_cross(tensor[a - 2], tensor[a - 1]) for a in range(3)]
+    determinant = _dot(tensor[0], cofactors[0])
+    exact = [[_dot(row, column) for column in zip(*right)] for row in cofactors]
+    high = [[entry / determinant for entry in row] for row in exact]
+    low = [[_rounding_error(entry, determinant, value) for entry, value in zip(*rows)]
+           for rows in zip(exact, high)]
     return np.array([high, low])
 
 
-def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
+def _dot(a: Sequence[int], b: Sequence[int]) -> int:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _cross(a: list[Fraction], b: list[Fraction]) -> list[Fraction]:
+def _cross(a: list[int], b: list[int]) -> list[int]:
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
 def _rounding_error(dividend: int, divisor: int, quotient: float) -> float:
-    # Return the rounding error of a quotient.
     above, below = quotient.as_integer_ratio()
     return (dividend * below - above * divisor) / (divisor * below)
 
