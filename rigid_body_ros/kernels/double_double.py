@@ -24,7 +24,8 @@ from __future__ import annotations
 import math
 
 from rigid_body_ros.kernels import elementary_tables as tables
-from rigid_body_ros.kernels.jit import fma, internal
+from rigid_body_ros.kernels.jit import internal
+from rigid_body_ros.kernels.lanes import fma
 
 #: High-order and low-order part: the number rounded to a double, and the rest.
 DoubleDouble = tuple[float, float]

@@ -65,7 +65,8 @@ from rigid_body_ros.kernels.elementary_tables import (
     STEPS,
     TURN_PARTS,
 )
-from rigid_body_ros.kernels.jit import fma, inlined, internal
+from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.kernels.lanes import fma
 
 #: Bounds on the relative error of the quick evaluations.
 _SINE_ERROR, _ANGLE_ERROR = 2.0 ** -65, 2.0 ** -66

@@ -166,22 +166,13 @@ multiply = _elementwise(operator.mul, 2, lambda builder, a, b: builder.fmul(a, b
 negative = _elementwise(operator.neg, 1, lambda builder, a: builder.fneg(a))
 absolute = _elementwise(abs, 1, lambda builder, a: lanes.call(builder, 'llvm.fabs', a))
 #: a b + c of each element, rounded once.
-fma = _elementwise(jit.fma, 3,
+fma = _elementwise(lanes.fma, 3,
                    lambda builder, *values: lanes.call(builder, 'llvm.fma', *values))
 #: The components of a vector in the order y, z, x and z, x, y.
 yzx, zxy = _permutation('yzxw'), _permutation('zxyw')
 #: Hamilton's product q i, q j and q k of a quaternion q.
 times_i, times_j, times_k = (_permutation('wzyx', '++--'), _permutation('zwxy', '-++-'),
                              _permutation('yxwz', '+-+-'))
-
-
-def _plain_load(values: NDArray[np.float64], start: int) -> Four:
-    a, b, c, d = values[start:start + 4].tolist()
-    return a, b, c, d
-
-
-def _plain_store(values: NDArray[np.float64], start: int, four: Four) -> None:
-    values[start:start + 4] = four
 
 
 if jit.COMPILES:
@@ -215,24 +206,26 @@ if jit.COMPILES:
         return builder.gep(pointer, [ir.Constant(ir.IntType(32), k) for k in (0, place)])
 
     @intrinsic
-    def _load(_context: Any, values: Any, start: Any) -> Any:
+    def load(_context: Any, values: Any, start: Any) -> Any:
+        """
+        Return four successive elements of a contiguous array, shape (n,), from an index on.
+
+        In lanes these are four rows of an array, shape (n, LANES).
+        """
         def generate(context: Any, builder: Any, _: Any, operands: Any) -> Any:
             return _read(builder, _pointer(context, builder, values, *operands))
         return _kind_in(values)(values, types.intp), generate
 
     @intrinsic
-    def _store(_context: Any, values: Any, start: Any, four: Any) -> Any:
+    def store(_context: Any, values: Any, start: Any, four: Any) -> Any:
+        """Write the elements that `load` returns."""
         def generate(context: Any, builder: Any, _: Any, operands: Any) -> Any:
             array, start, value = operands
             _write(builder, value, _pointer(context, builder, values, array, start))
             return context.get_dummy_value()
         return types.void(values, types.intp, four), generate
 
-    @intrinsic
-    def zero(_context: Any, like: Any) -> Any:
-        """Return four zeros, with lanes if another four has."""
-        return like(like), lambda context, _, __, ___: ir.Constant(
-            context.get_value_type(like), None)
+    zero = lanes.zero
 
     @intrinsic
     def choose(_context: Any, condition: Any, one: Any, other: Any) -> Any:
@@ -249,6 +242,15 @@ if jit.COMPILES:
         """Return whether an array has lanes; the compiler leaves out code for the other case."""
         return types.boolean(values), lambda *_: ir.Constant(ir.IntType(1), values.ndim == 2)
 else:
+    def load(values: NDArray[np.float64], start: int) -> Four:
+        """Return four successive elements of an array, shape (n,), from an index on."""
+        a, b, c, d = values[start:start + 4].tolist()
+        return a, b, c, d
+
+    def store(values: NDArray[np.float64], start: int, four: Four) -> None:
+        """Write the elements that `load` returns."""
+        values[start:start + 4] = four
+
     def zero(like: Four) -> Four:
         """Return four zeros."""
         return 0.0, 0.0, 0.0, 0.0
@@ -260,9 +262,3 @@ else:
     def has_lanes(values: NDArray[np.float64]) -> bool:
         """Return whether an array has lanes."""
         return values.ndim == 2
-
-#: Read or write four successive elements of a contiguous array, shape (n,), from an index on; in
-#: lanes four rows of an array, shape (n, LANES).
-load: Callable[[NDArray[np.float64], int], Four] = _load if jit.COMPILES else _plain_load
-store: Callable[[NDArray[np.float64], int, Four], None] = \
-    _store if jit.COMPILES else _plain_store

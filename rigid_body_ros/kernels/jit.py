@@ -23,11 +23,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, ExitStack, suppress
 import fcntl
-from fractions import Fraction
 from functools import cache, cached_property
 import hashlib
 from importlib import resources
-import math
 import os
 from pathlib import Path
 from typing import Any, TypeVar
@@ -36,7 +34,7 @@ import warnings
 try:
     import numba
     from numba.core.runtime import rtsys
-    from numba.extending import intrinsic, overload
+    from numba.extending import overload
 except ImportError:
     numba = None
 
@@ -248,22 +246,3 @@ def _sources(folder: Any) -> Iterator[Any]:
             yield entry
         elif '.' not in entry.name and entry.name != '__pycache__' and entry.is_dir():
             yield from _sources(entry)
-
-
-def _exact_fma(a: float, b: float, c: float) -> float:
-    if not (math.isfinite(a) and math.isfinite(b) and math.isfinite(c)):
-        return a * b + c
-    return float(Fraction(a) * Fraction(b) + Fraction(c))
-
-
-def _generate_fma(_context: Any, a: Any, b: Any, c: Any) -> Any:
-    def generate(_: Any, builder: Any, signature: Any, values: Any) -> Any:
-        return builder.fma(*values)
-    return numba.float64(numba.float64, numba.float64, numba.float64), generate
-
-
-#: fma(a, b, c) returns a b + c, rounded once. It takes half the time of a product and a sum, and
-#: fma(a, b, -(a * b)) is the rounding error of a product. Kernels call it explicitly, because a
-#: compiler may fuse a formula in one place and not in another.
-fma: Callable[[float, float, float], float] = \
-    intrinsic(_generate_fma) if COMPILES else _exact_fma

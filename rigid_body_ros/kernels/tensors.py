@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import body_layout
 from rigid_body_ros.kernels.double_double import DoubleDouble, two_sum
-from rigid_body_ros.kernels.jit import fma, internal, njit
+from rigid_body_ros.kernels.jit import internal, njit
+from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.principal_axes import fill_principal
 from rigid_body_ros.kernels.triple_double import (
     add_product,

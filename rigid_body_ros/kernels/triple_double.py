@@ -25,7 +25,8 @@ from __future__ import annotations
 
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels.double_double import two_product, two_sum
-from rigid_body_ros.kernels.jit import fma, internal
+from rigid_body_ros.kernels.jit import internal
+from rigid_body_ros.kernels.lanes import fma
 
 #: Parts in descending order of magnitude.
 TripleDouble = tuple[float, float, float]
