@@ -123,10 +123,8 @@ def arctangent(y: float, x: float) -> float:
     if a <= _TINY_RATIO * b or b == 0.0:
         return math.copysign(
             _HALF_PI[0] if steep else PI[0] if leftward else _ratio(a, b), y)
-    if b > _LARGE:
-        a, b = a / _SCALE, b / _SCALE
-    elif b < _SMALL:
-        a, b = a * _SCALE, b * _SCALE
+    scale = scale_of(b)
+    a, b = scale * a, scale * b
     angle = _to_half_plane(_quick_arctangent((a, 0.0), (b, 0.0)), steep, leftward)
     if not _rounds_uniquely(angle, _ANGLE_ERROR):
         angle = _to_half_plane(_careful_arctangent((a, 0.0), (b, 0.0)), steep, leftward)
@@ -188,6 +186,12 @@ def tanh_sech(x: float) -> tuple[float, float]:
     above = add(growth, multiply(growth, inverse))  # e^x - e^-x without cancellation
     below = add(add(_ONE, growth), inverse)
     return math.copysign(divide(above, below)[0], x), divide(_TWO, below)[0]
+
+
+@internal
+def scale_of(size: float) -> float:
+    """Return a power of two. The squares of numbers of this size, times it, keep all digits."""
+    return _SCALE if size < _SMALL else 1.0 / _SCALE if size > _LARGE else 1.0
 
 
 @inlined

@@ -27,15 +27,12 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import double_double as dd
 from rigid_body_ros.kernels.double_double import DoubleDouble
-from rigid_body_ros.kernels.elementary import arctangent_pair, sine_cosine_pairs
+from rigid_body_ros.kernels.elementary import arctangent_pair, scale_of, sine_cosine_pairs
 from rigid_body_ros.kernels.jit import internal, njit
 
 #: Smallest and largest double in the range of the first and third angle.
 _PROPER = 0.0, math.nextafter(2.0 * math.pi, 0.0)
 _TAIT_BRYAN = math.nextafter(-math.pi, 0.0), math.pi
-#: Between these, the square of a number is far inside the range of doubles.
-_SMALL, _LARGE = 2.0 ** -400, 2.0 ** 400
-_SCALE = 2.0 ** 600
 
 
 @njit
@@ -97,7 +94,7 @@ def fill_angles(attitudes: Floats, angles: Floats, i: int, j: int, proper: bool,
         if size == 0.0 or 0.0 * w + 0.0 * x + 0.0 * y + 0.0 * z != 0.0:
             angles[row] = np.nan
             continue
-        scale = _scale(size)
+        scale = scale_of(size)
         first, middle, third, cosine = _angles(scale * w, scale * x, scale * y, scale * z, proper)
         if not proper:
             middle = dd.subtract(middle, (0.5 * dd.PI[0], 0.5 * dd.PI[1]))
@@ -132,14 +129,8 @@ def _angles(w: float, x: float, y: float, z: float,
 
 
 @internal
-def _scale(size: float) -> float:
-    # Return a power of two. The squares of numbers of this size, scaled by it, keep all digits.
-    return _SCALE if size < _SMALL else 1.0 / _SCALE if size > _LARGE else 1.0
-
-
-@internal
 def _hypotenuse(a: DoubleDouble, b: DoubleDouble) -> DoubleDouble:
-    scale = _scale(max(abs(a[0]), abs(b[0])))
+    scale = scale_of(max(abs(a[0]), abs(b[0])))
     a, b = (scale * a[0], scale * a[1]), (scale * b[0], scale * b[1])
     root = dd.sqrt(dd.add(dd.multiply(a, a), dd.multiply(b, b)))
     return root[0] / scale, root[1] / scale
