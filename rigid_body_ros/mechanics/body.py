@@ -21,9 +21,6 @@ Classical Mechanics, chapters 4 and 5.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar
-
 import numpy as np
 from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats, written
@@ -31,8 +28,6 @@ from rigid_body_ros.common.errors import quoted
 from rigid_body_ros.kernels import body_layout
 from rigid_body_ros.kernels import tensor as tensor_constants
 from rigid_body_ros.mechanics import so3, urdf
-
-Result = TypeVar('Result')
 
 #: Accepted relative asymmetry of a tensor, and relative difference up to which moments count as
 #: equal: an upper limit for the rounding error of a tensor that was rotated or summed in doubles.
@@ -92,12 +87,12 @@ class RigidBody:
         self.damping = _checked_damping(damping)
         self.is_damped = bool(self.damping.any())
         #: Principal moments, shape (2, 3), and axes, shape (2, 3, 3): high and low-order parts.
-        self._principal = _checked_constants(tensor_constants.principal, self.inertia)
+        self._principal = tensor_constants.principal(self.inertia)
         self.principal_moments, self.principal_axes = (high.copy() for high, _ in self._principal)
         self.triangle_excess = _checked_excess(self.principal_moments)
         self.symmetry = _symmetry(self.principal_moments)
         #: Coefficients of Euler's equations, shape (2, 3, 9), and all constants for the kernels.
-        self._coefficients = _checked_constants(tensor_constants.euler_coefficients, self.inertia)
+        self._coefficients = _euler_coefficients(self.inertia)
         self._constants = body_layout.pack(self._coefficients, *self._principal,
                                            _damping_coefficients(self.inertia, self.damping))
         self.inertia.flags.writeable = self.damping.flags.writeable = False
@@ -295,28 +290,22 @@ def rate_in_space(rate_in_body: ArrayLike, angular_velocity: ArrayLike,
     return np.asarray(rate_in_body, float) + np.cross(w, a)
 
 
-def _checked_tensor(values: ArrayLike) -> Floats:
+def _checked_tensor(values: ArrayLike, name: str = 'inertia') -> Floats:
     tensor = np.array(values, float)
     if tensor.shape != (3, 3) or not np.all(np.isfinite(tensor)):
-        raise ValueError('inertia: expected 3 by 3 finite numbers, '
+        raise ValueError(f'{name}: expected 3 by 3 finite numbers, '
                          f'found {quoted(tensor.tolist())}')
     if np.max(np.abs(tensor - tensor.T)) > ROUNDING * np.max(np.abs(tensor)):
-        raise ValueError(f'inertia: expected a symmetric tensor, found {tensor.tolist()}')
+        raise ValueError(f'{name}: expected a symmetric tensor, found {tensor.tolist()}')
     return 0.5 * tensor + 0.5 * tensor.T
 
 
 def _checked_damping(values: ArrayLike | None) -> Floats:
     if values is None:
         return np.zeros((3, 3))
-    damping = np.array(values, float)
-    if damping.shape != (3, 3) or not np.all(np.isfinite(damping)):
-        raise ValueError(f'damping: expected 3 by 3 finite numbers, found {damping.tolist()}')
-    largest = np.max(np.abs(damping))
-    if np.max(np.abs(damping - damping.T)) > ROUNDING * largest:
-        raise ValueError(f'damping: expected a symmetric tensor, found {damping.tolist()}')
-    damping = 0.5 * damping + 0.5 * damping.T
+    damping = _checked_tensor(values, 'damping')
     least = np.linalg.eigvalsh(damping)[0]
-    if least < -ROUNDING * largest:
+    if least < -ROUNDING * np.max(np.abs(damping)):
         raise ValueError('damping: expected a tensor without negative eigenvalues, '
                          f'found {damping.tolist()} with the eigenvalue {least:.6g} N m s/rad')
     return damping
@@ -364,9 +353,9 @@ def _symmetry(moments: Floats) -> str:
     return ('asymmetric top', 'symmetric top', 'sphere')[int(close.sum())]
 
 
-def _checked_constants(constant: Callable[[Floats], Result], tensor: Floats) -> Result:
+def _euler_coefficients(tensor: Floats) -> Floats:
     try:
-        return constant(tensor)
+        return tensor_constants.euler_coefficients(tensor)
     except ArithmeticError:
         raise ValueError('inertia: expected moments whose values and inverses fit a double, '
                          f'found {tensor.tolist()}') from None

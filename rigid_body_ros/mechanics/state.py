@@ -77,12 +77,10 @@ class State:
         """Return a state with exactly these bits; the quaternion is not normalised."""
         state = object.__new__(cls)
         packed.flags.writeable = False
-        for name, value in (('time_ns', time_ns), ('attitude', state_layout.attitude(packed)),
-                            ('angular_velocity', state_layout.angular_velocity(packed)),
-                            ('rotor_momentum', rotors[0]), ('_rotors', rotors),
-                            ('_packed', packed),
-                            ('_origin', origin)):
-            object.__setattr__(state, name, value)
+        state.__dict__.update(
+            time_ns=time_ns, attitude=state_layout.attitude(packed),
+            angular_velocity=state_layout.angular_velocity(packed), rotor_momentum=rotors[0],
+            _rotors=rotors, _packed=packed, _origin=origin)
         return state
 
     def __init__(self, time_ns: int = 0,
