@@ -25,12 +25,13 @@ packages.
 
 import argparse
 import hashlib
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.propagation import Integration
+from rigid_body_ros.propagation import Integration, Problem
 
 SEED, COUNT = 20260101, 200
 SECOND = 10 ** 9
@@ -39,8 +40,8 @@ INTERPOLATIONS = ('hold', 'linear', 'cubic')
 #: Solvers that accept torques.
 SOLVERS = ('auto', 'taylor', 'rk4', 'strang', 'explicit_euler')
 SEQUENCES = ('ZXZ', 'XYX', 'YZY', 'ZYZ', 'XZX', 'YXY', 'XYZ', 'YZX', 'ZXY', 'XZY', 'ZYX', 'YXZ')
-#: Samples on each side that the slopes of the cubic need.
-_BESIDE = 2
+#: Samples on each side that the cubics of a piece, and of the sample after it, need.
+_BESIDE = 3
 
 
 class Motion(NamedTuple):
@@ -172,20 +173,21 @@ def streamed(motion, solver, number):
     """Yield attitude and rates of an Integration that takes its log in pieces."""
     random = np.random.default_rng((SEED, number, 2))
     log, at = motion.log, np.unique(motion.at)
-    run = Integration(motion.body, motion.start, **motion.solver_options(solver))
-    cuts = np.unique(random.integers(2 * _BESIDE, len(log) - 2 * _BESIDE, 4)).tolist()
-    reached, dropped, front = motion.start.time_ns - 1, 0, 0
-    for cut in [*cuts, None]:
-        rows = slice(front, None if cut is None else cut + 1 + _BESIDE)
+    cuts = np.unique(random.integers(4, len(log) - 4, 4)).tolist()
+    run, reached = None, motion.start.time_ns - 1
+    for front, cut in pairwise([0, *cuts, None]):
+        piece = log.rows(slice(max(front - _BESIDE, 0),
+                               None if cut is None else cut + 1 + _BESIDE))
+        if run:
+            run.extend([piece])
+        else:
+            run = Integration(Problem(motion.body, motion.start, piece,
+                                      **motion.solver_options(solver)))
         end = int(at[-1] if cut is None else log.times_ns[cut])
-        asked = at[(at > reached) & (at <= end)]
-        trajectory = run.advance(log.rows(rows), asked, dropped=dropped,
-                                 stop=None if cut is None else cut - front)
+        trajectory = run.advance(at[(at > reached) & (at <= end)], None if cut is None else end)
         yield trajectory.attitude
         yield trajectory.angular_velocity
         reached = max(end, reached)
-        if cut is not None:
-            dropped, front = cut - _BESIDE - front, cut - _BESIDE
 
 
 def groups(motion, number):

@@ -24,6 +24,7 @@ import time
 from live_session import ACCEPTED, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 from rigid_body_ros import messages, recording, so3
+from rigid_body_ros.commands.main import attitude_replay
 from tqdm import tqdm
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -51,8 +52,8 @@ def replay(recording_path, scene, output, *arguments):
     """Run attitude_replay as from the command line."""
     words = [recording_path, '--scene', scene, '-o', output, '--plot', output.with_suffix('.png'),
              '--overwrite', *arguments]
-    status = main.attitude_replay([os.path.relpath(word) if isinstance(word, Path) else word
-                                  for word in words])
+    status = attitude_replay([os.path.relpath(word) if isinstance(word, Path) else word
+                              for word in words])
     if status:
         sys.exit(status)
 

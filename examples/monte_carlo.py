@@ -24,16 +24,15 @@ the numbers are the same in every run.
 The first run takes longer because it compiles the kernels of the package.
 """
 
+from dataclasses import asdict
 from pathlib import Path
 import time
 
 import numpy as np
 from rigid_body_ros import (
-    propagate,
     propagate_many,
-    replay,
+    read,
     RigidBodies,
-    scene,
     so3,
     States,
 )
@@ -60,18 +59,19 @@ def draw(nominal):
 
 
 def main():
-    cubesat = scene.load(ROOT / 'config' / 'tumbler.yaml')
-    _, log, start = replay.read(ROOT / 'test' / 'recordings' / 'tumbler.mcap', cubesat)
+    problem = read(ROOT / 'test' / 'recordings' / 'tumbler.mcap',
+                   ROOT / 'config' / 'tumbler.yaml')
+    start, (log,), options = problem.start, problem.logs, asdict(problem.options)
     end_ns = log.times_ns[-1:]
     starts = States(np.full(BODIES, start.time_ns), start.attitude, start.angular_velocity)
     # The first runs compile the kernels; they are not timed.
-    nominal = propagate(cubesat.body, start, log, at=end_ns, **cubesat.options).attitude[0]
-    propagate_many(RigidBodies([cubesat.body.inertia]), States(start.time_ns), log, at=end_ns)
+    nominal = problem.propagate(at=end_ns).attitude[0]
+    propagate_many(RigidBodies([problem.body.inertia]), States(start.time_ns), log, at=end_ns)
 
     began = time.perf_counter()
-    bodies = draw(cubesat.body)
+    bodies = draw(problem.body)
     drawn = time.perf_counter()
-    motions = propagate_many(bodies, starts, log, at=end_ns, **cubesat.options)
+    motions = propagate_many(bodies, starts, log, at=end_ns, **options)
     done = time.perf_counter()
     distances = so3.angle_between(motions.attitude[:, 0], nominal)
 

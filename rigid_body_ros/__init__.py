@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.mechanics.states import States
     from rigid_body_ros.mechanics.torque import TorqueLog
     from rigid_body_ros.propagation import (
+        Problem,
         propagate,
         propagate_many,
         Propagator,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
         Trajectory,
         warm_up,
     )
+    from rigid_body_ros.recording.problem import read
 else:
     # Importing the engine takes most of a second, and commands must handle signals before.
     #: The module of each public name; a module stands for itself.
@@ -43,6 +45,7 @@ else:
               'Propagator': 'propagation', 'Trajectories': 'propagation',
               'Trajectory': 'propagation', 'propagate': 'propagation',
               'propagate_many': 'propagation', 'warm_up': 'propagation',
+              'Problem': 'propagation', 'read': 'recording.problem',
               'Measured': 'comparison', 'compare': 'comparison', 'read_measured': 'comparison',
               'Experiment': 'identification', 'identify': 'identification',
               **{package: package for package in (
@@ -60,6 +63,6 @@ else:
     def __dir__() -> list[str]:
         return sorted({*globals(), *_HOMES})
 
-__all__ = ['Experiment', 'Measured', 'Propagator', 'RigidBodies', 'RigidBody', 'State', 'States',
-           'TorqueLog', 'Trajectories', 'Trajectory', 'compare', 'identify', 'propagate',
-           'propagate_many', 'read_measured', 'warm_up']
+__all__ = ['Experiment', 'Measured', 'Problem', 'Propagator', 'RigidBodies', 'RigidBody', 'State',
+           'States', 'TorqueLog', 'Trajectories', 'Trajectory', 'compare', 'identify',
+           'propagate', 'propagate_many', 'read', 'read_measured', 'warm_up']

@@ -22,7 +22,7 @@ parameters, so a file means the same to all of them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 import math
 from pathlib import Path
 import re
@@ -35,8 +35,8 @@ from rigid_body_ros.mechanics import euler, urdf
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.frames import Frames
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import INTERPOLATIONS
-from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
+from rigid_body_ros.mechanics.torque import INTERPOLATIONS, TorqueLog
+from rigid_body_ros.propagation import LONGEST, Options, Problem, SOLVERS, TOLERANCES
 from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameter_file import node_parameters
 from rigid_body_ros.runtime.parameters import BIG, checked, is_foreign, Parameter, TINY, Value
@@ -176,10 +176,33 @@ class Scene:
         return f"Scene({source}: {self.body}, {self.start}, solver '{self.solver}')"
 
     @property
-    def options(self) -> dict[str, Any]:
-        """Return the keyword arguments of `propagate`."""
-        return {'solver': self.solver, 'tolerance': self.tolerance,
-                'max_step': self.max_step or None, 'torque_timeout': self.torque_timeout}
+    def options(self) -> Options:
+        """Return the solver and its options."""
+        return Options(self.solver, self.tolerance, self.max_step or None, self.torque_timeout)
+
+    def problem(self, log: TorqueLog | Sequence[TorqueLog] | None = None,
+                wheels: TorqueLog | None = None, start: State | None = None) -> Problem:
+        """
+        Return the problem of this scene under torques.
+
+        Parameters
+        ----------
+        log, wheels
+            As for `Problem`.
+        start : State, optional
+            By default that of the scene.
+
+        Raises
+        ------
+        ValueError
+            As for `Problem`.
+
+        """
+        return Problem(self.body, start or self.start, log, wheels=wheels, **asdict(self.options))
+
+    def starting_at(self, time_ns: int) -> State:
+        """Return the initial state, at a time unless the scene has a start_time."""
+        return replace(self.start, time_ns=self.start.time_ns or time_ns)
 
     @property
     def body_frame(self) -> str:
@@ -248,7 +271,7 @@ class Scene:
 
     def _check(self) -> None:
         """Raise ValueError if values contradict each other."""
-        Options(**self.options).check_linear_terms(self.body.is_damped, self.has_rotors)
+        self.options.check_linear_terms(self.body.is_damped, self.has_rotors)
         _check_topics(self.torque_topics)
         euler.check_sequence(self.euler_sequence)
         for name in ('space_frame', 'body_frame', 'frame_prefix', 'checkpoint'):

@@ -74,6 +74,7 @@ def _use_for_one() -> None:
     propagate(body, start, at=[1])
     propagate(body, start, at=[0, 5], wheels=_WHEELS)
     for logs in _IN_TWO_FRAMES:
+        propagate(body, State(), logs, at=[5])
         motion = propagate(body, start, logs, at=[0, 5], wheels=_WHEELS)
     motion.euler_angles(continuous=True)
     motion.rotor_momentum  # noqa: B018
@@ -86,6 +87,7 @@ def _use_for_many() -> None:
     starts = States(0, np.ones((2, 4)))
     propagate_many(bodies, starts, at=[5])
     for logs in _IN_TWO_FRAMES:
+        propagate_many(bodies, starts, [logs] * 2, at=[5])
         for some in (logs, logs[:1]):
             propagate_many(bodies, starts, [some] * 2, at=[5], wheels=_WHEELS)
 
@@ -97,7 +99,7 @@ def _use_for_files() -> None:
         torques.write_text(_TORQUES)
         replay(torques, scene, recording)
         read(recording, '/attitude', QUATERNION)
-    measure(scene.body, State(angular_velocity=(0.1, 0.2, 0.3)), seconds=0.0)
+    measure(scene.problem(start=State(angular_velocity=(0.1, 0.2, 0.3))), seconds=0.0)
 
 
 if __name__ == '__main__':

@@ -22,7 +22,7 @@ from live_session import ACCEPTED, COMMITTED
 import numpy as np
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter
-from rigid_body_ros import messages, propagate, recording, scene
+from rigid_body_ros import messages, recording, scene
 from rigid_body_ros.replay.verify import verify
 
 TUMBLER = CONFIG / 'tumbler.yaml'
@@ -89,7 +89,7 @@ def replayed(tmp_path, live):
     # Of several states at the start time, the last is the start of the last epoch.
     begin = int(np.flatnonzero(committed.stamps_ns == run.start.time_ns)[-1])
     stamps_ns, values = committed.stamps_ns[begin:], live_values(committed)[begin:]
-    motion = propagate(run.body, run.start, log, at=stamps_ns, **run.options)
+    motion = run.problem(log).propagate(at=stamps_ns)
     return Run(stamps_ns, values, np.hstack([motion.attitude, motion.angular_velocity]),
                recorded.rows(is_torque))
 

@@ -16,7 +16,7 @@
 
 from conftest import CONFIG, SECOND
 import numpy as np
-from rigid_body_ros import messages, propagate, recording, State, TorqueLog
+from rigid_body_ros import messages, recording, State, TorqueLog
 from rigid_body_ros.commands import main
 
 ACCEPTED, ACCEPTED_1, WHEELS = (f'/node/accepted_{name}' for name in (
@@ -55,8 +55,8 @@ def motion_of(run, start, torques, at=None):
     if at is None:
         stamps = np.concatenate([np.empty(0, int), *(log.times_ns for log in logs.values())])
         at = np.union1d([start.time_ns], stamps[stamps > start.time_ns])
-    return propagate(run.body, start, [log for topic, log in logs.items() if topic != WHEELS],
-                     wheels=logs.get(WHEELS), at=at, **run.options)
+    return run.problem([log for topic, log in logs.items() if topic != WHEELS], logs.get(WHEELS),
+                       start).propagate(at=at)
 
 
 def epoch(run, start, torques):

@@ -14,13 +14,14 @@
 
 """A replay piece by piece: the same bits as in one piece, whatever the pieces."""
 
+from itertools import pairwise
 import re
 
 from conftest import at_night, CONFIG, EPOCH_NS, RECORDINGS, SECOND
 import numpy as np
 import pytest
 from rigid_body_ros import messages, propagate, recording, RigidBody, scene, State, TorqueLog
-from rigid_body_ros.propagation import Integration
+from rigid_body_ros.propagation import Integration, Problem
 from rigid_body_ros.recording import torques, writer
 from rigid_body_ros.replay import batches, replay
 from rigid_body_ros.replay.summary import summary
@@ -55,23 +56,53 @@ def test_a_run_in_pieces_has_the_bits_of_the_whole(interpolation, options):
         times = np.sort(np.append(random.integers(start_ns, int(stamps[-1]), 300), start_ns))
         whole = propagate(BODY, start, TorqueLog(stamps, values, frames, interpolation),
                           at=times, **options)
-        run, attitudes, front = Integration(BODY, start, **options), [], 0
-        run.advance(TorqueLog(stamps, values, frames, interpolation), [])  # changes nothing
-        reached, dropped = start.time_ns - 1, 0
-        for cut in cuts:
-            back = None if cut is None else cut + 3
-            log = TorqueLog(stamps[front:back], values[front:back],
-                            frames if isinstance(frames, str) else frames[front:back],
-                            interpolation)
-            end = int(stamps[-1 if cut is None else cut])
-            asked = times[(times > reached) & (times <= end)]
-            motion = run.advance(log, asked, dropped=dropped,
-                                 stop=None if cut is None else cut - front)
-            attitudes.append(motion.attitude)
-            reached = max(end, reached)
-            if cut is not None:
-                dropped, front = cut - 2 - front, cut - 2
+        log = TorqueLog(stamps, values, frames, interpolation)
+        pieces = [log.rows(slice(max(begin - 3, 0), None if end is None else end + 4))
+                  for begin, end in pairwise([0, *cuts])]
+        run, attitudes = Integration(Problem(BODY, start, pieces[0], **options)), []
+        run.advance([])  # changes nothing
+        for number, (piece, cut) in enumerate(zip(pieces, cuts)):
+            if number:
+                run.extend([piece])
+            end = None if cut is None else int(stamps[cut])
+            asked = times[:np.searchsorted(times, stamps[-1] if end is None else end, 'right')]
+            attitudes.append(run.advance(asked, end).attitude)
+            times = times[len(asked):]
         np.testing.assert_array_equal(np.concatenate(attitudes), whole.attitude)
+
+
+@pytest.mark.parametrize('options', [
+    {}, {'torque_timeout': 0.05}, {'solver': 'rk4', 'max_step': 0.01}], ids=str)
+@pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
+@pytest.mark.parametrize('rotors', ['none', 'constant', 'motors'])
+def test_several_sources_in_pieces_have_the_bits_of_the_whole(interpolation, options, rotors):
+    random = np.random.default_rng(11)
+    for trial in range(3):
+        logs = [TorqueLog(*some_torques(random, count), frame, interpolation)
+                for count, frame in ((300, 'body'), (200, 'space' if trial else 'body'))]
+        wheels = TorqueLog(*some_torques(random, 250)) if rotors == 'motors' else None
+        start = State(EPOCH_NS + SECOND, angular_velocity=(2.0, -0.1, 1.0),
+                      rotor_momentum=(0.1, 0.2, 0.0) if rotors != 'none' else (0, 0, 0))
+        whole = Problem(BODY, start, logs, wheels=wheels, **options)
+        ends = np.sort(random.choice(np.concatenate([log.times_ns for log in whole.sources]), 6))
+        ends = [int(end) for end in ends if start.time_ns < end < logs[0].times_ns[-1]]
+        at = np.sort(random.integers(start.time_ns, ends[-1] + SECOND, 200))
+        run, found, begin = None, [], start.time_ns
+        for end in [*ends, None]:
+            pieces = [log.between(begin, at[-1] if end is None else end) for log in logs]
+            motors = wheels and wheels.between(begin, at[-1] if end is None else end)
+            if run:
+                run.extend(pieces, motors)
+            else:
+                run = Integration(Problem(BODY, start, pieces, wheels=motors, **options))
+            asked = at if end is None else at[(at <= end)]
+            found.append(run.advance(asked, end))
+            at, begin = at[len(asked):], end
+        times = np.concatenate([motion.times_ns for motion in found])
+        motion = whole.propagate(at=times)
+        for name in ('attitude', 'angular_velocity', 'rotor_momentum'):
+            np.testing.assert_array_equal(
+                np.concatenate([getattr(each, name) for each in found]), getattr(motion, name))
 
 
 @pytest.mark.parametrize('zero', [False, True], ids=['torque', 'coast'])
@@ -80,9 +111,9 @@ def test_the_end_of_a_piece_may_be_asked_for_more_than_once(zero):
     log = TorqueLog(stamps, np.random.default_rng(9).normal(size=(6, 3)) * (not zero))
     start = State(EPOCH_NS, angular_velocity=(2.0, -0.1, 1.0))
     expected = propagate(BODY, start, log, at=[stamps[3]])
-    run = Integration(BODY, start)
+    run = Integration(Problem(BODY, start, log))
     for asked in ([stamps[3], stamps[1], stamps[3], stamps[3]], [stamps[3]]):
-        motion = run.advance(log, asked, stop=3)
+        motion = run.advance(asked, int(stamps[3]))
         for row in np.flatnonzero(np.equal(asked, stamps[3])):
             np.testing.assert_array_equal(motion.attitude[row], expected.attitude[0])
             np.testing.assert_array_equal(motion.angular_velocity[row],
@@ -170,6 +201,21 @@ def test_a_motion_may_begin_after_the_first_piece(tmp_path, monkeypatch):
     result, whole = replay(path, loaded, tmp_path / 'out.mcap'), replay(path, loaded)
     np.testing.assert_array_equal(result.last.attitude, whole.last.attitude)
     assert (result.first_ns, result.check.total) == (whole.first_ns, whole.check.total)
+
+
+def test_the_last_piece_may_have_no_output(tmp_path, monkeypatch):
+    stamps = EPOCH_NS + np.arange(400) * SECOND // 1000
+    with recording.Writer(tmp_path / 'in.mcap') as log:
+        log.add_topic('/torque', messages.WRENCH)
+        for row, stamp in enumerate(stamps.tolist()):
+            log.write('/torque', stamp, messages.wrench(stamp, '', (0.01 * (row % 5), 0.0, 0.01)))
+    loaded = scene.load(CONFIG / 'tumbler.yaml')
+    whole = replay(tmp_path / 'in.mcap', loaded, rate=3.0)
+    monkeypatch.setattr(writer, '_CHUNK', 2 ** 12)
+    monkeypatch.setattr(torques, '_SAMPLES', 50)
+    result = replay(tmp_path / 'in.mcap', loaded, tmp_path / 'out.mcap', rate=3.0)
+    assert result.interpolation_differences == whole.interpolation_differences
+    assert result.last.attitude.tolist() == whole.last.attitude.tolist()
 
 
 @pytest.mark.parametrize('error', [MemoryError('no room'), RuntimeError('a defect')], ids=repr)

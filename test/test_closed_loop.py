@@ -16,6 +16,7 @@
 """A closed loop in lockstep is one chain, and has the same bits however it is started."""
 
 from contextlib import contextmanager
+from dataclasses import asdict
 import json
 import signal
 import subprocess
@@ -66,7 +67,7 @@ def session(domain, *arguments):
 def expected(end_ns=END_NS):
     """Return the stamps and states, attitude and rates, of the loop closed without ROS."""
     run = scene.load(TUMBLER)
-    propagator, law, states = Propagator(run.body, run.start, **run.options), Pid(), []
+    propagator, law, states = Propagator(run.body, run.start, **asdict(run.options)), Pid(), []
     for stamp_ns in range(0, end_ns, STEP_NS):
         state = propagator.at(stamp_ns)
         states.append([*state.attitude, *state.angular_velocity])

@@ -131,23 +131,23 @@ def tasks(dask_scheduler):
 @pytest.mark.slow
 def test_every_item_is_computed_once(scheduler):
     with cluster.connected(str(scheduler), pytest.fail) as connection:
-        assert sorted(connection.map(abs, range(-50, 0))) == [*range(1, 51)]
+        assert sorted(connection.results(abs, range(-50, 0))) == [*range(1, 51)]
 
 
 @pytest.mark.slow
 def test_an_error_of_the_function_is_raised(scheduler):
     with cluster.connected(str(scheduler), pytest.fail) as connection, \
             pytest.raises(TypeError, match='bad operand'):
-        [*connection.map(abs, [1, '2'])]
+        [*connection.results(abs, [1, '2'])]
 
 
 @pytest.mark.slow
 def test_what_kills_every_worker_ends(scheduler):
     with cluster.connected(str(scheduler), lambda text: None) as connection:
-        found = connection.map(partial(os.execv, '/bin/false'), [['false']],
-                               lambda item, error: [*item, str(error)])
+        found = connection.results(partial(os.execv, '/bin/false'), [['false']],
+                                   lambda item, error: [*item, str(error)])
         assert [*found] == [['false', '4 workers died one after the other']]
-        assert [*connection.map(abs, [-1])] == [1]
+        assert [*connection.results(abs, [-1])] == [1]
 
 
 @pytest.mark.slow
@@ -288,7 +288,7 @@ def error_of(capsys, inputs, scheduler):
 def test_threads_and_a_scheduler_exclude_each_other(inputs, capsys):
     with pytest.raises(SystemExit) as ended:
         main.attitude_ensemble(arguments(inputs, 'out', 10, '--workers', os.cpu_count(),
-                                        '--scheduler', 'scheduler.json'))
+                                         '--scheduler', 'scheduler.json'))
     assert ended.value.code == 2
     assert 'not allowed with argument' in capsys.readouterr().err
 

@@ -23,8 +23,9 @@ import pytest
 from rigid_body_ros import compare, Measured, RigidBody, State, TorqueLog
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison.horizons import horizon
-from rigid_body_ros.comparison.motion import Model, Recorded
+from rigid_body_ros.comparison.motion import Recorded
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.propagation import Problem
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -166,15 +167,15 @@ def test_horizons_skip_a_gap_of_any_length():
     known = free()
     sensor = known.measured(1e-4)
     sensor.stamps_ns[-2:] += 10 ** 18
-    model = Model(known.body, known.start)
+    problem = Problem(known.body, known.start)
     with memory_limit(100e6):
-        assert len(horizon(model, [sensor], 0.5).angles) == 39
+        assert len(horizon(problem, [sensor], 0.5).angles) == 39
 
 
 def test_a_recorded_motion_is_interpolated():
     motion = truth()
     states = Recorded(motion.measured().rows(np.arange(0, 2000, 2)))
-    found = states.at(motion.stamps_ns[1:1990:2])
+    found = states.propagate(at=motion.stamps_ns[1:1990:2])
     assert so3.angle_between(found.attitude, motion.attitude.as_quat()[1:1990:2]).max() < 1e-6
     np.testing.assert_allclose(found.angular_velocity, motion.rates[1:1990:2], atol=1e-2)
 

@@ -116,7 +116,7 @@ def test_a_file_is_read(tmp_path):
     ('torque_gain: {normal: 1, relative: 2}', 'relative: expected true or false, found'),
     ('torque_gain: {normal: 1}\ntorque_gain: {normal: 1}', 'expected each key once'),
     ('{}', 'expected a parameter that varies, found none'),
-    ('torque_gain: 3', "torque_gain: expected keys and values (torque_gain: {normal: 0.03}), "
+    ('torque_gain: 3', 'torque_gain: expected keys and values (torque_gain: {normal: 0.03}), '
      "found '3'"),
     ('torque_gain: {normal: .inf}', "normal: expected a number greater than 0, found ['.inf']"),
     ('torque_gain: {normal: 1e999}', "normal: expected a number greater than 0, found ['1e999']"),

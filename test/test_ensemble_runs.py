@@ -20,7 +20,7 @@ import time
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, State, TorqueLog
-from rigid_body_ros.ensemble import reach, runs
+from rigid_body_ros.ensemble import reach
 from rigid_body_ros.ensemble.dispersions import Dispersion
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.mechanics import so3
@@ -46,9 +46,9 @@ VARY = (Dispersion('inertia', 'relative', (0.05,)), TILT,
         Dispersion('clock_offset', 'normal', (0.01,)))
 
 
-def ensemble(*dispersions, logs=LOGS, **values):
+def ensemble(*dispersions, logs=LOGS, wheels=None, **values):
     scene = Scene.from_values({**SCENE, **values})
-    return Ensemble(scene, scene.start, logs, None, 2 * SECOND, dispersions, 1)
+    return Ensemble(scene.problem(logs, wheels), 2 * SECOND, dispersions, 1)
 
 
 def rows(found, first, stop):
@@ -68,8 +68,7 @@ def numbers(row, prefix, axes='xyz'):
 def test_a_row_has_the_bits_of_propagate_for_its_values(vary):
     found = ensemble(*vary, torque_timeout=0.5,
                      **{} if VARY[3] in vary else {'initial_rotor_momentum.z': 0.0})
-    nominal = propagate(found.scene.body, found.start, LOGS, at=[2 * SECOND],
-                        torque_timeout=0.5).attitude[0]
+    nominal = found.problem.propagate(at=[2 * SECOND]).attitude[0]
     for row in rows(found, 123_456_700, 123_456_800):
         row = {'initial_rotor_momentum.z': 0.0, 'damping.dxx': 1e-4, 'torque_gain': 1.0,
                'torque_bias.x': 0.0, 'clock_offset': 0.0, **row}
@@ -87,7 +86,7 @@ def test_motions_have_the_bits_of_propagate(vary):
                      **{} if VARY[3] in vary else {'initial_rotor_momentum.z': 0.0})
     found = replace(found, times_ns=times)
     assert found.times.tolist() == [0.0, 1e-9, 333_333_333e-9, 1.0, 2.0]
-    nominal = propagate(found.scene.body, found.start, LOGS, at=times, torque_timeout=0.5)
+    nominal = found.problem.propagate(at=times)
     assert np.array_equal(found.nominal_motion, states(nominal))
     for row in rows(found, 77, 97):
         row = {'initial_rotor_momentum.z': 0.0, 'torque_bias.x': 0.0, 'clock_offset': 0.0, **row}
@@ -103,9 +102,9 @@ def test_motions_have_the_bits_of_propagate(vary):
                          ids=['start', 'momentum', 'gain', 'momentum and gain', 'bias'])
 def test_runs_with_rotors_and_sources_have_the_bits_of_propagate(monkeypatch, wheels, logs, vary):
     vary = tuple(one for one in vary if logs or one.key != 'torque_gain')
-    found = replace(ensemble(*vary, logs=logs), wheels=wheels)
+    found = ensemble(*vary, logs=logs, wheels=wheels)
     expected = found.nominal_attitude
-    monkeypatch.delattr(runs, 'propagate')  # all runs are computed at once
+    monkeypatch.delattr(Ensemble, '_one_by_one')  # all runs are computed at once
     for row in rows(found, 40, 60):
         row = {'initial_rotor_momentum.z': 0.003, 'damping.dxx': 1e-4, 'torque_gain': 1.0,
                'torque_bias.x': 0.0, **row}
@@ -147,7 +146,7 @@ def test_long_logs_are_computed_in_blocks_for_which_an_interrupt_need_not_wait(v
     stamps = np.arange(100_000)
     fine = TorqueLog(stamps, np.ones((len(stamps), 3)))
     for logs, wheels in (((fine,), None), (LOGS, fine)):
-        found = replace(ensemble(*vary, logs=logs), wheels=wheels)
+        found = ensemble(*vary, logs=logs, wheels=wheels)
         assert found._at_once * len(stamps) <= 2 ** 22
 
 
@@ -173,13 +172,13 @@ def test_values_are_those_drawn():
         assert abs(values.mean() - mean) < 4 * sigma / np.sqrt(200)
         assert abs(values.std() - sigma) < 4 * sigma / np.sqrt(400)
     attitudes = np.stack([columns[f'initial_attitude.{axis}'] for axis in 'xyzw'], axis=-1)
-    tilts = so3.angle_between(attitudes, found.start.attitude)
+    tilts = so3.angle_between(attitudes, found.problem.start.attitude)
     assert abs(np.mean(tilts ** 2) - 3 * 0.02 ** 2) < 4 * np.sqrt(6 / 200) * 0.02 ** 2
 
 
 def test_a_relative_inertia_is_always_that_of_a_body_and_keeps_its_axes():
     found = ensemble(Dispersion('inertia', 'relative', (0.5,)))
-    axes = found.scene.body.principal_axes
+    axes = found.problem.body.principal_axes
     for moments in axes.T @ found.applied(np.arange(200)).bodies.inertia @ axes:
         np.testing.assert_allclose(moments, np.diag(np.diag(moments)), atol=1e-15)
         assert 2.0 * np.diag(moments).max() < np.trace(moments)
@@ -187,10 +186,10 @@ def test_a_relative_inertia_is_always_that_of_a_body_and_keeps_its_axes():
 
 def test_the_moments_vary_by_at_most_the_given_fraction():
     found = ensemble(Dispersion('inertia', 'relative', (0.05,)))
-    axes = found.scene.body.principal_axes
+    axes = found.problem.body.principal_axes
     tensors = axes.T @ found.applied(np.arange(1000)).bodies.inertia @ axes
     spread = np.std(np.diagonal(tensors, axis1=1, axis2=2), axis=0)
-    spread /= found.scene.body.principal_moments
+    spread /= found.problem.body.principal_moments
     assert np.all((spread > 0.05 * 0.64) & (spread < 0.05 * 1.1))
 
 

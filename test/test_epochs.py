@@ -38,18 +38,17 @@ from node_logs import (
 )
 import numpy as np
 import pytest
-from rigid_body_ros import messages, recording, scene, State
+from rigid_body_ros import messages, read, recording, scene, State
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import LONGEST
-from rigid_body_ros.comparison.recorded import Reading
 from rigid_body_ros.identification.recorded import read_experiment
 from rigid_body_ros.recording import torques, writer
-from rigid_body_ros.replay import epochs, read, replay
+from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.many import replay_many
-from rigid_body_ros.replay.sources import Topics
 from rigid_body_ros.replay.summary import summary
 from rigid_body_ros.replay.verify import verify
 from rigid_body_ros.scene import InputError
+from rigid_body_ros.sensing.recorded import Reading
 
 ONE_MOTION = [name for name in COMMANDS if name not in ('replay', 'verify')]
 
@@ -295,7 +294,9 @@ def with_rotors(start):
     return State(start.time_ns, start.attitude, start.angular_velocity, (0.01, -0.02, 0.03))
 
 
-def test_several_topics_have_the_same_epochs(wheeled, tmp_path):
+@pytest.mark.parametrize('block', [2 ** 20, 2 ** 12], ids=['one block', 'several'])
+def test_several_topics_have_the_same_epochs(wheeled, tmp_path, monkeypatch, block):
+    monkeypatch.setattr(writer, '_CHUNK', block)  # what is read at a time
     starts = with_rotors(FIRST), SECOND_START
     given = [sources(wheeled, start, 20 + k) for k, start in enumerate(starts)]
     log = save(tmp_path / 'log.mcap', [one for each in zip(starts, given)
@@ -379,17 +380,19 @@ def test_the_rotors_of_an_epoch_are_those_of_its_marker(run, tmp_path):
 def test_one_motion_is_that_of_the_epoch_that_the_scene_names(two, tmp_path, begin):
     run = scene.load(CONFIG / 'tumbler.yaml')
     named = replace(run, start=replace(run.start, time_ns=begin.time_ns))
-    _, log, start = read(two, named)
+    problem = read(two, named)
+    (log,), start = problem.logs, problem.start
     given = TORQUES if begin is FIRST else MORE
     assert [*zip(log.times_ns.tolist(), map(tuple, log.torques.tolist()))] == given[ACCEPTED]
     assert (start.time_ns, start.attitude.tolist()) == (begin.time_ns, begin.attitude.tolist())
 
 
 def test_of_equal_starts_the_last_epoch_is_meant():
-    same = State(5), State(7), State(5), State(9)
     run = scene.load(CONFIG / 'tumbler.yaml')
-    assert epochs.chosen('', replace(run, start=State(5)), same) == 2
-    assert epochs.chosen('', replace(run, start=State(1)), same[:1]) == 0
+    same = [recording.Logged(run.problem(start=State(begin_ns)), False, 0, 0, True, '', ())
+            for begin_ns in (5, 7, 5, 9)]
+    assert recording.chosen('', replace(run, start=State(5)), same) is same[2]
+    assert recording.chosen('', replace(run, start=State(1)), same[:1]) is same[0]
 
 
 @pytest.mark.slow
@@ -412,8 +415,8 @@ def test_measurements_of_other_epochs_are_left_out(two, tmp_path, start, count):
     found = json.loads((tmp_path / 'out.json').read_text())
     assert (found['samples'], found['left_out']) == (count, 71 - count)
     assert found['attitude_error_rad']['max'] < 1e-15
-    sensor, = read_experiment(two, scene.load(tmp_path / 'scene.yaml'), [COMMITTED], Topics(),
-                              Reading()).measured
+    sensor, = read_experiment(two, scene.load(tmp_path / 'scene.yaml'),
+                              Reading((COMMITTED,))).measured
     assert np.sum(sensor.stamps_ns >= start.time_ns) == count
 
 

@@ -223,7 +223,7 @@ def test_monte_carlo_tells_the_distances_from_the_right_motion(of_two_monte_carl
     tumbler = scene.load(TUMBLER[1])
     result = replay(TUMBLER[0], tumbler)
     assert nominal == result.last.attitude.tolist()
-    given = (result.start, result.log)
+    given = (result.start, result.problem.logs)
     rk4 = propagate(tumbler.body, *given, at=[result.last_ns], solver='rk4', max_step=1e-3)
     assert chord(rk4.attitude[0], nominal) < 1e-9
     ends = [propagate(body, *given, at=[result.last_ns]).attitude[0]

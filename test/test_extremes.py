@@ -22,8 +22,8 @@ import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.mechanics import euler, so3
-from rigid_body_ros.propagation import SOLVERS
-from rigid_body_ros.tradeoff.problem import Problem, Reference
+from rigid_body_ros.propagation import Problem, SOLVERS
+from rigid_body_ros.tradeoff.problem import Case, Reference
 from scenes import FIXED_STEP, FULL, FULL_RATES, SCENES
 
 pytestmark = pytest.mark.slow
@@ -63,7 +63,8 @@ def test_motion_is_that_of_fifty_digits(scene):
 
 def check_estimates(scene):
     """Check what a trade estimates; here, because the truth of these scenes takes seconds."""
-    reference = Reference.of(Problem(scene.body, scene.start, (scene.log,), scene.times_ns))
+    problem = Problem(scene.body, scene.start, scene.log)
+    reference = Reference.of(Case(problem, scene.times_ns))
     apart, _ = scene.errors(reference.trajectory)
     assert apart.max() <= 1.5 * reference.floor
     assert reference.floor <= (scene.growth if scene.amplifies else 10.0 * scene.bar)

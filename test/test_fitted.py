@@ -21,15 +21,14 @@ from measurements import messages_of, torque_messages
 import numpy as np
 from pyarrow import parquet
 import pytest
-from rigid_body_ros import propagate, RigidBody, State
+from rigid_body_ros import RigidBody, State
 from rigid_body_ros.commands import main
 from rigid_body_ros.ensemble import fitted
 from rigid_body_ros.ensemble.dispersions import UNITS
 from rigid_body_ros.ensemble.runs import Ensemble
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.replay import torques
-from rigid_body_ros.replay.sources import Topics
-from rigid_body_ros.scene import load, Scene
+from rigid_body_ros.recording import read_problem
+from rigid_body_ros.scene import Scene
 
 NAMES = ('inertia.ixx', 'initial_angular_velocity.y', 'torque_gain', 'torque_bias.z')
 MEAN, SIGMA = np.array([0.02, -0.7, 1.01, 2e-5]), np.array([3e-5, 1e-3, 2e-2, 4e-7])
@@ -107,7 +106,7 @@ def test_an_impossible_body_is_a_row_with_its_reason(tmp_path):
     fit = fitted.load(written(tmp_path / 'fitted.json', names, moments, np.eye(3) * 0.01 ** 2))
     scene = Scene.from_values({'inertia.ixx': 1, 'inertia.iyy': 1, 'inertia.izz': 1,
                                'initial_angular_velocity.x': 1.0})
-    rows = Ensemble(scene, scene.start, (), None, 10 ** 9, (), 1, fit).rows(0, 50)
+    rows = Ensemble(scene.problem(), 10 ** 9, (), 1, fit).rows(0, 50)
     failed = rows['message'][rows['status'] == 'failed']
     assert 5 < len(failed) < 45
     assert all(message.startswith('inertia: ') for message in failed)
@@ -233,8 +232,8 @@ def test_the_true_motion_ends_within_the_spread(fit, tmp_path):
 
 def test_a_row_has_the_bits_of_propagate_for_its_values(fit, tmp_path):
     assert ensemble(fit, 'fitted.yaml', tmp_path / 'out') == 0
-    scene = load(fit / 'fitted.yaml')
-    (log,), _, _, start = torques(fit / 'in.mcap', scene, Topics())
+    problem = read_problem(fit / 'in.mcap', fit / 'fitted.yaml')
+    (log,), start = problem.logs, problem.start
     for row in parquet.read_table(tmp_path / 'out' / 'runs.parquet').to_pylist()[::40]:
         def numbers(prefix, axes='xyz', row=row):
             return [row[f'{prefix}{axis}'] for axis in axes]
@@ -242,7 +241,8 @@ def test_a_row_has_the_bits_of_propagate_for_its_values(fit, tmp_path):
         begin = State(start.time_ns, numbers('initial_attitude.', 'xyzw'),
                       numbers('initial_angular_velocity.'))
         bias = type(log)([start.time_ns], [numbers('torque_bias.')])
-        motion = propagate(body, begin, [log, bias], at=log.times_ns[-1:], **scene.options)
+        motion = problem.replaced(body=body, start=begin, log=[log, bias]).propagate(
+            at=log.times_ns[-1:])
         assert numbers('attitude.', 'xyzw') == motion.attitude[0].tolist()
         assert numbers('angular_velocity.') == motion.angular_velocity[0].tolist()
 

@@ -280,7 +280,7 @@ def test_a_replay_of_wrenches_is_that_of_their_torques(tmp_path, scene_file, for
         result = replay(source, loaded, output)
         kept = replay(source, loaded)
         assert kept.trajectory.attitude[-1].tolist() == result.last.attitude.tolist()
-        ends.append([*motion(output), kept.log.torques.tobytes(),
+        ends.append([*motion(output), kept.problem.logs[0].torques.tobytes(),
                      kept.trajectory.attitude.tobytes()])
     assert ends[0] == ends[1]
 
@@ -311,14 +311,15 @@ def test_interpolation_goes_from_frame_to_frame(tmp_path, scene_file):
     path = bags.FORMS['mcap-zstd'](tmp_path, bags.traffic(sent))
     result = replay(path, scene.load(scene_file()), interpolation='linear')
     expected = TorqueLog(sent.stamps_ns, converted(sent).values[:, 3:], interpolation='linear')
-    assert result.log.torques.tobytes() == expected.torques.tobytes()
-    assert not result.log.in_space.any()
+    assert result.problem.logs[0].torques.tobytes() == expected.torques.tobytes()
+    assert not result.problem.logs[0].in_space.any()
 
 
 def test_a_csv_file_has_torques_about_the_centre_of_mass(tmp_path, scene_file):
     (tmp_path / 'log.csv').write_text('1,-0.0,5e-324,1e-3\n2,0,0,-0.1\n')
     result = replay(tmp_path / 'log.csv', scene.load(scene_file()))
-    assert result.log.torques.tobytes() == np.array([[-0.0, 5e-324, 1e-3], [0, 0, -0.1]]).tobytes()
+    expected = np.array([[-0.0, 5e-324, 1e-3], [0, 0, -0.1]])
+    assert result.problem.logs[0].torques.tobytes() == expected.tobytes()
 
 
 @pytest.mark.parametrize(('frame_id', 'wrench', 'message'), [
@@ -360,4 +361,4 @@ def test_a_force_that_has_no_lever_arm_may_be_anything(tmp_path, scene_file):
         writer.write('/torque', EPOCH_NS, messages.WRENCH.encode(
             EPOCH_NS, 'world', [np.nan, np.inf, 1.0, 0.0, 0.0, 0.5]))
     result = replay(path, scene.load(scene_file()), until=1.0)
-    assert result.log.torques.tolist() == [[0.0, 0.0, 0.5]]
+    assert result.problem.logs[0].torques.tolist() == [[0.0, 0.0, 0.5]]

@@ -179,6 +179,14 @@ def test_torque_gain_and_bias_with_a_known_inertia():
                             'torque_bias.y': bias[1], 'torque_bias.z': bias[2]})
 
 
+def test_a_torque_bias_does_not_time_out():
+    truth = Truth(seconds=2.0, amplitude=0.0, bias=(0.002, -0.001, 0.003))
+    result = identify(RigidBody(INERTIA), Experiment(truth.start, None, [truth.measured()]),
+                      estimate=['start', 'torque_bias'], torque_timeout=0.03)
+    values = [result.estimates[f'torque_bias.{axis}'].value for axis in 'xyz']
+    np.testing.assert_allclose(values, truth.bias, rtol=1e-6)
+
+
 def test_torque_bias_and_inertia():
     truth = Truth(bias=(0.002, -0.001, 0.003))
     result = identify(GUESS, truth.experiment(truth.measured(ATTITUDE, RATE)),

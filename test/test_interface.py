@@ -22,9 +22,11 @@ import rigid_body_ros
 from rigid_body_ros import (
     Experiment,
     identify,
+    Problem,
     propagate,
     propagate_many,
     Propagator,
+    read,
     RigidBody,
     State,
     States,
@@ -45,6 +47,10 @@ SIGNATURES = [
             'rotor_momentum=(0.0, 0.0, 0.0)'),
     (TorqueLog, "times_ns, torques, frame='body', interpolation='hold'"),
     (TorqueLog.from_momentum, 'times_ns, momenta'),
+    (Problem, f'body, start, log=None, *, wheels=None, {OPTIONS}'),
+    (Problem.propagate, 'self, *, at'),
+    (read, 'path, scene, *, topic=None, wheel_torque=None, wheel_momentum=None, '
+           "interpolation=None, time_source='header'"),
     (propagate, f'body, start, log=None, *, at, wheels=None, {OPTIONS}'),
     (propagate_many, 'bodies, starts, log=None, *, at, wheels=None, torque_gains=None, '
                      f'{OPTIONS}'),
@@ -78,9 +84,9 @@ def test_parameters_and_defaults_are_those_documented(function, parameters):
 
 def test_the_top_level_has_these_names():
     assert sorted(rigid_body_ros.__all__) == [
-        'Experiment', 'Measured', 'Propagator', 'RigidBodies', 'RigidBody', 'State', 'States',
-        'TorqueLog', 'Trajectories', 'Trajectory', 'compare', 'identify', 'propagate',
-        'propagate_many', 'read_measured', 'warm_up']
+        'Experiment', 'Measured', 'Problem', 'Propagator', 'RigidBodies', 'RigidBody', 'State',
+        'States', 'TorqueLog', 'Trajectories', 'Trajectory', 'compare', 'identify', 'propagate',
+        'propagate_many', 'read', 'read_measured', 'warm_up']
     assert (rigid_body_ros.mechanics.so3, rigid_body_ros.mechanics.euler) == (so3, euler)
 
 

@@ -23,8 +23,6 @@ import sys
 from conftest import at_night, ROOT
 import pytest
 
-#: Names that still stand for several classes.
-SHARED = ['Extras', 'Model', 'States']
 PYTHON = ['benchmarks', 'docs', 'examples', 'launch', 'rigid_body_ros', 'setup.py', 'test']
 
 
@@ -51,4 +49,4 @@ def test_a_class_name_is_defined_once():
     for path in (ROOT / 'rigid_body_ros').rglob('*.py'):
         names.update(re.findall(r'^ *class (\w+)[(:]', path.read_text(encoding='utf-8'),
                                 re.MULTILINE))
-    assert sorted(name for name, count in names.items() if count > 1) == SHARED
+    assert sorted(name for name, count in names.items() if count > 1) == []

@@ -18,6 +18,7 @@ from itertools import product
 
 from conftest import at_night
 from kernels import callable_
+import numba
 import numpy as np
 import pytest
 from rigid_body_ros import (
@@ -33,7 +34,7 @@ from rigid_body_ros.kernels import motion_layout
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.propagation import group, groups, layout, loop
 from rigid_body_ros.propagation.group import Group
-from rigid_body_ros.propagation.layout import Log
+from rigid_body_ros.propagation.layout import Rows
 from rigid_body_ros.propagation.options import Options
 
 SECOND = 10 ** 9
@@ -204,10 +205,20 @@ def test_a_run_that_becomes_too_fast_does_not_disturb_those_beside_it():
 def gathered(bodies, starts, polynomials, at):
     """Return all runs at their beginning, of which the first fill the lanes."""
     count = len(bodies)
-    return Group(np.arange(LANES), np.concatenate([starts._packed] * 3, axis=1),
-                 np.zeros((count, layout.DONE + 1), np.int64),
+    progress = np.zeros(count, layout.PROGRESS)
+    progress['grid'] = progress['begin'] = starts._packed
+    progress['stop'] = polynomials.shape[1]
+    return Group(np.arange(LANES), progress,
                  np.empty((count, len(at) * motion_layout.SIZE)), bodies._constants,
                  np.ones(count), polynomials, callable_(group.workspace)())
+
+
+def advance(runs, count, waiting, at, order, rows, methods):
+    """Call `groups.advance`, which only kernels can call."""
+    @numba.njit
+    def called(runs, count, waiting, at, order, rows, methods):
+        return groups.advance(runs, count, waiting, at, order, rows, layout.load_method(methods))
+    return called(runs, count, waiting, at, order, rows, methods)
 
 
 @pytest.mark.nightly  # compiles for half a minute
@@ -220,10 +231,10 @@ def test_runs_like_each_other_step_together(interval_ns, samples, own):
     runs = gathered(RigidBodies(bodies.inertia[alike]),
                     States(0, starts.attitude[alike], starts.angular_velocity[alike]),
                     np.stack([log.torques[:, None]] * (LANES if own else 1)), [end_ns])
-    piece = Log(log.times_ns, log.torques[:, None], log.in_space, 0, samples, 0)
-    found = callable_(groups.advance)(runs, LANES, np.arange(0), np.array([end_ns]),
-                                      loop.IN_ORDER, piece, Options().settings)
-    left = end_ns - runs.progress[:, layout.GRID_NS]
+    rows = Rows(log.times_ns, log.torques[:, None], log.in_space, np.empty(0))
+    found = advance(runs, LANES, np.arange(0), np.array([end_ns]), loop.IN_ORDER, rows,
+                    Options().method)
+    left = end_ns - runs.progress['grid_ns']
     assert found.steps > 50
     assert (left.min() >= 0) & (left.max() < 0.1 * end_ns)
 
@@ -243,11 +254,10 @@ def test_a_run_that_ends_gives_its_lane_to_the_next():
     (bodies, starts), at = unlike(5 * LANES), np.array([100 * SECOND])
     log = TorqueLog([0], [[0.01, 0.02, -0.01]])
     runs = gathered(bodies, starts, log.torques[None, :, None], at)
-    piece = Log(log.times_ns, log.torques[:, None], log.in_space, 0, 1, 0)
+    rows = Rows(log.times_ns, log.torques[:, None], log.in_space, np.empty(0))
     waiting = np.arange(LANES, 5 * LANES)
-    found = callable_(groups.advance)(runs, LANES, waiting, at, loop.IN_ORDER, piece,
-                                      Options().settings)
-    done = runs.progress[:, layout.DONE] == 1
+    found = advance(runs, LANES, waiting, at, loop.IN_ORDER, rows, Options().method)
+    done = runs.progress['done'] == 1
     assert found.taken == len(waiting)
     assert done.sum() >= len(bodies) - 2  # which are quicker one by one
     expected = propagate_many(bodies, starts, log, at=at)

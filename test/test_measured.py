@@ -14,6 +14,7 @@
 
 """Measured topics in recordings, and the command that compares them."""
 
+from dataclasses import replace
 from html import escape
 import json
 import shutil
@@ -33,11 +34,13 @@ from measurements import (
 import numpy as np
 from pages import array, data_of
 import pytest
-from rigid_body_ros import messages, recording
+from rigid_body_ros import messages, recording, State
 from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison import read_measured
+from rigid_body_ros.comparison.recorded import compare_recording
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.scene import load
 from scipy.spatial.transform import Rotation
 
 BOTH, ATTITUDES = ('Imu', 'Odometry'), (
@@ -326,6 +329,41 @@ def test_the_command_aligns(run, tmp_path):
     found = json.loads((tmp_path / 'it.json').read_text())['alignment']
     assert found['clock_offset_s'] == pytest.approx(0.035, abs=1e-3)
     assert so3.angle_between(found['mount_xyzw'], mount.as_quat()) < 2e-3
+
+
+def aligned_in_first_epoch(tmp_path, clock):
+    """Compare with the first of two epochs of ten seconds, and fit how late the sensor is."""
+    motion, path = truth(seconds=10.0), tmp_path / 'two.mcap'
+    with recording.Writer(path) as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        writer.add_topic('/odom', messages.ODOMETRY)
+        for later, one in ((0, motion), (10 * SECOND, truth(seconds=10.0, seed=2))):
+            start, sensor = one.start, one.measured(clock=clock)
+            writer.write('/torque', 1, messages.epoch_marker(
+                replace(start, time_ns=start.time_ns + later)))
+            for stamp, torque in zip(one.torque_times.tolist(), one.torques):
+                writer.write('/torque', 1, messages.wrench(stamp + later, '', torque))
+            for stamp, *state in zip(sensor.stamps_ns.tolist(), sensor.attitude,
+                                     sensor.angular_velocity):
+                writer.write('/odom', 1, messages.odometry(
+                    State(stamp + later, *state), 'world', 'base_link'))
+    scene = load(write_scene(tmp_path / 'scene.yaml', motion))
+    scene = replace(scene, start=replace(scene.start, time_ns=motion.start.time_ns))
+    return compare_recording(path, scene, align=['clock'])
+
+
+@pytest.mark.parametrize('clock', [0.5, -0.5, 4.0])
+def test_a_clock_that_is_off_moves_the_end_of_an_epoch(tmp_path, clock):
+    found = aligned_in_first_epoch(tmp_path, clock)
+    assert found.alignment.clock_offset_s == pytest.approx(clock, abs=1e-6)
+    assert (found.samples, found.left_out) == (1000, 1000)
+    assert found.as_dict()['attitude_error_rad']['max'] < 1e-5
+
+
+def test_measurements_of_later_epochs_only_are_rejected(tmp_path):
+    with pytest.raises(InputError, match='two.mcap: /odom: expected measurements before the next '
+                                         'epoch, which begins at .* ns on their clock, found'):
+        aligned_in_first_epoch(tmp_path, -15.0)
 
 
 def test_a_recorded_motion_is_compared(run, tmp_path, bag, scene):

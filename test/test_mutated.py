@@ -31,7 +31,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import messages, recording
 from rigid_body_ros.commands import ensemble as ensemble_command
-from rigid_body_ros.commands.arguments import parsed
+from rigid_body_ros.commands.arguments import load_scene, parsed
 
 #: For a thorough run 20 000.
 EXAMPLES = int(os.environ.get('FUZZ_EXAMPLES', '500'))
@@ -141,7 +141,7 @@ def dispersed(path, scene, recorded):
         options = parsed(ensemble_command.ensemble_parser(), [
             '--scene', str(scene), '--recording', str(recorded), '--vary', str(path), '--runs',
             '3', '-o', str(path.parent / 'out')])
-        rows = ensemble_command._ensemble(options).rows(0, 3)
+        rows = ensemble_command._ensemble(options, load_scene(options)).rows(0, 3)
         assert {*rows['status']} <= {'ok', 'failed'}
         return 0
     return line_of(run, 'attitude_ensemble')

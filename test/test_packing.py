@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import propagate, Propagator, RigidBody
 from rigid_body_ros.kernels import body_layout, motion_layout, state_layout
-from rigid_body_ros.propagation import Integration, layout, Options
+from rigid_body_ros.propagation import layout, Options, Problem
 from rigid_body_ros.propagation.solvers import RECORDS
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
@@ -95,28 +95,33 @@ def test_a_kernel_reads_and_writes_states_and_motions():
 @pytest.mark.parametrize('max_step', [1e-9, 0.3, 1e6 + 1e-9, 1e300])
 def test_a_kernel_reads_the_options_exactly(solver, max_step):
     options = Options(solver.name, 1e-7, max_step, 1e9 - 1e-9)
-    method = callable_(layout.unpack_method)(options.settings)
+    method = callable_(layout.load_method)(options.method)
     assert method.solver == solver.code
     assert method.fixed_step == solver.fixed_step
     assert method.closed_form_beyond == solver.closed_form_beyond
     assert method.tolerance == 1e-7
     assert method.max_step_ns == options.max_step_ns
-    assert callable_(layout.unpack_timeout)(options.settings) == options.timeout_ns
 
 
 @pytest.mark.slow
 def test_a_kernel_reads_and_writes_progress():
-    read = callable_(layout.load_place)(layout.pack_place(2 ** 62 + 1, -5, -1, True))
-    assert read == (2 ** 62 + 1, -5, -1, True, 0)
-    progress = layout.pack_place(0, 0, 0)
-    numba.njit(lambda place, progress: layout.store_place(place, progress))(read, progress)
-    assert progress.tolist() == [2 ** 62 + 1, -5, -1, 1, 0]
+    states = np.random.default_rng(0).normal(size=(2, state_layout.SIZE))
+    given = layout.begun(states[0], 2 ** 62 + 1, states[1], -5, -1, 7)
+    assert callable_(layout.load_place)(given) == (2 ** 62 + 1, -5, -1, 0)
+    progress = np.zeros(1, layout.PROGRESS)
+    numba.njit(lambda given, progress: layout.store_place(
+        layout.load_place(given), progress))(given, progress)
+    numba.njit(lambda given, progress: layout.store_states(
+        layout.load_states(given), progress))(given, progress)
+    for name in ('grid_ns', 'begin_ns', 'row', 'done', 'grid', 'begin', 'latest'):
+        np.testing.assert_array_equal(progress[name], given[name])
+    assert (given['stop'], given['budget']) == (7, layout.BUDGET)
 
 
 def test_the_options_are_frozen_and_their_defaults_are_those_of_every_entry():
     with pytest.raises(AttributeError):
         Options().solver = 'rk4'
-    for entry in (propagate, Propagator.__init__, Integration.__init__):
+    for entry in (propagate, Propagator.__init__, Problem.__init__):
         defaults = entry.__kwdefaults__
         assert Options(*(defaults[name] for name in (
             'solver', 'tolerance', 'max_step', 'torque_timeout'))) == Options()

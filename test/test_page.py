@@ -23,7 +23,7 @@ import browser
 from conftest import CONFIG, EPOCH_NS, RECORDINGS, SECOND
 import numpy as np
 import pytest
-from rigid_body_ros import messages, propagate, recording, replay, scene
+from rigid_body_ros import messages, read, recording
 from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics import so3
 
@@ -78,11 +78,10 @@ def reported(path, *arguments):
 
 def attitudes(seconds):
     """Return the attitudes of the tumbler, as computed by the library."""
-    tumbler = scene.load(TUMBLER[2])
-    _, log, start = replay.read(TUMBLER[0], tumbler)
-    times = start.time_ns + np.round(np.array(seconds) * 1e9).astype(np.int64)
+    problem = read(TUMBLER[0], TUMBLER[2])
+    times = problem.start.time_ns + np.round(np.array(seconds) * 1e9).astype(np.int64)
     order = np.argsort(times)
-    motion = propagate(tumbler.body, start, log, at=times[order], **tumbler.options)
+    motion = problem.propagate(at=times[order])
     return motion.attitude[np.argsort(order)]
 
 

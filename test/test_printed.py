@@ -92,7 +92,7 @@ def test_names_of_many_files_and_of_a_motion_to_verify(flight, tmp_path, capfdbi
     broken = tmp_path / 'b' / f'broken{FILE}.mcap'
     broken.write_bytes(b'nothing')
     assert main.attitude_replay([*map(str, (path, broken, '--scene', scene, '-o',
-                                           tmp_path / FILE))]) == 2
+                                            tmp_path / FILE))]) == 2
     assert '1 of 2 written' in printed(capfdbinary)
     motion = tmp_path / 'motion.mcap'
     assert run('attitude_replay', scene, path, '-o', motion) == 0
@@ -110,13 +110,13 @@ def test_names_of_a_trade(flight, tmp_path, capfdbinary):
     outputs = '--plot', tmp_path / 'out.png', '--report', tmp_path / 'out.html'
     scene, path = flight
     assert main.attitude_tradeoff([*map(str, ('--scene', scene, '--recording', path, '--topic',
-                                             TOPIC, *outputs))]) == 0
+                                              TOPIC, *outputs))]) == 0
     printed(capfdbinary)
 
 
 def ensemble(scene, vary, *options):
     return main.attitude_ensemble([*map(str, ('--scene', scene, '--vary', vary, '--runs', 10,
-                                             *options))])
+                                              *options))])
 
 
 @pytest.mark.slow

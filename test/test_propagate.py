@@ -20,8 +20,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
 from rigid_body_ros.mechanics import so3
-import rigid_body_ros.mechanics.torque as torque_module
-from rigid_body_ros.propagation import layout, loop, warm_up
+from rigid_body_ros.propagation import layout, loop, timeline, warm_up
 import truth
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
@@ -90,7 +89,7 @@ def test_a_log_longer_than_a_chunk_has_no_seam(monkeypatch, interpolation):
     log = TorqueLog(stamps, torques, interpolation=interpolation)
     whole = propagate(BODY, START, log, at=stamps[stamps >= EPOCH_NS], torque_timeout=0.05)
     for size in (1, 2, 7):
-        monkeypatch.setattr(torque_module, '_CHUNK', size)
+        monkeypatch.setattr(timeline, '_CHUNK', size)
         cut = propagate(BODY, START, log, at=whole.times_ns, torque_timeout=0.05)
         np.testing.assert_array_equal(cut.attitude, whole.attitude)
 
@@ -266,7 +265,7 @@ def test_a_kernel_that_returns_midway_goes_on_with_the_same_bits(monkeypatch, bu
     log = TorqueLog(stamps, torques, frames)
     times = EPOCH_NS + np.arange(0, 30 * SECOND, SECOND // 3)
     whole = propagate(BODY, START, log, at=times)
-    monkeypatch.setattr(loop, 'BUDGET', budget)
+    monkeypatch.setattr(layout, 'BUDGET', budget)
     np.testing.assert_array_equal(propagate(BODY, START, log, at=times).attitude, whole.attitude)
     propagator = Propagator(BODY, START, history=100.0)
     for stamp, torque, frame in zip(stamps.tolist(), torques, frames):
@@ -286,16 +285,16 @@ def test_a_kernel_returns_after_a_bounded_number_of_steps_and_outputs(monkeypatc
     whole = propagate(BODY, START, log, at=at)
     progress, run = [], loop.run
 
-    def recorded(states, place, *rest):
-        before = place.copy()
-        fast = run(states, place, *rest)
-        progress.append((place - before)[[layout.SAMPLE, layout.DONE]])
-        return fast
-    monkeypatch.setattr(loop, 'BUDGET', 1000)
+    def recorded(reached, *rest):
+        before = reached.copy()
+        result = run(reached, *rest)
+        progress.append([(reached[name] - before[name])[0] for name in ('row', 'done')])
+        return result
+    monkeypatch.setattr(layout, 'BUDGET', 1000)
     monkeypatch.setattr(loop, 'run', recorded)
     cut = propagate(BODY, START, log, at=at)
     assert len(progress) > 1
-    assert np.max(progress) <= 1000 + 2  # a first call counts from IN_FORCE
+    assert np.max(progress) <= 1000
     np.testing.assert_array_equal(cut.attitude, whole.attitude)
     np.testing.assert_array_equal(cut.angular_velocity, whole.angular_velocity)
 
@@ -412,11 +411,11 @@ class TestPropagator:
         # An hour of coast asked for at 10 Hz: each call goes on from the one before.
         spans, run = [], loop.run
 
-        def recorded(states, place, *rest):
-            before_ns = int(place[layout.GRID_NS])
-            fast = run(states, place, *rest)
-            spans.append(place[layout.GRID_NS] - before_ns)
-            return fast
+        def recorded(progress, *rest):
+            before_ns = int(progress['grid_ns'][0])
+            result = run(progress, *rest)
+            spans.append(int(progress['grid_ns'][0]) - before_ns)
+            return result
         monkeypatch.setattr(loop, 'run', recorded)
         propagator = Propagator(BODY, START, solver='taylor', history=1.0)
         for number in range(0, 36_000, 3):

@@ -436,7 +436,7 @@ def test_the_same_definition_may_be_written_in_other_ways(tmp_path, definition):
 
 
 #: A definition as rosidl writes it.
-ROSIDL = '''{equals}
+ROSIDL = """{equals}
 IDL: geometry_msgs/msg/PoseWithCovarianceStamped
 // generated from rosidl_adapter/resource/msg.idl.em
 #include "geometry_msgs/msg/PoseWithCovariance.idl"
@@ -469,7 +469,7 @@ module geometry_msgs {{
     }};
   }};
 }};
-'''.format(equals='=' * 80)
+""".format(equals='=' * 80)
 
 
 def test_a_definition_of_rosidl_is_the_standard_one(tmp_path):

@@ -184,8 +184,7 @@ def test_work_and_energy_agree(name, interpolation):
     config = CONFIG / f'{name}.yaml'
     config = config if config.exists() else RECORDINGS / f'{name}.yaml'
     result = replay(RECORDINGS / f'{name}.mcap', scene.load(config), interpolation=interpolation)
-    imbalance, seconds = energy_balance(result.scene, result.log, result.start,
-                                        result.trajectory)
+    imbalance, seconds = energy_balance(result.problem, result.trajectory)
     assert imbalance < 1e-9
     span = result.trajectory.times_ns[-1] - result.start.time_ns
     assert seconds == pytest.approx(span * 1e-9)
@@ -194,7 +193,7 @@ def test_work_and_energy_agree(name, interpolation):
 @pytest.mark.slow
 def test_work_and_energy_are_compared_over_what_memory_allows(monkeypatch):
     result = replay(RECORDINGS / 'fast_spin.mcap', scene.load(RECORDINGS / 'fast_spin.yaml'))
-    motion = result.scene, result.log, result.start, result.trajectory
+    motion = result.problem, result.trajectory
     whole, seconds = energy_balance(*motion)
     monkeypatch.setattr('rigid_body_ros.replay.check._MOST_INTERVALS', 1000)
     part, first = energy_balance(*motion)

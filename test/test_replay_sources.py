@@ -94,8 +94,7 @@ def expected(path, logs, wheels=None):
     begin = State(STARTED, loaded.start.attitude, loaded.start.angular_velocity,
                   loaded.start.rotor_momentum)
     stamps = [one.times_ns for one in (*logs, wheels) if one]
-    return propagate(loaded.body, begin, logs, wheels=wheels, at=np.unique(np.hstack(stamps)),
-                     **loaded.options)
+    return loaded.problem(logs, wheels, begin).propagate(at=np.unique(np.hstack(stamps)))
 
 
 def check_written(path, motion, has_rotors=True):
@@ -201,10 +200,9 @@ def test_the_check_is_the_conservation_law_of_the_scene(tmp_path, written, topic
 def test_the_last_digits_of_all_inputs_count(recorded, written):
     result = replay(recorded, scene.load(written(TWO, WHEELS, DAMPING, ROTORS)))
     assert 0.0 < result.last_digits.effect < 1e-13
-    given = result.scene.body, result.start, result.log
-    effect = last_digit_effect(*given, at=result.trajectory.times_ns, wheels=result.wheels)
-    assert effect == last_digit_effect(*given, at=result.trajectory.times_ns,
-                                       wheels=result.wheels)
+    at = result.trajectory.times_ns
+    effect = last_digit_effect(result.problem, at=at)
+    assert effect == last_digit_effect(result.problem, at=at)
     assert effect > 0.0
 
 
@@ -255,7 +253,7 @@ def test_a_signal_interrupts_a_scene_with_rotors(tmp_path):
 def test_torques_and_momentum_are_drawn(recorded, written, tmp_path):
     assert main.attitude_replay([recorded, '--scene', written(TWO, WHEELS), '--also', 'markers',
                                 'imu', '-o', str(tmp_path / 'motion.mcap'), '--plot',
-                                str(tmp_path / 'motion.png')]) == 0
+                                 str(tmp_path / 'motion.png')]) == 0
     assert (tmp_path / 'motion.png').stat().st_size > 10_000
 
 
@@ -275,7 +273,7 @@ def test_a_plain_scene_takes_the_topic_that_it_names(tmp_path, written):
     path = write(tmp_path / 'two.mcap', ['/control', '/disturbance'], {'/control': '/torque'})
     result = replay(path, scene.load(written()))
     assert result.topic == '/torque'
-    np.testing.assert_array_equal(result.log.torques, values('/control'))
+    np.testing.assert_array_equal(result.problem.logs[0].torques, values('/control'))
 
 
 @pytest.mark.parametrize(('lines', 'options', 'message'), [
@@ -347,7 +345,7 @@ def test_damage_is_reported_if_no_torque_could_be_read(recorded, written, tmp_pa
     damaged.write_bytes(data)
     assert main.attitude_replay([str(damaged), '--scene', written(TWO, WHEELS)]) == 2
     line, = capsys.readouterr().err.splitlines()
-    assert 'found no messages on /control, /disturbance, /wheel_torque (' in line
+    assert '/control, /disturbance, /wheel_torque: expected torques, found no messages (' in line
     assert 'damaged chunk at byte' in line
 
 
@@ -373,6 +371,6 @@ def test_a_replay_with_the_recommended_setting_meets_the_target(
 
 def test_a_plain_scene_has_the_motion_of_one_torque():
     result = replay(RECORDINGS / 'tumbler.mcap', scene.load(CONFIG / 'tumbler.yaml'))
-    motion = propagate(result.scene.body, result.start, result.log, at=result.trajectory.times_ns)
+    motion = propagate(result.scene.body, result.start, result.problem.logs,
+                       at=result.trajectory.times_ns)
     np.testing.assert_array_equal(result.trajectory.attitude, motion.attitude)
-    assert result.trajectory._rotors is None

@@ -24,6 +24,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 import truth
 
@@ -62,4 +63,5 @@ def test_a_thin_body_under_torque_is_right_to_rounding(seed):
         np.diff(log.times_ns), truth.polynomials(log.times_ns, log.torques, log.interpolation))]
     right = truth.series(body.inertia, start.attitude, start.angular_velocity, torques, digits=25)
     apart = max(truth.chord(q, p) for (q, _), p in zip(right, motion.attitude))
-    assert apart <= max(bound, last_digit_effect(body, start, log, at=log.times_ns[-1:]))
+    effect = last_digit_effect(Problem(body, start, log), at=log.times_ns[-1:])
+    assert apart <= max(bound, effect)

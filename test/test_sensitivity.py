@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from rigid_body_ros import propagate, RigidBody, State, TorqueLog
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from scenes import ROD, SECOND, turned
 
@@ -26,15 +27,17 @@ RATES = (0.5, -0.7, 0.9)
 
 def test_a_spin_ends_where_the_last_digit_of_its_rate_leads():
     # 1.5 rad/s for a million seconds, in closed form: a last digit is 2.2e-16 rad/s.
-    effect = last_digit_effect(RigidBody.from_moments(1.0, 2.0, 3.0),
-                               State(0, angular_velocity=(0.0, 0.0, 1.5)), at=[10 ** 6 * SECOND])
+    problem = Problem(RigidBody.from_moments(1.0, 2.0, 3.0),
+                      State(0, angular_velocity=(0.0, 0.0, 1.5)))
+    effect = last_digit_effect(problem, at=[10 ** 6 * SECOND])
     assert effect == pytest.approx(2.0 ** -52 * 1e6, rel=0.01)
 
 
 def test_zeros_stay():
     # About the intermediate axis the smallest product of inertia would end in a tumble.
-    effect = last_digit_effect(RigidBody.from_moments(1.0, 2.0, 3.0),
-                               State(0, angular_velocity=(0.0, 1.0, 0.0)), at=[1000 * SECOND])
+    problem = Problem(RigidBody.from_moments(1.0, 2.0, 3.0),
+                      State(0, angular_velocity=(0.0, 1.0, 0.0)))
+    effect = last_digit_effect(problem, at=[1000 * SECOND])
     assert effect < 1e-12
 
 
@@ -51,9 +54,9 @@ def test_a_full_tensor_of_a_rod_leaves_much_to_its_last_digit(frame, interpolati
     # 1.1e-16 of a moment of 1e-6 times that of 1: a torque along the rod is off by 1e-10 of it.
     body, start, log = rod_under_torque(frame, interpolation)
     times = [3 * SECOND, 6 * SECOND]
-    effect = last_digit_effect(body, start, log, at=times)
+    effect = last_digit_effect(Problem(body, start, log), at=times)
     assert 1e-11 < effect < 1e-6
-    assert effect == last_digit_effect(body, start, log, at=times)
+    assert effect == last_digit_effect(Problem(body, start, log), at=times)
     changed = body.inertia.copy()
     changed[0, 0] = np.nextafter(changed[0, 0], np.inf)
     right, moved = (propagate(some, start, log, at=times).attitude
@@ -64,14 +67,15 @@ def test_a_full_tensor_of_a_rod_leaves_much_to_its_last_digit(frame, interpolati
 def test_mixed_frames_and_timeouts_are_kept():
     body, start, log = rod_under_torque('body', 'hold')
     mixed = TorqueLog(log.times_ns, log.torques, ['body', 'space'] * 3)
-    effects = [last_digit_effect(body, start, some, at=[6 * SECOND], torque_timeout=timeout)
+    effects = [last_digit_effect(Problem(body, start, some, torque_timeout=timeout),
+                                 at=[6 * SECOND])
                for some in (log, mixed) for timeout in (0.0, 0.5)]
     assert len(set(effects)) == 4
 
 
 def test_a_changed_tensor_of_no_body_is_left_out():
     # A last digit more of the largest moment, or less of the others, is more than is accepted.
-    effect = last_digit_effect(RigidBody.from_moments(1.0, 1.0, np.nextafter(2.06, 0.0)),
-                               State(0, angular_velocity=RATES),
-                               TorqueLog([0], [[0.1, 0.2, 0.3]]), at=[SECOND])
+    problem = Problem(RigidBody.from_moments(1.0, 1.0, np.nextafter(2.06, 0.0)),
+                      State(0, angular_velocity=RATES), TorqueLog([0], [[0.1, 0.2, 0.3]]))
+    effect = last_digit_effect(problem, at=[SECOND])
     assert 0.0 < effect < 1e-14

@@ -305,3 +305,13 @@ def test_zero_torques_in_space_axes_do_not_stop_a_damped_body():
     found, expected = (propagate(body, START, TorqueLog(times, zeros, frame), at=times)
                        for frame in ('space', 'body'))
     np.testing.assert_array_equal(terms.numbers(found), terms.numbers(expected))
+
+
+def test_a_coast_before_the_rotors_turn_is_in_closed_form():
+    body, start = RigidBody(np.diag([1.0, 1.5, 2.0])), State(0, angular_velocity=(1.0, 2.0, 3.0))
+    wheels = TorqueLog([50 * SECOND], [[0.1, 0.0, 0.0]])
+    motion = propagate(body, start, wheels=wheels, at=[20 * SECOND, 60 * SECOND])
+    free = propagate(body, start, at=[20 * SECOND])
+    assert motion.attitude[0].tolist() == free.attitude[0].tolist()
+    assert [(model.solver, model.end_ns) for model in motion.models] \
+        == [('exact', 50 * SECOND), ('taylor', 60 * SECOND)]

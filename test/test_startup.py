@@ -67,7 +67,7 @@ import sys
 import rigid_body_ros, rigid_body_ros.commands.main
 assert 'numpy' not in sys.modules
 assert set(rigid_body_ros.__all__) < set(dir(rigid_body_ros))
-assert rigid_body_ros.mechanics.so3 is sys.modules['rigid_body_ros.mechanics.so3']
+assert rigid_body_ros.so3 is sys.modules['rigid_body_ros.mechanics.so3']
 from rigid_body_ros import *
 assert propagate is rigid_body_ros.propagation.propagate
 assert RigidBody is rigid_body_ros.RigidBody is vars(rigid_body_ros)['RigidBody']

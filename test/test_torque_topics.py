@@ -24,7 +24,7 @@ from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rigid_body_ros import messages, propagate, recording, scene, State
+from rigid_body_ros import messages, recording, scene, State
 from rigid_body_ros.replay.verify import verify
 from test_faults import torques_of
 
@@ -91,8 +91,7 @@ def replayed_sources(tmp_path, live):
     committed = recording.read(path, COMMITTED, messages.ODOMETRY)
     begin = int(np.flatnonzero(committed.stamps_ns == run.start.time_ns)[-1])
     stamps_ns = committed.stamps_ns[begin:]
-    motion = propagate(run.body, run.start, logs[:-1], wheels=logs[-1], at=stamps_ns,
-                       **run.options)
+    motion = run.problem(logs[:-1], logs[-1]).propagate(at=stamps_ns)
     return (stamps_ns, live_values(committed)[begin:],
             np.hstack([motion.attitude, motion.angular_velocity]), logs, run)
 

@@ -30,15 +30,17 @@ from rigid_body_ros import messages, propagate, recording, RigidBody, scene, Sta
 from rigid_body_ros.commands import main
 from rigid_body_ros.kernels import body_layout
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report.page import html
 from rigid_body_ros.tradeoff import Error, measure, Measurement, recommend, Setting, summary
 from rigid_body_ros.tradeoff.page import page
-from rigid_body_ros.tradeoff.problem import Problem, Reference
+from rigid_body_ros.tradeoff.problem import Case, Reference
 from test_reference import NAMES
 from test_replay import bad_input
 
 TUMBLER = ('--scene', str(CONFIG / 'tumbler.yaml'))
 TORQUES = ('--recording', str(RECORDINGS / 'tumbler.mcap'))
+FREE = Problem(RigidBody.from_moments(1.0, 2.0, 2.5), State(0, angular_velocity=(0.1, 1.0, 0.2)))
 
 
 pytestmark = pytest.mark.usefixtures('short_trades')
@@ -47,7 +49,7 @@ pytestmark = pytest.mark.usefixtures('short_trades')
 def test_errors_are_those_of_a_motion_in_closed_form():
     # A symmetric top: its rates turn about the axis, its attitude is two rotations.
     body, rates = RigidBody.from_moments(2.0, 2.0, 3.0), np.array([0.3, -0.2, 1.5])
-    result = measure(body, State(0, angular_velocity=rates))
+    result = measure(Problem(body, State(0, angular_velocity=rates)))
     seconds = result.stretch.seconds
     momentum = body.angular_momentum(rates)
     known = so3.multiply(so3.exp(momentum / 2.0 * seconds),
@@ -55,7 +57,7 @@ def test_errors_are_those_of_a_motion_in_closed_form():
     for run in result.measurements:
         if run.failure:
             continue
-        end = propagate(body, result.stretch.start, at=result.stretch.times_ns[-1:],
+        end = propagate(body, result.stretch.problem.start, at=result.stretch.times_ns[-1:],
                         **run.setting.options)
         assert run.error.attitude_final == pytest.approx(
             float(so3.angle_between(end.attitude[0], known)), rel=1e-6, abs=1e-11)
@@ -63,19 +65,19 @@ def test_errors_are_those_of_a_motion_in_closed_form():
 
 
 def random_problem(random):
-    """Return a body, a start, and torques on it or none."""
+    """Return a problem with torques on the body or none."""
     axes = so3.matrix(so3.normalize(random.normal(size=4)))
     a, b, c = random.uniform(0.1, 1.0, 3)
     body = RigidBody(axes @ np.diag([b + c, c + a, a + b]) @ axes.T)
     start = State(0, random.normal(size=4), random.normal(size=3) * 10.0 ** random.uniform(-2, 1))
     if random.random() < 0.3:
-        return body, start, None
+        return Problem(body, start)
     count = int(random.integers(5, 500))
     gaps = (random.uniform(0.2, 1.0, count) * 1e9 * 10.0 ** random.uniform(-2, 0)).astype(int)
     interpolation = str(random.choice(['hold', 'linear', 'cubic']))
     log = TorqueLog(np.cumsum(gaps), random.normal(size=(count, 3)) * 0.1,
                     str(random.choice(['body', 'space'])), interpolation)
-    return body, start, log
+    return Problem(body, start, log)
 
 
 @pytest.mark.slow
@@ -84,9 +86,9 @@ def test_the_recommendation_is_right(seed, monkeypatch):
     # With a small stretch, so that most logs are longer.
     monkeypatch.setattr('rigid_body_ros.tradeoff.problem._WORK', 400)
     random = np.random.default_rng(seed)
-    body, start, log = random_problem(random)
+    problem = random_problem(random)
     target = 10.0 ** -(2 + 10 * seed / 19)
-    result = measure(body, start, log, targets=[target], seconds=1.0)
+    result = measure(problem, targets=[target], seconds=1.0)
     choice = result.choices[target]
     assert choice is not None
     whole = result.whole
@@ -112,7 +114,7 @@ def test_rotors_that_take_all_momentum_leave_small_drifts_and_a_target_that_is_m
     body, rates = RigidBody.from_moments(1.0, 2.0, 2.5), np.array([0.1, 1.0, 0.2])
     start = State(0, angular_velocity=rates, rotor_momentum=-body.angular_momentum(rates))
     wheels = TorqueLog([0, 10 * SECOND], [[0.01, 0.02, -0.03], [0.0, 0.01, 0.0]])
-    result = measure(body, start, wheels=wheels, end_ns=20 * SECOND, targets=[1e-8])
+    result = measure(Problem(body, start, wheels=wheels), end_ns=20 * SECOND, targets=[1e-8])
     assert {run.setting.solver for run in result.measurements if not run.failure} \
         == {'auto', 'taylor', 'rk4', 'explicit_euler'}
     best = [run for run in result.measurements if run.setting == Setting('taylor', 1e-15)]
@@ -140,14 +142,13 @@ def test_what_cannot_be_tried_on_the_whole_log_has_a_margin():
 
 def test_a_short_run_is_timed_after_one_of_its_own(monkeypatch):
     # Right after another solver's longest run it takes more than twice its time.
-    calls, run = [], Problem.run
+    calls, run = [], Case.run
 
-    def noted(problem, **options):
+    def noted(case, **options):
         calls.append(options)
-        return run(problem, **options)
-    monkeypatch.setattr(Problem, 'run', noted)
-    result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
-                     State(0, angular_velocity=(0.1, 1.0, 0.2)))
+        return run(case, **options)
+    monkeypatch.setattr(Case, 'run', noted)
+    result = measure(FREE)
     short = [run.setting.options for run in result.measurements if run.first_seconds < 1e-3]
     assert len(short) > 10
     for options in short:
@@ -162,8 +163,8 @@ def test_a_short_run_is_timed_after_one_of_its_own(monkeypatch):
 @pytest.mark.parametrize('name', NAMES)
 def test_the_floor_is_about_the_true_error_or_more(name):
     known = Known(name)
-    problem = Problem(known.scene.body, known.start, (known.log,), known.times_ns)
-    reference = Reference.of(problem)
+    problem = Problem(known.scene.body, known.start, known.log)
+    reference = Reference.of(Case(problem, known.times_ns))
     error = chord(known.attitude, reference.trajectory.attitude).max()
     assert error <= 1.5 * reference.floor
     bar = 1e-15 * (10.0 + known.phase()[-1])
@@ -174,13 +175,13 @@ def test_the_floor_shows_an_error_that_other_steps_share():
     # J^-1 in doubles, without what rounding took from it, misses this rod by 1e-11 rad.
     known = Known('rod_full_tensor_body_torque')
     body = RigidBody(known.scene.body.inertia)
-    problem = Problem(body, known.start, (known.log,), known.times_ns)
-    problem.body._constants[body_layout.LOST_INVERSE] = 0.0
-    reference = Reference.of(problem)
+    body._constants[body_layout.LOST_INVERSE] = 0.0
+    case = Case(Problem(body, known.start, known.log), known.times_ns)
+    reference = Reference.of(case)
     motion = reference.trajectory.attitude
     error = chord(known.attitude, motion).max()
     assert error > 1e-12
-    shorter = problem.run(solver='taylor', max_step=0.01).attitude
+    shorter = case.run(solver='taylor', max_step=0.01).attitude
     assert so3.angle_between(shorter, motion).max() < 1e-3 * error
     assert 0.5 * error < reference.floor < 2.0 * error
 
@@ -204,8 +205,7 @@ def test_a_target_below_the_last_digits_is_refused_with_their_effect(tmp_path, c
 
 
 def test_the_floor_is_shown_as_what_it_is():
-    result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
-                     State(0, angular_velocity=(0.1, 1.0, 0.2)))
+    result = measure(FREE)
     meaning = summary.as_data(result)['rounding_floor_is']
     assert 'the series with other steps, in principal axes and, without torque, the ' in meaning
     assert 'does not show an error common to all' in meaning
@@ -213,8 +213,7 @@ def test_the_floor_is_shown_as_what_it_is():
 
 
 def test_a_failed_setting_is_shown_as_failed():
-    result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
-                     State(0, angular_velocity=(0.1, 1.0, 0.2)))
+    result = measure(FREE)
     failed = [run for run in result.measurements if run.failure]
     assert failed
     assert {run.setting.solver for run in failed} == {'explicit_euler'}
@@ -254,7 +253,7 @@ def test_the_recommendations_come_first_and_then_the_pareto_optimal_settings(cap
     targets = ('1e-3', '1e-9', '1e-20')
     arguments = [*TUMBLER, *TORQUES]
     assert main.attitude_tradeoff([*arguments, *(word for target in targets[:2]
-                                                for word in ('--target', target))]) == 0
+                                                 for word in ('--target', target))]) == 0
     lines = capsys.readouterr().out.splitlines()
     starts = [number for number, line in enumerate(lines) if line.startswith('target ')]
     assert [lines[number].split()[1] for number in starts] == ['0.001', '1e-09']
@@ -274,8 +273,7 @@ def test_the_recommendations_come_first_and_then_the_pareto_optimal_settings(cap
 
 
 def test_every_target_has_its_own_recommendation(tmp_path):
-    body, start = RigidBody.from_moments(1.0, 2.0, 2.5), State(0, angular_velocity=(0.1, 1.0, 0.2))
-    result = measure(body, start, targets=[1e-2, 1e-6, 1e-20])
+    result = measure(FREE, targets=[1e-2, 1e-6, 1e-20])
     data = summary.as_data(result)
     assert [each['target_rad'] for each in data['targets']] == [1e-2, 1e-6, 1e-20]
     assert data['targets'][2]['recommended'] is None
@@ -313,7 +311,7 @@ def test_another_interpolation_is_advised_only_if_it_helps(shape):
         motions = [propagate(body, start, log(step_ns, name), at=[60 * SECOND]).attitude[0]
                    for step_ns, name in ((SECOND // 10, interpolation), (SECOND // 1000, 'hold'))]
         return float(so3.angle_between(*motions))
-    result = measure(body, start, log(SECOND // 10, 'hold'), seconds=0.1)
+    result = measure(Problem(body, start, log(SECOND // 10, 'hold')), seconds=0.1)
     assert result.dominant(1e-6) == 'interpolation'
     better = result.better_interpolation
     if shape == 'pulses':
@@ -325,8 +323,7 @@ def test_another_interpolation_is_advised_only_if_it_helps(shape):
 
 
 def test_curves_follow_the_settings_and_end_at_the_rounding_floor():
-    result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
-                     State(0, angular_velocity=(0.1, 1.0, 0.2)))
+    result = measure(FREE)
     floor = result.reference.floor
     for solver, (errors, _) in summary.curves(result).items():
         measured = [one.error.attitude for one in result.measurements
@@ -339,8 +336,7 @@ def test_curves_follow_the_settings_and_end_at_the_rounding_floor():
 
 def test_the_page_spells_out_every_setting_and_has_the_recommended_lines():
     targets = [1e-6, 1e-20]
-    result = measure(RigidBody.from_moments(1.0, 2.0, 2.5),
-                     State(0, angular_velocity=(0.1, 1.0, 0.2)), targets=targets)
+    result = measure(FREE, targets=targets)
     text = html(page(result, '</script><b>: /torque', scene.load(TUMBLER[1]), 'the command'))
     assert '<b>' not in text
     assert '<h1>&lt;/script&gt;&lt;b&gt;: /torque</h1>' in text
@@ -366,10 +362,10 @@ def test_the_end_of_a_short_stretch_is_that_of_its_problem(monkeypatch):
     times = np.arange(2000) * SECOND // 10
     log = TorqueLog(times, np.sin(times * 1e-9)[:, None] * [1e-2, 0.0, 2e-2],
                     interpolation='cubic')
-    result = measure(RigidBody.from_moments(1.0, 2.0, 2.5), State(0, angular_velocity=(0, 1, 0.1)),
-                     log, seconds=0.5)
+    start = State(0, angular_velocity=(0, 1, 0.1))
+    result = measure(Problem(RigidBody.from_moments(1.0, 2.0, 2.5), start, log), seconds=0.5)
     assert result.stretch.seconds < result.whole.seconds
-    cut, whole = (some.logs[0].at(result.stretch.times_ns[:-1])[0]
+    cut, whole = (some.problem.logs[0].at(result.stretch.times_ns[:-1])[0]
                   for some in (result.stretch, result.whole))
     np.testing.assert_allclose(cut, whole, atol=1e-12)
     cubic, = (some for some in result.interpolation_errors if some.interpolation == 'cubic')
@@ -398,6 +394,13 @@ def test_a_body_at_rest_has_nothing_to_measure(tmp_path, capsys):
     assert f'rest.yaml: {error}\n' in capsys.readouterr().err
 
 
+def test_torques_are_measured_whatever_the_solver_of_the_scene(tmp_path, capsys):
+    exact = tmp_path / 'exact.yaml'
+    exact.write_text((CONFIG / 'tumbler.yaml').read_text() + '    solver: exact\n')
+    assert main.attitude_tradeoff(['--scene', str(exact), *TORQUES]) == 0
+    assert '\n    solver: ' in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(('log', 'end_ns', 'message'), [
     (None, 5, 'end_ns: expected a time after the start, 10 ns, found 5 ns'),
     (TorqueLog([3], [[1.0, 0.0, 0.0]]), None, 'expected the last torque after the start of the '
@@ -405,7 +408,7 @@ def test_a_body_at_rest_has_nothing_to_measure(tmp_path, capsys):
 def test_a_motion_that_ends_before_it_starts_is_rejected(log, end_ns, message):
     start = State(10, angular_velocity=(0.0, 1.0, 0.1))
     with pytest.raises(ValueError, match=message):
-        measure(RigidBody.from_moments(1.0, 2.0, 2.5), start, log, end_ns=end_ns)
+        measure(Problem(RigidBody.from_moments(1.0, 2.0, 2.5), start, log), end_ns=end_ns)
 
 
 def test_of_several_topics_one_is_named(tmp_path, capsys):

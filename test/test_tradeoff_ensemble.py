@@ -24,6 +24,7 @@ import pytest
 from rigid_body_ros import RigidBody, State, TorqueLog
 from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.tradeoff import ensemble, measure
 from rigid_body_ros.tradeoff.choices import Advice, Spread
 from rigid_body_ros.tradeoff.ensemble import read
@@ -102,8 +103,8 @@ def test_the_measured_motion_ends_where_the_runs_do(spread, tmp_path):
 
 def test_the_recommended_setting_is_the_cheapest_for_many_runs(monkeypatch):
     spread = Spread(10, 1e-5, 0, 20 * 10 ** 9, '')
-    single = measure(RigidBody.from_moments(1.0, 2.0, 2.5), State(angular_velocity=(0.1, 1, 0.2)),
-                     targets=[spread.target, 1e-3], end_ns=spread.end_ns)
+    problem = Problem(RigidBody.from_moments(1.0, 2.0, 2.5), State(angular_velocity=(0.1, 1, 0.2)))
+    single = measure(problem, targets=[spread.target, 1e-3], end_ns=spread.end_ns)
     for solver in ('taylor', 'rk4'):
         monkeypatch.setattr(ensemble, '_seconds_per_run', lambda _, settings, solver=solver: [
             1e-9 if one.solver == solver else 1.0 for one in settings])
@@ -123,8 +124,8 @@ def test_the_recommended_setting_is_the_cheapest_for_many_runs(monkeypatch):
 def test_any_motion_of_an_ensemble_has_a_setting(logs, momentum):
     spread = Spread(10, 1e-5, 0, 10 ** 9, '')
     start = State(angular_velocity=(0.1, 1, 0.2), rotor_momentum=momentum)
-    single = measure(RigidBody.from_moments(1.0, 2.0, 2.5), start, logs, targets=[spread.target],
-                     end_ns=spread.end_ns)
+    problem = Problem(RigidBody.from_moments(1.0, 2.0, 2.5), start, logs)
+    single = measure(problem, targets=[spread.target], end_ns=spread.end_ns)
     result = ensemble.advise(single, spread)
     assert result.choices[spread.target].error <= spread.target
     assert result.ensemble.default_seconds > 0.0

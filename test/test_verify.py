@@ -24,7 +24,7 @@ import sys
 from conftest import CONFIG, RECORDINGS
 import numpy as np
 import pytest
-from rigid_body_ros import messages, propagate, recording, scene, State, TorqueLog
+from rigid_body_ros import messages, recording, scene, State, TorqueLog
 from rigid_body_ros.commands import main
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.verify import verify
@@ -150,8 +150,7 @@ def node_log(folder, *, torques_from=0, without=(), states_from=0, start_time=ST
     run = scene.load(SCENE)
     start = replace(run.start, time_ns=START_NS)
     values = 0.01 * np.random.default_rng(3).normal(size=(len(STAMPS), 3))
-    motion = propagate(run.body, start, TorqueLog(STAMPS, values), at=[START_NS, *STAMPS],
-                       **run.options)
+    motion = run.problem(TorqueLog(STAMPS, values), start=start).propagate(at=[START_NS, *STAMPS])
     with recording.Writer(folder / 'run.mcap') as writer:
         writer.add_topic(topic, messages.WRENCH)
         writer.add_topic('/committed', messages.ODOMETRY)

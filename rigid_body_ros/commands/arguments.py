@@ -26,10 +26,10 @@ from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.runtime.terminal import progress, report, show
 
 if TYPE_CHECKING:
-    from rigid_body_ros.comparison import Measured
-    from rigid_body_ros.comparison.recorded import Reading
-    from rigid_body_ros.replay.sources import Topics
+    from rigid_body_ros.recording import Logged, Topics
     from rigid_body_ros.scene import Scene
+    from rigid_body_ros.sensing.measured import Measured
+    from rigid_body_ros.sensing.recorded import Reading
 
 
 class _Once(argparse.Action):
@@ -107,15 +107,24 @@ def warn_of_frames(options: argparse.Namespace, path: str, measured: Iterable[Me
 
 def topics_of(options: argparse.Namespace) -> Topics:
     """Return the topics of the torques that are given."""
-    from rigid_body_ros import replay
-    return replay.topics_of(options.topic, options.wheel_torque, options.wheel_momentum)
+    from rigid_body_ros import recording
+    return recording.topics_of(options.topic, options.wheel_torque, options.wheel_momentum)
 
 
-def reading_of(options: argparse.Namespace, **more: Any) -> Reading:
-    """Return how to read torques and measurements, with more attributes of `Reading`."""
-    from rigid_body_ros.comparison.recorded import Reading
-    return Reading(options.interpolation, options.time_source,
-                   options.frames and tuple(options.frames), progress('reading', size=len), **more)
+def read_torques(options: argparse.Namespace, scene: Scene) -> Logged:
+    """Return the problem that the recording and a scene state."""
+    from rigid_body_ros import recording
+    path, topics = options.recording, topics_of(options).found_in(options.recording, scene)
+    epochs = recording.read_epochs(path, scene, topics, track=progress('reading', size=len))
+    return recording.chosen(path, scene, epochs)
+
+
+def reading_of(options: argparse.Namespace) -> Reading:
+    """Return which torques and measurements to read, and how."""
+    from rigid_body_ros.sensing.recorded import Reading
+    return Reading(tuple(options.measured or ()), topics_of(options), options.interpolation,
+                   options.time_source, options.frames and tuple(options.frames),
+                   progress('reading', size=len))
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:

@@ -70,10 +70,8 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
 def _compared(options: argparse.Namespace, scene: Scene) -> Comparison:
     from rigid_body_ros.comparison.recorded import compare_recording
     return compare_recording(
-        options.recording, scene, options.measured or (), topic=options.topic,
-        wheel_torque=options.wheel_torque, wheel_momentum=options.wheel_momentum,
-        motion=options.motion, align=options.align, horizons=options.horizon or (),
-        reading=reading_of(options, work=progress('comparing', ' steps')))
+        options.recording, scene, reading_of(options), motion=options.motion, align=options.align,
+        horizons=options.horizon or (), track=progress('comparing', ' steps'))
 
 
 def compare_parser() -> argparse.ArgumentParser:
@@ -118,5 +116,5 @@ def _names(text: str) -> tuple[str, ...]:
     for name in names:
         if name not in ALIGNMENTS:
             raise argparse.ArgumentTypeError(f'expected some of {", ".join(ALIGNMENTS)}, '
-                                             f'separated by commas, comparison {name!r}')
+                                             f'separated by commas, found {name!r}')
     return names

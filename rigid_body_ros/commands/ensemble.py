@@ -38,7 +38,7 @@ from rigid_body_ros.commands.arguments import (
     parsed,
     Parser,
     positive,
-    topics_of,
+    read_torques,
     within,
 )
 from rigid_body_ros.commands.outputs import checked
@@ -49,8 +49,8 @@ from rigid_body_ros.runtime.terminal import progress
 if TYPE_CHECKING:
     from rigid_body_ros.ensemble.driver import Pool
     from rigid_body_ros.ensemble.runs import Ensemble
-    from rigid_body_ros.mechanics.state import State
     from rigid_body_ros.mechanics.torque import TorqueLog
+    from rigid_body_ros.propagation import Problem
     from rigid_body_ros.scene import Scene
 
 #: The value of --times that keeps the final state only.
@@ -63,8 +63,9 @@ def attitude_ensemble(arguments: Sequence[str] | None) -> int:
     from rigid_body_ros.ensemble import driver, summary
     from rigid_body_ros.ensemble.folder import opened
     with checked(options) as outputs:
-        ensemble = _ensemble(options)
-        identity = _identity(ensemble, options.times)
+        scene = load_scene(options)
+        ensemble = _ensemble(options, scene)
+        identity = _identity(ensemble, scene, options.times)
         with opened(options.output, identity, ensemble.columns, options.runs, ensemble.times,
                     note=partial(note, options)) as folder:
             driver.compute(ensemble, folder, _pool(options), progress(
@@ -74,8 +75,7 @@ def attitude_ensemble(arguments: Sequence[str] | None) -> int:
             folder.finish({**identity, **found})
             if options.report:
                 from rigid_body_ros.ensemble.page import page
-                outputs.write_page(lambda line: page(
-                    found, _title(options), ensemble.scene, line))
+                outputs.write_page(lambda line: page(found, _title(options), scene, line))
     outputs.show(summary.text_of(found), 17, [options.output, *outputs.names])
     if found['failed'] == found['runs']:
         raise InputError(f'{options.output}: expected runs that can be computed, found that all '
@@ -108,7 +108,7 @@ def _pool(options: argparse.Namespace) -> Pool:
     return driver.threads(options.workers or os.cpu_count() or 1)
 
 
-def _ensemble(options: argparse.Namespace) -> Ensemble:
+def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
     from rigid_body_ros.ensemble import dispersions, fitted
     from rigid_body_ros.ensemble.motions import times_of
     from rigid_body_ros.ensemble.runs import Ensemble
@@ -117,12 +117,11 @@ def _ensemble(options: argparse.Namespace) -> Ensemble:
     estimates = fitted.load(options.vary) if is_fitted else None
     if estimates and estimates.ignored:
         note(options, f'{options.vary}: {listed(estimates.ignored)}: no effect on the motion')
-    scene = load_scene(options)
-    logs, wheels, start, end_ns = _torques(options, scene)
-    times_ns = None if options.times == FINAL else times_of(start.time_ns, end_ns, options.times)
+    problem, end_ns = _problem(options, scene)
+    times_ns = None if options.times == FINAL else \
+        times_of(problem.start.time_ns, end_ns, options.times)
     try:
-        ensemble = Ensemble(scene, start, logs, wheels, end_ns, varied, options.seed, estimates,
-                            times_ns)
+        ensemble = Ensemble(problem, end_ns, varied, options.seed, estimates, times_ns)
     except InputError as error:
         raise InputError(f'{options.vary}: {error}') from error
     try:
@@ -132,31 +131,31 @@ def _ensemble(options: argparse.Namespace) -> Ensemble:
     return ensemble
 
 
-def _torques(options: argparse.Namespace, scene: Scene
-             ) -> tuple[tuple[TorqueLog, ...], TorqueLog | None, State, int]:
-    """Return the torques on body and rotors, the nominal initial state, and the end, ns."""
-    from rigid_body_ros import replay
-    until_ns = round(options.until * 1e9) if options.until else None
-    if options.recording is None:
-        if until_ns is None:
-            raise InputError('--until: expected the end of the motion, or a --recording, found '
-                             'neither')
-        return (), None, scene.start, scene.start.time_ns + until_ns
-    logs, wheels, stamps, start = replay.torques(options.recording, scene, topics_of(options))
-    end_ns = int(stamps[-1]) if until_ns is None else start.time_ns + until_ns
-    return tuple(logs), wheels, start, max(end_ns, start.time_ns)
+def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, int]:
+    """Return the nominal motion, and its end, ns."""
+    problem, end_ns = scene.problem(), None
+    if options.recording is not None:
+        found = read_torques(options, scene)
+        problem, end_ns = found.problem, int(found.times_ns[-1])
+    start_ns = problem.start.time_ns
+    if options.until:
+        end_ns = start_ns + round(options.until * 1e9)
+    if end_ns is None:
+        raise InputError('--until: expected the end of the motion, or a --recording, found '
+                         'neither')
+    return problem, max(end_ns, start_ns)
 
 
-def _identity(ensemble: Ensemble, times: float | str) -> dict[str, Any]:
+def _identity(ensemble: Ensemble, scene: Scene, times: float | str) -> dict[str, Any]:
     """Return what the runs depend on, as JSON: folders with the same have the same runs."""
     from rigid_body_ros.runtime.fingerprint import fingerprint
-    values = json.dumps(dict(ensemble.scene.values), sort_keys=True)
+    values = json.dumps(dict(scene.values), sort_keys=True)
     # Through JSON, so that what is compared is what is read from a file.
     return dict(json.loads(json.dumps({
         'seed': ensemble.seed, **_varied(ensemble),
         'scene': f'sha256:{hashlib.sha256(values.encode()).hexdigest()}',
-        'recording': recording_hash([*ensemble.logs, *filter(None, [ensemble.wheels])]),
-        'start_ns': ensemble.start.time_ns, 'end_ns': ensemble.end_ns, 'times': times,
+        'recording': recording_hash(ensemble.problem.sources),
+        'start_ns': ensemble.problem.start.time_ns, 'end_ns': ensemble.end_ns, 'times': times,
         'versions': {**fingerprint(), 'scipy': version('scipy')}})))
 
 

@@ -31,7 +31,6 @@ from rigid_body_ros.commands.arguments import (
     Parser,
     positive,
     reading_of,
-    topics_of,
     warn_of_frames,
     within,
 )
@@ -74,8 +73,7 @@ def _identified(options: argparse.Namespace,
     """Return the result, and the first recording."""
     from rigid_body_ros.identification import identify
     from rigid_body_ros.identification.recorded import read_experiments
-    experiments = read_experiments(options.recording, scene, options.measured or (),
-                                   topics_of(options), reading_of(options))
+    experiments = read_experiments(options.recording, scene, reading_of(options))
     for path, experiment in zip(options.recording, experiments):
         warn_of_frames(options, path, experiment.measured)
     try:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,7 +30,7 @@ from rigid_body_ros.commands.arguments import (
     load_scene,
     parsed,
     Parser,
-    topics_of,
+    read_torques,
     within,
 )
 from rigid_body_ros.commands.outputs import checked
@@ -37,8 +38,7 @@ from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.runtime.terminal import progress, show
 
 if TYPE_CHECKING:
-    from rigid_body_ros.mechanics.state import State
-    from rigid_body_ros.mechanics.torque import TorqueLog
+    from rigid_body_ros.propagation import Problem
     from rigid_body_ros.scene import Scene
     from rigid_body_ros.tradeoff import Tradeoff
     from rigid_body_ros.tradeoff.choices import Spread
@@ -67,53 +67,45 @@ def attitude_tradeoff(arguments: Sequence[str] | None) -> int:
 def _measure(options: argparse.Namespace, scene: Scene) -> tuple[Tradeoff, str]:
     """Return the result and a title that names the recording and its topic, or the scene."""
     from rigid_body_ros.tradeoff import ensemble, measure, TARGET
-    name, logs, wheels, start = _torques(options, scene)
+    problem, name = _problem(options, scene)
     source = options.recording or options.scene
-    spread = _spread(options, start, [*logs, *([wheels] if wheels else [])])
+    spread = _spread(options, problem)
     targets = [*(options.target or []), *([spread.target] if spread else [])] or [TARGET]
     try:
-        result = measure(scene.body, start, logs, wheels=wheels, targets=targets,
-                         end_ns=spread.end_ns if spread else None,
-                         torque_timeout=scene.torque_timeout,
+        result = measure(problem, targets=targets, end_ns=spread.end_ns if spread else None,
                          track=progress('measuring', ' runs'))
     except ValueError as error:
-        raise InputError(f'{source}: {f"{name}: " if logs or wheels else ""}{error}') from error
+        where = f'{source}: {name}' if options.recording else source
+        raise InputError(f'{where}: {error}') from error
     if spread:
         result = ensemble.advise(result, spread)
     return result, f'{Path(source).name}: {name}'
 
 
-def _torques(options: argparse.Namespace, scene: Scene
-             ) -> tuple[str, Sequence[TorqueLog], TorqueLog | None, State]:
-    """Return the names of the topics, the torques on body and rotors, and the initial state."""
-    from rigid_body_ros import replay
-    topics = topics_of(options)
+def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, str]:
+    """Return the motion to measure, and the topics of its torques."""
+    # The solver of the scene is one of those to measure, and might take no torques.
+    scene = replace(scene, values={**scene.values, 'solver': 'auto'})
     if options.recording is None:
-        return 'no torque', [], None, scene.start
-    if topics.is_plain(scene):
-        topic = next(iter(topics.torques), None)
-        recorded, log, start = replay.read(options.recording, scene, topic)
-        return recorded.topic, [log], None, start
-    found = topics.found_in(options.recording, scene)
-    logs, wheels, _, start = replay.torques(options.recording, scene, found)
-    names = [*found.torques, *filter(None, [found.wheel_torque, found.wheel_momentum])]
-    return listed(names), logs, wheels, start
+        return scene.problem(), 'no torque'
+    logged = read_torques(options, scene)
+    return logged.problem, listed(logged.topics)
 
 
-def _spread(options: argparse.Namespace, start: State,
-            logs: Sequence[TorqueLog]) -> Spread | None:
+def _spread(options: argparse.Namespace, problem: Problem) -> Spread | None:
     """Return the spread of the ensemble, if one is given; it must be of the motion to measure."""
     if not options.ensemble:
         return None
     from rigid_body_ros.commands.ensemble import recording_hash
     from rigid_body_ros.tradeoff import ensemble
-    spread = ensemble.read(options.ensemble)
-    if spread.recording != recording_hash(logs):
-        expected = f'under the torques of {options.recording}' if logs else 'without torques'
+    spread, start_ns = ensemble.read(options.ensemble), problem.start.time_ns
+    if spread.recording != recording_hash(problem.sources):
+        expected = f'under the torques of {options.recording}' if options.recording else \
+            'without torques'
         raise InputError(f'{options.ensemble}: expected an ensemble {expected}, found another')
-    if spread.start_ns != start.time_ns:
-        raise InputError(f'{options.ensemble}: expected an ensemble that starts at '
-                         f'{start.time_ns} ns, found {spread.start_ns} ns')
+    if spread.start_ns != start_ns:
+        raise InputError(f'{options.ensemble}: expected an ensemble that starts at {start_ns} ns, '
+                         f'found {spread.start_ns} ns')
     return spread
 
 

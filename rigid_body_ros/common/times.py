@@ -79,13 +79,13 @@ def instants(times_ns: ArrayLike, name: str = 'times_ns') -> NDArray[np.int64]:
         The times are not integers of shape (n,), or do not fit int64.
 
     """
-    times = np.asarray(times_ns)
+    times = np.array(times_ns)
     if times.ndim != 1 or (times.size and times.dtype.kind not in 'iu'):
         raise ValueError(f'{name}: expected integer nanoseconds of shape (n,), '
                          f'found {times.dtype} of shape {times.shape}')
     if times.dtype.kind == 'u' and times.size and int(times.max()) > NEVER_NS:
         raise ValueError(f'{name}: expected times in int64 nanoseconds, found {times.max()}')
-    return times.astype(np.int64)
+    return times.astype(np.int64, copy=False)
 
 
 def duration_ns(seconds: float, name: str) -> int:

@@ -13,13 +13,12 @@
 # limitations under the License.
 
 """
-Measured motions: read them, and compare them with the propagated one.
+Compare measured motions with the propagated one.
 
-`measured` is what a sensor measured, and `reading` reads it from a recording. `motion` is what it
-is compared with. `align`, from the guess of `coarse` on, brings both into one time and one pair of
-frames. `comparison` returns the errors, `horizons` those after restarts, `residual_torque` what
-the torque log lacks, and `causes` what explains the errors. The command reads with `recorded`,
-writes with `outputs` and prints with `summary`.
+`motion` is what is compared with. `align`, from the guess of `coarse` on, brings both into one
+time and one pair of frames. `comparison` returns the errors, `horizons` those after restarts, and
+`causes` what explains the errors. The command reads with `recorded`, writes with `outputs` and
+prints with `summary`.
 """
 
 from rigid_body_ros.comparison.align import ALIGNMENTS

@@ -25,9 +25,10 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison import coarse
 from rigid_body_ros.comparison.alignment import Alignment
-from rigid_body_ros.comparison.motion import Model, Poses, Recorded
+from rigid_body_ros.comparison.motion import divided, inside, Motion, Recorded, span_of, States
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.runtime import interrupts
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
@@ -50,14 +51,14 @@ _KEPT = 3
 _SINGULAR = 1e-7
 
 
-def align(motion: Model | Recorded, sensors: Sequence[Measured],
+def align(motion: Motion, sensors: Sequence[Measured],
           names: Collection[str], most: int | None = None) -> Alignment:
     """
     Fit what is asked for by robust least squares.
 
     Parameters
     ----------
-    motion : Model or Recorded
+    motion : Problem or Recorded
         What they are aligned with.
     sensors : sequence of Measured
         All share one clock and one mounting.
@@ -85,20 +86,20 @@ def align(motion: Model | Recorded, sensors: Sequence[Measured],
     if not names:
         return Alignment()
     guess = coarse.guess(motion, sensors, CLOCK in names, MOUNT in names)
-    problem = _Problem(motion, sensors, names, Alignment(*guess), most)
+    fit = _Fit(motion, sensors, names, Alignment(*guess), most)
     if START in names:
-        problem.grow()
-    return problem.solved()
+        fit.grow()
+    return fit.solved()
 
 
-class _Problem:
+class _Fit:
     """The least squares problem of an alignment."""
 
-    def __init__(self, motion: Model | Recorded, sensors: Sequence[Measured],
+    def __init__(self, motion: Motion, sensors: Sequence[Measured],
                  names: Collection[str], first: Alignment, most: int | None) -> None:
         self._motion, self._sensors = motion, sensors
         self._value = replace(first, start=motion.start) \
-            if isinstance(motion, Model) and START in names else first
+            if isinstance(motion, Problem) and START in names else first
         has_attitude = any(sensor.attitude is not None for sensor in sensors)
         #: The fitted values, three columns each but the clock.
         self._names = [
@@ -116,18 +117,16 @@ class _Problem:
         #: Standard deviations of attitude and rate of each sensor.
         self._scales = np.ones((len(sensors), 2))
         #: The latest motions, by start and stamps; a mounting does not change them.
-        self._kept: dict[bytes, Poses] = {}
+        self._kept: dict[bytes, States] = {}
 
     def _inside(self, sensor: Measured) -> NDArray[np.intp]:
         margin = 10_000_000 if 'clock_offset_s' in self._names else 0
         stamps_ns = sensor.stamps_ns + round(1e9 * self._value.clock_offset_s)
-        return np.flatnonzero((stamps_ns >= self._motion.first_ns + margin)
-                              & (stamps_ns <= self._motion.last_ns - margin))
+        return np.flatnonzero(inside(self._motion, stamps_ns, margin))
 
     def grow(self) -> None:
         """Fit the start to longer and longer beginnings of the measurement."""
-        assert isinstance(self._motion, Model)
-        every, first_ns = self._rows, self._motion.first_ns
+        every, first_ns = self._rows, self._motion.start.time_ns
         stamps_ns = np.concatenate([sensor.stamps_ns[rows] for sensor, rows
                                     in zip(self._sensors, every)]) - first_ns
         stamps_ns += round(1e9 * self._value.clock_offset_s)
@@ -176,14 +175,13 @@ class _Problem:
             self._estimate_scales()
         self._rows = every
         kept = np.abs(self._residuals(self._value)) < _OUTLIER
-        jacobian = self._fit(1e-12, kept)
-        sigma, column = {}, 0
-        deviations = _deviations(jacobian) * self._correlation()
-        for name, size in zip(self._names, self._sizes):
-            part = deviations[column:column + size]
-            sigma[name] = float(part[0]) if size == 1 else part
-            column += size
-        return replace(self._value, sigma=sigma)
+        deviations = self._named(_deviations(self._fit(1e-12, kept)) * self._correlation())
+        return replace(self._value, sigma={
+            name: float(part[0]) if len(part) == 1 else part for name, part in deviations.items()})
+
+    def _named(self, values: Floats) -> dict[str, Floats]:
+        """Return the columns by name."""
+        return dict(zip(self._names, np.split(values, np.cumsum(self._sizes)[:-1])))
 
     def _correlation(self) -> float:
         """
@@ -243,11 +241,7 @@ class _Problem:
 
     def _moved(self, base: Alignment, step: Floats) -> Alignment:
         """Return an alignment with small changes."""
-        column, changes = 0, {}
-        for name, size in zip(self._names, self._sizes):
-            changes[name] = step[column:column + size]
-            column += size
-        start = base.start
+        changes, start = self._named(step), base.start
         rate = changes.get('initial_angular_velocity_rad_s')
         if start is not None and rate is not None:
             turn = so3.exp(changes.get('initial_attitude_rad', np.zeros(3)))
@@ -267,34 +261,31 @@ class _Problem:
         aligned = [value.applied(sensor.rows(rows))
                    for sensor, rows in zip(self._sensors, self._rows)]
         stamps_ns = np.concatenate([sensor.stamps_ns for sensor in aligned])
-        to_sensor = so3.conjugate(value.mount)
-        states, first, parts = self._states(value.start, stamps_ns), 0, []
-        for sensor, scales in zip(aligned, self._scales):
-            part = slice(first, first + len(sensor))
-            errors = errors_of(sensor, Poses(states.attitude[part],
-                                             states.angular_velocity[part]))
+        to_sensor, parts = so3.conjugate(value.mount), []
+        states = divided(self._states(value.start, stamps_ns), aligned)
+        for sensor, scales, part in zip(aligned, self._scales, states):
             # In the axes of the sensor: there, what a mounting cannot change does not turn the
             # noise either, and an undetermined direction shows as exactly that.
             parts += [(so3.rotate(to_sensor, error) / scale).ravel()
-                      for error, scale in zip(errors, scales) if error is not None]
-            first += len(sensor)
+                      for error, scale in zip(errors_of(sensor, part), scales)
+                      if error is not None]
         return np.concatenate(parts)
 
-    def _states(self, start: State | None, stamps_ns: NDArray[np.int64]) -> Poses:
+    def _states(self, start: State | None, stamps_ns: NDArray[np.int64]) -> States:
         key = stamps_ns.tobytes()
         moved = self._motion
-        if start and isinstance(moved, Model):
-            moved = replace(moved, start=start)
+        if start and isinstance(moved, Problem):
+            moved = moved.replaced(start=start)
             key += start.attitude.tobytes() + start.angular_velocity.tobytes()
         if key not in self._kept:
             if len(self._kept) == _KEPT:
                 del self._kept[next(iter(self._kept))]
             # A step of the clock may lead out of the motion, unless the offset is nearly right.
-            self._kept[key] = moved.at(np.clip(stamps_ns, moved.first_ns, moved.last_ns))
+            self._kept[key] = moved.propagate(at=np.clip(stamps_ns, *span_of(moved)))
         return self._kept[key]
 
 
-def errors_of(sensor: Measured, states: Poses) -> tuple[Floats | None, Floats | None]:
+def errors_of(sensor: Measured, states: States) -> tuple[Floats | None, Floats | None]:
     """
     Return what a sensor measured relative to a motion at the same times.
 
@@ -314,11 +305,11 @@ def errors_of(sensor: Measured, states: Poses) -> tuple[Floats | None, Floats | 
     return rotation, rate
 
 
-def apart(motion: Model | Recorded, sensors: Sequence[Measured]) -> InputError:
+def apart(motion: Motion, sensors: Sequence[Measured]) -> InputError:
     """Return the error that measurements and motion do not overlap in time."""
     stamps_ns = sensors[0].stamps_ns
     return InputError(f'{sensors[0].topic}: expected measurements during the motion, which begins '
-                      f'at {motion.first_ns} ns, found them from {stamps_ns[0]} ns to '
+                      f'at {motion.start.time_ns} ns, found them from {stamps_ns[0]} ns to '
                       f'{stamps_ns[-1]} ns; are the clocks the same (--time-source log)?')
 
 

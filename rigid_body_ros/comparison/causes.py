@@ -33,9 +33,10 @@ from rigid_body_ros.common.arrays import entries, Floats, symmetric, written
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison.align import CLOCK, MOUNT
 from rigid_body_ros.comparison.errors import compared, Comparison
-from rigid_body_ros.comparison.motion import Model, Recorded
+from rigid_body_ros.comparison.motion import Motion
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
@@ -101,21 +102,21 @@ class _Trial:
 
     name: str
     describe: Callable[[Comparison], str] | str
-    motion: Model | Recorded
+    motion: Motion
     measured: Sequence[Measured]
     align: tuple[str, ...] = ()
     #: What must improve; None: the attitude if it is measured, else the angular velocity.
     judged: str | None = None
 
 
-def find_causes(motion: Model | Recorded, comparison: Comparison, align: Collection[str],
+def find_causes(motion: Motion, comparison: Comparison, align: Collection[str],
                 track: Track = no_progress) -> tuple[Cause, ...]:
     """
     Return the likely causes of errors: none, or one for attitudes and one for angular velocities.
 
     Parameters
     ----------
-    motion : Model or Recorded
+    motion : Problem or Recorded
         As it was for `comparison`.
     comparison : Comparison
         With the residual torque.
@@ -186,7 +187,7 @@ def _is_noise(comparison: Comparison, kind: str, median: float) -> bool:
     return _LEFT * median < noise
 
 
-def _trials(motion: Model | Recorded, comparison: Comparison,
+def _trials(motion: Motion, comparison: Comparison,
             align: Collection[str]) -> Iterator[_Trial]:
     """Generate causes, the simplest first."""
     measured = comparison.measured
@@ -201,11 +202,11 @@ def _trials(motion: Model | Recorded, comparison: Comparison,
             gyros = [replace(sensor, attitude=None) for sensor in measured
                      if sensor.angular_velocity is not None]
             yield _Trial('constant_rotation', _rotation_text, motion, gyros, (MOUNT,), RATE)
-    if isinstance(motion, Model) and comparison.residual_torque is not None:
-        yield from _of_model(motion, comparison.residual_torque, measured)
+    if isinstance(motion, Problem) and comparison.residual_torque is not None:
+        yield from _of_problem(motion, comparison.residual_torque, measured)
 
 
-def _misread(motion: Model | Recorded, measured: Sequence[Measured]) -> Iterator[_Trial]:
+def _misread(motion: Motion, measured: Sequence[Measured]) -> Iterator[_Trial]:
     def changed(attitude: Callable[[Floats], Floats] = np.copy, rate: float = 1.0
                 ) -> list[Measured]:
         return [replace(
@@ -225,25 +226,25 @@ def _misread(motion: Model | Recorded, measured: Sequence[Measured]) -> Iterator
         yield _Trial('degrees', _DEGREES, motion, changed(rate=math.pi / 180.0), judged=RATE)
 
 
-def _of_model(model: Model, residual: ResidualTorque, measured: Sequence[Measured]
-              ) -> Iterator[_Trial]:
-    """Generate causes in the model: its torque and its inertia."""
+def _of_problem(problem: Problem, residual: ResidualTorque, measured: Sequence[Measured]
+                ) -> Iterator[_Trial]:
+    """Generate causes in the problem: its torque and its inertia."""
     needed = residual.torques + residual.logged
     logged = residual.logged
     if logged.any():
         turn = _best_axes(logged, needed)
         if not np.array_equal(turn, np.eye(3)):
             yield _Trial('torque_axes', 'the logged torque has swapped or reversed '
-                         f'axes: {_axes_text(turn)}', _with_torque(model, turn), measured)
+                         f'axes: {_axes_text(turn)}', _with_torque(problem, turn), measured)
         scale = _slope(logged.ravel(), needed.ravel())
         if scale > 0.0:
             yield _Trial('torque_scale', f'the torque is {scale:.4g} times the logged '
-                         'one', _with_torque(model, scale * np.eye(3)), measured)
-    inertia = _inertia(model, residual)
+                         'one', _with_torque(problem, scale * np.eye(3)), measured)
+    inertia = _inertia(problem, residual)
     if inertia is not None:
         yield _Trial('inertia', 'the inertia: ixx iyy izz ixy ixz iyz = '
                      f'{written(entries(inertia.inertia))} kg m^2 explains the growth of the '
-                     'error; fit it with attitude_identify', replace(model, body=inertia),
+                     'error; fit it with attitude_identify', problem.replaced(body=inertia),
                      measured)
 
 
@@ -269,9 +270,9 @@ def _slope(x: Floats, y: Floats) -> float:
     return slope
 
 
-def _inertia(model: Model, residual: ResidualTorque) -> RigidBody | None:
+def _inertia(problem: Problem, residual: ResidualTorque) -> RigidBody | None:
     """Return the body whose inertia needs the least residual torque; None if there is none."""
-    own = entries(model.body.inertia)
+    own = entries(problem.body.inertia)
     # What the inertia must explain: its own torque now, less what is left over.
     target = np.einsum('nak,k->na', residual.of_inertia, own) - residual.torques
     rows, values = residual.of_inertia.reshape(-1, 6), target.ravel()
@@ -287,13 +288,13 @@ def _inertia(model: Model, residual: ResidualTorque) -> RigidBody | None:
         weights = 1.0 / np.sqrt(np.maximum(
             left / max(2.0 * float(np.median(left)), 1e-300), 1.0))
     try:
-        return RigidBody(symmetric(fitted), model.body.damping)
+        return RigidBody(symmetric(fitted), problem.body.damping)
     except ValueError:  # no body has that inertia
         return None
 
 
-def _with_torque(model: Model, turn: Floats) -> Model:
-    return replace(model, logs=tuple(log.with_torques(log.torques @ turn.T) for log in model.logs))
+def _with_torque(problem: Problem, turn: Floats) -> Problem:
+    return problem.replaced(log=[log.with_torques(log.torques @ turn.T) for log in problem.logs])
 
 
 def _clock_text(comparison: Comparison) -> str:

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.comparison.motion import Model, Recorded
+from rigid_body_ros.comparison.motion import inside, Motion
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
@@ -37,14 +37,14 @@ _SAME = 0.01
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 
-def guess(motion: Model | Recorded, sensors: Sequence[Measured], clock: bool,
+def guess(motion: Motion, sensors: Sequence[Measured], clock: bool,
           mount: bool) -> tuple[float, Floats, Floats]:
     """
     Return a clock offset, s, and the rotations of mounting and space.
 
     Parameters
     ----------
-    motion : Model or Recorded
+    motion : Problem or Recorded
         What the sensors are aligned with.
     sensors : sequence of Measured
         The best of them is used.
@@ -64,7 +64,7 @@ def guess(motion: Model | Recorded, sensors: Sequence[Measured], clock: bool,
     return offset, mounting, space
 
 
-def _offset(motion: Model | Recorded, sensor: Measured, mount: bool) -> float:
+def _offset(motion: Motion, sensor: Measured, mount: bool) -> float:
     """Return the offset at which measured and computed angular velocities agree best, s."""
     from scipy.ndimage import median_filter
     stamps_ns, rates = measured_rates(sensor)
@@ -76,14 +76,14 @@ def _offset(motion: Model | Recorded, sensor: Measured, mount: bool) -> float:
     measured = np.stack([np.interp(grid_ns - first_ns, stamps_ns - first_ns, column)
                          for column in rates.T])
     wider_ns = first_ns + step_ns * np.arange(-most, len(grid_ns) + most)
-    inside = (wider_ns >= motion.first_ns) & (wider_ns <= motion.last_ns)
+    within = inside(motion, wider_ns)
     computed = np.zeros((3, len(wider_ns)))
-    if inside.any():
-        computed[:, inside] = motion.at(wider_ns[inside]).angular_velocity.T
-    return _best_lag(measured, computed, inside, mount) * 1e-9 * step_ns
+    if within.any():
+        computed[:, within] = motion.propagate(at=wider_ns[within]).angular_velocity.T
+    return _best_lag(measured, computed, within, mount) * 1e-9 * step_ns
 
 
-def _best_lag(measured: Floats, computed: Floats, inside: NDArray[np.bool_],
+def _best_lag(measured: Floats, computed: Floats, within: NDArray[np.bool_],
               mount: bool) -> float:
     """
     Return the lag of the least mean squared difference, in steps of the grid.
@@ -98,7 +98,7 @@ def _best_lag(measured: Floats, computed: Floats, inside: NDArray[np.bool_],
     def correlated(wide: Floats, narrow: Floats) -> Floats:
         product = fft.rfft(wide, size) * np.conj(fft.rfft(narrow, size))
         return np.asarray(fft.irfft(product, size)[:len(wide) - count + 1])
-    valid = inside.astype(float)
+    valid = within.astype(float)
     overlap = correlated(valid, np.ones(count))
     energy = correlated(valid, np.sum(measured ** 2, axis=0)) \
         + correlated(np.sum(computed ** 2, axis=0), np.ones(count))
@@ -127,18 +127,18 @@ def _best_lag(measured: Floats, computed: Floats, inside: NDArray[np.bool_],
     return best - middle + float(np.clip(fraction, -0.5, 0.5))
 
 
-def _mounting(motion: Model | Recorded, sensor: Measured, offset_ns: int
+def _mounting(motion: Motion, sensor: Measured, offset_ns: int
               ) -> tuple[Floats, Floats]:
     """Return the rotations of mounting and space that explain a sensor best."""
     times_ns = sensor.stamps_ns + offset_ns
-    inside = (times_ns >= motion.first_ns) & (times_ns <= motion.last_ns)
-    if inside.sum() < 2:
+    within = inside(motion, times_ns)
+    if within.sum() < 2:
         return _IDENTITY, _IDENTITY
-    states = motion.at(times_ns[inside])
+    states = motion.propagate(at=times_ns[within])
     if sensor.attitude is None:
         assert sensor.angular_velocity is not None
-        return kabsch(sensor.angular_velocity[inside], states.angular_velocity), _IDENTITY
-    attitude = sensor.attitude[inside]
+        return kabsch(sensor.angular_velocity[within], states.angular_velocity), _IDENTITY
+    attitude = sensor.attitude[within]
     step = _stride(attitude)
     turned, expected = (so3.log(so3.multiply(so3.conjugate(each[:-step]), each[step:]))
                         for each in (attitude, states.attitude))

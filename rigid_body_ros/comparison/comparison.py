@@ -25,10 +25,11 @@ from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.comparison.causes import find_causes
 from rigid_body_ros.comparison.errors import compared, Comparison
 from rigid_body_ros.comparison.horizons import horizon
-from rigid_body_ros.comparison.motion import Model, Recorded
+from rigid_body_ros.comparison.motion import Motion, Recorded
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
+from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.residual_torque import residual_torque
@@ -76,26 +77,25 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
     sensors = [measured] if isinstance(measured, Measured) else measured
     for sensor in sensors:
         sensor.check()
-    model = Model(body, start, tuple(torque_logs(log)), wheels, options)
-    return compare_motion(model, sensors, align, horizons, causes)
+    problem = Problem(body, start, log, wheels=wheels, **options)
+    return compare_motion(problem, sensors, align, horizons, causes)
 
 
-def compare_motion(motion: Model | Recorded, measured: Sequence[Measured],
+def compare_motion(motion: Motion, measured: Sequence[Measured],
                    align: Collection[str] = (), horizons: Sequence[float] = (),
                    causes: bool = True, track: Track = no_progress) -> Comparison:
-    """Compare as `compare` does, with a model or a recorded motion; `track` shows progress."""
+    """Compare as `compare` does, with a problem or a recorded motion; `track` shows progress."""
     for seconds in horizons:
         if not duration_ns(seconds, 'horizons'):
             raise ValueError(f'horizons: expected positive seconds, found {seconds}')
     if horizons and isinstance(motion, Recorded):
         raise InputError('horizons: expected a model that can restart, found a recorded motion')
     comparison = compared(motion, measured, align)
-    if isinstance(motion, Model):
-        model, aligned = comparison.motion, comparison.aligned
-        assert isinstance(model, Model)
+    problem, aligned = comparison.motion, comparison.aligned
+    if isinstance(problem, Problem):
         best = max(aligned, key=lambda sensor: (sensor.angular_velocity is not None, len(sensor)))
         comparison = replace(
-            comparison, residual_torque=residual_torque(model, best),
-            horizons=tuple(horizon(model, aligned, seconds, track) for seconds in horizons))
+            comparison, residual_torque=residual_torque(problem, best),
+            horizons=tuple(horizon(problem, aligned, seconds, track) for seconds in horizons))
     return replace(comparison, causes=find_causes(motion, comparison, align, track)) \
         if causes else comparison

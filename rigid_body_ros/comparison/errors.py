@@ -17,8 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,8 @@ from rigid_body_ros.comparison.align import align as aligned_by
 from rigid_body_ros.comparison.align import apart, errors_of, START
 from rigid_body_ros.comparison.alignment import Alignment
 from rigid_body_ros.comparison.horizons import Horizon
-from rigid_body_ros.comparison.motion import Model, Poses, Recorded
+from rigid_body_ros.comparison.motion import divided, inside, Motion
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.residual_torque import ResidualTorque
 
@@ -75,8 +75,8 @@ class Comparison:
         Number of samples outside of the motion.
     horizons : tuple of Horizon
     residual_torque : ResidualTorque, optional
-        None if there is no model, or the measurement is too short.
-    motion : Model or Recorded
+        None for a recorded motion, or the measurement is too short.
+    motion : Problem or Recorded
         With the fitted start.
     recording : str
         Name of the recording, if there is one.
@@ -91,7 +91,7 @@ class Comparison:
     left_out: int
     horizons: tuple[Horizon, ...]
     residual_torque: ResidualTorque | None
-    motion: Model | Recorded
+    motion: Motion
     recording: str = ''
     causes: tuple[Any, ...] = ()
 
@@ -109,7 +109,7 @@ class Comparison:
     @property
     def aligned(self) -> tuple[Measured, ...]:
         """Return the measurements in the time and the axes of the motion."""
-        return tuple(inside(self.motion, self.alignment.applied(sensor))
+        return tuple(_within(self.motion, self.alignment.applied(sensor))
                      for sensor in self.measured)
 
     def of(self, name: str) -> list[Errors]:
@@ -149,34 +149,26 @@ class Comparison:
         return found
 
 
-def compared(motion: Model | Recorded, measured: Sequence[Measured],
+def compared(motion: Motion, measured: Sequence[Measured],
              align: Collection[str], most: int | None = None) -> Comparison:
     """Return the errors after alignment with at most so many samples, without anything else."""
     alignment = aligned_by(motion, measured, align, most)
     if START in align and alignment.start:
-        assert isinstance(motion, Model)
-        motion = replace(motion, start=alignment.start)
+        assert isinstance(motion, Problem)
+        motion = motion.replaced(start=alignment.start)
     sensors = [alignment.applied(sensor) for sensor in measured]
-    within = [inside(motion, sensor) for sensor in sensors]
+    within = [_within(motion, sensor) for sensor in sensors]
     if not any(len(sensor) for sensor in within):
         raise apart(motion, sensors)
-    errors = tuple(Errors(sensor.topic, sensor.stamps_ns, *errors_of(sensor, states))
-                   for sensor, states in zip(within, _states(motion, within)))
+    states = motion.propagate(at=np.concatenate([sensor.stamps_ns for sensor in within]))
+    errors = tuple(Errors(sensor.topic, sensor.stamps_ns, *errors_of(sensor, part))
+                   for sensor, part in zip(within, divided(states, within)))
     left_out = sum(map(len, sensors)) - sum(map(len, within))
     return Comparison(tuple(measured), alignment, errors, left_out, (), None, motion)
 
 
-def inside(motion: Model | Recorded, sensor: Measured) -> Measured:
-    """Return the samples within a motion."""
-    stamps_ns = sensor.stamps_ns
-    return sensor.rows((stamps_ns >= motion.first_ns) & (stamps_ns <= motion.last_ns))
-
-
-def _states(motion: Model | Recorded, sensors: Sequence[Measured]) -> list[Poses]:
-    states = motion.at(np.concatenate([sensor.stamps_ns for sensor in sensors]))
-    ends = np.cumsum([0, *(len(sensor) for sensor in sensors)])
-    return [Poses(states.attitude[first:end], states.angular_velocity[first:end])
-            for first, end in pairwise(ends.tolist())]
+def _within(motion: Motion, sensor: Measured) -> Measured:
+    return sensor.rows(inside(motion, sensor.stamps_ns))
 
 
 def statistics(vectors: Floats | None, final: bool = False) -> dict[str, Any]:

@@ -23,9 +23,9 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison.align import errors_of
-from rigid_body_ros.comparison.motion import Model
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
@@ -56,20 +56,20 @@ class Horizon:
     angles: Floats
 
 
-def horizon(model: Model, sensors: Sequence[Measured], seconds: float,
+def horizon(problem: Problem, sensors: Sequence[Measured], seconds: float,
             track: Track = no_progress) -> Horizon:
     """
     Return errors after a time, each from a restart from the measurement.
 
     A restart is estimated from eleven samples, or fewer if a fifth of the horizon has fewer: the
-    model is propagated from the first, and its errors, linear in time, are taken off.
+    motion is propagated from the first, and its errors, linear in time, are taken off.
 
     Parameters
     ----------
-    model : Model
+    problem : Problem
         Restarted at every horizon.
     sensors : sequence of Measured
-        In the time and the axes of the model. The first with an attitude is used, with its own
+        In the time and the axes of the motion. The first with an attitude is used, with its own
         angular velocity if it has one.
     seconds : float, s
         The horizon.
@@ -85,7 +85,7 @@ def horizon(model: Model, sensors: Sequence[Measured], seconds: float,
     with_attitude = [sensor for sensor in sensors if sensor.attitude is not None]
     if not with_attitude:
         return Horizon(seconds, np.empty(0))
-    sensor = with_attitude[0].rows(with_attitude[0].stamps_ns >= model.first_ns)
+    sensor = with_attitude[0].rows(with_attitude[0].stamps_ns >= problem.start.time_ns)
     stamps_ns, step_ns = sensor.stamps_ns, round(1e9 * seconds)
     if len(stamps_ns) < 2:
         return Horizon(seconds, np.empty(0))
@@ -97,28 +97,28 @@ def horizon(model: Model, sensors: Sequence[Measured], seconds: float,
     # A sample may be late by up to half an interval.
     half_ns = spacing_ns // 2
     _, rows = np.unique((stamps_ns - stamps_ns[0] + half_ns) // step_ns, return_index=True)
-    momenta = model.rotor_momentum(stamps_ns[rows])
+    momenta = problem.rotor_momentum(stamps_ns[rows])
     windows = list(zip(rows[:-1].tolist(), rows[1:].tolist(), momenta))
-    angles = [_error(model, sensor, (first, last), step_ns, momentum)
+    angles = [_error(problem, sensor, (first, last), step_ns, momentum)
               for first, last, momentum in track(windows, len(windows))
               if abs(stamps_ns[last] - stamps_ns[first] - step_ns) <= 2 * half_ns]
     return Horizon(seconds, np.array(angles, float))
 
 
-def _error(model: Model, sensor: Measured, window: tuple[int, int], step_ns: int,
+def _error(problem: Problem, sensor: Measured, window: tuple[int, int], step_ns: int,
            momentum: Floats) -> float:
     first, last = window
     until_ns = sensor.stamps_ns[first] + step_ns // 5
     count = int(np.searchsorted(sensor.stamps_ns, until_ns, 'right')) - first
     count = min(max(count, 2), _SAMPLES, last - first + 1)
-    start = _restarted(model, sensor.rows(np.arange(first, first + count)), momentum)
+    start = _restarted(problem, sensor.rows(np.arange(first, first + count)), momentum)
     end = sensor.rows(np.array([last]))
-    motion = model.between(start, int(end.stamps_ns[0])).at(end.stamps_ns)
+    motion = problem.between(start, int(end.stamps_ns[0])).propagate(at=end.stamps_ns)
     assert sensor.attitude is not None
     return float(so3.angle_between(motion.attitude[0], sensor.attitude[last]))
 
 
-def _restarted(model: Model, samples: Measured, momentum: Floats) -> State:
+def _restarted(problem: Problem, samples: Measured, momentum: Floats) -> State:
     """Return the state at the first of a few samples that fits all of them best."""
     assert samples.attitude is not None
     first_ns, (_, rates) = int(samples.stamps_ns[0]), measured_rates(samples)
@@ -128,7 +128,8 @@ def _restarted(model: Model, samples: Measured, momentum: Floats) -> State:
     seconds = 1e-9 * (samples.stamps_ns - first_ns)
     columns = np.stack([np.ones(len(seconds)), seconds], axis=1)
     for _ in range(_CORRECTIONS):
-        motion = model.between(start, int(samples.stamps_ns[-1])).at(samples.stamps_ns)
+        motion = problem.between(start, int(samples.stamps_ns[-1])).propagate(
+            at=samples.stamps_ns)
         vectors, rate_errors = errors_of(samples, motion)
         assert vectors is not None
         # In space axes: a constant error of the attitude is constant there.

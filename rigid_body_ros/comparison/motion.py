@@ -16,135 +16,73 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.mechanics import hermite
-from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.propagation import propagate, Trajectory
+from rigid_body_ros.mechanics.states import Poses
+from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.sensing.measured import Measured
 
 
-class Poses(NamedTuple):
-    """Attitudes x y z w, shape (n, 4), and angular velocities, rad/s, body axes, shape (n, 3)."""
-
-    attitude: Floats
-    angular_velocity: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class Model:
-    """
-    A body, its start and its torques.
-
-    Attributes
-    ----------
-    body : RigidBody
-    start : State
-    logs : tuple of TorqueLog
-        Their torques add up.
-    wheels : TorqueLog, optional
-        Torque of the motors on the rotors, body axes.
-    options : dict
-        Keyword arguments of `propagate`.
-    last_ns : int
-        Time of the latest state; the motion of an epoch ends where the next one begins.
-
-    """
-
-    body: RigidBody
-    start: State
-    logs: tuple[TorqueLog, ...] = ()
-    wheels: TorqueLog | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)
-    last_ns: int = NEVER_NS // 2
-
-    @property
-    def first_ns(self) -> int:
-        """Return the time of the earliest state."""
-        return self.start.time_ns
-
-    @property
-    def timeout_ns(self) -> int:
-        """Return the torque timeout, ns; 0 if a torque is held for ever."""
-        return round(1e9 * self.options.get('torque_timeout', 0.0))
-
-    def at(self, times_ns: NDArray[np.int64]) -> Poses:
-        """Return the states at times, in any order, none before the start."""
-        motion = self.trajectory(times_ns)
-        return Poses(motion.attitude, motion.angular_velocity)
-
-    def trajectory(self, times_ns: NDArray[np.int64]) -> Trajectory:
-        """Return the motion at times, in any order, none before the start."""
-        return propagate(self.body, self.start, self.logs, at=times_ns, wheels=self.wheels,
-                         **self.options)
-
-    def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return the momenta of the rotors at times, N m s, body axes, shape (n, 3)."""
-        if self.wheels is None:
-            return np.broadcast_to(self.start.rotor_momentum, (len(times_ns), 3))
-        return self.trajectory(times_ns).rotor_momentum
-
-    def between(self, start: State, end_ns: int) -> Model:
-        """Return the same model from another start on, with only the torques it needs."""
-        logs = tuple(log.between(start.time_ns, end_ns) for log in self.logs)
-        wheels = self.wheels and self.wheels.between(start.time_ns, end_ns)
-        return Model(self.body, start, logs, wheels, self.options)
-
-
-@dataclass(frozen=True, eq=False)
 class Recorded:
     """
     A motion that was recorded, interpolated between its samples.
 
-    Attributes
+    Parameters
     ----------
     samples : Measured
         With attitudes and angular velocities.
 
+    Attributes
+    ----------
+    start : State
+        The earliest state.
+    end_ns : int
+        Time of the latest state.
+
     """
 
-    samples: Measured
-
-    @property
-    def first_ns(self) -> int:
-        """Return the time of the earliest state."""
-        return int(self.samples.stamps_ns[0])
-
-    @property
-    def last_ns(self) -> int:
-        """Return the time of the latest state."""
-        return int(self.samples.stamps_ns[-1])
-
-    def at(self, times_ns: NDArray[np.int64]) -> Poses:
-        """
-        Return the states at times.
-
-        `hermite.between` interpolates between the measured angular velocities.
-
-        Raises
-        ------
-        InputError
-            A time is after the last sample.
-
-        """
-        stamps_ns, attitude = self.samples.stamps_ns, self.samples.attitude
-        rates = self.samples.angular_velocity
+    def __init__(self, samples: Measured) -> None:
+        stamps_ns, attitude, rates = samples.stamps_ns, samples.attitude, samples.angular_velocity
         assert attitude is not None
         assert rates is not None
-        if times_ns.size and times_ns.max() > stamps_ns[-1]:
-            raise InputError(f'expected a motion up to the last measurement at {times_ns.max()} '
-                             f'ns, found its end at {stamps_ns[-1]} ns')
-        rows = np.clip(np.searchsorted(stamps_ns, times_ns, 'right') - 1, 0, len(stamps_ns) - 2)
+        self._stamps_ns, self._poses = stamps_ns, Poses(attitude, rates)
+        self.start = State(int(stamps_ns[0]), attitude[0], rates[0])
+        self.end_ns = int(stamps_ns[-1])
+
+    def propagate(self, *, at: NDArray[np.int64]) -> Poses:
+        """Return the states at times between those of samples; see `hermite.between`."""
+        stamps_ns, (attitude, rates) = self._stamps_ns, self._poses
+        rows = np.clip(np.searchsorted(stamps_ns, at, 'right') - 1, 0, len(stamps_ns) - 2)
         span = np.diff(stamps_ns)[rows] * 1e-9
-        part = (times_ns - stamps_ns[rows]) * 1e-9 / span
+        part = (at - stamps_ns[rows]) * 1e-9 / span
         return Poses(*hermite.between((attitude[rows], rates[rows]),
                                       (attitude[rows + 1], rates[rows + 1]), span, part))
+
+
+#: What measurements are compared with, and its states at times.
+Motion = Problem | Recorded
+States = Trajectory | Poses
+
+
+def span_of(motion: Motion) -> tuple[int, int]:
+    """Return the times of the earliest and of the latest state, ns."""
+    return motion.start.time_ns, motion.end_ns if isinstance(motion, Recorded) else NEVER_NS // 2
+
+
+def inside(motion: Motion, times_ns: NDArray[np.int64], margin_ns: int = 0) -> NDArray[np.bool_]:
+    """Return which times are within a motion, at least a margin from its ends."""
+    first_ns, last_ns = span_of(motion)
+    return (times_ns >= first_ns + margin_ns) & (times_ns <= last_ns - margin_ns)
+
+
+def divided(states: States, sensors: Sequence[Measured]) -> list[Poses]:
+    """Return the states at the samples of each sensor, from those of all of them."""
+    ends = np.cumsum([0, *map(len, sensors)]).tolist()
+    every = Poses(states.attitude, states.angular_velocity)
+    return [every.rows(slice(*part)) for part in pairwise(ends)]

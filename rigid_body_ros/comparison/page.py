@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.comparison.errors import Comparison, QUANTITIES
 from rigid_body_ros.comparison.horizons import Horizon
-from rigid_body_ros.comparison.motion import Model
 from rigid_body_ros.comparison.summary import rows
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page
-from rigid_body_ros.report.panels import error_panel, SINCE_FIRST, torque_panels, total_torque
+from rigid_body_ros.report.panels import error_panel, SINCE_FIRST, torque_panels
 from rigid_body_ros.scene import Scene
 
 
@@ -39,18 +39,19 @@ def page(comparison: Comparison, name: str, scene: Scene, command: str) -> Page:
     Parameters
     ----------
     comparison : Comparison
-        The comparison; the computed motion is shown if there is a model.
+        The comparison; a computed motion is shown.
     name : str
         Name of the recording.
     scene : Scene
-        The scene of the model.
+        The scene of the motion.
     command : str
         The command line.
 
     """
     stamps_ns = np.unique(np.concatenate([errors.times_ns for errors in comparison.errors]))
     topics = ', '.join(errors.topic for errors in comparison.errors)
-    body = _body(comparison.motion, stamps_ns) if isinstance(comparison.motion, Model) else None
+    motion = comparison.motion
+    body = _body(motion, stamps_ns) if isinstance(motion, Problem) else None
     shown = [('moving body', 'the computed motion')] if body else []
     return Page(f'{name}: {topics}', [('recording', name), *rows(comparison), *shown],
                 [*_panels(comparison, stamps_ns)], body, scene.warnings, scene=scene,
@@ -63,9 +64,9 @@ def _panels(comparison: Comparison, stamps_ns: NDArray[np.int64]) -> Iterator[Pa
         for errors in comparison.of(attribute):
             yield error_panel(f'{errors.topic}: {label}, body axes', unit, errors.times_ns,
                               getattr(errors, attribute), start_ns)
-    model = comparison.motion
-    if isinstance(model, Model):
-        yield from torque_panels(model.logs, start_ns, end_ns, model.timeout_ns)
+    motion = comparison.motion
+    if isinstance(motion, Problem):
+        yield from torque_panels(motion.logs, start_ns, end_ns, motion.options.timeout_ns)
     torque = comparison.residual_torque
     if torque:
         yield Panel('residual torque, body axes', 'N m', [Curves.thinned(
@@ -88,11 +89,11 @@ def _horizon_panel(horizons: Sequence[Horizon]) -> Panel:
                  'time since the restart from the measurement (s)', 'loglog', texts=texts)
 
 
-def _body(model: Model, stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
+def _body(problem: Problem, stamps_ns: NDArray[np.int64]) -> dict[str, Any]:
     """Return the propagated motion at some of the measured stamps."""
     step = -(-len(stamps_ns) // moving_body.MOST)
     times_ns = np.union1d(stamps_ns[::step], stamps_ns[-1:])
-    motion = model.trajectory(times_ns)
-    torque = total_torque(model.logs, times_ns, motion.attitude, model.timeout_ns)
-    return moving_body.as_data(model.body, times_ns, np.hstack([
+    motion = problem.propagate(at=times_ns)
+    torque = problem.torque(times_ns, motion.attitude)
+    return moving_body.as_data(problem.body, times_ns, np.hstack([
         motion.attitude, motion.angular_velocity, torque, motion.rotor_momentum]))

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from rigid_body_ros.comparison.errors import Comparison, QUANTITIES
-from rigid_body_ros.comparison.motion import Model
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import figures
 
 
@@ -49,8 +49,9 @@ def draw(path: str | Path, comparison: Comparison, name: str) -> None:
     torque = comparison.residual_torque
     residual = figures.Series('residual torque', 'N m', torque.times_ns, torque.torques) \
         if torque else None
-    model = comparison.motion
-    logs, timeout_ns = (model.logs, model.timeout_ns) if isinstance(model, Model) else ((), 0)
+    motion = comparison.motion
+    logs, timeout_ns = (motion.logs, motion.options.timeout_ns) \
+        if isinstance(motion, Problem) else ((), 0)
     horizons = {horizon.seconds: np.percentile(horizon.angles, [50.0, 95.0])
                 for horizon in comparison.horizons if len(horizon.angles)}
     topics = ', '.join(errors.topic for errors in comparison.errors)

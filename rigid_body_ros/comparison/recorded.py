@@ -17,78 +17,44 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from rigid_body_ros import messages, recording
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.comparison.align import align as aligned_by
 from rigid_body_ros.comparison.align import CLOCK
 from rigid_body_ros.comparison.coarse import LARGEST_OFFSET
 from rigid_body_ros.comparison.comparison import compare_motion
 from rigid_body_ros.comparison.errors import Comparison
-from rigid_body_ros.comparison.motion import Model, Recorded
+from rigid_body_ros.comparison.motion import Motion, Recorded
 from rigid_body_ros.recording import ANGULAR_VELOCITY, ATTITUDE
-from rigid_body_ros.replay.epochs import chosen
-from rigid_body_ros.replay.sources import read_sources, Topics, topics_of
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.measured import Measured
-from rigid_body_ros.sensing.reading import read_all, read_measured
+from rigid_body_ros.sensing.reading import read_measured
+from rigid_body_ros.sensing.recorded import Measurements, read_observed, Reading
 
 
-@dataclass(frozen=True)
-class Reading:
-    """
-    How to read a recording.
-
-    Attributes
-    ----------
-    interpolation : str, optional
-        Interpolation of the torques between samples; otherwise the scene's.
-    time_source : str
-        Of torques and measurements, as for `recording.read`.
-    frames : tuple of str, optional
-        As for `read_measured`.
-    track : callable
-        Wraps the iteration over blocks of messages, to show progress.
-    work : callable
-        Wraps the iteration over restarts and possible causes, to show progress.
-
-    """
-
-    interpolation: str | None = None
-    time_source: str = 'header'
-    frames: tuple[str, str] | None = None
-    track: Track = no_progress
-    work: Track = no_progress
-
-
-def compare_recording(path: str | Path, scene: Scene, measured: Sequence[str] = (), *,
-                      topic: str | Sequence[str] | None = None, wheel_torque: str | None = None,
-                      wheel_momentum: str | None = None, motion: str | Path | None = None,
-                      align: Collection[str] = (), horizons: Sequence[float] = (),
-                      reading: Reading | None = None) -> Comparison:
+def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = None, *,
+                      motion: str | Path | None = None, align: Collection[str] = (),
+                      horizons: Sequence[float] = (), track: Track = no_progress) -> Comparison:
     """
     Compare measured topics of a recording with the motion under its torques.
 
     Parameters
     ----------
-    path : str or Path
-        The recording.
-    scene : Scene
-        If its start_time is 0, the motion starts at the earliest stamp of the torques or, without
-        torques, of the measurements.
-    measured : sequence of str
-        Measured topics; can be empty if the recording has one, as for `read_measured`.
-    topic, wheel_torque, wheel_momentum
-        Topics of the torques, as for `replay`.
+    path, scene
+        As for `read_observed`.
+    reading : Reading, optional
+        What to read from the recording.
     motion : str or Path, optional
         A recorded motion to compare with instead, such as the output of a replay.
     align, horizons
         As for `compare`.
-    reading : Reading, optional
-        How to read the recording.
+    track : callable
+        Wraps the iteration over restarts and possible causes, to show progress.
 
     Returns
     -------
@@ -102,52 +68,23 @@ def compare_recording(path: str | Path, scene: Scene, measured: Sequence[str] = 
 
     """
     reading = reading or Reading()
-    sensors = read_all(path, measured, frames=reading.frames, body_frame=scene.body_frame,
-                       space_frame=scene.space_frame, time_source=reading.time_source,
-                       track=reading.track)
-    topics = topics_of(topic, wheel_torque, wheel_momentum)
+    moved: Motion
     if motion is None:
-        model: Model | Recorded = read_model(path, scene, topics, reading,
-                                             min(int(each.stamps_ns[0]) for each in sensors))
-        assert isinstance(model, Model)
-        check_overlap(path, model, sensors, CLOCK in align)
+        searched = LARGEST_OFFSET if CLOCK in align else 0.0
+        moved, during = read_observed(path, scene, reading, searched)
     else:
-        model = read_motion(motion, scene)
+        moved, during = read_motion(motion, scene), Measurements(reading.sensors(path, scene))
     try:
-        found = compare_motion(model, sensors, align, horizons, track=reading.work)
+        sensors = during.until_end()
+        if CLOCK in align and during.is_followed:  # some of them may be of the next epoch
+            sensors = during.until_end(aligned_by(moved, sensors, align).clock_offset_s)
+        found = compare_motion(moved, sensors, align, horizons, track=track)
     except ValueError as error:
         raise InputError(f'{path}: {error}') from error
+    left_out = sum(map(len, during.sensors)) - sum(map(len, sensors))
     # A file name may hold bytes that are not text.
-    return replace(found, recording=Path(path).name.encode(errors='replace').decode())
-
-
-def read_model(path: str | Path, scene: Scene, topics: Topics, reading: Reading,
-               first_ns: int = 0) -> Model:
-    """
-    Return the body of a scene, its start, and the torques of a recording.
-
-    Without torques in the recording, the body is free and starts at `first_ns`, unless the scene
-    has a start_time. Of several epochs of a node, its start_time chooses one; the motion ends
-    where the next one begins.
-
-    Raises
-    ------
-    InputError
-        The recording cannot be read, or does not fit the scene.
-
-    """
-    topics.is_plain(scene)
-    if topics == Topics() and not recording.topics(path, recording.TORQUES):
-        start = replace(scene.start, time_ns=scene.start.time_ns or first_ns)
-        return Model(scene.body, start, options=scene.options)
-    epochs = read_sources(path, scene, topics.found_in(path, scene),
-                          reading.interpolation or scene.interpolation, reading.track,
-                          reading.time_source)
-    starts = [one.start for one in epochs]
-    sources = epochs[chosen(path, scene, starts)]
-    later = [start.time_ns for start in starts if start.time_ns > sources.start.time_ns]
-    model = Model(scene.body, sources.start, sources.logs, sources.wheels, scene.options)
-    return replace(model, last_ns=min(later) - 1) if later else model
+    return replace(found, recording=Path(path).name.encode(errors='replace').decode(),
+                   left_out=found.left_out + left_out)
 
 
 def read_motion(path: str | Path, scene: Scene) -> Recorded:
@@ -178,18 +115,3 @@ def read_motion(path: str | Path, scene: Scene) -> Recorded:
         raise InputError(f'{path}: {motion.topic}: expected a motion with attitude and angular '
                          'velocity, found one of them')
     return Recorded(motion)
-
-
-def check_overlap(path: str | Path, model: Model, sensors: Sequence[Measured],
-                  searched: bool) -> None:
-    """Raise InputError if the measurements end before the torques begin, or the reverse."""
-    margin = round(1e9 * LARGEST_OFFSET) if searched else 0
-    stamps_ns = [int(time) for log in model.logs if len(log) for time in log.times_ns[[0, -1]]]
-    first, last = model.first_ns, max(stamps_ns, default=model.last_ns)
-    for sensor in sensors:
-        begin, end = int(sensor.stamps_ns[0]), int(sensor.stamps_ns[-1])
-        if end + margin < first or begin - margin > last:
-            raise InputError(
-                f'{path}: {sensor.topic}: expected measurements during the motion, from {first} '
-                f'ns to the last torque at {last} ns, found them from {begin} ns to {end} ns; '
-                'are the clocks the same (--time-source log)?')

@@ -24,8 +24,8 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.comparison.alignment import Alignment
 from rigid_body_ros.comparison.errors import Comparison, QUANTITIES, statistics
-from rigid_body_ros.comparison.motion import Model
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.report.text import lines
 
@@ -46,7 +46,7 @@ def rows(comparison: Comparison) -> Iterator[tuple[str, str]]:
         yield 'left out', f'{comparison.left_out} samples outside of the motion'
     for damage in dict.fromkeys(sensor.damage for sensor in comparison.measured if sensor.damage):
         yield 'lost', damage
-    if isinstance(comparison.motion, Model) and not comparison.motion.logs:
+    if isinstance(comparison.motion, Problem) and not comparison.motion.sources:
         yield 'torques', 'none in the recording: the body is free'
     yield from _alignment(comparison.alignment)
     for label, unit, attribute in QUANTITIES:

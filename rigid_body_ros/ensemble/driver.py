@@ -74,7 +74,7 @@ def threads(workers: int) -> Pool:
     """Return a pool of threads; the kernels release Python's lock."""
     def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
         with Workers(workers) as found:
-            yield from found.map(partial(_block, ensemble), spans)
+            yield from found.results(partial(_block, ensemble), spans)
     return blocks
 
 
@@ -88,8 +88,8 @@ def cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
     def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
         if spans:
             with connected(scheduler, note) as found:
-                yield from _joined(found.map(partial(_part, ensemble), _parts(spans, found),
-                                             died))
+                yield from _joined(found.results(partial(_part, ensemble), _parts(spans, found),
+                                                 died))
     return blocks
 
 

@@ -22,7 +22,6 @@ rotors does not change it. The bounds depend on the values of a run only, not on
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 import math
@@ -32,7 +31,8 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.ensemble.applied import Applied
 from rigid_body_ros.kernels import body_layout
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.propagation.options import FASTEST, Options
+from rigid_body_ros.propagation import Problem
+from rigid_body_ros.propagation.options import FASTEST
 
 #: rad; how far a run may turn in steps, which take about a microsecond for each radian.
 FARTHEST = 1e7
@@ -49,21 +49,17 @@ class Reach:
 
     Parameters
     ----------
-    logs : iterable of TorqueLog
-    wheels : TorqueLog or None
-    start_ns, end_ns : int, ns
+    problem : Problem
+        The nominal motion.
+    end_ns : int, ns
     noise : float, N m
         Standard deviation of a component of the torque.
-    options : Options
 
     """
 
-    logs: Iterable[TorqueLog]
-    wheels: TorqueLog | None
-    start_ns: int
+    problem: Problem
     end_ns: int
     noise: float
-    options: Options
 
     def turned(self, applied: Applied) -> Floats:
         """
@@ -93,7 +89,7 @@ class Reach:
         least = applied.bodies._constants[:, body_layout.MOMENTS:body_layout.MOMENTS + 3].min(-1)
         rates = applied.starts.angular_velocity
         energy = (applied.bodies.inertia * rates[:, :, None] * rates[:, None]).sum((1, 2))
-        span = (self.end_ns - self.start_ns) / 1e9
+        span = self._span
         body, motors, largest, _ = self._of_logs
         late = largest * np.minimum(np.abs(applied.clock_offset), span)
         impulse = (np.abs(applied.torque_gain) * (body + late) + motors
@@ -104,14 +100,20 @@ class Reach:
 
     def _seconds(self, applied: Applied) -> Floats:
         """Return how long each motion is computed in steps, s, shape (n,)."""
-        whole = (self.end_ns - self.start_ns) / 1e9
-        if self.options.record.fixed_step:
+        solver = self.problem.options.record
+        if solver.fixed_step:
             return np.zeros(len(applied.runs))
         *_, acting = self._of_logs
-        always = (applied.bodies.is_damped | applied.starts.has_rotors | bool(self.wheels)
-                  | applied.torque_bias.any(axis=1)
-                  | (self.options.record.closed_form_beyond == math.inf))
-        return np.where(always, whole, np.minimum(acting + np.abs(applied.clock_offset), whole))
+        always = (applied.bodies.is_damped | applied.starts.has_rotors
+                  | (self.problem.wheels is not None) | applied.torque_bias.any(axis=1)
+                  | (solver.closed_form_beyond == math.inf))
+        return np.where(always, self._span,
+                        np.minimum(acting + np.abs(applied.clock_offset), self._span))
+
+    @property
+    def _span(self) -> float:
+        """Return how long the motion is, s."""
+        return (self.end_ns - self.problem.start.time_ns) / 1e9
 
     @cached_property
     def _of_logs(self) -> tuple[float, float, float, float]:
@@ -121,8 +123,8 @@ class Reach:
         Bounds on the impulses of the torques on the body and on the rotors, N m s, the largest
         torque on the body, N m, and how long torques act on it, s.
         """
-        on_body = [self._pieces(log) for log in self.logs]
-        on_rotors = [self._pieces(self.wheels)] if self.wheels else []
+        pieces = [self._pieces(log) for log in self.problem.sources]
+        on_body, on_rotors = pieces[:len(self.problem.logs)], pieces[len(self.problem.logs):]
         body, motors = (sum(float((strengths * spans).sum()) for strengths, spans in pieces)
                         for pieces in (on_body, on_rotors))
         return (body, motors, sum(float(strengths.max(initial=0.0)) for strengths, _ in on_body),
@@ -134,9 +136,9 @@ class Reach:
         strengths = _norm(log.torques)
         if log.interpolation != 'hold':
             strengths = np.maximum(strengths, np.append(strengths[1:], 0.0))
-        ends = np.clip(np.append(log.times_ns, self.end_ns), self.start_ns, self.end_ns)
-        longest = self.options.torque_timeout or math.inf
-        return strengths, np.minimum(np.diff(ends) / 1e9, longest)
+        start_ns, longest = self.problem.start.time_ns, self.problem.options.torque_timeout
+        ends = np.clip(np.append(log.times_ns, self.end_ns), start_ns, self.end_ns)
+        return strengths, np.minimum(np.diff(ends) / 1e9, longest or math.inf)
 
 
 def _norm(vectors: Floats) -> Floats:

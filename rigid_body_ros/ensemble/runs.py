@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 import math
 from typing import Any
@@ -48,14 +48,11 @@ from rigid_body_ros.ensemble.reach import Reach
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.bodies import RigidBodies
-from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.propagation import propagate, propagate_many
+from rigid_body_ros.propagation import Problem, propagate_many
 from rigid_body_ros.propagation.many import Logs
-from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.runtime import interrupts
-from rigid_body_ros.scene import Scene
 
 _START = {**{f'inertia.i{entry}': 'kg m^2' for entry in ENTRIES},
           **{f'initial_attitude.{axis}': '' for axis in 'xyzw'},
@@ -83,19 +80,14 @@ class Ensemble:
 
     Attributes
     ----------
-    scene : Scene
-    start : State
-        The initial state of the scene, with its time.
-    logs : tuple of TorqueLog
-        The recorded torques, which add up.
-    wheels : TorqueLog or None
-        Torque on the rotors.
+    problem : Problem
+        The motion that runs vary.
     end_ns : int, ns
         End of every run.
     dispersions : tuple of Dispersion
     seed : int
     fitted : Fitted, optional
-        Estimates that take the place of values of the scene, and vary jointly.
+        Estimates that take the place of values of the problem, and vary jointly.
     times_ns : array of int64, shape (m,), ns, optional
         Times of the states that are kept, the last one the end; by default the end only.
 
@@ -107,10 +99,7 @@ class Ensemble:
 
     """
 
-    scene: Scene
-    start: State
-    logs: tuple[TorqueLog, ...]
-    wheels: TorqueLog | None
+    problem: Problem
     end_ns: int
     dispersions: tuple[Dispersion, ...]
     seed: int
@@ -122,7 +111,7 @@ class Ensemble:
             if one.relative and self.nominal[one.key] == 0.0:
                 raise InputError(f'{one.key}: relative: expected a nominal value other than 0')
         for key in self.keys:
-            if key in ('torque_gain', 'clock_offset', NOISE) and not self.logs:
+            if key in ('torque_gain', 'clock_offset', NOISE) and not self.problem.logs:
                 raise InputError(f'{key}: expected a recording of torques, found none')
 
     @property
@@ -134,7 +123,7 @@ class Ensemble:
     @cached_property
     def nominal(self) -> dict[str, float]:
         """Return the values that act without any dispersion, by key."""
-        body, start = self.scene.body, self.start
+        body, start = self.problem.body, self.problem.start
         applied = Applied(np.zeros(1, np.int64), RigidBodies([body.inertia], body.damping),
                           States(start.time_ns, start.attitude, start.angular_velocity,
                                  start.rotor_momentum), np.ones(1), np.zeros((1, 3)), np.zeros(1))
@@ -162,7 +151,7 @@ class Ensemble:
     @property
     def times(self) -> Floats | None:
         """Return the times of the states that are kept, s since the start."""
-        return None if self.times_ns is None else (self.times_ns - self.start.time_ns) / 1e9
+        return None if self.times_ns is None else (self.times_ns - self._start_ns) / 1e9
 
     @cached_property
     def columns(self) -> dict[str, str]:
@@ -211,12 +200,12 @@ class Ensemble:
     def _acting(self, runs: NDArray[np.int64], values: Mapping[str, Floats],
                 drawn: Mapping[str, Floats]) -> Applied:
         """Return what acts with some values; `drawn` has more than numbers by key."""
-        inertia = relative_inertia(self.scene.body, drawn[INERTIA]) if INERTIA in drawn \
+        inertia = relative_inertia(self.problem.body, drawn[INERTIA]) if INERTIA in drawn \
             else tensors('inertia.i', values)
         attitude = vectors(ATTITUDE, values, 'xyzw')
         if ATTITUDE in drawn:
             attitude = so3.multiply(attitude, so3.exp(drawn[ATTITUDE]))
-        starts = States(np.full(len(runs), self.start.time_ns), attitude,
+        starts = States(np.full(len(runs), self._start_ns), attitude,
                         vectors('initial_angular_velocity', values),
                         vectors('initial_rotor_momentum', values))
         return Applied(runs, RigidBodies(inertia, tensors('damping.d', values)), starts,
@@ -234,17 +223,22 @@ class Ensemble:
 
         """
         gain, offset = applied.torque_gain[row], float(applied.clock_offset[row])
-        torques = [gain * log.torques for log in self.logs]
+        torques = [gain * log.torques for log in self.problem.logs]
         if self._noise:
             stream = np.random.SeedSequence(self.seed, spawn_key=(int(applied.runs[row]),))
             random = np.random.default_rng(stream)
             torques = [torque + random.normal(0.0, self._noise, torque.shape)
                        for torque in torques]
-        logs = [later(log, offset, torque) for log, torque in zip(self.logs, torques)]
-        bias = applied.torque_bias[row]
+        logs = [later(log, offset, torque) for log, torque in zip(self.problem.logs, torques)]
+        bias, wheels = applied.torque_bias[row], self.problem.wheels
         if bias.any():
-            logs.append(self._bias(bias))
-        return logs, later(self.wheels, offset) if self.wheels else None
+            logs.append(_constant(bias, self._start_ns, self.end_ns,
+                                  self.problem.options.timeout_ns))
+        return logs, wheels and later(wheels, offset)
+
+    @property
+    def _start_ns(self) -> int:
+        return self.problem.start.time_ns
 
     @property
     def _at(self) -> NDArray[np.int64]:
@@ -265,9 +259,9 @@ class Ensemble:
     @cached_property
     def _at_once(self) -> int:
         """Return how many runs are computed at once."""
-        longest = self.scene.options['max_step']
-        steps = (self.end_ns - self.start.time_ns) / 1e9 / longest if longest else 0.0
-        steps += sum(map(len, [*self.logs, self.wheels or ()]))
+        longest = self.problem.options.max_step or math.inf
+        steps = (self.end_ns - self._start_ns) / 1e9 / longest
+        steps += sum(map(len, self.problem.sources))
         limit = _SAMPLES if self._have_own_logs else _STEPS
         runs = int(max(min(limit / (1.0 + steps), _STATES / len(self._at), _AT_ONCE), 1.0))
         return runs - runs % LANES or runs  # for runs that step together
@@ -314,8 +308,7 @@ class Ensemble:
 
     @cached_property
     def _reach(self) -> Reach:
-        return Reach(self.logs, self.wheels, self.start.time_ns, self.end_ns, self._noise,
-                     Options(**self.scene.options))
+        return Reach(self.problem, self.end_ns, self._noise)
 
     def _computed(self, applied: Applied) -> _Found:
         try:
@@ -325,15 +318,16 @@ class Ensemble:
 
     def _together(self, applied: Applied) -> _Found:
         count = len(applied.runs)
-        logs: Logs = [self.logs] * count if len(self.logs) > 1 else next(iter(self.logs), None)
-        wheels: Sequence[TorqueLog] | TorqueLog | None = self.wheels
+        shared = self.problem.logs
+        logs: Logs = [shared] * count if len(shared) > 1 else next(iter(shared), None)
+        wheels: Sequence[TorqueLog] | TorqueLog | None = self.problem.wheels
         gains = applied.torque_gain if 'torque_gain' in self.columns else None
         if self._have_own_logs:
             each = [self.torques(applied, row) for row in range(count)]
             logs, gains = [one for one, _ in each], None
             wheels = [motors for _, motors in each if motors] or None
         motions = propagate_many(applied.bodies, applied.starts, logs, at=self._at, wheels=wheels,
-                                 torque_gains=gains, **self.scene.options)
+                                 torque_gains=gains, **asdict(self.problem.options))
         return np.concatenate([motions.attitude, motions.angular_velocity], axis=-1), [
             message and reason(ValueError(message)) for message in motions.messages]
 
@@ -350,9 +344,9 @@ class Ensemble:
 
     def _motion(self, applied: Applied, row: int) -> Floats:
         """Return the motion of a run, shape (m, 7), with the errors of `propagate`."""
-        start, (logs, wheels) = applied.starts[row], self.torques(applied, row)
-        motion = propagate(applied.bodies[row], start, logs, at=self._at, wheels=wheels,
-                           **self.scene.options)
+        logs, wheels = self.torques(applied, row)
+        motion = self.problem.replaced(body=applied.bodies[row], start=applied.starts[row],
+                                       log=logs, wheels=wheels).propagate(at=self._at)
         return np.concatenate([motion.attitude, motion.angular_velocity], axis=-1)
 
     def _values(self, drawn: Mapping[str, Floats], count: int) -> dict[str, Floats]:
@@ -367,10 +361,10 @@ class Ensemble:
                     values[one.key] = draw + (one.kind == 'normal') * values[one.key]
         return values
 
-    def _bias(self, torque: Floats) -> TorqueLog:
-        """Return the log of a constant torque."""
-        times = np.array([self.start.time_ns])
-        if self.scene.timeout_ns:  # a bias does not time out
-            times = np.arange(self.start.time_ns, self.end_ns + 1,
-                              max(1, self.scene.timeout_ns // 2))
-        return TorqueLog(times, np.broadcast_to(torque, (len(times), 3)))
+
+def _constant(torque: Floats, start_ns: int, end_ns: int, timeout_ns: int) -> TorqueLog:
+    """Return the log of a constant torque, which does not time out."""
+    times = np.array([start_ns])
+    if timeout_ns:
+        times = np.arange(start_ns, end_ns + 1, max(1, timeout_ns // 2))
+    return TorqueLog(times, np.broadcast_to(torque, (len(times), 3)))

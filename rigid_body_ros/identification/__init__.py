@@ -17,9 +17,9 @@ Identify the parameters of a body from what was measured.
 
 `estimation` has the public function and `result` what it returns. `experiment` has the recordings,
 `parameters` the parameters, `clock` a first guess of the clock offset, `windows` the predictions,
-`problem` the least-squares problem, `solve` the fit, `residuals` its errors, and `identifiability`
-what the data does not determine. The command reads and writes with `recorded`, and prints with
-`summary`.
+`setup` what is fitted to what, `problem` the least-squares problem, `solve` the fit, `residuals`
+its errors, and `identifiability` what the data does not determine. The command reads and writes
+with `recorded`, and prints with `summary`.
 """
 
 from rigid_body_ros.identification.estimation import identify

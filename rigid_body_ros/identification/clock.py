@@ -20,7 +20,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.comparison.motion import Model
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.residual_torque import residual_torque
 
@@ -34,7 +34,7 @@ _OVERLAP = 0.5
 _BETTER = 0.8
 
 
-def likely_offset(model: Model, sensors: Sequence[Measured]) -> float:
+def likely_offset(problem: Problem, sensors: Sequence[Measured]) -> float:
     """
     Return the clock offset at which the logged torques explain the measured motion best.
 
@@ -43,7 +43,7 @@ def likely_offset(model: Model, sensors: Sequence[Measured]) -> float:
 
     Parameters
     ----------
-    model : Model
+    problem : Problem
         Its torques count, not its inertia.
     sensors : sequence of Measured
         The best of them is used.
@@ -55,7 +55,7 @@ def likely_offset(model: Model, sensors: Sequence[Measured]) -> float:
 
     """
     sensor = max(sensors, key=lambda one: (one.angular_velocity is not None, len(one)))
-    residual = residual_torque(model, sensor)
+    residual = residual_torque(problem, sensor)
     if residual is None or not residual.logged.any():
         return 0.0
     seconds = 1e-9 * (residual.times_ns - residual.times_ns[0])

@@ -23,7 +23,6 @@ import math
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.comparison.motion import Model
 from rigid_body_ros.identification import residuals
 from rigid_body_ros.identification.clock import likely_offset
 from rigid_body_ros.identification.experiment import (
@@ -40,11 +39,12 @@ from rigid_body_ros.identification.parameters import (
     UNITS,
 )
 from rigid_body_ros.identification.result import Estimate, Identification
-from rigid_body_ros.identification.solve import Setup, Solution, solve
+from rigid_body_ros.identification.setup import Setup
+from rigid_body_ros.identification.solve import Solution, solve
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.propagation import Options
+from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.sensing.measured import Measured
 
 
@@ -96,10 +96,10 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
         raise InputError('experiments: expected at least one recording, found none')
     every = [channels_of(experiment) for experiment in experiments]
     training = [_training(channels, validate) for channels in every]
-    setup = _setup(body, experiments, training, names, attitude_noise, rate_noise, torque_timeout)
-    solution = solve(setup)
-    ahead = residuals.of_validation(setup, solution, every) if validate else []
-    return _result(setup, solution, ahead)
+    problems = [Problem(body, one.start, one.log, wheels=one.wheels, torque_timeout=torque_timeout)
+                for one in experiments]
+    solution = solve(_setup(problems, training, names, attitude_noise, rate_noise))
+    return _result(solution, residuals.of_validation(solution, every) if validate else [])
 
 
 def _training(channels: list[Measured], validate: float) -> list[Measured]:
@@ -114,46 +114,41 @@ def _training(channels: list[Measured], validate: float) -> list[Measured]:
     return fitted
 
 
-def _setup(body: RigidBody, experiments: list[Experiment], channels: list[list[Measured]],
-           names: tuple[str, ...], attitude_noise: float | None, rate_noise: float | None,
-           torque_timeout: float) -> Setup:
+def _setup(problems: list[Problem], channels: list[list[Measured]], names: tuple[str, ...],
+           attitude_noise: float | None, rate_noise: float | None) -> Setup:
     rate = max(typical_rate(one) for one in channels)
     torques = [np.sqrt(np.mean(np.sum(log.torques ** 2, axis=1)))
-               for experiment in experiments for log in experiment.logs if len(log)]
+               for problem in problems for log in problem.logs]
     span_ns = max(float(one.stamps_ns[-1] - one.stamps_ns[0])
                   for every in channels for one in every)
-    offset = _clock_offset(body, experiments, channels, torque_timeout) \
-        if 'clock_offset' in names else 0.0
+    offset = _clock_offset(problems, channels) if 'clock_offset' in names else 0.0
+    body = problems[0].body
     guess = Physics(body.inertia, body.damping, clock_offset=offset)
     parameters = Parameters(names, guess, rate, float(max(torques, default=0.0)),
                             max(span_ns * 1e-9, 1e-9))
-    return Setup(experiments, channels, parameters, rate, START in names, attitude_noise,
-                 rate_noise, torque_timeout)
+    return Setup(problems, channels, parameters, rate, START in names, attitude_noise, rate_noise)
 
 
-def _clock_offset(body: RigidBody, experiments: list[Experiment], channels: list[list[Measured]],
-                  torque_timeout: float) -> float:
+def _clock_offset(problems: list[Problem], channels: list[list[Measured]]) -> float:
     """Return a guess of the clock offset from the recording with the most samples, s."""
-    one, sensors = max(zip(experiments, channels),
-                       key=lambda pair: sum(len(channel) for channel in pair[1]))
-    model = Model(body, one.start, tuple(one.logs), one.wheels, {'torque_timeout': torque_timeout})
-    return likely_offset(model, sensors)
+    return likely_offset(*max(zip(problems, channels),
+                              key=lambda pair: sum(len(channel) for channel in pair[1])))
 
 
-def _result(setup: Setup, solution: Solution,
-            ahead: list[residuals.Residuals]) -> Identification:
-    physics, parameters = solution.physics, setup.parameters
+def _result(solution: Solution, ahead: list[residuals.Residuals]) -> Identification:
+    setup, physics = solution.problem.setup, solution.physics
+    parameters = setup.parameters
     names, values, guesses = [*parameters.names], [parameters.values(physics)], \
         [parameters.values(parameters.guess)]
     scales, turns = [parameters.scales], [np.eye(parameters.size)]
-    momentum = setup.experiments[0].start.rotor_momentum
+    momentum = setup.problems[0].start.rotor_momentum
     if 'rotor_momentum' in parameters.groups:
         first = names.index('initial_rotor_momentum.x')
         for vector in (values[0], guesses[0]):
             vector[first:first + 3] += momentum
     starts = []
-    for number in range(len(setup.experiments)):
-        start, own = _start(setup, solution, number)
+    for number in range(len(setup.problems)):
+        start, own = _start(solution, number)
         starts.append(start)
         if own is None:
             continue
@@ -172,10 +167,10 @@ def _result(setup: Setup, solution: Solution,
     estimates = {name: Estimate(name, UNITS[name.split('.')[0]], float(value[i]), float(guess[i]),
                                 float(sigma[i]), bool(known.identifiable[i]))
                  for i, name in enumerate(names)}
-    fitted = residuals.of_training(setup, solution)
+    fitted = residuals.of_training(solution)
     return Identification(
         physics.body, starts, estimates, _covariance(known, scale),
-        setup.experiments[0].start.attitude, known.directions, [*fitted, *ahead],
+        setup.problems[0].start.attitude, known.directions, [*fitted, *ahead],
         residuals.Misfit.of(fitted, solution.problem.size),
         residuals.Misfit.of(ahead, 0) if ahead else None, solution.length_ns * 1e-9,
         solution.evaluations, solution.converged)
@@ -192,9 +187,10 @@ class _Start:
     turn: Floats
 
 
-def _start(setup: Setup, solution: Solution, number: int) -> tuple[State, _Start | None]:
+def _start(solution: Solution, number: int) -> tuple[State, _Start | None]:
     """Return the initial state of a recording, and its components if it was fitted."""
-    given = setup.experiments[number].start
+    setup = solution.problem.setup
+    given = setup.problems[number].start
     momentum = given.rotor_momentum + solution.physics.rotor_momentum
     k = next(k for k, window in enumerate(solution.problem.windows)
              if window.experiment == number)

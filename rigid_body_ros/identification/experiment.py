@@ -25,7 +25,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
 from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.sensing.measured import Measured
 
@@ -61,7 +61,7 @@ class Experiment:
     @property
     def logs(self) -> list[TorqueLog]:
         """Return the torques as a list."""
-        return [self.log] if isinstance(self.log, TorqueLog) else [*(self.log or ())]
+        return torque_logs(self.log)
 
 
 def channels_of(experiment: Experiment) -> list[Measured]:

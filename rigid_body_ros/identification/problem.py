@@ -29,10 +29,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.parameters import Parameters, Physics
+from rigid_body_ros.identification.parameters import Physics
+from rigid_body_ros.identification.setup import Setup
 from rigid_body_ros.identification.triangles import triangle
-from rigid_body_ros.identification.windows import Guesses, Window
+from rigid_body_ros.identification.windows import Window
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.sensing.measured import Measured
 
 #: Width of the prior of each coordinate, which only keeps undetermined ones near the guess.
@@ -93,28 +95,22 @@ class LeastSquares:
 
     Parameters
     ----------
-    parameters : Parameters
+    setup : Setup
     windows : sequence of Window
-    states : Guesses
+    states : Poses
         A guess of the state of each window.
     weights : Weights
-    rate : float, rad/s
-        Typical angular velocity, the scale of those of the states.
-    fits_start : bool
-        Whether the states at the starts of recordings are unknown.
-    fits_attitude : sequence of bool
-        Whether the attitudes of each recording are unknown.
 
     """
 
-    def __init__(self, parameters: Parameters, windows: Sequence[Window], states: Guesses,
-                 weights: Weights, rate: float, fits_start: bool,
-                 fits_attitude: Sequence[bool]) -> None:
-        self.parameters, self.windows, self.reference = parameters, windows, states
-        self.weights, self._rate = weights, rate
+    def __init__(self, setup: Setup, windows: Sequence[Window], states: Poses,
+                 weights: Weights) -> None:
+        self.setup, self.windows, self.reference, self.weights = setup, windows, states, weights
+        self.parameters = parameters = setup.parameters
+        fits_attitude = setup.fits_attitude
         #: Rows of a state that are unknown: those of a rotation vector, and of the rate.
         self.unknowns = [np.arange(0 if fits_attitude[window.experiment] else 3,
-                                   6 if fits_start or not window.is_first else 0)
+                                   6 if setup.fits_start or not window.is_first else 0)
                          for window in windows]
         self.guess = parameters.coordinates(parameters.guess)
         self.evaluations = 0
@@ -130,7 +126,7 @@ class LeastSquares:
         """Return the number of unknowns."""
         return self.parameters.size + sum(len(unknown) for unknown in self.unknowns)
 
-    def states(self) -> Guesses:
+    def states(self) -> Poses:
         """Return the states at the latest point that the solver accepted."""
         assert self._base is not None
         return self._changed(slice(None), self._base.changes)
@@ -185,10 +181,10 @@ class LeastSquares:
                 change[unknown] -= np.linalg.solve(factor[:own, :own], wanted)
         return changes
 
-    def _changed(self, k: int | slice, changes: Floats) -> Guesses:
+    def _changed(self, k: int | slice, changes: Floats) -> Poses:
         """Return a reference state, or all of them, with changes of shape (c, 6)."""
-        return Guesses(so3.multiply(self.reference.attitude[k], so3.exp(changes[:, :3])),
-                       self.reference.angular_velocity[k] + self._rate * changes[:, 3:])
+        return Poses(so3.multiply(self.reference.attitude[k], so3.exp(changes[:, :3])),
+                     self.reference.angular_velocity[k] + self.setup.rate * changes[:, 3:])
 
     def _triangle(self, k: int, physics: Physics, moved_physics: Sequence[Physics],
                   change: Floats, largest: Floats) -> Floats:

@@ -23,57 +23,26 @@ from typing import Any
 
 from rigid_body_ros.common.arrays import ENTRIES, entries
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.comparison.recorded import check_overlap, read_model, Reading
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.result import Identification
-from rigid_body_ros.replay.sources import Topics
 from rigid_body_ros.scene import PARAMETERS, Scene
-from rigid_body_ros.sensing.reading import read_all
+from rigid_body_ros.sensing.recorded import read_observed, Reading
 import yaml
 
 #: Estimates that are not parameters of a scene.
 _NOT_IN_SCENES = ('torque_gain', 'torque_bias', 'clock_offset', 'mount', 'gyro_bias')
 
 
-def read_experiment(path: str | Path, scene: Scene, measured: Sequence[str], topics: Topics,
-                    reading: Reading) -> Experiment:
+def read_experiment(path: str | Path, scene: Scene, reading: Reading) -> Experiment:
+    """Read the torques and the measurements of a recording, as `read_observed` does."""
+    problem, measurements = read_observed(path, scene, reading)
+    return Experiment(problem.start, problem.logs, measurements.until_end(), problem.wheels)
+
+
+def read_experiments(paths: Sequence[str | Path], scene: Scene,
+                     reading: Reading) -> list[Experiment]:
     """
-    Read the torques and the measurements of a recording.
-
-    Parameters
-    ----------
-    path : str or Path
-        The recording.
-    scene : Scene
-        If its start_time is 0, the motion starts at the earliest stamp of the torques or, without
-        torques, of the measurements.
-    measured : sequence of str
-        Measured topics; can be empty if the recording has one, as for `read_measured`.
-    topics : Topics
-        The topics of the torques.
-    reading : Reading
-        How to read the recording.
-
-    Raises
-    ------
-    InputError
-        The recording cannot be read, does not fit the scene, or torques and measurements do not
-        overlap in time.
-
-    """
-    sensors = read_all(path, measured, frames=reading.frames, body_frame=scene.body_frame,
-                       space_frame=scene.space_frame, time_source=reading.time_source,
-                       track=reading.track)
-    model = read_model(path, scene, topics, reading, min(int(one.stamps_ns[0]) for one in sensors))
-    check_overlap(path, model, sensors, False)
-    inside = [one.rows(one.stamps_ns <= model.last_ns) for one in sensors]
-    return Experiment(model.start, model.logs, inside, model.wheels)
-
-
-def read_experiments(paths: Sequence[str | Path], scene: Scene, measured: Sequence[str],
-                     topics: Topics, reading: Reading) -> list[Experiment]:
-    """
-    Read several recordings, with the arguments and errors of `read_experiment`.
+    Read several recordings, with the errors of `read_observed`.
 
     Raises
     ------
@@ -83,7 +52,7 @@ def read_experiments(paths: Sequence[str | Path], scene: Scene, measured: Sequen
     """
     experiments, known = [], dict[bytes, str]()
     for path in paths:
-        experiments.append(read_experiment(path, scene, measured, topics, reading))
+        experiments.append(read_experiment(path, scene, reading))
         for one in experiments[-1].measured:
             columns = one.stamps_ns, one.attitude, one.angular_velocity
             digest = sha256(b''.join(column.tobytes() for column in columns

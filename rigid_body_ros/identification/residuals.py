@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.problem import errors_of
-from rigid_body_ros.identification.solve import Setup, Solution
+from rigid_body_ros.identification.solve import Solution
 from rigid_body_ros.identification.windows import windows_of
 from rigid_body_ros.sensing.measured import Measured
 
@@ -133,10 +133,10 @@ class Misfit:
                 'chi2_per_dof': self.chi2_per_dof}
 
 
-def of_training(setup: Setup, solution: Solution) -> list[Residuals]:
+def of_training(solution: Solution) -> list[Residuals]:
     """Return the errors of the samples that were fitted."""
     result = []
-    for number, channels in enumerate(setup.channels):
+    for number, channels in enumerate(solution.problem.setup.channels):
         for channel, errors, inliers, noise in zip(
                 channels, solution.errors[number], solution.inliers[number],
                 solution.weights.sigma[number]):
@@ -147,15 +147,12 @@ def of_training(setup: Setup, solution: Solution) -> list[Residuals]:
     return result
 
 
-def of_validation(setup: Setup, solution: Solution,
-                  every: Sequence[Sequence[Measured]]) -> list[Residuals]:
+def of_validation(solution: Solution, every: Sequence[Sequence[Measured]]) -> list[Residuals]:
     """
     Return the errors of the samples that were not fitted, in the prediction from the others.
 
     Parameters
     ----------
-    setup : Setup
-        What was fitted.
     solution : Solution
         The fit.
     every : sequence of sequence of Measured
@@ -163,15 +160,16 @@ def of_validation(setup: Setup, solution: Solution,
 
     """
     physics, problem, result = solution.physics, solution.problem, []
+    setup = problem.setup
     offset_ns = round(physics.clock_offset * 1e9)
-    for number, (experiment, channels) in enumerate(zip(setup.experiments, every)):
+    for number, (given, channels) in enumerate(zip(setup.problems, every)):
         k = [k for k, one in enumerate(problem.windows) if one.experiment == number][-1]
         last = problem.windows[k]
         rest = [channel.rows(slice(len(fitted), None))
                 for channel, fitted in zip(channels, setup.channels[number])]
-        whole, = windows_of(number, experiment, channels, 2 ** 62, offset_ns, 0,
-                            setup.torque_timeout)
-        ahead = replace(whole, anchor_ns=last.anchor_ns, rotors=last.rotors, channels=rest)
+        whole, = windows_of(number, given, channels, 2 ** 62, offset_ns, 0)
+        ahead = replace(whole, problem=whole.problem.replaced(start=last.problem.start),
+                        channels=rest)
         predicted = ahead.predict([physics], problem.reference.rows([k]))
         for channel, errors, noise in zip(rest, errors_of(rest, predicted),
                                           solution.weights.sigma[number]):

@@ -23,23 +23,20 @@ whole recording, or until the motion magnifies errors so much that a longer wind
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.experiment import Experiment, local_state
-from rigid_body_ros.identification.parameters import Parameters, Physics
+from rigid_body_ros.identification.experiment import local_state
+from rigid_body_ros.identification.parameters import Physics
 from rigid_body_ros.identification.problem import LeastSquares, Weights
-from rigid_body_ros.identification.windows import Guesses, LEAD_NS, Window, windows_of
+from rigid_body_ros.identification.setup import Setup
+from rigid_body_ros.identification.windows import Window
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.sensing.measured import Measured
 
-#: rad; the body turns by about this much in the first windows.
-_FIRST = 8.0
-#: Fewest and most samples of a channel in a window.
-_SHORTEST, _LONGEST = 20, 60_000
 #: How much shorter windows are if the guess is too far off for the first ones.
 _CLOSER = 8
 #: Correlation of neighbouring errors from which on the first fit is in doubt.
@@ -65,54 +62,6 @@ _CAUCHY = 2.4
 _ROUNDING = 1e-11
 #: Ratio of the standard deviation of normal noise to the median of its magnitude.
 _NORMAL = 1.4826
-
-
-@dataclass(frozen=True, eq=False)
-class Setup:
-    """What is fitted to what: see `identify`."""
-
-    experiments: Sequence[Experiment]
-    channels: list[list[Measured]]
-    parameters: Parameters
-    rate: float
-    fits_start: bool
-    attitude_noise: float | None
-    rate_noise: float | None
-    torque_timeout: float
-
-    @property
-    def fits_attitude(self) -> list[bool]:
-        """Return whether attitudes are measured, for each recording."""
-        return [any(channel.is_attitude for channel in channels) for channels in self.channels]
-
-    @property
-    def span_ns(self) -> int:
-        """Return the length of the longest recording, ns."""
-        return max(max(int(channel.stamps_ns[-1]) for channel in channels)
-                   - min(int(channel.stamps_ns[0]) for channel in channels)
-                   for channels in self.channels) + 1
-
-    @property
-    def longest_ns(self) -> int:
-        """Return the longest length of a window, ns."""
-        most = max(len(channel) for channels in self.channels for channel in channels)
-        return max(int(self.span_ns * min(1.0, _LONGEST / most)), 1)
-
-    @property
-    def shortest_ns(self) -> int:
-        """Return the length of the first windows, ns."""
-        spacing = max(float(np.median(np.diff(channel.stamps_ns))) for channels in self.channels
-                      for channel in channels)
-        return int(min(max(1e9 * _FIRST / self.rate, _SHORTEST * spacing), self.longest_ns))
-
-    def windows(self, length_ns: int, physics: Physics) -> list[Window]:
-        """Return all recordings in windows of about this length."""
-        lead_ns = LEAD_NS if 'clock_offset' in self.parameters.groups else 0
-        return [window for number, (experiment, channels)
-                in enumerate(zip(self.experiments, self.channels))
-                for window in windows_of(number, experiment, channels, length_ns,
-                                         round(physics.clock_offset * 1e9), lead_ns,
-                                         self.torque_timeout)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,13 +99,13 @@ class Solution:
 def solve(setup: Setup) -> Solution:
     """Return the fit with the longest windows that the data allows."""
     solution = _rough(setup)
-    solution = _fitted(setup, solution, solution.length_ns, 1e-2, 12)
+    solution = _fitted(solution, solution.length_ns, 1e-2, 12)
     while solution.length_ns < setup.longest_ns:
-        longer = _longer(setup, solution)
+        longer = _longer(solution)
         if longer is None:
             break
         solution = longer
-    return _polished(setup, solution)
+    return _polished(solution)
 
 
 def _rough(setup: Setup) -> Solution:
@@ -178,7 +127,7 @@ def _from_few(setup: Setup, length_ns: int, guess: Physics) -> Solution:
     """Return a fit to a few windows, with states from the measurements in all of them."""
     windows = setup.windows(length_ns, guess)
     few = windows[::-(-len(windows) // _FEW)]
-    return _fitted(setup, _first(setup, few, guess), length_ns, 1e-2, 30, windows=few)
+    return _fitted(_first(setup, few, guess), length_ns, 1e-2, 30, windows=few)
 
 
 def _lasts(solution: Solution) -> bool:
@@ -199,25 +148,26 @@ def _with_middles(solution: Solution) -> list[tuple[Floats, float]]:
     return [(error, _middle(error)) for every in solution.errors for error in every]
 
 
-def _longer(setup: Setup, solution: Solution) -> Solution | None:
+def _longer(solution: Solution) -> Solution | None:
     """Return a fit with longer windows, None if none fits."""
+    setup = solution.problem.setup
     for factor in _GROWTH:
         length_ns = min(factor * solution.length_ns, setup.longest_ns)
         windows = setup.windows(length_ns, solution.physics)
-        problem = _problem(setup, windows, _states(setup, solution, windows), solution.weights)
-        if factor == _GROWTH[-1] or _predicts(setup, problem, solution.physics):
-            longer = _fitted(setup, solution, length_ns, 1e-3, _FAST)
+        problem = LeastSquares(setup, windows, _states(solution, windows), solution.weights)
+        if factor == _GROWTH[-1] or _predicts(problem, solution.physics):
+            longer = _fitted(solution, length_ns, 1e-3, _FAST)
             if _fits(longer, solution):
                 return longer
     return None
 
 
-def _polished(setup: Setup, solution: Solution) -> Solution:
+def _polished(solution: Solution) -> Solution:
     """Return the maximum-likelihood fit to the samples that are not outliers."""
     whole = [[inlier.astype(float) for inlier in inliers] for inliers in solution.inliers]
     previous = replace(solution, weights=Weights(solution.weights.sigma, whole))
     for _ in range(8):
-        solution = _fitted(setup, previous, previous.length_ns, 1e-7, 50, is_last=True)
+        solution = _fitted(previous, previous.length_ns, 1e-7, 50, is_last=True)
         same = all(np.array_equal(one, other) for a, b in zip(solution.inliers, previous.inliers)
                    for one, other in zip(a, b))
         if same and np.allclose(np.concatenate(solution.weights.sigma),
@@ -232,44 +182,37 @@ def _first(setup: Setup, windows: list[Window], physics: Physics) -> Solution:
     mount, offset_ns = so3.exp(physics.mount), round(physics.clock_offset * 1e9)
     pairs = []
     for window in windows:
-        start = setup.experiments[window.experiment].start
+        start = setup.problems[window.experiment].start
         if window.is_first and not setup.fits_start:
             pairs.append((start.attitude, start.angular_velocity))
             continue
         pairs.append(local_state(setup.channels[window.experiment], window.anchor_ns - offset_ns,
                                  setup.rate, mount, start))
-    states = Guesses(*(np.array(values) for values in zip(*pairs)))
+    states = Poses(*(np.array(values) for values in zip(*pairs)))
     ones = Weights([[1.0 for _ in channels] for channels in setup.channels],
                    [[np.ones(len(channel)) for channel in channels]
                     for channels in setup.channels])
-    return _solution(setup, setup.shortest_ns, _problem(setup, windows, states, ones), physics,
-                     0, False, False)
+    return _solution(LeastSquares(setup, windows, states, ones), physics, setup.shortest_ns, 0)
 
 
-def _problem(setup: Setup, windows: list[Window], states: Guesses,
-             weights: Weights) -> LeastSquares:
-    return LeastSquares(setup.parameters, windows, states, weights, setup.rate, setup.fits_start,
-                        setup.fits_attitude)
-
-
-def _fitted(setup: Setup, previous: Solution, length_ns: int, tolerance: float, most: int,
+def _fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
             is_last: bool = False, windows: list[Window] | None = None) -> Solution:
     """Return a fit with windows of this length, from the states of another one."""
     from scipy.optimize import least_squares
+    setup = previous.problem.setup
     windows = windows or setup.windows(length_ns, previous.physics)
-    states = _states(setup, previous, windows)
-    problem = _problem(setup, windows, states, previous.weights)
+    problem = LeastSquares(setup, windows, _states(previous, windows), previous.weights)
     result = least_squares(problem.fun, setup.parameters.coordinates(previous.physics),
                            problem.jac, x_scale='jac', ftol=tolerance, xtol=1e-12, gtol=1e-14,
                            max_nfev=most)
     physics = setup.parameters.physics(result.x)
-    moved = _problem(setup, windows, problem.states(), previous.weights)
+    moved = LeastSquares(setup, windows, problem.states(), previous.weights)
     moved.steps = problem.steps
-    return _solution(setup, length_ns, moved, physics, previous.evaluations + problem.evaluations,
+    return _solution(moved, physics, length_ns, previous.evaluations + problem.evaluations,
                      result.status > 0, is_last)
 
 
-def _states(setup: Setup, solution: Solution, windows: list[Window]) -> Guesses:
+def _states(solution: Solution, windows: list[Window]) -> Poses:
     """Return the states of a solution at the beginnings of other windows."""
     old, pairs = solution.problem, []
     begins = [(one.experiment, one.anchor_ns) for one in old.windows]
@@ -278,13 +221,12 @@ def _states(setup: Setup, solution: Solution, windows: list[Window]) -> Guesses:
                 bisect_left(begins, (window.experiment,)))
         pairs.append(old.windows[k].state_at(solution.physics, old.reference.attitude[k],
                                              old.reference.angular_velocity[k], window.anchor_ns))
-    return Guesses(*(np.array(values) for values in zip(*pairs)))
+    return Poses(*(np.array(values) for values in zip(*pairs)))
 
 
-def _solution(setup: Setup, length_ns: int, problem: LeastSquares, physics: Physics,
-              evaluations: int, converged: bool, is_last: bool) -> Solution:
-    errors = problem.residuals(physics)
-    unknown = problem.size
+def _solution(problem: LeastSquares, physics: Physics, length_ns: int, evaluations: int,
+              converged: bool = False, is_last: bool = False) -> Solution:
+    setup, errors, unknown = problem.setup, problem.residuals(physics), problem.size
     total = sum(int(np.isfinite(error).sum()) for every in errors for error in every)
     share = np.sqrt(total / max(total - unknown, 1))
     sigma, roots, inliers = [], [], []
@@ -324,9 +266,9 @@ def _floor(channel: Measured, setup: Setup) -> float:
     return _ROUNDING * (1.0 if channel.is_attitude else max(1.0, setup.rate))
 
 
-def _predicts(setup: Setup, problem: LeastSquares, physics: Physics) -> bool:
+def _predicts(problem: LeastSquares, physics: Physics) -> bool:
     """Return whether errors before a fit are so small that derivatives are of use."""
-    errors = problem.residuals(physics)
+    setup, errors = problem.setup, problem.residuals(physics)
     for window in problem.windows:
         every = setup.channels[window.experiment]
         for channel, rows, error in zip(every, window.rows, errors[window.experiment]):

@@ -22,36 +22,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.experiment import Experiment, mounted
+from rigid_body_ros.identification.experiment import mounted
 from rigid_body_ros.identification.parameters import Physics
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.propagation import propagate, Trajectory
+from rigid_body_ros.mechanics.states import Poses
+from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.sensing.measured import Measured
 
 #: ns; a window with a fitted clock begins this much before its first sample.
 LEAD_NS = 200_000_000
-
-
-@dataclass(eq=False)
-class Guesses:
-    """
-    Guesses of several states.
-
-    Attributes
-    ----------
-    attitude : array, shape (k, 4)
-    angular_velocity : array, shape (k, 3), rad/s
-
-    """
-
-    attitude: Floats
-    angular_velocity: Floats
-
-    def rows(self, chosen: Sequence[int] | slice) -> Guesses:
-        """Return some of the states."""
-        return Guesses(self.attitude[chosen], self.angular_velocity[chosen])
 
 
 @dataclass(eq=False)
@@ -65,12 +45,9 @@ class Window:
         Number of the recording.
     is_first : bool
         Whether it begins at the start of the recording.
-    anchor_ns : int
-        Its beginning, ns.
-    logs, wheels
-        The torques that act in the window.
-    rotors : array, shape (3,), N m s
-        Momentum of the rotors at the beginning, with the initial momentum of the scene.
+    problem : Problem
+        With the torques that act in the window, and the momentum of the rotors at its beginning.
+        Body, attitude and angular velocity do not count.
     channels : list of Measured
     rows : list of slice
         Which samples of each channel of the recording are in the window.
@@ -81,28 +58,29 @@ class Window:
 
     experiment: int
     is_first: bool
-    anchor_ns: int
-    logs: list[TorqueLog]
-    wheels: TorqueLog | None
-    rotors: Floats
+    problem: Problem
     channels: list[Measured]
     rows: list[slice]
-    torque_timeout: float = 0.0
     #: Of all channels, increasing, each once.
     stamps_ns: NDArray[np.int64] = field(init=False)
     is_in_body: bool = field(init=False)
-    _scaled: tuple[float, list[TorqueLog]] = field(init=False)
+    _scaled: tuple[float, Problem] = field(init=False)
     #: Where in `stamps_ns` those of each channel are.
     _moments: list[NDArray[np.intp]] = field(init=False)
 
     def __post_init__(self) -> None:
         stamps_ns = [channel.stamps_ns for channel in self.channels]
         self.stamps_ns = np.unique(np.concatenate(stamps_ns))
-        self.is_in_body = not any(log.in_space.any() for log in self.logs)
-        self._scaled = 1.0, self.logs
+        self.is_in_body = not any(log.in_space.any() for log in self.problem.logs)
+        self._scaled = 1.0, self.problem
         self._moments = [np.searchsorted(self.stamps_ns, each) for each in stamps_ns]
 
-    def predict(self, physics: Sequence[Physics], states: Guesses) -> list[Floats]:
+    @property
+    def anchor_ns(self) -> int:
+        """Return its beginning, ns."""
+        return self.problem.start.time_ns
+
+    def predict(self, physics: Sequence[Physics], states: Poses) -> list[Floats]:
         """
         Return what the sensors measure without noise, for each channel.
 
@@ -110,7 +88,7 @@ class Window:
         ----------
         physics : sequence of Physics, length c
             The parameters.
-        states : Guesses
+        states : Poses
             The c states at the beginning.
 
         Returns
@@ -144,29 +122,25 @@ class Window:
     def _motion(self, physics: Physics, attitude: Floats, velocity: Floats,
                 times_ns: NDArray[np.int64]) -> Trajectory:
         """Return the motion at times, at the beginning for earlier ones."""
-        start = State(self.anchor_ns, attitude, velocity, self.rotors + physics.rotor_momentum)
-        return propagate(physics.body, start, self._acting(physics),
-                         at=np.maximum(times_ns, self.anchor_ns), wheels=self.wheels,
-                         torque_timeout=self.torque_timeout)
+        momentum = self.problem.start.rotor_momentum + physics.rotor_momentum
+        start = State(self.anchor_ns, attitude, velocity, momentum)
+        problem = self._acting(physics).replaced(body=physics.body, start=start)
+        return problem.propagate(at=np.maximum(times_ns, self.anchor_ns))
 
     @property
     def size(self) -> int:
         """Return the number of samples of all channels."""
         return sum(len(channel) for channel in self.channels)
 
-    def _acting(self, physics: Physics) -> list[TorqueLog]:
+    def _acting(self, physics: Physics) -> Problem:
+        """Return the problem with the gain and the bias of the torques."""
         if physics.torque_gain != self._scaled[0]:
-            scaled = [log.with_torques(physics.torque_gain * log.torques) for log in self.logs]
-            self._scaled = physics.torque_gain, scaled
-        logs = self._scaled[1]
-        return [*logs, self._bias(physics.torque_bias)] if physics.torque_bias.any() else logs
-
-    def _bias(self, torque: Floats) -> TorqueLog:
-        times = np.array([self.anchor_ns])
-        if self.torque_timeout:  # a bias does not time out
-            end_ns = int(self.stamps_ns.max()) + LEAD_NS
-            times = np.arange(self.anchor_ns, end_ns, max(1, int(self.torque_timeout * 0.5e9)))
-        return TorqueLog(times, np.broadcast_to(torque, (len(times), 3)))
+            self._scaled = physics.torque_gain, self.problem.replaced(log=[
+                log.with_torques(physics.torque_gain * log.torques) for log in self.problem.logs])
+        problem = self._scaled[1]
+        end_ns = int(self.stamps_ns[-1]) + LEAD_NS
+        return problem.biased(physics.torque_bias, end_ns) if physics.torque_bias.any() \
+            else problem
 
 
 def _attitudes(attitude: Floats, mount: Floats | None) -> Floats:
@@ -179,8 +153,8 @@ def _rates(velocity: Floats, mount: Floats | None, bias: Floats) -> Floats:
     return velocity + bias
 
 
-def windows_of(number: int, experiment: Experiment, channels: Sequence[Measured], length_ns: int,
-               offset_ns: int, lead_ns: int, torque_timeout: float) -> list[Window]:
+def windows_of(number: int, problem: Problem, channels: Sequence[Measured], length_ns: int,
+               offset_ns: int, lead_ns: int) -> list[Window]:
     """
     Divide a recording into windows.
 
@@ -188,16 +162,14 @@ def windows_of(number: int, experiment: Experiment, channels: Sequence[Measured]
     ----------
     number : int
         Number of the recording.
-    experiment : Experiment
-        The recording.
+    problem : Problem
+        Its start and its torques.
     channels : sequence of Measured
         Its sensors.
     length_ns : int
         Length of a window.
     offset_ns, lead_ns : int
         Added to the stamps; how much earlier than their first sample windows begin.
-    torque_timeout : float, s
-        As for `propagate`.
 
     Returns
     -------
@@ -205,13 +177,13 @@ def windows_of(number: int, experiment: Experiment, channels: Sequence[Measured]
         Those with samples, in order.
 
     """
-    start_ns = experiment.start.time_ns
+    start_ns = problem.start.time_ns
     first_ns = max(start_ns, min(int(channel.stamps_ns[0]) for channel in channels) + offset_ns)
     last_ns = max(int(channel.stamps_ns[-1]) for channel in channels) + offset_ns
     count = max(1, round((last_ns - first_ns) / length_ns))
     edges = first_ns + np.arange(count + 1) * ((last_ns - first_ns) // count + 1)
     anchors = np.append(start_ns, np.maximum(edges[1:-1] - lead_ns, start_ns))
-    momenta = _rotor_momenta(experiment, anchors, torque_timeout)
+    momenta = problem.rotor_momentum(anchors)
     result = []
     for k, anchor_ns in enumerate(anchors.tolist()):
         rows = [slice(*np.searchsorted(channel.stamps_ns + offset_ns, [edges[k], edges[k + 1]]))
@@ -219,21 +191,7 @@ def windows_of(number: int, experiment: Experiment, channels: Sequence[Measured]
         parts = [channel.rows(part) for channel, part in zip(channels, rows)]
         if not any(len(part) for part in parts):
             continue
-        end_ns = int(edges[k + 1]) + LEAD_NS
-        wheels = experiment.wheels
-        result.append(Window(
-            number, k == 0, anchor_ns, [log.between(anchor_ns, end_ns) for log in experiment.logs],
-            wheels.between(anchor_ns, end_ns) if wheels else None, momenta[k], parts, rows,
-            torque_timeout))
+        start = State(anchor_ns, rotor_momentum=momenta[k])
+        result.append(Window(number, k == 0, problem.between(start, int(edges[k + 1]) + LEAD_NS),
+                             parts, rows))
     return result
-
-
-def _rotor_momenta(experiment: Experiment, times_ns: NDArray[np.int64],
-                   torque_timeout: float) -> Floats:
-    """Return the momentum of the rotors, which depends on their motors only."""
-    still = Physics(np.eye(3), np.zeros((3, 3))).body
-    start = State(experiment.start.time_ns, rotor_momentum=experiment.start.rotor_momentum)
-    if experiment.wheels is None:
-        return np.tile(start.rotor_momentum, (len(times_ns), 1))
-    return propagate(still, start, at=times_ns, wheels=experiment.wheels,
-                     torque_timeout=torque_timeout).rotor_momentum

@@ -31,6 +31,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 import warnings
 
+import numpy as np
+
 try:
     import numba
     from numba.core.runtime import rtsys
@@ -190,6 +192,12 @@ def optional(kernel: Callable[..., Any]) -> Callable[..., Any]:
 
     overload(choose, strict=False, jit_options={**_INTERNAL, 'forceinline': True})(by_type)
     return choose
+
+
+def record(fields: list[tuple[Any, ...]]) -> Any:
+    """Return a structured type whose fields a kernel reads as attributes, compiled or not."""
+    found = np.dtype(fields, align=True)
+    return found if COMPILES else np.dtype((np.record, found))
 
 
 def _internal(kernel: Kernel, **options: bool) -> Kernel:

@@ -35,6 +35,8 @@ from rigid_body_ros.kernels.vector import add, of, scale, total, two_sum, Vector
 Matrix = tuple[Vector, Vector, Vector]
 #: N m s: coefficients of the momentum of the rotors, of degree 4 in the fraction of a span.
 Momentum = tuple[Vector, Vector, Vector, Vector, Vector]
+#: A vector and its low-order part.
+Pair = tuple[Vector, Vector]
 
 
 class Linear(NamedTuple):
@@ -82,18 +84,19 @@ def at(constants: Constants, momentum: Vector, low: Vector) -> Linear:
     h, low_h, minus_h, minus_low_h = momentum, low, four.negative(momentum), four.negative(low)
     yzx, low_yzx = four.yzx(h), four.yzx(low_h)
     zxy, low_zxy = four.zxy(h), four.zxy(low_h)
-    one, low_one = _diagonal(q, low_q, zxy, low_zxy, r, low_r, four.yzx(minus_h),
-                             four.yzx(minus_low_h), d, low_d)
-    two, low_two = _diagonal(r, low_r, h, low_h, p, low_p, four.zxy(minus_h),
-                             four.zxy(minus_low_h), e, low_e)
-    three, low_three = _diagonal(p, low_p, yzx, low_yzx, q, low_q, minus_h, minus_low_h, f, low_f)
+    one, low_one = _diagonal((q, low_q), (zxy, low_zxy), (r, low_r),
+                             (four.yzx(minus_h), four.yzx(minus_low_h)), (d, low_d))
+    two, low_two = _diagonal((r, low_r), (h, low_h), (p, low_p),
+                             (four.zxy(minus_h), four.zxy(minus_low_h)), (e, low_e))
+    three, low_three = _diagonal((p, low_p), (yzx, low_yzx), (q, low_q),
+                                 (minus_h, minus_low_h), (f, low_f))
     return Linear((one, two, three), (low_one, low_two, low_three))
 
 
 @inlined
-def _diagonal(p: Vector, low_p: Vector, a: Vector, low_a: Vector, q: Vector, low_q: Vector,
-              b: Vector, low_b: Vector, d: Vector, low_d: Vector) -> tuple[Vector, Vector]:
+def _diagonal(first: Pair, second: Pair, third: Pair, fourth: Pair, last: Pair) -> Pair:
     # Return p a + q b - d and its low-order part.
+    (p, low_p), (a, low_a), (q, low_q), (b, low_b), (d, low_d) = first, second, third, fourth, last
     left, right = four.multiply(p, a), four.multiply(q, b)
     rest = add(four.fma(p, a, four.negative(left)), four.fma(q, b, four.negative(right)))
     rest = four.fma(low_p, a, four.fma(low_q, b, rest))

@@ -68,7 +68,7 @@ _FOURTH_4 = (_ERROR_4 * _ERROR_4) * (_ERROR_4 * _ERROR_4)
 _LARGEST = 1e-4
 
 
-class Extras(NamedTuple):
+class HeldLoads(NamedTuple):
     """What acts during a step besides a torque in body axes; held torques."""
 
     #: The matrix A of the linear terms, 1/s.
@@ -87,7 +87,7 @@ class Extras(NamedTuple):
 
 @inlined
 def is_accurate(state: KernelState, seconds: float, torque_acceleration: Vector,
-                tolerance: float, extras: Extras | None) -> bool:
+                tolerance: float, loads: HeldLoads | None) -> bool:
     """
     Return whether one `step` meets the tolerance under a torque held in body axes.
 
@@ -101,7 +101,7 @@ def is_accurate(state: KernelState, seconds: float, torque_acceleration: Vector,
         J^-1 tau, rad/s^2, body axes.
     tolerance : float
         Bound on the truncation error of the attitude per radian turned.
-    extras : Extras or None
+    loads : HeldLoads or None
         For scenes that have other terms.
 
     Returns
@@ -109,30 +109,30 @@ def is_accurate(state: KernelState, seconds: float, torque_acceleration: Vector,
     bool
 
     """
-    size, error_bound = _size_and_bound(state, seconds, torque_acceleration, tolerance, extras)
+    size, error_bound = _size_and_bound(state, seconds, torque_acceleration, tolerance, loads)
     return lanes.both(size < _LARGEST, _SQUARE_5 * (size * (size * size)) <= error_bound)
 
 
 @inlined
 def _size_and_bound(state: KernelState, seconds: float, torque_acceleration: Vector,
                     tolerance: float,
-                    extras: Extras | None) -> tuple[float, float]:
+                    loads: HeldLoads | None) -> tuple[float, float]:
     # Return the squares of the size of a step, rad^4, and of the error bound, rad^2. Square roots
     # would take a noticeable part of the time of a short step.
     factor = seconds * seconds
     square = dot(state[0], state[0])
     torque_part = factor * dot(torque_acceleration, torque_acceleration)
     error_bound = tolerance * tolerance * factor * fma(0.25, torque_part, square)
-    if extras is not None:
-        square += extras.square_rate
-        torque_part = fma(factor, extras.square_acceleration, torque_part)
+    if loads is not None:
+        square += loads.square_rate
+        torque_part = fma(factor, loads.square_acceleration, torque_part)
     return factor * fma(factor, square * square, torque_part), error_bound
 
 
 @inlined
 def step(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
          torque_acceleration: Vector, tolerance: float,
-         extras: Extras | None) -> KernelState:
+         loads: HeldLoads | None) -> KernelState:
     """
     Return the state after one step, of order 3, 4 or 5 as the tolerance requires.
 
@@ -150,7 +150,7 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
         J^-1 tau, rad/s^2, body axes.
     tolerance : float
         Bound on the truncation error of the attitude per radian turned.
-    extras : Extras or None
+    loads : HeldLoads or None
         For scenes that have other terms.
 
     Returns
@@ -158,31 +158,32 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     KernelState
 
     """
-    sizes = _size_and_bound(state, seconds, torque_acceleration, tolerance, extras)
-    if extras is None:
+    sizes = _size_and_bound(state, seconds, torque_acceleration, tolerance, loads)
+    if loads is None:
         return _step(state, seconds, coefficients, form, torque_acceleration, sizes, None, None,
                      None)
-    return _step_with(state, seconds, coefficients, form, torque_acceleration, sizes, extras,
-                      extras.rotor_change, extras.space_torque)
+    return _step_with(state, seconds, coefficients, form, torque_acceleration, sizes, loads,
+                      loads.rotor_change, loads.space_torque)
 
 
 @inlined
 def _step_with(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
-               torque_acceleration: Vector, sizes: tuple[float, float], extras: Extras,
+               torque_acceleration: Vector, sizes: tuple[float, float], loads: HeldLoads,
                rotor_change: Vector | None, space_torque: Vector | None) -> KernelState:
     # Choose once: a branch in every order takes longer than the terms that it leaves out.
-    if rotor_change is None:
-        return _step(state, seconds, coefficients, form, torque_acceleration, sizes,
-                     extras.linear, None, None)
-    if space_torque is not None and total(four.absolute(space_torque)) != 0.0:
-        if extras.is_linear:
+    if rotor_change is None:  # noqa: SIM102 (the compiler resolves each by type)
+        if space_torque is None:
             return _step(state, seconds, coefficients, form, torque_acceleration, sizes,
-                         extras.linear, rotor_change, space_torque)
+                         loads.linear, None, None)
+    if space_torque is not None and total(four.absolute(space_torque)) != 0.0:
+        if loads.is_linear:
+            return _step(state, seconds, coefficients, form, torque_acceleration, sizes,
+                         loads.linear, rotor_change, space_torque)
         return _step(state, seconds, coefficients, form, torque_acceleration, sizes, None, None,
                      space_torque)
-    if extras.is_linear:
+    if loads.is_linear:
         return _step(state, seconds, coefficients, form, torque_acceleration, sizes,
-                     extras.linear, rotor_change, None)
+                     loads.linear, rotor_change, None)
     return _step(state, seconds, coefficients, form, torque_acceleration, sizes, None, None, None)
 
 

@@ -59,7 +59,7 @@ _OUTER_DIVISOR = float(1 / CLASSICAL.weights[0])
 _INNER_RATIO = float(CLASSICAL.weights[1] / CLASSICAL.weights[0])
 
 
-class Others(NamedTuple):
+class StageLoads(NamedTuple):
     """What acts besides the drive."""
 
     #: Momentum of the rotors, N m s, body axes, in the fraction of the step.
@@ -72,28 +72,28 @@ class Others(NamedTuple):
 
 @internal
 def explicit_euler(state: KernelState, seconds: float, equations: Coefficients, drive: Polynomial,
-                   in_space: bool, others: Others | None) -> KernelState:
+                   in_space: bool, loads: StageLoads | None) -> KernelState:
     """Return the state after a step of Euler's method, order 1, with the norm of q restored."""
     w, q = state[0], state[1]
-    a, v = _derivative(w, q, 0.0, equations, drive, in_space, others)
+    a, v = _derivative(w, q, 0.0, equations, drive, in_space, loads)
     return _state(add_scaled(w, seconds, a), add_scaled(q, seconds, v))
 
 
 @internal
 def rk4(state: KernelState, seconds: float, equations: Coefficients, drive: Polynomial,
-        in_space: bool, others: Others | None) -> KernelState:
+        in_space: bool, loads: StageLoads | None) -> KernelState:
     """Return the state after a step of `CLASSICAL`, order 4, with the norm of q restored."""
     w, q = state[0], state[1]
-    a1, v1 = _derivative(w, q, _C1, equations, drive, in_space, others)
+    a1, v1 = _derivative(w, q, _C1, equations, drive, in_space, loads)
     h = _A21 * seconds
     a2, v2 = _derivative(add_scaled(w, h, a1), add_scaled(q, h, v1), _C2, equations, drive,
-                         in_space, others)
+                         in_space, loads)
     h = _A32 * seconds
     a3, v3 = _derivative(add_scaled(w, h, a2), add_scaled(q, h, v2), _C3, equations, drive,
-                         in_space, others)
+                         in_space, loads)
     h = _A43 * seconds
     a4, v4 = _derivative(add_scaled(w, h, a3), add_scaled(q, h, v3), _C4, equations, drive,
-                         in_space, others)
+                         in_space, loads)
     a = add(add(a1, a4), scale(_INNER_RATIO, add(a2, a3)))
     v = add(add(v1, v4), scale(_INNER_RATIO, add(v2, v3)))
     h = seconds / _OUTER_DIVISOR
@@ -102,7 +102,7 @@ def rk4(state: KernelState, seconds: float, equations: Coefficients, drive: Poly
 
 @internal
 def strang(state: KernelState, seconds: float, equations: Coefficients, frame: PrincipalFrame,
-           drive: Polynomial, in_space: bool, others: Others | None) -> KernelState:
+           drive: Polynomial, in_space: bool, loads: StageLoads | None) -> KernelState:
     """
     Return the state after a symmetric splitting into rotations about principal axes, order 2.
 
@@ -113,7 +113,7 @@ def strang(state: KernelState, seconds: float, equations: Coefficients, frame: P
     """
     w, q = state[0], state[1]
     half = 0.5 * seconds
-    w = add_scaled(w, half, _torque_acceleration(q, 0.0, equations, drive, in_space, others))
+    w = add_scaled(w, half, _torque_acceleration(q, 0.0, equations, drive, in_space, loads))
     moments, _, axes, _ = frame
     i, j, k = moments[0], moments[1], moments[2]
     m = of(i * dot(axes[0], w), j * dot(axes[1], w), k * dot(axes[2], w))
@@ -126,35 +126,35 @@ def strang(state: KernelState, seconds: float, equations: Coefficients, frame: P
     w = combine(axes, of(m[0] / i, m[1] / j, m[2] / k))
     x = combine(axes, rotation)
     q = _unit(multiply(q, four.of(x[0], x[1], x[2], rotation[3])))
-    kick = _torque_acceleration(q, 1.0, equations, drive, in_space, others)
+    kick = _torque_acceleration(q, 1.0, equations, drive, in_space, loads)
     return _state(add_scaled(w, half, kick), q)
 
 
 @internal
 def _derivative(w: Vector, q: Quaternion, fraction: float, equations: Coefficients,
                 drive: Polynomial, in_space: bool,
-                others: Others | None) -> tuple[Vector, Quaternion]:
+                loads: StageLoads | None) -> tuple[Vector, Quaternion]:
     columns = equations[0]
-    rate = _torque_acceleration(q, fraction, equations, drive, in_space, others)
+    rate = _torque_acceleration(q, fraction, equations, drive, in_space, loads)
     rate = add(rate, combine(columns[:3], four.multiply(four.yzx(w), four.zxy(w))))
     rate = add(rate, combine(columns[3:6], four.multiply(w, w)))
-    if others is not None:
-        a, b, c, d, e = others.momentum
+    if loads is not None:
+        a, b, c, d, e = loads.momentum
         h = add_scaled(a, fraction, add_scaled(b, fraction, add_scaled(c, fraction, add_scaled(
             d, fraction, e))))
         rate = add(rate, combine(columns[6:], cross(h, w)))
-        rate = four.subtract(rate, product(others.damping, w))
+        rate = four.subtract(rate, product(loads.damping, w))
     return rate, multiply(q, scale(0.5, w))
 
 
 @internal
 def _torque_acceleration(q: Quaternion, fraction: float, equations: Coefficients,
-                         drive: Polynomial, in_space: bool, others: Others | None) -> Vector:
+                         drive: Polynomial, in_space: bool, loads: StageLoads | None) -> Vector:
     value = _at(drive, fraction)
     if in_space:
         return combine(equations[0][6:], to_body(_unit(q), value))
-    if others is not None:
-        torque = to_body(_unit(q), _at(others.space_torque, fraction))
+    if loads is not None:
+        torque = to_body(_unit(q), _at(loads.space_torque, fraction))
         value = add(value, combine(equations[0][6:], torque))
     return value
 

@@ -40,7 +40,7 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import elementary, euler_equations, four, lanes, linear_terms
 from rigid_body_ros.kernels.euler_equations import DIAGONAL, Products
-from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.kernels.jit import inlined, internal, njit
 from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.linear_terms import add_product, Matrix, product
 from rigid_body_ros.kernels.vector import (
@@ -82,7 +82,20 @@ WORKSPACE_OF_LANES = _TERM_IN_LANES * (MAX_ORDER + 1)
 _RECIPROCALS = 1.0 / np.arange(1.0, MAX_ORDER + 1.0)
 
 
-class Extras(NamedTuple):
+class SeriesDrive(NamedTuple):
+    """The acceleration or the torque in Euler's equations during a step."""
+
+    #: In the fraction of the step, 0 to 1: J^-1 tau, rad/s^2, of a torque in body axes, or the
+    #: torque, N m, in space axes.
+    polynomial: Polynomial
+    #: Coefficients of higher degree are zero.
+    degree: int
+    in_space: bool
+    #: Bound on |J^-1 tau|, rad/s^2.
+    bound: float
+
+
+class SeriesLoads(NamedTuple):
     """What a step takes into account besides a torque in one frame."""
 
     #: The matrix A of the linear terms times the step: a polynomial in the fraction of the step,
@@ -95,7 +108,7 @@ class Extras(NamedTuple):
     space_degree: int
 
 
-@internal
+@njit
 def step_angle(tolerance: float) -> float:
     """
     Return the angle of a full step, rad.
@@ -127,8 +140,8 @@ def turning_rate(square: float, acceleration: float, angle: float) -> float:
 
 @inlined
 def step(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
-         drive: Polynomial, degree: int, in_space: bool, acceleration_bound: float,
-         tolerance: float, table: Floats, extras: Extras | None) -> KernelState:
+         drive: SeriesDrive, tolerance: float, table: Floats,
+         loads: SeriesLoads | None) -> KernelState:
     """
     Return the state after one step.
 
@@ -142,20 +155,13 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
         Of Euler's equations, as `tensor.euler_coefficients` returns them.
     form : int
         Form of the inertia tensor: DIAGONAL, FULL or THIN.
-    drive : Polynomial
-        In the fraction of the step, 0 to 1: J^-1 tau, rad/s^2, of a torque in body axes, or the
-        torque, N m, in space axes.
-    degree : int
-        Degree of the polynomial: the coefficients above are zero.
-    in_space : bool
-        Whether the drive is a torque in space axes.
-    acceleration_bound : float
-        Bound on |J^-1 tau|, rad/s^2.
+    drive : SeriesDrive
+        With lanes, it is in body axes.
     tolerance : float
         Bound on the truncation error of the attitude per radian turned.
     table : float64 (WORKSPACE,) or (WORKSPACE_OF_LANES, LANES)
-        Workspace. With lanes, the torque cannot be in space axes.
-    extras : Extras or None
+        Workspace.
+    loads : SeriesLoads or None
         Linear terms, and a torque in space axes beside a drive in body axes. For None, which
         most scenes have, the compiler leaves this code out.
 
@@ -164,10 +170,9 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     KernelState
 
     """
-    angle = seconds * fma(0.5 * acceleration_bound, seconds, math.sqrt(dot(state[0], state[0])))
+    angle = seconds * fma(0.5 * drive.bound, seconds, math.sqrt(dot(state[0], state[0])))
     error_bound = tolerance * angle
-    order = _expand(state, seconds, coefficients, form, drive, degree, in_space, error_bound,
-                    table, extras)
+    order = _expand(state, seconds, coefficients, form, drive, error_bound, table, loads)
     delta_u = delta_q = four.zero(state[0])
     for k in range(order, 0, -1):  # the small terms first
         delta_u = add(delta_u, _without_fourth(table, four.load(table, _row(table, k) + _U)))
@@ -180,43 +185,44 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
 
 @inlined
 def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
-            drive: Polynomial, degree: int, in_space: bool, error_bound: float,
-            table: Floats, extras: Extras | None) -> int:
+            drive: SeriesDrive, error_bound: float, table: Floats,
+            loads: SeriesLoads | None) -> int:
     # Fill the table with the terms of u and of the rotation, and return the order needed.
+    polynomial, degree, in_space, _ = drive
     zero = four.zero(state[0])
     one = add(zero, four.of(0.0, 0.0, 0.0, 1.0))
     first = latest = _store_term(
         table, 0, _without_fourth(table, scale(seconds, state[0])), one)
     if in_space:
         for i in range(degree + 1):
-            _store_permuted(table, _TORQUES + _TORQUE * i, to_body(state[1], drive[i]))
-    if extras is not None:
-        for i in range(extras.space_degree + 1):
+            _store_permuted(table, _TORQUES + _TORQUE * i, to_body(state[1], polynomial[i]))
+    if loads is not None:
+        for i in range(loads.space_degree + 1):
             _store_permuted(table, _TORQUES + _TORQUE * i,
-                            to_body(state[1], extras.space_torque[i]))
+                            to_body(state[1], loads.space_torque[i]))
     # The series of a body at rest under a torque ~ t^degree has a non-zero term only every
     # degree + 2 orders, so the sum has converged only after that many small terms.
     small, powers = lanes.no_count(error_bound), degree
-    if extras is not None:
-        powers = max(degree, extras.space_degree, extras.linear_degree)
+    if loads is not None:
+        powers = max(degree, loads.space_degree, loads.linear_degree)
     past = (zero, zero, zero, zero)  # the terms of u before the latest
     for k in range(MAX_ORDER):
         products, rotation = _cauchy(table, k, first, latest, form)
-        if extras is None:
+        if loads is None:
             u = euler_equations.gyroscopic_acceleration(coefficients, form, products)
         else:
             u = euler_equations.add_gyroscopic_acceleration(
-                _linear_term(k, latest, past, extras), coefficients, form, products)
+                _linear_term(k, latest, past, loads), coefficients, form, products)
         if in_space:
             torque_acceleration = euler_equations.acceleration_from_torque(
                 coefficients, form, _torque_term(table, k, degree))
             u = add_scaled(u, seconds * seconds, torque_acceleration)
         elif k <= degree:
-            u = add_scaled(u, seconds * seconds, drive[k])
-        if extras is not None:
-            if extras.space_degree >= 0:
+            u = add_scaled(u, seconds * seconds, polynomial[k])
+        if loads is not None:
+            if loads.space_degree >= 0:
                 torque_acceleration = euler_equations.acceleration_from_torque(
-                    coefficients, form, _torque_term(table, k, extras.space_degree))
+                    coefficients, form, _torque_term(table, k, loads.space_degree))
                 u = add_scaled(u, seconds * seconds, torque_acceleration)
             past = (latest[0], past[0], past[1], past[2])
         reciprocal = float(_RECIPROCALS[k])
@@ -331,18 +337,18 @@ def _add_start(table: Floats, total: Quaternion, factor: float) -> Quaternion:
 
 @inlined
 def _linear_term(k: int, latest: Term, past: tuple[Vector, Vector, Vector, Vector],
-                 extras: Extras) -> Vector:
+                 loads: SeriesLoads) -> Vector:
     # Return the linear terms of order k.
     u, yzx, zxy, _ = latest
     rest = four.zero(u)
-    if extras.linear_degree > 0:
-        rest = product(extras.changes[0], past[0])
-    if extras.linear_degree > 1:
-        others = add(product(extras.changes[2], past[2]), product(extras.changes[3], past[3]))
-        rest = add(rest, add(others, product(extras.changes[1], past[1])))
+    if loads.linear_degree > 0:
+        rest = product(loads.changes[0], past[0])
+    if loads.linear_degree > 1:
+        others = add(product(loads.changes[2], past[2]), product(loads.changes[3], past[3]))
+        rest = add(rest, add(others, product(loads.changes[1], past[1])))
     if k < 4:  # the terms of higher order are too small for the low-order part
-        rest = add_product(rest, extras.linear.low, u, yzx, zxy)
-    return add_product(rest, extras.linear.matrix, u, yzx, zxy)
+        rest = add_product(rest, loads.linear.low, u, yzx, zxy)
+    return add_product(rest, loads.linear.matrix, u, yzx, zxy)
 
 
 @inlined

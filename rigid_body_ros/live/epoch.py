@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from functools import partial
 
 import numpy as np
@@ -70,7 +71,7 @@ class Epoch:
 
     def __init__(self, scene: Scene, start: State, torques: Sequence[Torque] = ()) -> None:
         self.start, self._timeout_ns = start, scene.timeout_ns
-        self._propagator = Propagator(scene.body, start, **scene.options,
+        self._propagator = Propagator(scene.body, start, **asdict(scene.options),
                                       history=scene.history)
         self._committed_ns = start.time_ns
         #: Source and stamp of the torques of the earlier epoch.

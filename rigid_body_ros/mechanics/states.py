@@ -16,7 +16,8 @@
 
 from __future__ import annotations
 
-from typing import Any, TYPE_CHECKING
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +29,17 @@ from rigid_body_ros.mechanics.state import is_normalized, State
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
+
+
+class Poses(NamedTuple):
+    """Attitudes x y z w, shape (n, 4), and angular velocities, rad/s, body axes, shape (n, 3)."""
+
+    attitude: Floats
+    angular_velocity: Floats
+
+    def rows(self, chosen: Sequence[int] | slice) -> Poses:
+        """Return some of them."""
+        return Poses(self.attitude[chosen], self.angular_velocity[chosen])
 
 
 class States:

@@ -16,8 +16,7 @@
 
 from __future__ import annotations
 
-import bisect
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,8 +32,6 @@ INTERPOLATIONS = ('hold', 'linear', 'cubic')
 _NEAREST = 5
 #: Number of samples before and after a span of time that its cubics depend on.
 _MARGIN = 4
-#: Number of samples whose polynomials are computed at a time.
-_CHUNK = 65536
 
 
 class TorqueLog:
@@ -195,47 +192,42 @@ class TorqueLog:
         samples = np.arange(len(self))
         if timeout_ns <= 0 or not len(self):
             return self.times_ns, samples
-        due = self.times_ns + timeout_ns
-        silent = np.append(due[:-1] < self.times_ns[1:], True)
-        starts = np.concatenate([self.times_ns, due[silent]])
-        order = np.argsort(starts, kind='stable')
-        return starts[order], np.concatenate([samples, np.full(silent.sum(), -1)])[order]
+        silent = self.silent(timeout_ns)
+        return (np.insert(self.times_ns, silent + 1, self.times_ns[silent] + timeout_ns),
+                np.insert(samples, silent + 1, -1))
 
-    def in_force(self, time_ns: int, timeout_ns: int = 0) -> tuple[int, bool]:
-        """Return the index of the latest sample at a time, or -1, and whether it timed out."""
-        sample = bisect.bisect_right(self.times_ns, time_ns) - 1
-        return sample, sample >= 0 and 0 < timeout_ns <= time_ns - int(self.times_ns[sample])
+    def silent(self, timeout_ns: int) -> NDArray[np.intp]:
+        """Return the samples that time out before the next one, as indices."""
+        return np.flatnonzero(np.append(np.diff(self.times_ns) > timeout_ns, True))
 
-    def polynomials(self, first: int) -> Iterable[tuple[int, int, Floats]]:
+    def polynomials(self, first: int, stop: int) -> Floats:
         """
-        Return the polynomials between the samples, in chunks.
+        Return the polynomials between samples.
 
         Parameters
         ----------
-        first : int
-            Index of the sample to begin with; -1 for the time before the first sample.
+        first, stop : int
+            The first sample, and the one after the last.
 
         Returns
         -------
-        iterable of (int, int, array)
-            The first sample of the chunk, the one after its last, and the coefficients, N m: an
-            array of shape (rows, 2 degree + 1, 3), with a row for each sample and, except
-            in the last chunk, a row for the sample after it. A row has the degree + 1
-            coefficients of a polynomial in the fraction of the time to the next sample, then the
-            low-order parts of all coefficients but the first, which is the sample itself.
+        array, shape (stop - first, 2 degree + 1, 3), N m
+            A row has the degree + 1 coefficients of a polynomial in the fraction of the time to
+            the next sample, then the low-order parts of all coefficients but the first, which is
+            the sample itself.
 
         """
-        count = len(self)
-        if self.interpolation == 'hold' or not count:
-            return ((0, count, self.torques[:, None, :]),)
-        return self._chunks(first)
-
-    def _chunks(self, first: int) -> Iterator[tuple[int, int, Floats]]:
-        for start in range(max(first, 0), len(self), _CHUNK):
-            stop = min(start + _CHUNK, len(self))
-            coefficients = self._polynomials(start, min(stop + 1, len(self)))
-            coefficients.flags.writeable = False  # as for `hold`: one type for the kernels
-            yield start, stop, coefficients
+        here = self.torques[first:stop]
+        if self.interpolation == 'hold':
+            return here[:, None, :]
+        if self.interpolation == 'linear':
+            following = self.torques[first + 1:stop + 1]
+            following = np.concatenate([following, here[len(following):]])
+            slope = following - here
+            rounded = slope - following
+            low = (following - (slope - rounded)) - (here + rounded)  # Knuth's exact sum
+            return np.stack([here, slope, low], axis=1)
+        return _hermite(self.times_ns, self.torques, first, stop)
 
     def at(self, times_ns: ArrayLike, timeout_ns: int = 0) -> tuple[Floats, NDArray[np.bool_]]:
         """
@@ -273,26 +265,13 @@ class TorqueLog:
         stamps = self.times_ns[first:stop + 1]
         spans = np.append(np.diff(stamps), 10 ** 9)[samples - first]
         fraction = ((times - self.times_ns[samples]) / spans)[:, None]
-        coefficients = self._polynomials(first, stop)[samples - first]
+        coefficients = self.polynomials(first, stop)[samples - first]
         degree = coefficients.shape[1] // 2
         value = coefficients[:, degree]
         for k in range(degree - 1, -1, -1):
             value = coefficients[:, k] + fraction * value
         torques[given], in_space[given] = value, self.in_space[samples]
         return torques, in_space
-
-    def _polynomials(self, first: int, stop: int) -> Floats:
-        here = self.torques[first:stop]
-        if self.interpolation == 'hold':
-            return here[:, None, :]
-        if self.interpolation == 'linear':
-            following = self.torques[first + 1:stop + 1]
-            following = np.concatenate([following, here[len(following):]])
-            slope = following - here
-            rounded = slope - following
-            low = (following - (slope - rounded)) - (here + rounded)  # Knuth's exact sum
-            return np.stack([here, slope, low], axis=1)
-        return _hermite(self.times_ns, self.torques, first, stop)
 
 
 def _checked_samples(times_ns: ArrayLike, samples: ArrayLike, name: str = 'torque',

@@ -21,7 +21,7 @@ The workspace has a column for each lane.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import body_layout, four, lanes, state_layout, taylor, vector
 from rigid_body_ros.kernels.jit import inlined, internal
 from rigid_body_ros.kernels.lanes import LANES
-from rigid_body_ros.propagation import layout
-from rigid_body_ros.propagation.layout import Method, Place
+from rigid_body_ros.propagation.layout import Method
 
 #: Steps in a segment, or stamps before the next output, from which it pays to gather a group.
 FEWEST = 4
@@ -53,15 +52,14 @@ class Group(NamedTuple):
 
     #: intp (LANES,); the last run may fill several lanes.
     rows: NDArray[np.intp]
-    #: See `loop.run`; a row for each run.
-    states: Floats
-    progress: NDArray[np.int64]
+    #: See `loop.run`; an element or row for each run.
+    progress: NDArray[Any]
     motions: Floats
     constants: Floats
     #: Factors of the torque, an element for each run.
     gains: Floats
-    #: Polynomials of the torque, shape (k, ...): of run i the row i % k.
-    polynomials: Floats
+    #: Torques of the rows, shape (k, ...): of run i those at i % k.
+    torques: Floats
     #: See `workspace`.
     work: Floats
 
@@ -80,8 +78,9 @@ def load(group: Group, lane: int) -> None:
     """Gather the state on the grid, the coefficients of the body and the factor of the torque."""
     row = group.rows[lane]
     group.work[GAIN, lane] = group.gains[row]
+    grid = group.progress[row].grid
     for k in range(state_layout.SIZE):
-        group.work[STATE + k, lane] = group.states[row, k]
+        group.work[STATE + k, lane] = grid[k]
     for k in range(body_layout.MOMENTS):
         group.work[CONSTANTS + k, lane] = group.constants[row, k]
 
@@ -89,24 +88,24 @@ def load(group: Group, lane: int) -> None:
 @inlined
 def store(group: Group, lane: int) -> None:
     """Put the state on the grid back."""
+    grid = group.progress[group.rows[lane]].grid
     for k in range(state_layout.SIZE):
-        group.states[group.rows[lane], k] = group.work[STATE + k, lane]
+        grid[k] = group.work[STATE + k, lane]
 
 
 @inlined
-def begin_segment(group: Group, lane: int, time_ns: int, sample: int, done: int) -> None:
+def begin_segment(group: Group, lane: int, time_ns: int, row: int, done: int) -> None:
     """Put the state on the grid back as the beginning of a segment."""
-    row = group.rows[lane]
     store(group, lane)
-    group.states[row, state_layout.SIZE:2 * state_layout.SIZE] = \
-        group.states[row, :state_layout.SIZE]
-    layout.store_place(Place(time_ns, time_ns, sample, False, done), group.progress[row])
+    progress = group.progress[group.rows[lane]]
+    progress.begin[:] = progress.grid
+    progress.grid_ns, progress.begin_ns, progress.row, progress.done = time_ns, time_ns, row, done
 
 
 @inlined
 def torque(group: Group, lane: int, index: int) -> vector.Vector:
     """Return the torque of a run, N m, without its factor."""
-    torques = group.polynomials
+    torques = group.torques
     slot = group.rows[lane] % len(torques)
     return vector.of(torques[slot, index, 0, 0], torques[slot, index, 0, 1],
                      torques[slot, index, 0, 2])
@@ -125,8 +124,8 @@ def step(state: vector.KernelState, seconds: float, coefficients: vector.Coeffic
     """Return the states after a step of the series under a held torque."""
     none = four.zero(acceleration)
     bound = math.sqrt(vector.dot(acceleration, acceleration))
-    return taylor.step(state, seconds, coefficients, form, (acceleration, none, none, none), 0,
-                       False, bound, tolerance, table, None)
+    drive = taylor.SeriesDrive((acceleration, none, none, none), 0, False, bound)
+    return taylor.step(state, seconds, coefficients, form, drive, tolerance, table, None)
 
 
 @inlined

@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels import (
     body_layout,
     euler_equations,
@@ -56,13 +57,10 @@ _PATIENCE = 64
 class Shared(NamedTuple):
     """What the runs of a group have in common in a segment."""
 
-    #: The sample in force, its row in the polynomials, and when the torque changes.
-    sample: int
-    torque_row: int
+    #: The row in force, and when the next one follows; NEVER_NS if none does.
+    row: int
     end_ns: int
-    #: Whether the next sample comes into force then. Otherwise the torque times out or never ends.
-    ends_at_stamp: bool
-    #: Requested times, see `layout.Outputs`.
+    #: Requested times, see `layout.Requested`.
     times_ns: NDArray[np.int64]
     order: NDArray[np.intp]
 
@@ -128,10 +126,11 @@ def advance(group: Group, count: int, waiting: NDArray[np.intp], segment: Shared
 @inlined
 def _are_many(group: Group, segment: Shared, body: Body, method: Method) -> bool:
     # Return whether the first run has so many steps left that it pays to gather the group.
-    place = layout.load_place(group.progress[group.rows[0]])
+    first = group.rows[0]
+    place = layout.load_place(group.progress[first:first + 1])
     acceleration = euler_equations.acceleration_from_torque(
         body.coefficients, body.form, _torque(group, 0, segment))
-    w = state_layout.load(group.states[group.rows[0]], 0)[0]
+    w = state_layout.load(group.progress[group.rows[0]].grid, 0)[0]
     seconds = taylor.step_seconds(
         vector.dot(w, w), math.sqrt(vector.dot(acceleration, acceleration)), method.angle)
     rest_ns = min(segment.end_ns, _output_ns(-1, segment)) - place.grid_ns
@@ -152,7 +151,7 @@ def _row(k: int, segment: Shared) -> int:
 @inlined
 def _torque(group: Group, lane: int, segment: Shared) -> vector.Vector:
     gain = group.gains[group.rows[lane]]
-    return vector.scale(gain, runs.torque(group, lane, segment.torque_row))
+    return vector.scale(gain, runs.torque(group, lane, segment.row))
 
 
 @internal
@@ -160,9 +159,9 @@ def _enter(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Share
            method: Method) -> bool:
     # Load a run that can step with the others into its lane, or return False.
     row = group.rows[lane]
-    place, torque = layout.load_place(group.progress[row]), _torque(group, lane, segment)
-    if (_is_done(group, row, segment) or place.sample != segment.sample or place.timed_out
-            or layout.unpack_form(group.constants[row]) != form
+    place, torque = layout.load_place(group.progress[row:row + 1]), _torque(group, lane, segment)
+    if (_is_done(group, row, segment) or place.row != segment.row
+            or layout.form_of(group.constants[row]) != form
             or layout.is_zero_vector(torque)):  # `loop.run` may use the closed form
         return False
     runs.load(group, lane)
@@ -178,18 +177,18 @@ def _aim(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Shared,
     # Return False if there is nothing left, or `loop.run` has to go on.
     row = group.rows[lane]
     progress = group.progress[row]
-    grid_ns, done = progress[layout.GRID_NS], progress[layout.DONE]
+    grid_ns, done = progress.grid_ns, progress.done
     while done < len(segment.times_ns) and _output_ns(done, segment) == grid_ns:
         motion_layout.store_packed(group.work[runs.STATE:, lane], _row(done, segment),
                                    group.motions[row])
         done += 1
-    progress[layout.DONE] = done
+    progress.done = done
     if done == len(segment.times_ns):
         return False
     limits_ns[lane] = min(_output_ns(done, segment), segment.end_ns)
     rest_ns = limits_ns[lane] - grid_ns
     group.work[runs.REST, lane] = rest_ns
-    return rest_ns <= runs.FARTHEST and not (grid_ns == progress[layout.BEGIN_NS] and _is_short(
+    return rest_ns <= runs.FARTHEST and not (grid_ns == progress.begin_ns and _is_short(
         group, lane, rest_ns, segment, form, method))
 
 
@@ -200,7 +199,7 @@ def _is_short(group: Group, lane: int, rest_ns: int, segment: Shared, form: int,
     row = group.rows[lane]
     acceleration = euler_equations.acceleration_from_torque(
         body_layout.coefficients(group.constants[row]), form, _torque(group, lane, segment))
-    return short_step.is_accurate(state_layout.load(group.states[row], 0), rest_ns / 1e9,
+    return short_step.is_accurate(state_layout.load(group.progress[row].grid, 0), rest_ns / 1e9,
                                   acceleration, method.tolerance, None)
 
 
@@ -258,17 +257,17 @@ def _arrive(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Shar
     # state is put back.
     row, limit_ns = group.rows[lane], limits_ns[lane]
     progress = group.progress[row]
-    grid_ns, done = _grid_ns(group, lane, limit_ns), progress[layout.DONE]
+    grid_ns, done = _grid_ns(group, lane, limit_ns), progress.done
     ends = limit_ns == segment.end_ns
-    if _output_ns(done, segment) == limit_ns and (segment.ends_at_stamp or not ends):
+    if _output_ns(done, segment) == limit_ns and (not ends or segment.end_ns < NEVER_NS):
         motion_layout.store_packed(group.work[runs.LATEST:, lane], _row(done, segment),
                                    group.motions[row])
         done += 1
-    progress[layout.GRID_NS], progress[layout.DONE] = grid_ns, done
-    if ends and segment.ends_at_stamp:
+    progress.grid_ns, progress.done = grid_ns, done
+    if ends and segment.end_ns < NEVER_NS:
         for k in range(state_layout.SIZE):
             group.work[runs.STATE + k, lane] = group.work[runs.LATEST + k, lane]
-        runs.begin_segment(group, lane, limit_ns, segment.sample + 1, done)
+        runs.begin_segment(group, lane, limit_ns, segment.row + 1, done)
         return False
     if not ends and _aim(group, lane, limits_ns, segment, form, method):
         return True
@@ -287,7 +286,7 @@ def _grid_ns(group: Group, lane: int, limit_ns: int) -> int:
 def _leave(group: Group, lane: int, limit_ns: int) -> None:
     # Put the state on the grid back, and its time.
     runs.store(group, lane)
-    group.progress[group.rows[lane], layout.GRID_NS] = _grid_ns(group, lane, limit_ns)
+    group.progress[group.rows[lane]].grid_ns = _grid_ns(group, lane, limit_ns)
 
 
 @internal
@@ -311,4 +310,4 @@ def _replace(group: Group, going: NDArray[np.bool_], waiting: NDArray[np.intp],
 
 @inlined
 def _is_done(group: Group, row: int, segment: Shared) -> bool:
-    return group.progress[row, layout.DONE] == len(segment.times_ns)
+    return group.progress[row].done == len(segment.times_ns)

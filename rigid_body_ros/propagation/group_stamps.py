@@ -30,27 +30,28 @@ from rigid_body_ros.kernels import (
 from rigid_body_ros.kernels.jit import inlined, internal
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.propagation import group as runs
-from rigid_body_ros.propagation import layout
 from rigid_body_ros.propagation.group import Group
-from rigid_body_ros.propagation.layout import Body, Log, Method, Place
+from rigid_body_ros.propagation.layout import Body, Method, Place, Rows
 
 
 @internal
-def advance(group: Group, place: Place, limit_ns: int, log: Log, body: Body,
+def advance(group: Group, place: Place, limit_ns: int, rows: Rows, stop: int, body: Body,
             method: Method) -> int:
     """
-    Step from stamp to stamp, up to a time, as long as one step is enough.
+    Step from row to row, up to a time, as long as one step is enough.
 
     Parameters
     ----------
     group : Group
-        Runs with the same next output, and the same sample in force.
+        Runs with the same next output, and the same row in force.
     place : Place
         Of the first run.
     limit_ns : int
         Next output.
-    log : Log
+    rows : Rows
         Of all runs.
+    stop : int
+        The row to stop at.
     body : Body
         Of the first run; all have its form.
     method : Method
@@ -62,8 +63,8 @@ def advance(group: Group, place: Place, limit_ns: int, log: Log, body: Body,
         The number of steps.
 
     """
-    stamps_ns, sample, grid_ns = log.stamps_ns, place.sample, place.grid_ns
-    if (sample + runs.FEWEST >= len(stamps_ns) or stamps_ns[sample + runs.FEWEST] > limit_ns
+    times_ns, row, grid_ns = rows.times_ns, place.row, place.grid_ns
+    if (row + runs.FEWEST >= len(times_ns) or times_ns[row + runs.FEWEST] > limit_ns
             or not _begin_together(group, grid_ns)):
         return 0
     for lane in range(LANES):
@@ -72,14 +73,13 @@ def advance(group: Group, place: Place, limit_ns: int, log: Log, body: Body,
     coefficients = body_layout.coefficients(group.work[runs.CONSTANTS:])
     state = state_layout.load(group.work, runs.STATE)
     gain, table = lanes.load(group.work, runs.GAIN), group.work[runs.TABLE:]
-    while sample < min(log.stop, len(stamps_ns) - 1, place.sample + runs.BUDGET):
-        next_ns, torque = stamps_ns[sample + 1], _torques(group, sample - log.first, gain)
+    while row < min(stop, len(times_ns) - 1, place.row + runs.BUDGET):
+        next_ns, torque = times_ns[row + 1], _torques(group, row, gain)
         acceleration = euler_equations.acceleration_from_torque(coefficients, body.form, torque)
         span_ns = next_ns - grid_ns
         seconds = span_ns / 1e9
         if (limit_ns < next_ns or span_ns >= min(method.max_step_ns, runs.FARTHEST)
-                or log.in_space[sample] or not _acts_in_every_lane(torque)
-                or 0 < log.timeout_ns < next_ns - stamps_ns[sample]):
+                or rows.in_space[row] or not _acts_in_every_lane(torque)):
             break
         short = short_step.is_accurate(state, seconds, acceleration, method.tolerance, None)
         if lanes.every(short):
@@ -91,19 +91,19 @@ def advance(group: Group, place: Place, limit_ns: int, log: Log, body: Body,
             state = runs.step(state, lanes.zero(gain) + seconds, coefficients, body.form,
                               acceleration, method.tolerance, table)
         grid_ns = next_ns
-        sample += 1
+        row += 1
     state_layout.store(state, group.work, runs.STATE)
     for lane in range(LANES):
-        runs.begin_segment(group, lane, grid_ns, sample, place.done)
-    return sample - place.sample
+        runs.begin_segment(group, lane, grid_ns, row, place.done)
+    return row - place.row
 
 
 @inlined
 def _begin_together(group: Group, time_ns: int) -> bool:
     # Return whether all runs are at the beginning of a segment, at the same time.
     for row in group.rows:
-        if (group.progress[row, layout.GRID_NS] != time_ns
-                or group.progress[row, layout.BEGIN_NS] != time_ns):
+        progress = group.progress[row]
+        if progress.grid_ns != time_ns or progress.begin_ns != time_ns:
             return False
     return True
 
@@ -111,7 +111,7 @@ def _begin_together(group: Group, time_ns: int) -> bool:
 @inlined
 def _torques(group: Group, index: int, gain: float) -> vector.Vector:
     # Return the torque in every lane.
-    if len(group.polynomials) == 1:
+    if len(group.torques) == 1:
         return vector.scale(gain, runs.torque(group, 0, index))
     for lane in range(LANES):
         torque = runs.torque(group, lane, index)

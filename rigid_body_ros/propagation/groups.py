@@ -27,13 +27,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels.jit import internal
 from rigid_body_ros.propagation import group_segment, group_stamps, layout
 from rigid_body_ros.propagation.group import Group
 from rigid_body_ros.propagation.group_segment import Shared
-from rigid_body_ros.propagation.layout import Log, Place
+from rigid_body_ros.propagation.layout import Method, Place, Rows
 
 
 class Advanced(NamedTuple):
@@ -43,65 +42,62 @@ class Advanced(NamedTuple):
     steps: int
     #: How many runs no longer wait.
     taken: int
-    #: The sample to which `loop.run` brings the runs of the group before they step together again.
+    #: The row to which `loop.run` brings the runs of the group before they step together again.
     until: int
 
 
 @internal
 def advance(group: Group, count: int, waiting: NDArray[np.intp], times_ns: NDArray[np.int64],
-            order: NDArray[np.intp], log: Log, settings: Floats) -> Advanced:
+            order: NDArray[np.intp], rows: Rows, method: Method) -> Advanced:
     """
     Advance the runs of a group as far as they can step together.
 
     Parameters
     ----------
     group : Group
-        Rows, states, progress and motions are changed.
+        Rows, progress and motions are changed.
     count : int
         How many lanes have a run of their own.
     waiting : intp (n,)
         Runs that have not begun, which take the place of those that end.
     times_ns, order : array
-        As for `loop.run`, where `order` is `rows`.
-    log : Log
+        As for `loop.run`.
+    rows : Rows
         Of all runs.
-    settings : float64 (7,)
-        See `layout.pack_settings`.
+    method : Method
+        The method of a step.
 
     Returns
     -------
     Advanced
 
     """
-    method = layout.unpack_method(settings)
-    body = layout.unpack_body(group.constants[group.rows[0]])
-    place = layout.load_place(group.progress[group.rows[0]])
-    if (method.fixed_step or log.polynomials.shape[1] > 1 or place.done == len(times_ns)
-            or not 0 <= place.sample < log.stop):
-        return Advanced(0, 0, place.sample)
-    steps, sample = 0, place.sample
+    first = group.rows[0]
+    body = layout.load_body(group.constants[first])
+    place, stop = layout.load_place(group.progress[first:first + 1]), group.progress[first].stop
+    if (method.fixed_step or rows.torques.shape[1] > 1 or place.done == len(times_ns)
+            or not 0 <= place.row < stop):
+        return Advanced(0, 0, place.row)
+    steps, row = 0, place.row
     if _are_alike(group, place, body.form):
         limit_ns = times_ns[place.done if len(order) == 0 else order[place.done]]
-        steps = group_stamps.advance(group, place, limit_ns, log, body, method)
-        sample += steps
-    if sample >= log.stop or log.in_space[sample]:
-        return Advanced(steps, 0, sample + 1)
-    end_ns = log.stamps_ns[sample + 1] if sample + 1 < len(log.stamps_ns) else NEVER_NS
-    ends_at_stamp = end_ns < NEVER_NS
-    if 0 < log.timeout_ns < end_ns - log.stamps_ns[sample]:
-        end_ns, ends_at_stamp = log.stamps_ns[sample] + log.timeout_ns, False
-    segment = Shared(sample, sample - log.first, end_ns, ends_at_stamp, times_ns, order)
+        steps = group_stamps.advance(group, place, limit_ns, rows, stop, body, method)
+        row += steps
+    if row >= stop or rows.in_space[row]:
+        return Advanced(steps, 0, row + 1)
+    end_ns = rows.times_ns[row + 1] if row + 1 < len(rows.times_ns) else NEVER_NS
+    segment = Shared(row, end_ns, times_ns, order)
     more, taken = group_segment.advance(group, count, waiting, segment, body, method)
-    return Advanced(steps + more, taken, sample + 1)
+    return Advanced(steps + more, taken, row + 1)
 
 
 @internal
 def _are_alike(group: Group, place: Place, form: int) -> bool:
-    # Return whether the runs have bodies of one form, the same next output, and the same sample
+    # Return whether the runs have bodies of one form, the same next output, and the same row
     # in force.
     for row in group.rows:
-        other = layout.load_place(group.progress[row])
-        if (other.sample != place.sample or other.timed_out or other.done != place.done
-                or layout.unpack_form(group.constants[row]) != form):
+        other = group.progress[row]
+        if (other.row != place.row or other.done != place.done
+                or layout.form_of(group.constants[row]) != form):
             return False
     return True

@@ -13,37 +13,36 @@
 # limitations under the License.
 
 """
-The torque between two changes.
+What acts between two changes.
 
-A sample is in force from its stamp to the next stamp. If there is a timeout, the torque becomes
-zero that long after the stamp. Sample -1 stands for the time before the first stamp. Consecutive
-intervals without torque are one *coast*.
+A row of `layout.Rows` is in force from its time to that of the next; row -1 stands for the time
+before the first. Consecutive intervals in which nothing acts are one *coast*.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels import euler_equations, four, linear_terms, short_step, vector
-from rigid_body_ros.kernels.jit import inlined, internal, optional
+from rigid_body_ros.kernels.jit import inlined, optional
 from rigid_body_ros.propagation import layout
-from rigid_body_ros.propagation.layout import Body, Log
+from rigid_body_ros.propagation.layout import Body
 
 
 class Interval(NamedTuple):
     """A span of time in which one polynomial describes the torque."""
 
-    #: N m; its variable is 0 at the stamp and 1 at the next stamp.
+    #: N m; its variable is 0 at the beginning, and grows by 1 in `span` seconds.
     torque: vector.Polynomial
     #: Whether the torque is zero throughout.
     is_zero: bool
-    #: Stamps of the sample in force (0 if none is) and of the next (NEVER_NS if there is none).
-    stamp_ns: int
-    next_ns: int
-    #: Whether the sample times out before the next.
-    times_out: bool
+    span: float
+    #: Time of the row in force (0 if none is) and of the next (NEVER_NS if there is none).
+    begin_ns: int
     end_ns: int
 
 
@@ -58,9 +57,11 @@ class Drive(NamedTuple):
     #: Time at which the variable of the polynomial is 0, and the seconds until it is 1.
     origin_ns: int
     span: float
+    #: Bound on the acceleration, that by the space torque of the loads included, rad/s^2.
+    bound: float
 
 
-class Extras(NamedTuple):
+class Loads(NamedTuple):
     """What acts during an interval besides the drive."""
 
     #: Momentum of the rotors, N m s, in the same fraction as the drive, and the low-order part of
@@ -76,85 +77,81 @@ class Extras(NamedTuple):
     space_degree: int
 
 
-@internal
-def sample_in_force(log: Log, time_ns: int) -> tuple[int, bool]:
-    """Return the sample in force at a time, -1 for none yet, and whether it has timed out."""
-    sample = -1
-    while sample + 1 < len(log.stamps_ns) and log.stamps_ns[sample + 1] <= time_ns:
-        sample += 1
-    return sample, sample >= 0 and 0 < log.timeout_ns <= time_ns - log.stamps_ns[sample]
+@inlined
+def interval(times_ns: NDArray[np.int64], torques: Floats, spans: Floats, row: int) -> Interval:
+    """Return the interval that begins with a row."""
+    torque = torque_of(torques, row)
+    return Interval(torque, is_zero(torque), spans[row] if row >= 0 and len(spans) else 1.0,
+                    times_ns[row] if row >= 0 else 0,
+                    times_ns[row + 1] if row + 1 < len(times_ns) else NEVER_NS)
 
 
 @inlined
-def interval(torque: vector.Polynomial, stamp_ns: int, next_ns: int, idle: bool,
-             timeout_ns: int) -> Interval:
-    """Return the interval that begins with a sample, or, if it is idle, with its timeout."""
-    zero = is_zero(torque)
-    if timeout_ns > 0 and not idle and stamp_ns + timeout_ns < next_ns:
-        return Interval(torque, zero, stamp_ns, next_ns, True, stamp_ns + timeout_ns)
-    return Interval(torque, zero, stamp_ns, next_ns, False, next_ns)
-
-
-@inlined
-def span(now: Interval, degree: int) -> float:
-    """Return the seconds until the fraction of a polynomial is 1."""
-    if degree > 0 and now.next_ns < NEVER_NS:
-        return (now.next_ns - now.stamp_ns) / 1e9
-    return 1.0
-
-
-@inlined
-def drive(now: Interval, low: vector.Polynomial, degree: int, in_space: bool,
-          body: Body) -> Drive:
+def drive(now: Interval, low: vector.Polynomial, degree: int, in_space: bool, body: Body,
+          loads: Loads | None) -> Drive:
     """Return the drive of an interval: the acceleration by a body torque, or a space torque."""
     polynomial = now.torque
     if not in_space and not now.is_zero:
         polynomial = euler_equations.acceleration_polynomial(
             body.coefficients, body.form, polynomial, low)
-    return Drive(polynomial, degree, in_space, now.stamp_ns, span(now, degree))
+    bound = euler_equations.acceleration_bound(polynomial, in_space, body.coefficients)
+    return Drive(polynomial, degree, in_space, now.begin_ns, now.span,
+                 bound + _space_bound(loads, body))
 
 
 @inlined
-def coefficient(polynomials: Floats, index: int, k: int) -> vector.Vector:
+def _space_bound(loads: Loads | None, body: Body) -> float:
+    if loads is None:
+        return 0.0
+    return euler_equations.acceleration_bound(loads.space_torque, True, body.coefficients)
+
+
+@inlined
+def coefficient(polynomials: Floats, row: int, k: int) -> vector.Vector:
     """Return one coefficient of a polynomial."""
-    return vector.of(polynomials[index, k, 0], polynomials[index, k, 1], polynomials[index, k, 2])
+    return vector.of(polynomials[row, k, 0], polynomials[row, k, 1], polynomials[row, k, 2])
 
 
 @inlined
-def store_coefficient(polynomials: Floats, index: int, k: int, value: vector.Vector) -> None:
+def store_coefficient(polynomials: Floats, row: int, k: int, value: vector.Vector) -> None:
     """Store one coefficient of a polynomial."""
-    polynomials[index, k, 0], polynomials[index, k, 1] = value[0], value[1]
-    polynomials[index, k, 2] = value[2]
+    polynomials[row, k, 0], polynomials[row, k, 1] = value[0], value[1]
+    polynomials[row, k, 2] = value[2]
 
 
 @inlined
-def torque_of(polynomials: Floats, index: int, idle: bool) -> vector.Polynomial:
+def torque_of(torques: Floats, row: int) -> vector.Polynomial:
     """
-    Return the torque of a sample, or zeros if it is idle.
+    Return the torque of a row, or zeros before the first.
 
     It is a tuple, because to make an array takes half the time of a short step.
     """
     none = four.broadcast(0.0)
-    if idle:
+    if row < 0:
         return none, none, none, none
-    if polynomials.shape[1] == 1:
-        return coefficient(polynomials, index, 0), none, none, none
-    if polynomials.shape[1] == 3:
-        return coefficient(polynomials, index, 0), coefficient(polynomials, index, 1), none, none
-    return (coefficient(polynomials, index, 0), coefficient(polynomials, index, 1),
-            coefficient(polynomials, index, 2), coefficient(polynomials, index, 3))
+    return polynomial_of(torques, row, torques.shape[1] // 2)
 
 
 @inlined
-def low_order_parts(polynomials: Floats, index: int) -> vector.Polynomial:
-    """Return the low-order parts of the coefficients of a sample."""
+def polynomial_of(polynomials: Floats, row: int, degree: int) -> vector.Polynomial:
+    """Return the coefficients of a polynomial."""
     none = four.broadcast(0.0)
-    if polynomials.shape[1] == 1:
+    return (coefficient(polynomials, row, 0),
+            coefficient(polynomials, row, 1) if degree > 0 else none,
+            coefficient(polynomials, row, 2) if degree > 1 else none,
+            coefficient(polynomials, row, 3) if degree > 1 else none)
+
+
+@inlined
+def low_order_parts(torques: Floats, row: int) -> vector.Polynomial:
+    """Return the low-order parts of the coefficients of a row."""
+    none = four.broadcast(0.0)
+    if torques.shape[1] == 1:
         return none, none, none, none
-    if polynomials.shape[1] == 3:
-        return none, coefficient(polynomials, index, 2), none, none
-    return (none, coefficient(polynomials, index, 4), coefficient(polynomials, index, 5),
-            coefficient(polynomials, index, 6))
+    if torques.shape[1] == 3:
+        return none, coefficient(torques, row, 2), none, none
+    return (none, coefficient(torques, row, 4), coefficient(torques, row, 5),
+            coefficient(torques, row, 6))
 
 
 @inlined
@@ -166,109 +163,108 @@ def is_zero(torque: vector.Polynomial) -> bool:
 
 
 @optional
-def extras_of(terms: Floats, index: int, span: float,
-              constants: linear_terms.Constants) -> Extras:
-    """Return what acts besides the drive, from `terms` of `loop.run`."""
-    if terms.ndim == 2:
-        momentum, low = _row(terms, 0), _row(terms, 1)
-        # If the compiler knew these zeros, it would inline `stepping.advance`, which takes longer.
-        none = vector.scale(0.0, momentum)
-        space, on_rotors, degree = (none, none, none, none), (none, none, none, none), 0
-    else:
-        degree = terms.shape[1] // 2 - 2
-        space = polynomial_of(terms, index, 0, degree)
-        on_rotors = polynomial_of(terms, index, degree + 1, degree)
-        momentum = coefficient(terms, index, 2 * degree + 2)
-        low = coefficient(terms, index, 2 * degree + 3)
-    a, b, c, d = on_rotors
-    varies = not is_zero(on_rotors)
-    acts = varies or not (layout.is_zero_vector(momentum) and linear_terms.is_zero(
+def loads_of(momentum: Floats, motors: Floats | None, space: Floats | None, row: int, span: float,
+             constants: linear_terms.Constants) -> Loads:
+    """Return what acts besides the drive; see `layout.Rows`."""
+    first, low = coefficient(momentum, _row_of(momentum, row), 0), coefficient(
+        momentum, _row_of(momentum, row), 1)
+    # If the compiler knew these zeros, it would inline `stepping.advance`, which takes longer.
+    zero = vector.scale(0.0, first)
+    (a, b, c, d), degree = _polynomial_or(zero, motors, row)
+    torque, space_degree = _polynomial_or(zero, space, row)
+    varies = not is_zero((a, b, c, d))
+    acts = varies or not (layout.is_zero_vector(first) and linear_terms.is_zero(
         constants.damping.matrix))
-    return Extras((momentum, vector.scale(span, a), vector.scale(span / 2, b),
-                   vector.scale(span / 3, c), vector.scale(span / 4, d)),
-                  low, constants, (degree + 1 if varies else 0) if acts else -1,
-                  space, -1 if is_zero(space) else degree)
+    return Loads((first, vector.scale(span, a), vector.scale(span / 2, b),
+                  vector.scale(span / 3, c), vector.scale(span / 4, d)),
+                 low, constants, (degree + 1 if varies else 0) if acts else -1,
+                 torque, -1 if is_zero(torque) else space_degree)
 
 
 @inlined
-def _row(rows: Floats, row: int) -> vector.Vector:
-    return vector.of(rows[row, 0], rows[row, 1], rows[row, 2])
+def _row_of(momentum: Floats, row: int) -> int:
+    # Of a constant momentum there is one row. Before the first row nothing else acts.
+    return max(min(row, len(momentum) - 1), 0)
 
 
 @inlined
-def terms_vary(terms: Floats | None) -> bool:
-    """Return whether the terms differ from sample to sample."""
-    if terms is None:
-        return False
-    return terms.ndim > 2
+def _polynomial_or(zero: vector.Vector, polynomials: Floats | None,
+                   row: int) -> tuple[vector.Polynomial, int]:
+    if polynomials is None:
+        return (zero, zero, zero, zero), 0
+    if row < 0:
+        return (zero, zero, zero, zero), 0
+    degree = polynomials.shape[1] - 1
+    return polynomial_of(polynomials, row, degree), degree
 
 
 @inlined
-def polynomial_of(terms: Floats, index: int, first: int, degree: int) -> vector.Polynomial:
-    """Return the coefficients of a polynomial, the first of which is the one given."""
-    none = four.broadcast(0.0)
-    return (coefficient(terms, index, first),
-            coefficient(terms, index, first + 1) if degree > 0 else none,
-            coefficient(terms, index, first + 2) if degree > 1 else none,
-            coefficient(terms, index, first + 3) if degree > 1 else none)
-
-
-@inlined
-def acts(extras: Extras | None) -> bool:
+def acts(loads: Loads | None) -> bool:
     """Return whether anything acts besides the drive."""
-    if extras is None:
+    if loads is None:
         return False
-    return extras.linear_degree >= 0 or extras.space_degree >= 0
+    return loads.linear_degree >= 0 or loads.space_degree >= 0
 
 
 @inlined
-def rotors_change(extras: Extras | None) -> bool:
+def rotors_change(loads: Loads | None) -> bool:
     """Return whether the momentum of the rotors changes."""
-    if extras is None:
+    if loads is None:
         return False
-    return extras.linear_degree > 0
+    return loads.linear_degree > 0
 
 
 @inlined
-def coasts(polynomials: Floats, terms: Floats | None, index: int,
-           constants: linear_terms.Constants | None) -> bool:
-    """Return whether nothing acts from a sample to the next."""
-    return (is_zero(torque_of(polynomials, index, False))
-            and not acts(extras_of(terms, index, 1.0, constants)))
+def vary(momentum: Floats | None, space: Floats | None) -> bool:
+    """Return whether the loads differ from row to row."""
+    if momentum is None:
+        return False
+    return len(momentum) > 1 or space is not None
+
+
+@inlined
+def coasts(torques: Floats, momentum: Floats | None, motors: Floats | None,
+           space: Floats | None, row: int, constants: linear_terms.Constants | None) -> bool:
+    """Return whether nothing acts from a row to the next."""
+    return (is_zero(torque_of(torques, row))
+            and not acts(loads_of(momentum, motors, space, row, 1.0, constants)))
 
 
 @optional
-def during_step(terms: Floats, two_frames: bool | None, index: int, seconds: float,
-                constants: linear_terms.Constants) -> short_step.Extras:
+def during_step(momentum: Floats, motors: Floats | None, space: Floats | None, row: int,
+                seconds: float, constants: linear_terms.Constants) -> short_step.HeldLoads:
     """Return what acts besides the drive in a step from the beginning of held torques."""
-    if terms.ndim == 2:
-        linear = linear_terms.at(constants, _row(terms, 0), _row(terms, 1))
-        return short_step.Extras(linear, True, None, None,
-                                 linear_terms.square_rate(linear.matrix), 0.0)
-    return _during_step(terms, _space_torque(two_frames, terms, index), index, seconds, constants)
-
-
-@optional
-def _space_torque(_two_frames: bool, terms: Floats, index: int) -> vector.Vector:
-    return coefficient(terms, index, 0)
-
-
-@inlined
-def _during_step(terms: Floats, space: vector.Vector | None, index: int, seconds: float,
-                 constants: linear_terms.Constants) -> short_step.Extras:
-    on_rotors, momentum = coefficient(terms, index, 1), coefficient(terms, index, 2)
+    first = coefficient(momentum, _row_of(momentum, row), 0)
+    low = coefficient(momentum, _row_of(momentum, row), 1)
+    on_rotors, torque = _held(motors, row), _held(space, row)
     is_linear = True
-    if layout.is_zero_vector(on_rotors):
-        linear = linear_terms.at(constants, momentum, coefficient(terms, index, 3))
-        is_linear = not (layout.is_zero_vector(momentum)
+    if motors is not None and not layout.is_zero_vector(on_rotors):
+        # The rounding error of the matrix changes from step to step, so it does not add up.
+        linear = linear_terms.rounded_at(constants, first)
+    else:
+        linear = linear_terms.at(constants, first, low)
+        is_linear = not (layout.is_zero_vector(first)
                          and linear_terms.is_zero(constants.damping.matrix))
-    else:  # the rounding error of the matrix changes from step to step, so it does not add up
-        linear = linear_terms.rounded_at(constants, momentum)
     # Squares of Frobenius norms: that of a vector product with tau is 2 |tau|^2.
-    square_torque = 0.5 * vector.dot(on_rotors, on_rotors)
-    if space is not None:
-        square_torque += vector.dot(space, space)
-    return short_step.Extras(
-        linear, is_linear, vector.scale(seconds, on_rotors), space,
+    square_torque = 0.5 * _square(on_rotors) + _square(torque)
+    return short_step.HeldLoads(
+        linear, is_linear, _change(on_rotors, seconds), torque,
         linear_terms.square_rate(linear.matrix),
         4.0 * linear_terms.square_rate(constants.inverse.matrix) * square_torque)
+
+
+@optional
+def _held(polynomials: Floats, row: int) -> vector.Vector:
+    return coefficient(polynomials, max(row, 0), 0)
+
+
+@inlined
+def _square(torque: vector.Vector | None) -> float:
+    if torque is None:
+        return 0.0
+    return vector.dot(torque, torque)
+
+
+@optional
+def _change(torque: vector.Vector, seconds: float) -> vector.Vector:
+    return vector.scale(seconds, torque)

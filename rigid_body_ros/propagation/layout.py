@@ -13,16 +13,17 @@
 # limitations under the License.
 
 """
-The records of the time loop, and the arrays that carry them from Python into the kernel and back.
+The records of the time loop.
 
-To pass a named tuple from Python to a kernel takes several microseconds; an array takes a fraction
-of one. So options, states and progress are passed in three arrays, which this module packs and
-unpacks. Inside the kernels records cost nothing.
+Python and the kernels share structured types: an array of one element is as fast to pass as any
+array, and a named tuple takes several microseconds. Inside the kernels, which keep them in
+registers, the same records are named tuples.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import struct
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,19 +34,28 @@ from rigid_body_ros.kernels import (
     four,
     linear_terms,
     state_layout,
-    taylor,
     vector,
 )
-from rigid_body_ros.kernels.jit import inlined, internal, optional
+from rigid_body_ros.kernels.jit import inlined, internal, optional, record
 
-#: Offsets in the array of progress.
-GRID_NS, BEGIN_NS, SAMPLE, TIMED_OUT, DONE = range(5)
-#: Size of the array of states.
-_STATES = 3 * state_layout.SIZE
-#: Value of SAMPLE that makes the kernel find the sample in force at the beginning of the segment.
-IN_FORCE = -2
-#: Offsets in the array of options.
-_SOLVER, _FIXED_STEP, _CLOSED_FORM_BEYOND, _TOLERANCE, _MAX_STEP_NS, _TIMEOUT_NS, _ANGLE = range(7)
+#: Cost of a full step, or a state in closed form, in units of work; anything else costs 1.
+STEP_COST = 16
+#: Units of work, at most about 0.1 s, after which a kernel returns so that Python handles signals.
+BUDGET = 20_000 * STEP_COST
+#: The solver and its limits on a step; see `Method`.
+METHOD = record([
+    ('solver', np.int64), ('fixed_step', np.bool_), ('closed_form_beyond', np.float64),
+    ('tolerance', np.float64), ('angle', np.float64), ('max_step_ns', np.int64)])
+#: What a motion has reached, see `GridStates` and `Place`, and how far it is to go: the row to
+#: stop at, and the units of work after which to return.
+PROGRESS = record([
+    ('grid', np.float64, state_layout.SIZE), ('begin', np.float64, state_layout.SIZE),
+    ('latest', np.float64, state_layout.SIZE), ('grid_ns', np.int64), ('begin_ns', np.int64),
+    ('row', np.int64), ('done', np.int64), ('stop', np.int64), ('budget', np.int64)])
+#: The integers of PROGRESS.
+_COUNTS = struct.Struct('6q')
+#: Value of `stop` of a run, among many, whose body became too fast.
+FAILED = -2
 
 
 class Body(NamedTuple):
@@ -71,35 +81,46 @@ class Method(NamedTuple):
     max_step_ns: int
 
 
-class Log(NamedTuple):
-    """A piece of a torque log."""
+class Terms(NamedTuple):
+    """What acts on a body besides the torques of the rows."""
 
-    #: int64 (n,): when each sample comes into force.
-    stamps_ns: NDArray[np.int64]
-    #: float64 (k, 2 degree + 1, 3), N m, from the sample `first` on; see
-    #: `TorqueLog.polynomials`.
-    polynomials: Floats
-    #: bool (n,): whether the torque of a sample is given in space axes.
+    #: float64 (n, 2, 3), N m s: momentum of the rotors, and its low-order part; shape (1, 2, 3) if
+    #: it is constant.
+    momentum: Floats
+    #: float64 (n, degree + 1, 3), N m: coefficients of the torque on the rotors; None without.
+    motors: Floats | None
+    #: The same of a torque in space axes beside one in body axes; None if none is.
+    space: Floats | None
+
+
+class Rows(NamedTuple):
+    """What acts on a body: each row from its time to that of the next."""
+
+    #: int64 (n,), ns, strictly ascending. Before the first no torque acts.
+    times_ns: NDArray[np.int64]
+    #: float64 (n, 2 degree + 1, 3), N m, see `TorqueLog.polynomials`; on the body in the axes that
+    #: `in_space` states. The torque on the rotors is subtracted from one in body axes.
+    torques: Floats
+    #: bool (n,): whether these are in space axes.
     in_space: NDArray[np.bool_]
-    #: The sample that `polynomials` begins with.
-    first: int
-    #: The sample to stop at.
-    stop: int
-    #: How long after a sample the torque becomes zero, ns; 0: never.
-    timeout_ns: int
+    #: float64 (n,), s: in this time the variable of the polynomials grows from 0 to 1. Shape (0,)
+    #: if they are constant.
+    spans: Floats
+    #: None if there are neither rotors nor damping, nor torques in two frames.
+    terms: Terms | None = None
 
 
-class Outputs(NamedTuple):
+class Requested(NamedTuple):
     """The requested times, and the arrays for the results."""
 
     #: int64 (m,), ns: requested times, none before the beginning.
     times_ns: NDArray[np.int64]
     #: int (m,): rows of `times_ns` and of the motion in ascending order of time; (0,) if the times
     #: ascend.
-    rows: NDArray[np.intp]
+    order: NDArray[np.intp]
     #: float64 (7 m,), see `motion_layout`.
     motion: Floats
-    #: bool (n + 1,): at index sample + 1, whether a coast was computed in closed form.
+    #: bool (n + 1,): at index row + 1, whether a coast was computed in closed form.
     closed: NDArray[np.bool_]
 
 
@@ -109,15 +130,13 @@ class Place(NamedTuple):
     #: Time of the state on the step grid, and of the beginning of the segment.
     grid_ns: int
     begin_ns: int
-    #: The sample in force; -1: none yet.
-    sample: int
-    #: Whether that sample has timed out.
-    timed_out: bool
+    #: The row in force; -1: none yet.
+    row: int
     #: How many outputs are filled.
     done: int
 
 
-class States(NamedTuple):
+class GridStates(NamedTuple):
     """The states of the loop."""
 
     #: On the step grid.
@@ -128,68 +147,72 @@ class States(NamedTuple):
     latest: vector.KernelState
 
 
-def pack_settings(solver: int, fixed_step: bool, closed_form_beyond: float, tolerance: float,
-                  max_step_ns: int, timeout_ns: int) -> Floats:
+def begun(grid: Floats, grid_ns: int, begin: Floats, begin_ns: int, row: int,
+          stop: int) -> NDArray[Any]:
     """
-    Return options as an array. Nanoseconds rounded from seconds fit a double exactly.
+    Return the progress of a motion that is about to continue from a step grid.
 
-    The kernels add the angle of a full step.
+    Parameters
+    ----------
+    grid, begin : array, shape (state_layout.SIZE,)
+        The states on the grid and at the beginning of the segment.
+    grid_ns, begin_ns : int
+        Their times.
+    row, stop : int
+        The row in force, and that to stop at.
+
+    Returns
+    -------
+    array of PROGRESS, shape (1,)
+
     """
-    settings = np.zeros(7)
-    settings[_SOLVER], settings[_FIXED_STEP] = solver, fixed_step
-    settings[_CLOSED_FORM_BEYOND], settings[_TOLERANCE] = closed_form_beyond, tolerance
-    settings[_MAX_STEP_NS], settings[_TIMEOUT_NS] = max_step_ns, timeout_ns
-    return settings
+    # To assign the fields would take three times as long.
+    states, latest = grid.tobytes() + begin.tobytes(), grid.tobytes()
+    return np.frombuffer(bytearray(states + latest + _COUNTS.pack(
+        grid_ns, begin_ns, row, 0, stop, BUDGET)), PROGRESS)
 
 
 @internal
-def unpack_method(settings: Floats) -> Method:
-    """Return the solver, its tolerance and its limits on a step."""
-    tolerance = float(settings[_TOLERANCE])
-    if settings[_ANGLE] == 0.0:  # kept for the next call: the logarithm takes as long as a step
-        settings[_ANGLE] = taylor.step_angle(tolerance)
-    return Method(int(settings[_SOLVER]), settings[_FIXED_STEP] != 0.0,
-                  float(settings[_CLOSED_FORM_BEYOND]), tolerance, float(settings[_ANGLE]),
-                  int(settings[_MAX_STEP_NS]))
-
-
-@inlined
-def unpack_timeout(settings: Floats) -> int:
-    """Return the torque timeout, ns."""
-    return int(settings[_TIMEOUT_NS])
+def load_method(methods: NDArray[Any]) -> Method:
+    """Return the method in an array of METHOD."""
+    found = methods[0]
+    return Method(found.solver, found.fixed_step, found.closed_form_beyond, found.tolerance,
+                  found.angle, found.max_step_ns)
 
 
 @internal
-def unpack_body(constants: Floats) -> Body:
+def load_body(constants: Floats) -> Body:
     """Return a body from its constants, see `body_layout`."""
-    return Body(body_layout.coefficients(constants), unpack_form(constants),
+    return Body(body_layout.coefficients(constants), form_of(constants),
                 body_layout.principal_frame(constants))
 
 
 @optional
-def unpack_terms(terms: Floats) -> Floats:
-    """Return the terms of `loop.run` without the axis that stands for torques in space axes."""
-    if terms.ndim == 4:
-        return terms[0]
-    return terms
+def momentum_of(terms: Terms) -> Floats:
+    """Return the momentum of the rotors; None if there are no terms."""
+    return terms.momentum
 
 
 @optional
-def two_frames(terms: Floats) -> bool | None:
-    """Return None if there are no torques in space axes among the terms."""
-    if terms.ndim == 4:
-        return True
-    return None
+def motors_of(terms: Terms) -> Floats | None:
+    """Return the torque on the rotors, None without."""
+    return terms.motors
 
 
 @optional
-def unpack_linear(_terms: Floats, constants: Floats) -> linear_terms.Constants:
-    """Return the matrices of a body in a scene that has terms."""
+def space_of(terms: Terms) -> Floats | None:
+    """Return the torque in space axes beside one in body axes, None without."""
+    return terms.space
+
+
+@optional
+def load_linear(_terms: Terms, constants: Floats) -> linear_terms.Constants:
+    """Return the matrices of a body in a scene that has rotors or damping."""
     return body_layout.linear_constants(constants)
 
 
 @inlined
-def unpack_form(constants: Floats) -> int:
+def form_of(constants: Floats) -> int:
     """Return the form of the inertia tensor: DIAGONAL, FULL or THIN."""
     moments = four.load(constants, body_layout.MOMENTS)
     a, b, c, d, e, f, _, _, _ = body_layout.coefficients(constants)[0]
@@ -206,63 +229,30 @@ def is_zero_vector(a: vector.Vector) -> bool:
     return a[0] == 0.0 and a[1] == 0.0 and a[2] == 0.0
 
 
-def pack_states(grid: Floats, begin: Floats | None = None) -> Floats:
-    """
-    Return states as an array.
-
-    Parameters
-    ----------
-    grid : array, shape (state_layout.SIZE,)
-        The state on the grid.
-    begin : array, shape (state_layout.SIZE,), optional
-        The state at the beginning of the segment. Not used with a SAMPLE of IN_FORCE: the segment
-        then begins with the state on the grid.
-
-    """
-    states = np.empty(_STATES)
-    states[:state_layout.SIZE] = grid
-    if begin is not None:
-        states[state_layout.SIZE:2 * state_layout.SIZE] = begin
-    return states
-
-
-def unpack_states(states: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return views of the state on the grid, at the segment's beginning, and computed last."""
-    size = state_layout.SIZE
-    return states[:size], states[size:2 * size], states[2 * size:]
-
-
 @internal
-def load_states(states: Floats) -> States:
+def load_states(progress: NDArray[Any]) -> GridStates:
     """Return the states; the latest is that on the grid until another is computed."""
-    grid = state_layout.load(states, 0)
-    return States(grid, state_layout.load(states, state_layout.SIZE), grid)
+    grid = state_layout.load(progress[0].grid, 0)
+    return GridStates(grid, state_layout.load(progress[0].begin, 0), grid)
 
 
 @internal
-def store_states(reached: States, states: Floats) -> None:
+def store_states(reached: GridStates, progress: NDArray[Any]) -> None:
     """Write the states back."""
-    state_layout.store(reached.grid, states, 0)
-    state_layout.store(reached.begin, states, state_layout.SIZE)
-    state_layout.store(reached.latest, states, 2 * state_layout.SIZE)
-
-
-def pack_place(grid_ns: int, begin_ns: int, sample: int,
-               timed_out: bool = False) -> NDArray[np.int64]:
-    """Return the progress of a loop that has not yet filled an output, as an array."""
-    return np.array((grid_ns, begin_ns, sample, timed_out, 0), np.int64)
+    state_layout.store(reached.grid, progress[0].grid, 0)
+    state_layout.store(reached.begin, progress[0].begin, 0)
+    state_layout.store(reached.latest, progress[0].latest, 0)
 
 
 @inlined
-def load_place(progress: NDArray[np.int64]) -> Place:
-    """Return the progress of the loop from an array."""
-    return Place(int(progress[GRID_NS]), int(progress[BEGIN_NS]), int(progress[SAMPLE]),
-                 progress[TIMED_OUT] != 0, int(progress[DONE]))
+def load_place(progress: NDArray[Any]) -> Place:
+    """Return the progress of the loop."""
+    found = progress[0]
+    return Place(found.grid_ns, found.begin_ns, found.row, found.done)
 
 
-@inlined
-def store_place(place: Place, progress: NDArray[np.int64]) -> None:
-    """Write the progress of the loop back to an array."""
-    progress[GRID_NS], progress[BEGIN_NS] = place.grid_ns, place.begin_ns
-    progress[SAMPLE], progress[TIMED_OUT] = place.sample, place.timed_out
-    progress[DONE] = place.done
+@internal
+def store_place(place: Place, progress: NDArray[Any]) -> None:
+    """Write the progress of the loop back."""
+    progress[0].grid_ns, progress[0].begin_ns = place.grid_ns, place.begin_ns
+    progress[0].row, progress[0].done = place.row, place.done

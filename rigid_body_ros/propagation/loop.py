@@ -25,12 +25,14 @@ The contract of `run`, whatever the solver:
    torque and the method. The last grid point reached is kept, so that a later call computes only
    new steps. A state between grid points is one more step, and no later state depends on it.
 4. A coast in closed form is always computed from its beginning.
-5. `run` returns when it has filled all outputs, has reached the sample to stop at, has used up its
-   budget, or finds that the body is too fast. Another call continues from the states and the
-   progress that it leaves.
+5. `run` returns when it has filled all outputs, has reached the row to stop at, has used up its
+   budget, or finds that the body is too fast. Another call continues from the progress that it
+   leaves.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,48 +49,35 @@ from rigid_body_ros.kernels import (
 from rigid_body_ros.kernels.jit import inlined, internal, njit
 from rigid_body_ros.kernels.linear_terms import Constants
 from rigid_body_ros.propagation import intervals, layout, stepping
-from rigid_body_ros.propagation.layout import Body, Log, Method, Outputs, Place, States
+from rigid_body_ros.propagation.layout import Body, GridStates, Method, Place, Requested, Rows
 
-#: Results of `run`. FINISHED: all outputs are filled, or the sample to stop at is reached.
+#: Results of `run`. FINISHED: all outputs are filled, or the row to stop at is reached.
 #: UNFINISHED: the budget is used up; another call continues. TOO_FAST: the body turns faster than
 #: FASTEST.
 FINISHED, UNFINISHED, TOO_FAST = range(3)
-#: Value of `rows` of `run` if the times ascend.
+#: Value of `order` of `run` if the times ascend.
 IN_ORDER = np.empty(0, np.intp)
-#: Units of work, at most about 0.1 s, after which a kernel returns so that Python handles signals.
-BUDGET = 20_000 * stepping.STEP_COST
 
 
 @njit
-def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64],
-        rows: NDArray[np.intp], motion: Floats, closed: NDArray[np.bool_],
-        stamps_ns: NDArray[np.int64], polynomials: Floats, in_space: NDArray[np.bool_],
-        first: int, stop: int, constants: Floats, settings: Floats, budget: int,
-        terms: Floats | None) -> int:
+def run(progress: NDArray[Any], times_ns: NDArray[np.int64], order: NDArray[np.intp],
+        motion: Floats, closed: NDArray[np.bool_], rows: Rows, constants: Floats,
+        methods: NDArray[Any]) -> int:
     """
-    Compute the motion from torque change to torque change, and store it at the requested times.
+    Compute the motion from row to row, and store it at the requested times.
 
     Parameters
     ----------
-    states : float64 (48,)
-        See `layout.pack_states`; changed.
-    progress : int64 (5,)
-        See `layout.pack_place`; changed.
-    times_ns, rows, motion, closed
-        See `layout.Outputs`.
-    stamps_ns, polynomials, in_space, first, stop
-        See `layout.Log`.
+    progress : array of layout.PROGRESS, shape (1,)
+        Changed.
+    times_ns, order, motion, closed
+        See `layout.Requested`.
+    rows : Rows
+        What acts on the body. The kernel is compiled for what they have.
     constants : float64 (128,)
         See `body_layout.pack`.
-    settings : float64 (7,)
-        See `layout.pack_settings`.
-    budget : int
-        Units of work, at least 1, after which to return; see `stepping.STEP_COST`.
-    terms : float64 (2, 3), (n, 2 degree + 4, 3) or (1, n, 2 degree + 4, 3), or None
-        The momentum of the rotors, if it is constant, and its low-order part; otherwise the terms
-        of `summation.Summed`, with one more axis if torques in space axes are among them. None if
-        only a torque in one frame acts. The number of axes belongs to the type of an array, so
-        the compiler leaves out the code for what a scene does not have.
+    methods : array of layout.METHOD, shape (1,)
+        The solver.
 
     Returns
     -------
@@ -96,94 +85,86 @@ def run(states: Floats, progress: NDArray[np.int64], times_ns: NDArray[np.int64]
         FINISHED, UNFINISHED or TOO_FAST.
 
     """
-    log = Log(stamps_ns, polynomials, in_space, first, stop, layout.unpack_timeout(settings))
-    place, reached = layout.load_place(progress), layout.load_states(states)
-    if place.sample == layout.IN_FORCE:
-        sample, timed_out = intervals.sample_in_force(log, place.grid_ns)
-        place = Place(place.grid_ns, place.grid_ns, sample, timed_out, place.done)
-        reached = States(reached.grid, reached.grid, reached.grid)
-    place, reached = _run_segments(place, reached, Outputs(times_ns, rows, motion, closed), log,
-                                   layout.unpack_body(constants),
-                                   layout.unpack_method(settings), budget,
-                                   layout.unpack_terms(terms), layout.two_frames(terms),
-                                   layout.unpack_linear(terms, constants))
+    stop = progress[0].stop
+    place, reached = _run_segments(
+        progress, Requested(times_ns, order, motion, closed), rows, layout.load_body(constants),
+        layout.load_method(methods), layout.load_linear(rows.terms, constants))
     layout.store_place(place, progress)
-    layout.store_states(reached, states)
+    layout.store_states(reached, progress)
     if stepping.is_too_fast(reached.latest):
         return TOO_FAST
-    return UNFINISHED if place.sample < stop and place.done < len(times_ns) else FINISHED
+    return UNFINISHED if place.row < stop and place.done < len(times_ns) else FINISHED
 
 
 # Arrays are taken out of the records before the loop: otherwise numba counts references in each
 # pass, which costs a third of a step.
 @internal
-def _run_segments(place: Place, reached: States, outputs: Outputs, log: Log, body: Body,
-                  method: Method, budget: int, terms: Floats | None, two_frames: bool | None,
-                  linear: Constants | None) -> tuple[Place, States]:
-    grid, begin, latest = reached
-    grid_ns, begin_ns, sample, timed_out, done = place
-    times_ns, rows, motion, closed = outputs
-    stamps_ns, polynomials, in_space, first, stop, timeout_ns = log
+def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: Body,
+                  method: Method, linear: Constants | None) -> tuple[Place, GridStates]:
+    grid, begin, latest = layout.load_states(progress)
+    grid_ns, begin_ns, row, done = layout.load_place(progress)
+    stop, budget = progress[0].stop, progress[0].budget
+    times_ns, order, motion, closed = outputs
+    row_times_ns, torques, in_space, spans, terms = rows
+    momentum, motors = layout.momentum_of(terms), layout.motors_of(terms)
+    space = layout.space_of(terms)
     table = np.empty(taylor.WORKSPACE)
     coast, prepared = free_motion.start_only(begin, free_motion.NEAR_SEPARATRIX), False
-    while sample < stop and done < len(times_ns) and budget > 0:
-        index, idle = sample - first, timed_out or sample < 0
-        now = intervals.interval(
-            intervals.torque_of(polynomials, index, idle), stamps_ns[sample] if sample >= 0 else 0,
-            stamps_ns[sample + 1] if sample + 1 < len(stamps_ns) else NEVER_NS, idle, timeout_ns)
-        extras = intervals.extras_of(
-            terms, index, intervals.span(now, polynomials.shape[1] // 2), linear)
-        coasts = now.is_zero and not intervals.acts(extras)
-        continues = coasts and (now.times_out or (now.next_ns < NEVER_NS and intervals.coasts(
-            polynomials, terms, index + 1, linear)))
-        row = done if len(rows) == 0 else rows[done]
-        asked = times_ns[row] <= now.end_ns
-        if asked or not continues:
-            time_ns = times_ns[row] if asked else now.end_ns
-            degree = 0 if coasts else polynomials.shape[1] // 2
-            space = not now.is_zero and in_space[sample]
-            acceleration = euler_equations.acceleration_from_torque(
-                body.coefficients, body.form, now.torque[0])
-            seconds = (time_ns - grid_ns) / 1e9
-            others = intervals.during_step(terms, two_frames, index, seconds, linear)
-            by_formula = coasts and _is_closed(method, begin, time_ns - begin_ns)
-            if by_formula and not prepared:
-                coast, prepared = free_motion.prepare(begin, body.frame), True
-            if by_formula and coast.kind != free_motion.NEAR_SEPARATRIX:
-                latest = free_motion.at(coast, time_ns - begin_ns)
-                closed[sample + 1] = True
-                budget -= stepping.STEP_COST
-            elif time_ns == grid_ns:
-                latest = grid
-            elif (grid_ns == begin_ns and degree == 0 and not space and _is_short(
-                    grid, time_ns - grid_ns, acceleration, others, body, method)):
-                if time_ns == now.end_ns and not (idle or coasts or now.times_out):
-                    budget += sample
-                    grid, grid_ns, sample, done = _run_short_steps(
-                        grid, Place(grid_ns, begin_ns, sample, timed_out, done),
-                        min(budget, stop, len(stamps_ns) - 1), outputs, log, body, method, terms,
-                        two_frames, linear)
-                    begin, latest, begin_ns, prepared = grid, grid, grid_ns, False
-                    budget -= sample
-                    continue
-                latest = short_step.step(grid, seconds, body.coefficients, body.form, acceleration,
-                                         method.tolerance, others)
-            else:
-                low = intervals.low_order_parts(polynomials, index)
-                grid, grid_ns, latest, arrived, budget = stepping.advance(
-                    grid, grid_ns, time_ns, intervals.drive(now, low, degree, space, body),
-                    body, method, table, budget, extras)
-                if not arrived:
-                    break
-            if asked:
-                motion_layout.store(latest, row, motion)
-                done += 1
-            if time_ns == now.end_ns and not continues:
-                grid, grid_ns, begin, begin_ns, prepared = latest, time_ns, latest, time_ns, False
-        if not asked or begin_ns == now.end_ns:
-            sample, timed_out = (sample, True) if now.times_out else (sample + 1, False)
+    while row < stop and done < len(times_ns) and budget > 0:
+        now = intervals.interval(row_times_ns, torques, spans, row)
+        loads = intervals.loads_of(momentum, motors, space, row, now.span, linear)
+        coasts = now.is_zero and not intervals.acts(loads)
+        continues = coasts and now.end_ns < NEVER_NS and intervals.coasts(
+            torques, momentum, motors, space, row + 1, linear)
+        output = done if len(order) == 0 else order[done]
+        asked = times_ns[output] <= now.end_ns
+        if continues and not asked:  # the next row does not change the motion
+            row += 1
+            budget -= 1
+            continue
+        time_ns = times_ns[output] if asked else now.end_ns
+        seconds, degree = (time_ns - grid_ns) / 1e9, 0 if coasts else torques.shape[1] // 2
+        turning = not now.is_zero and in_space[row]
+        acceleration = euler_equations.acceleration_from_torque(
+            body.coefficients, body.form, now.torque[0])
+        held = intervals.during_step(momentum, motors, space, row, seconds, linear)
+        by_formula = coasts and _is_closed(method, begin, time_ns - begin_ns)
+        if by_formula and not prepared:
+            coast, prepared = free_motion.prepare(begin, body.frame), True
+        if by_formula and coast.kind != free_motion.NEAR_SEPARATRIX:
+            latest = free_motion.at(coast, time_ns - begin_ns)
+            closed[row + 1] = True
+            budget -= layout.STEP_COST
+        elif time_ns == grid_ns:
+            latest = grid
+        elif (grid_ns == begin_ns and degree == 0 and not turning and _is_short(
+                grid, time_ns - grid_ns, acceleration, held, body, method)):
+            if time_ns == now.end_ns and row >= 0 and not coasts:
+                first = row
+                grid, grid_ns, row, done = _run_short_steps(
+                    grid, Place(grid_ns, begin_ns, row, done),
+                    min(row + budget, stop, len(row_times_ns) - 1), outputs, rows, body,
+                    method, linear)
+                begin, latest, begin_ns, prepared = grid, grid, grid_ns, False
+                budget -= row - first
+                continue
+            latest = short_step.step(grid, seconds, body.coefficients, body.form, acceleration,
+                                     method.tolerance, held)
+        else:
+            drive = intervals.drive(now, intervals.low_order_parts(torques, row), degree, turning,
+                                    body, loads)
+            grid, grid_ns, latest, arrived, budget = stepping.advance(
+                grid, grid_ns, time_ns, drive, body, method, table, budget, loads)
+            if not arrived:
+                break
+        if asked:
+            motion_layout.store(latest, output, motion)
+            done += 1
+        if time_ns == now.end_ns and not continues:
+            grid, grid_ns, begin, begin_ns, prepared = latest, time_ns, latest, time_ns, False
+            row += 1
         budget -= 1
-    return Place(grid_ns, begin_ns, sample, timed_out, done), States(grid, begin, latest)
+    return Place(grid_ns, begin_ns, row, done), GridStates(grid, begin, latest)
 
 
 @inlined
@@ -197,50 +178,49 @@ def _is_closed(method: Method, begin: vector.KernelState, span_ns: int) -> bool:
 
 @inlined
 def _is_short(grid: vector.KernelState, rest_ns: int, acceleration: vector.Vector,
-              extras: short_step.Extras | None, body: Body, method: Method) -> bool:
+              held: short_step.HeldLoads | None, body: Body, method: Method) -> bool:
     # Return whether one short step is enough, if the torque is held in body axes.
     seconds = rest_ns / 1e9
     return (rest_ns < method.max_step_ns and not method.fixed_step
-            and short_step.is_accurate(grid, seconds, acceleration, method.tolerance, extras))
+            and short_step.is_accurate(grid, seconds, acceleration, method.tolerance, held))
 
 
 @internal
-def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs: Outputs, log: Log,
-                     body: Body, method: Method, terms: Floats | None, two_frames: bool | None,
+def _run_short_steps(grid: vector.KernelState, place: Place, last: int, outputs: Requested,
+                     rows: Rows, body: Body, method: Method,
                      linear: Constants | None) -> tuple[vector.KernelState, int, int, int]:
-    # Step from stamp to stamp, at most to the stamp of the sample `last`, under held body torques,
-    # as long as one short step is enough and no output lies between the stamps. Fill the outputs
-    # at the stamps, except one at the last that is reached. Return state,
-    # grid_ns, sample and done. In a function of its own, the compiler keeps the state in
-    # registers.
-    grid_ns, sample, done = place.grid_ns, place.sample, place.done
-    times_ns, rows, motion, _ = outputs
-    stamps_ns, polynomials, in_space, first, _, timeout_ns = log
-    extras = intervals.during_step(terms, two_frames, sample - first, 1.0, linear)
-    while sample < last and done < len(times_ns):
-        row = done if len(rows) == 0 else rows[done]
-        if times_ns[row] == grid_ns:
-            motion_layout.store(grid, row, motion)
+    # Step from row to row, at most to the beginning of the row `last`, under held body torques, as
+    # long as one short step is enough and no output lies between the rows. Fill the outputs at the
+    # beginnings of rows, except one at the last that is reached. Return state, grid_ns, row and
+    # done. In a function of its own, the compiler keeps the state in registers.
+    grid_ns, row, done = place.grid_ns, place.row, place.done
+    times_ns, order, motion, _ = outputs
+    row_times_ns, torques, in_space, _, terms = rows
+    momentum, motors = layout.momentum_of(terms), layout.motors_of(terms)
+    space = layout.space_of(terms)
+    held = intervals.during_step(momentum, motors, space, row, 1.0, linear)
+    while row < last and done < len(times_ns):
+        output = done if len(order) == 0 else order[done]
+        if times_ns[output] == grid_ns:
+            motion_layout.store(grid, output, motion)
             done += 1
             continue
-        index, next_ns = sample - first, stamps_ns[sample + 1]
-        torque = intervals.coefficient(polynomials, index, 0)
+        next_ns, torque = row_times_ns[row + 1], intervals.coefficient(torques, row, 0)
         acceleration = euler_equations.acceleration_from_torque(
             body.coefficients, body.form, torque)
         span_ns = next_ns - grid_ns
         seconds = span_ns / 1e9
-        if intervals.terms_vary(terms):
-            extras = intervals.during_step(terms, two_frames, index, seconds, linear)
-        if (times_ns[row] < next_ns or span_ns >= method.max_step_ns
-                or (in_space[sample] and not layout.is_zero_vector(torque))
+        if intervals.vary(momentum, space):
+            held = intervals.during_step(momentum, motors, space, row, seconds, linear)
+        if (times_ns[output] < next_ns or span_ns >= method.max_step_ns
+                or (in_space[row] and not layout.is_zero_vector(torque))
                 or (layout.is_zero_vector(torque)
-                    and intervals.coasts(polynomials, terms, index, linear))
-                or 0 < timeout_ns < next_ns - stamps_ns[sample]
+                    and intervals.coasts(torques, momentum, motors, space, row, linear))
                 or not short_step.is_accurate(grid, seconds, acceleration, method.tolerance,
-                                              extras)):
+                                              held)):
             break
         grid = short_step.step(grid, seconds, body.coefficients, body.form, acceleration,
-                               method.tolerance, extras)
+                               method.tolerance, held)
         grid_ns = next_ns
-        sample += 1
-    return grid, grid_ns, sample, done
+        row += 1
+    return grid, grid_ns, row, done

@@ -20,7 +20,7 @@ from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 import math
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,13 +28,16 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import motion_layout
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.mechanics.bodies import RigidBodies
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.propagation import layout, loop, many_loop, summation
-from rigid_body_ros.propagation.combined import check_wheels
-from rigid_body_ros.propagation.integration import check_solver
+from rigid_body_ros.propagation import layout, loop, many_loop
+from rigid_body_ros.propagation.layout import Rows, Terms
 from rigid_body_ros.propagation.options import Options, validated
+from rigid_body_ros.propagation.problem import Problem
 from rigid_body_ros.propagation.requested import checked_times
+from rigid_body_ros.propagation.timeline import Timeline
 
 _NO_LOG = TorqueLog([], [])
 #: s; a call of the kernel that takes less is followed by one for twice as many runs. In between
@@ -42,18 +45,6 @@ _NO_LOG = TorqueLog([], [])
 _PATIENCE = 0.05
 #: A log of all runs, or one or several of each.
 Logs = TorqueLog | Sequence[TorqueLog | Sequence[TorqueLog]] | None
-
-
-class _Piece(NamedTuple):
-    """A piece of a log, for `many_loop.run_each`."""
-
-    times_ns: NDArray[np.int64]
-    #: Shape (k, ...): of run i the row i % k.
-    polynomials: Floats
-    in_space: NDArray[np.bool_]
-    #: The samples for which there are polynomials.
-    first: int
-    stop: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,9 +188,9 @@ def _can_scale(logs: Sequence[TorqueLog], wheels: TorqueLog, gains: Floats) -> b
     return logs[0].interpolation == 'hold' and math.isfinite(largest)
 
 
-def _change_together(one: _Piece, other: _Piece) -> bool:
+def _change_together(one: Rows, other: Rows) -> bool:
     """Return whether two held torques change at the same times and are in the same axes."""
-    return (one.polynomials.shape == other.polynomials.shape and one.polynomials.shape[2] == 1
+    return (one.torques.shape == other.torques.shape and one.torques.shape[1] == 1
             and np.array_equal(one.times_ns, other.times_ns)
             and np.array_equal(one.in_space, other.in_space))
 
@@ -214,25 +205,28 @@ class _Runs:
                              f'found {len(starts)}')
         if not len(bodies):
             raise ValueError('bodies: expected at least one, found none')
-        self._begin_ns: NDArray[np.int64] = starts.time_ns
-        self._times, ascends, _ = checked_times(at, int(self._begin_ns.max()))
-        checked_times(self._times, int(self._begin_ns.min()))
+        begins_ns = starts.time_ns
+        self._times_ns, ascends, _ = checked_times(at, int(begins_ns.max()))
+        checked_times(self._times_ns, int(begins_ns.min()))
         options.check_linear_terms(bool(bodies.is_damped.any()), bool(starts.has_rotors.any()))
         self._bodies, self._options = bodies, options
-        self._has_terms = bodies.is_damped | starts.has_rotors
-        self._rows = loop.IN_ORDER if ascends else np.argsort(self._times, kind='stable')
+        self._order = loop.IN_ORDER if ascends else np.argsort(self._times_ns, kind='stable')
         self._messages = [one or other for one, other in zip(bodies.messages, starts.messages)]
-        packed = starts._packed
-        self._states: Floats = np.concatenate([packed] * 3, axis=1)
-        self._progress = np.zeros((len(bodies), layout.DONE + 1), np.int64)
-        self._motions: Floats = np.empty((len(bodies), motion_layout.SIZE * self._times.size))
-        self._failed = np.array([bool(message) for message in self._messages])
+        count = len(bodies)
+        self._progress = np.zeros(count, layout.PROGRESS)
+        self._progress['grid'] = self._progress['begin'] = starts._packed
+        self._progress['grid_ns'] = self._progress['begin_ns'] = begins_ns
+        self._progress['budget'] = layout.BUDGET
+        self._progress['stop'][np.array([bool(message) for message in self._messages])] = \
+            layout.FAILED
+        self._motions: Floats = np.empty((count, motion_layout.SIZE * self._times_ns.size))
+        self._is_linear = bodies.is_damped | starts.has_rotors
+        #: Momentum of the rotors of each run at its start, and its low-order part, N m s.
+        self._momentum: Floats = np.zeros((count, 2, 3))
+        self._momentum[:, 0] = starts.rotor_momentum
         #: Runs with torques of their own, to run together: of the rows from a multiple of LANES to
         #: the next, under torques that change at the same times.
-        self._queued: list[tuple[int, _Piece, Floats]] = []
-        #: Of each run, for `loop.run`, if the rotors have no motors.
-        self._terms: Floats = np.zeros((len(bodies), 2, 3))
-        self._terms[:, 0] = starts.rotor_momentum
+        self._queued: list[tuple[int, Rows]] = []
 
     def advance(self, logs: Sequence[TorqueLog], wheels: TorqueLog, which: NDArray[np.intp],
                 gains: Floats | None = None) -> None:
@@ -241,104 +235,98 @@ class _Runs:
 
         A single log is multiplied by a gain for each of all runs.
         """
-        check_wheels(wheels)
-        self._options.check_linear_terms(False, bool(wheels.torques.any()))
-        for log in (*logs, wheels):
-            check_solver(self._options, log)
-        which = which[~self._failed[which]]
-        if not (which.size and self._times.size):
+        problem = Problem(_SPHERE, _AT_REST, logs, wheels=wheels).replaced(options=self._options)
+        which = which[self._progress['stop'][which] != layout.FAILED]
+        if not (which.size and self._times_ns.size):
             return
-        if len(logs) > 1 or wheels:
-            self._advance_summed(logs, wheels, which)
-        else:
-            self._advance_single(logs[0] if logs else _NO_LOG, which, gains)
-
-    def _advance_single(self, log: TorqueLog, which: NDArray[np.intp],
-                        gains: Floats | None) -> None:
-        begins = self._begin_ns[which]
-        for begin_ns in np.unique(begins).tolist():
-            self._progress[which[begins == begin_ns]] = layout.pack_place(
-                begin_ns, begin_ns, *log.in_force(begin_ns, self._options.timeout_ns))
-        first = int(self._progress[which, layout.SAMPLE].min())
-        for begin, stop, polynomials in log.polynomials(first):
-            self._run(which, _Piece(log.times_ns, polynomials[None], log.in_space, begin, stop),
-                      self._options.settings, self._has_terms[which], self._terms, gains)
-
-    def _advance_summed(self, logs: Sequence[TorqueLog], wheels: TorqueLog,
-                        which: NDArray[np.intp]) -> None:
-        """Do it under a sum of logs, as `CombinedMotion` does."""
-        in_two_frames = summation.in_two_frames([*logs, wheels])
-        terms_vary = bool(wheels) or in_two_frames
-        momenta = self._terms[which]
-        # Without motors, the sum of the torques does not depend on the momentum of the rotors.
-        for rows in _grouped([(begin_ns, momentum.tobytes() if terms_vary else b'') for
-                              begin_ns, momentum in zip(self._begin_ns[which].tolist(), momenta)]):
-            alike, begin_ns = which[rows], int(self._begin_ns[which[rows[0]]])
-            total = summation.summed(logs, wheels, begin_ns, momenta[rows[0]],
-                                     self._options.timeout_ns)
-            total.times_ns.flags.writeable = False  # one type for the kernels
-            self._progress[alike] = layout.pack_place(begin_ns, begin_ns, 0)
-            terms = total.terms[None] if in_two_frames else total.terms
-            self._run(alike, _Piece(total.times_ns, total.polynomials[None], total.in_space, 0,
-                                    len(total.times_ns)), self._options.held_settings,
-                      self._has_terms[alike] | in_two_frames | wheels.torques.any(),
-                      terms[None] if terms_vary else self._terms)
-
-    def _run(self, which: NDArray[np.intp], piece: _Piece, settings: Floats,
-             has_terms: NDArray[np.bool_], terms: Floats, gains: Floats | None = None) -> None:
-        """Run the loop over some runs, with terms for those that have them."""
-        if len(which) == 1 and not has_terms.any() and gains is None:
-            self._queue(int(which[0]), piece, settings)
+        if len(problem.sources) < 2 and not wheels:
+            self._advance_alike(problem, which, gains)
             return
-        for rows, given in ((which[~has_terms], None), (which[has_terms], terms)):
-            self._run_alike(rows, piece, settings, given, gains)
+        # The rows of a sum begin with the start. Without motors, they do not depend on the
+        # momentum of the rotors.
+        has_motors = bool(wheels.torques.any())
+        begins_ns = self._progress['grid_ns'][which].tolist()
+        for rows in _grouped([(begin_ns, self._momentum[run].tobytes() if has_motors else b'')
+                              for begin_ns, run in zip(begins_ns, which)]):
+            self._advance_alike(problem, which[rows])
 
-    def _queue(self, row: int, piece: _Piece, settings: Floats) -> None:
+    def _advance_alike(self, problem: Problem, which: NDArray[np.intp],
+                       gains: Floats | None = None) -> None:
+        """Compute runs under the same rows."""
+        begins_ns, first = self._progress['grid_ns'][which], int(which[0])
+        has_motors = bool(problem.wheels and problem.wheels.torques.any())
+        timeline = Timeline(problem.logs, problem.wheels, self._options.timeout_ns, False,
+                            int(begins_ns[0]), self._momentum[first] if has_motors else None)
+        self._progress['row'][which] = timeline.times_ns.searchsorted(begins_ns, 'right') - 1
+        for begin, end, rows in timeline.chunks(int(self._progress['row'][which].min()),
+                                                len(timeline.times_ns)):
+            self._progress['row'][which] -= begin
+            going = which[self._progress['stop'][which] != layout.FAILED]
+            self._progress['stop'][going] = end - begin
+            self._run(which, rows, gains)
+            self._progress['row'][which] += begin
+
+    def _run(self, which: NDArray[np.intp], rows: Rows, gains: Floats | None) -> None:
+        """Run the loop over some runs, with rotors and damping for those that have them."""
+        rows, terms = rows._replace(torques=rows.torques[None], terms=None), rows.terms
+        if terms and terms.motors is not None:
+            self._run_alike(which, rows._replace(
+                terms=terms._replace(momentum=terms.momentum[None])), gains)
+            return
+        is_linear = self._is_linear[which] | (terms is not None)
+        if len(which) == 1 and not is_linear[0] and gains is None and rows.torques.shape[2] == 1:
+            self._queue(int(which[0]), rows)
+            return
+        self._run_alike(which[~is_linear], rows, gains)
+        own = Terms(self._momentum[:, None], None, terms.space if terms else None)
+        self._run_alike(which[is_linear], rows._replace(terms=own), gains)
+
+    def _queue(self, run: int, rows: Rows) -> None:
         """Run the loop over a run later, with others whose torques change at the same times."""
         if self._queued:
-            last, before, others = self._queued[-1]
-            if (row // LANES != last // LANES or settings is not others
-                    or not _change_together(piece, before)):
+            last, before = self._queued[-1]
+            if run // LANES != last // LANES or not _change_together(rows, before):
                 self._run_queued()
-        self._queued.append((row, piece, settings))
+        self._queued.append((run, rows))
 
     def _run_queued(self) -> None:
         """Run the loop over the queued runs, each under torques of its own."""
         if not self._queued:
             return
-        which = np.array([row for row, _, _ in self._queued])
-        _, piece, settings = self._queued[0]
-        polynomials = piece.polynomials
+        which, rows = np.array([run for run, _ in self._queued]), self._queued[0][1]
         if len(which) > 1:  # see `many_loop.run_each`
-            polynomials = np.empty((LANES, *piece.polynomials.shape[1:]))
-            for row, own, _ in self._queued:
-                polynomials[row % LANES] = own.polynomials
-            polynomials.flags.writeable = False  # one type for the kernels
+            torques = np.empty((LANES, *rows.torques.shape[1:]))
+            for run, own in self._queued:
+                torques[run % LANES] = own.torques
+            torques.flags.writeable = False  # one type for the kernels
+            rows = rows._replace(torques=torques)
         self._queued.clear()
-        self._run_alike(which, piece._replace(polynomials=polynomials), settings, None, None)
+        self._run_alike(which, rows, None)
 
-    def _run_alike(self, which: NDArray[np.intp], piece: _Piece, settings: Floats,
-                   terms: Floats | None, gains: Floats | None) -> None:
+    def _run_alike(self, which: NDArray[np.intp], rows: Rows, gains: Floats | None) -> None:
         """Run the loop over some runs, in chunks."""
-        gains = np.ones(len(self._failed)) if gains is None else gains
+        gains = np.ones(len(self._progress)) if gains is None else gains
         done, chunk = 0, LANES
         while done < len(which):
             began = time.monotonic()
             done += many_loop.run_each(
-                which[done:done + chunk], self._states, self._progress, self._times, self._rows,
-                self._motions, *piece, self._bodies._constants, settings, loop.BUDGET, terms,
-                gains, self._failed)
+                which[done:done + chunk], self._progress, self._times_ns, self._order,
+                self._motions, rows, self._bodies._constants, self._options.method, gains)
             if time.monotonic() - began < _PATIENCE:
                 chunk *= 2
 
     def trajectories(self) -> Trajectories:
         """Return the motions, with NaN for the failed runs."""
         self._run_queued()
-        for row in np.flatnonzero(self._failed).tolist():
-            self._messages[row] = self._messages[row] or str(self._options.too_fast(
-                int(self._progress[row, layout.GRID_NS])))
-        count, size = len(self._messages), self._times.size
-        self._motions[self._failed] = np.nan
+        failed = self._progress['stop'] == layout.FAILED
+        for run in np.flatnonzero(failed).tolist():
+            self._messages[run] = self._messages[run] or str(self._options.too_fast(
+                int(self._progress['grid_ns'][run])))
+        count, size = len(self._messages), self._times_ns.size
+        self._motions[failed] = np.nan
         attitude, rates = np.split(self._motions, [4 * size], axis=1)
-        return Trajectories(self._times, attitude.reshape(count, size, 4),
+        return Trajectories(self._times_ns, attitude.reshape(count, size, 4),
                             rates.reshape(count, size, 3), tuple(self._messages))
+
+
+_SPHERE, _AT_REST = RigidBody(np.eye(3)), State()

@@ -16,6 +16,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
@@ -24,35 +26,32 @@ from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.propagation import groups, layout, loop
 from rigid_body_ros.propagation.group import BUDGET, Group, workspace
 from rigid_body_ros.propagation.groups import Advanced
-from rigid_body_ros.propagation.layout import Log
+from rigid_body_ros.propagation.layout import Rows, Terms
 
-#: Samples after which runs that could not step together are tried again.
+#: Rows after which runs that could not step together are tried again.
 _PIECE = 64
 
 
 @njit
-def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64],
-             times_ns: NDArray[np.int64], rows: NDArray[np.intp], motions: Floats,
-             stamps_ns: NDArray[np.int64], polynomials: Floats, in_space: NDArray[np.bool_],
-             first: int, stop: int, constants: Floats, settings: Floats, budget: int,
-             terms: Floats | None, gains: Floats, too_fast: NDArray[np.bool_]) -> int:
+def run_each(which: NDArray[np.intp], progress: NDArray[Any], times_ns: NDArray[np.int64],
+             order: NDArray[np.intp], motions: Floats, rows: Rows, constants: Floats,
+             methods: NDArray[Any], gains: Floats) -> int:
     """
     Run the loop for many runs, some of them in lanes.
 
     Parameters
     ----------
     which : array of int, shape (k,)
-        The runs, rows of the arrays that follow.
-    states, progress, motions, constants : array, shape (n, ...)
-        A row for each run, see `loop.run`.
-    times_ns, rows, stamps_ns, in_space, first, stop, settings, budget
+        The runs, elements or rows of the arrays that follow.
+    progress, motions, constants : array, shape (n, ...)
+        An element or row for each run, see `loop.run`. Runs that have failed are skipped; one
+        whose body becomes too fast has then failed.
+    times_ns, order, methods
         As for `loop.run`, of all runs.
-    polynomials, terms : array, shape (k, ...)
-        As for `loop.run`; of run i the row i % k. The terms may be None.
+    rows : Rows
+        Of all runs. Torques and momentum have one more axis: of run i the element i % k.
     gains : array, shape (n,)
         Factors of the torque; all 1 for a torque that is not held.
-    too_fast : array of bool, shape (n,)
-        Set where the body becomes too fast; such runs are skipped.
 
     Returns
     -------
@@ -61,21 +60,22 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
         the budget is used up, and another call continues.
 
     """
-    closed = np.empty(len(stamps_ns) + 1, np.bool_)
-    log = Log(stamps_ns, polynomials[0], in_space, first, stop, layout.unpack_timeout(settings))
-    group = Group(np.empty(LANES, np.intp), states, progress, motions, constants, gains,
-                  polynomials, workspace())
+    closed, method = np.empty(len(rows.times_ns) + 1, np.bool_), layout.load_method(methods)
+    group = Group(np.empty(LANES, np.intp), progress, motions, constants, gains, rows.torques,
+                  workspace())
     outputs, k = len(times_ns), 0
     while True:
-        k, count, ahead = _gather(group, which, k, outputs, stop, too_fast)
+        k, count, ahead = _gather(group, which, k, outputs)
         if count == 0:
             return k
-        until, going = layout.IN_FORCE, True
+        until, going, stop = -1, True, progress[group.rows[0]].stop
         while going:
-            together = Advanced(0, 0, progress[group.rows[0], layout.SAMPLE])
-            if COMPILES and terms is None and count > 1:  # the compiler leaves it out otherwise
-                together = groups.advance(group, count, which[ahead:], times_ns, rows, log,
-                                          settings)
+            together = Advanced(0, 0, progress[group.rows[0]].row)
+            if COMPILES and rows.terms is None and count > 1:  # the compiler leaves it out
+                together = groups.advance(
+                    group, count, which[ahead:], times_ns, order,
+                    Rows(rows.times_ns, rows.torques[0], rows.in_space, rows.spans),
+                    method)
                 ahead += together.taken
                 if together.steps >= BUDGET:
                     return k
@@ -84,29 +84,35 @@ def run_each(which: NDArray[np.intp], states: Floats, progress: NDArray[np.int64
             until, going = min(stop, until), False
             for lane in range(count):
                 i = group.rows[lane]
-                if not too_fast[i] and _is_left(progress[i], outputs, until):
-                    begin, torques = first, polynomials[i % len(polynomials)]
+                if _is_left(progress[i], outputs, until):
+                    first, row_times_ns, in_space = 0, rows.times_ns, rows.in_space
+                    torques = rows.torques[i % len(rows.torques)]
                     if gains[i] != 1.0:
-                        begin = max(first, progress[i, layout.SAMPLE])
-                        torques = gains[i] * torques[begin - first:until + 1 - first]
-                    result = loop.run(states[i], progress[i], times_ns, rows, motions[i], closed,
-                                      stamps_ns, torques, in_space, begin, until, constants[i],
-                                      settings, budget, _terms_of(terms, i))
+                        first = max(0, progress[i].row)
+                        row_times_ns, in_space = row_times_ns[first:until + 1], in_space[first:]
+                        torques = gains[i] * torques[first:until + 1]
+                    progress[i].row, progress[i].stop = progress[i].row - first, until - first
+                    result = loop.run(
+                        progress[i:i + 1], times_ns, order, motions[i], closed,
+                        Rows(row_times_ns, torques, in_space, rows.spans,
+                             _of_run(rows.terms, i)),
+                        constants[i], methods)
+                    progress[i].row, progress[i].stop = progress[i].row + first, stop
                     if result == loop.UNFINISHED:
                         return k
-                    too_fast[i] = result == loop.TOO_FAST
-                going |= not too_fast[i] and _is_left(progress[i], outputs, stop)
+                    if result == loop.TOO_FAST:
+                        progress[i].stop = layout.FAILED
+                going |= _is_left(progress[i], outputs, stop)
 
 
 @internal
-def _gather(group: Group, which: NDArray[np.intp], k: int, outputs: int, stop: int,
-            too_fast: NDArray[np.bool_]) -> tuple[int, int, int]:
+def _gather(group: Group, which: NDArray[np.intp], k: int, outputs: int) -> tuple[int, int, int]:
     # Fill the lanes with the next runs that are left. Return the position of the first of them, or
     # the number of runs, how many they are, and the position after the last.
     begin, count = len(which), 0
     while k < len(which) and count < LANES:
         i = which[k]
-        if not too_fast[i] and _is_left(group.progress[i], outputs, stop):
+        if _is_left(group.progress[i], outputs, group.progress[i].stop):
             begin = min(begin, k)
             group.rows[count:] = i
             count += 1
@@ -115,11 +121,11 @@ def _gather(group: Group, which: NDArray[np.intp], k: int, outputs: int, stop: i
 
 
 @inlined
-def _is_left(progress: NDArray[np.int64], outputs: int, stop: int) -> bool:
-    # Return whether a run has outputs to fill before it reaches a sample.
-    return progress[layout.DONE] < outputs and progress[layout.SAMPLE] < stop
+def _is_left(progress: Any, outputs: int, stop: int) -> bool:
+    # Return whether a run has outputs to fill before it reaches a row.
+    return progress.done < outputs and progress.row < stop and progress.stop != layout.FAILED
 
 
 @optional
-def _terms_of(terms: Floats, run: int) -> Floats:
-    return terms[run % len(terms)]
+def _of_run(terms: Terms, run: int) -> Terms:
+    return Terms(terms.momentum[run % len(terms.momentum)], terms.motors, terms.space)

@@ -16,16 +16,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.mechanics.body import RigidBody
-from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.solvers import AUTO, EXACT, LONG_COAST, TAYLOR
-from rigid_body_ros.propagation.summation import Summed
+from rigid_body_ros.propagation.timeline import Timeline
 
 
 class Model(NamedTuple):
@@ -41,13 +39,12 @@ class SolverUsage(NamedTuple):
     """The data that determine which solver was used for each span."""
 
     body: RigidBody
-    log: TorqueLog
     options: Options
+    timeline: Timeline
     start_ns: int
     end_ns: int
-    #: At index sample + 1, whether a coast was computed in closed form.
+    #: At index row + 1, whether a coast was computed in closed form.
     closed: NDArray[np.bool_]
-    has_rotors: bool = False
 
     def models(self) -> tuple[Model, ...]:
         """Return the spans from the start to the last requested time, in order."""
@@ -59,65 +56,38 @@ class SolverUsage(NamedTuple):
 
     def _segments(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Return when the torque changes, and whether the closed form was used from then on."""
-        timeout_ns = self.options.timeout_ns
-        starts, samples = self.log.segments(timeout_ns)
-        window = slice(*np.searchsorted(starts, [self.start_ns, self.end_ns], side='right'))
-        sample, timed_out = self.log.in_force(self.start_ns, timeout_ns)
-        starts = np.append(self.start_ns, starts[window])
-        owners = np.append(sample, np.maximum.accumulate(samples)[window])
-        samples = np.append(-1 if timed_out else sample, samples[window])
-        coasts = samples < 0
-        coasts[~coasts] = ~self.log.torques[samples[~coasts]].any(axis=1)
-        closed = coasts & self.closed[owners + 1]
-        # The loop marks only the samples of a coast in which an output lies.
+        times_ns = self.timeline.times_ns
+        first, stop = np.searchsorted(times_ns, [self.start_ns, self.end_ns], side='right')
+        coasts = np.append(not self.timeline.is_linear, ~self.timeline.acts())[first:stop + 1]
+        closed = coasts & self.closed[first:stop + 1]
+        # The loop marks only the rows of a coast in which an output lies.
         coast = np.cumsum(np.append(False, ~(coasts[1:] & coasts[:-1])))
         used = np.zeros(coast[-1] + 1, np.bool_)
         np.logical_or.at(used, coast, closed)
-        return starts, used[coast]
+        return np.append(self.start_ns, times_ns[first:stop]), used[coast]
 
     def _model(self, closed: bool, start_ns: int, end_ns: int) -> Model:
-        solver = self.options.record
+        body, options = self.body, self.options
+        solver = options.record
         if solver == AUTO:
             if closed:
                 return Model(EXACT.name, start_ns, end_ns,
-                             f'auto: coast of a body that is {_with_article(self.body.symmetry)}, '
+                             f'auto: coast of a body that is {_with_article(body.symmetry)}, '
                              'in closed form from its beginning')
-            terms = [name for name, found in (('rotors', self.has_rotors),
-                                              ('damping', self.body.is_damped)) if found]
+            terms = [name for name, found in (('rotors', self.timeline.has_rotors),
+                                              ('damping', body.is_damped)) if found]
             if terms:
                 return Model(TAYLOR.name, start_ns, end_ns,
                              f'auto: no closed form with {" and ".join(terms)}, truncated below '
-                             f'{self.options.tolerance:g} rad per radian turned')
+                             f'{options.tolerance:g} rad per radian turned')
             return Model(TAYLOR.name, start_ns, end_ns,
                          f'auto: torque, or a coast of up to {LONG_COAST:g} rad or too close to '
-                         f'the separatrix, truncated below {self.options.tolerance:g} rad per '
+                         f'the separatrix, truncated below {options.tolerance:g} rad per '
                          'radian turned')
         if solver == EXACT and not closed and end_ns > start_ns:
             return Model(TAYLOR.name, start_ns, end_ns,
                          'too close to the separatrix for the closed form')
         return Model(solver.name, start_ns, end_ns, 'as requested')
-
-
-class CombinedUsage(NamedTuple):
-    """The same for a motion under several torque logs, with rotors or damping."""
-
-    body: RigidBody
-    #: When the torques change.
-    times_ns: NDArray[np.int64]
-    total: Summed
-    options: Options
-    start_ns: int
-    end_ns: int
-    #: See `SolverUsage`.
-    closed: NDArray[np.bool_]
-    has_rotors: bool
-
-    def models(self) -> tuple[Model, ...]:
-        """Return the spans from the start to the last requested time, in order."""
-        acts = self.total.acts() | self.body.is_damped
-        activity = TorqueLog(self.times_ns, acts[:, None] * np.ones(3))
-        return SolverUsage(self.body, activity, replace(self.options, torque_timeout=0.0),
-                           self.start_ns, self.end_ns, self.closed, self.has_rotors).models()
 
 
 def _with_article(name: str) -> str:

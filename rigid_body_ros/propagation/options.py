@@ -17,12 +17,15 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, LONGEST
+from rigid_body_ros.kernels.taylor import step_angle
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.propagation import layout
 from rigid_body_ros.propagation.solvers import AUTO, Solver, solver_named
@@ -89,16 +92,12 @@ class Options:
         return duration_ns(self.torque_timeout, 'torque_timeout')
 
     @cached_property
-    def settings(self) -> Floats:
-        """Return the options as an array for the kernels."""
+    def method(self) -> NDArray[Any]:
+        """Return the solver and its limits on a step for the kernels: METHOD, shape (1,)."""
         record = self.record
-        return layout.pack_settings(record.code, record.fixed_step, record.closed_form_beyond,
-                                    self.tolerance, self.max_step_ns, self.timeout_ns)
-
-    @cached_property
-    def held_settings(self) -> Floats:
-        """Return the same without the timeout, for torques that do not time out."""
-        return replace(self, torque_timeout=0.0).settings
+        return np.array([(record.code, record.fixed_step, record.closed_form_beyond,
+                          self.tolerance, step_angle(self.tolerance), self.max_step_ns)],
+                        layout.METHOD)
 
     def check_linear_terms(self, damping: bool, rotors: bool) -> None:
         """Raise ValueError if the scene has damping or rotors that the solver does not handle."""
@@ -107,15 +106,16 @@ class Options:
                              + ('damping' if damping else 'rotors'))
 
     def rule(self, body: RigidBody, torque: Floats, in_space: bool,
-             terms: Floats | None = None) -> Hashable:
+             *others: Floats) -> Hashable:
         """
         Return what determines the motion under a held torque, apart from the start.
 
-        The terms are the torque in space axes beside one in body axes, and that on the rotors.
+        The others are the torque in space axes beside one in body axes, and that on the rotors.
         """
         return (body._constants.tobytes(), self.solver, float(self.tolerance), self.max_step_ns,
                 tuple(torque.ravel().tolist()), in_space and bool(torque.any()),
-                tuple(terms.ravel().tolist()) if terms is not None and terms.any() else None)
+                tuple(tuple(other.ravel().tolist()) for other in others)
+                if any(other.any() for other in others) else None)
 
     def too_fast(self, time_ns: int) -> ValueError:
         """Return the error to raise if a nanosecond, the shortest step, is too long."""

@@ -16,8 +16,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
@@ -31,24 +29,6 @@ from rigid_body_ros.propagation import intervals, layout
 
 #: Momentum of the rotors, N m s, and its low-order part.
 Rotor = tuple[Vector, Vector]
-
-
-class Rotors(NamedTuple):
-    """The momentum of the rotors; see `summation.Summed`."""
-
-    times_ns: NDArray[np.int64]
-    terms: Floats
-
-    @classmethod
-    def constant(cls, time_ns: int, momentum: Floats) -> Rotors:
-        """Return a momentum, shape (2, 3), N m s, with its low-order part, from a time on."""
-        terms = np.zeros((1, 4, 3))
-        terms[0, 2:] = momentum
-        return cls(np.array([time_ns]), terms)
-
-    def momentum(self, times_ns: NDArray[np.int64]) -> Floats:
-        """Return the momentum at times in any order, N m s, shape (m, 3)."""
-        return momentum_at(self.times_ns, self.terms, times_ns)[:, 0]
 
 
 @inlined
@@ -79,35 +59,33 @@ def _seconds(span_ns: int) -> DoubleDouble:
 
 
 @njit
-def momentum_at(summed_times_ns: NDArray[np.int64], terms: Floats,
+def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Floats,
                 times_ns: NDArray[np.int64]) -> Floats:
     """
     Return the momentum of the rotors and its low-order part.
 
     Parameters
     ----------
-    summed_times_ns, terms
-        See `summation.Summed`.
+    row_times_ns, momentum, motors
+        See `layout.Rows`.
     times_ns : int64 (m,), ns
-        In any order, none before the first time of the sum.
+        In any order, none before that of the first row.
 
     Returns
     -------
     array, shape (m, 2, 3), N m s
 
     """
-    result, last = np.empty((len(times_ns), 2, 3)), len(summed_times_ns) - 1
-    degree = terms.shape[1] // 2 - 2
+    result, last = np.empty((len(times_ns), 2, 3)), len(row_times_ns) - 1
     row = 0
     for k in range(len(times_ns)):
-        if not (summed_times_ns[row] <= times_ns[k]
-                and (row == last or times_ns[k] < summed_times_ns[row + 1])):
-            row = np.searchsorted(summed_times_ns, times_ns[k], side='right') - 1
-        begin_ns = summed_times_ns[row]
-        span_ns = summed_times_ns[row + 1] - begin_ns if row < last else NEVER_NS
-        before = (intervals.coefficient(terms, row, 2 * degree + 2),
-                  intervals.coefficient(terms, row, 2 * degree + 3))
-        torque = intervals.polynomial_of(terms, row, degree + 1, degree)
+        if not (row_times_ns[row] <= times_ns[k]
+                and (row == last or times_ns[k] < row_times_ns[row + 1])):
+            row = np.searchsorted(row_times_ns, times_ns[k], side='right') - 1
+        begin_ns = row_times_ns[row]
+        span_ns = row_times_ns[row + 1] - begin_ns if row < last else NEVER_NS
+        before = intervals.coefficient(momentum, row, 0), intervals.coefficient(momentum, row, 1)
+        torque = intervals.polynomial_of(motors, row, motors.shape[1] - 1)
         high, low = after(before, torque, times_ns[k] - begin_ns, span_ns)
         intervals.store_coefficient(result, k, 0, high)
         intervals.store_coefficient(result, k, 1, low)

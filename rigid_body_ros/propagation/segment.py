@@ -23,22 +23,24 @@ import time
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import motion_layout
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import layout, loop
+from rigid_body_ros.propagation.layout import Terms
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
 from rigid_body_ros.propagation.rotors import momentum_at
+from rigid_body_ros.propagation.summation import added
+from rigid_body_ros.propagation.timeline import held
 
 #: The key of the torque on the rotors among the sources: the last one.
 WHEELS = sys.maxsize
 #: Outputs of the loop that are not read: only its latest state is used.
 _UNUSED = motion_layout.allocate(1), np.empty(2, np.bool_)
-_NONE = np.full((1, 3), -0.0)  # to add to -0 changes no bit of a torque
-_ONE_SOURCE = np.zeros((2, 3))
+_NONE = np.zeros((1, 3))
 
 
 class Sample(NamedTuple):
@@ -50,39 +52,32 @@ class Sample(NamedTuple):
 
 
 class Sum(NamedTuple):
-    """The sum of the torques of all sources, as `summation.Summed` arranges it."""
+    """The sum of the torques of all sources, N m, each shape (1, 3); see `layout.Rows`."""
 
     torque: Floats
     in_space: bool
-    #: In space axes beside one in body axes, and on the rotors; shape (2, 3), N m.
-    terms: Floats
+    space: Floats = _NONE
+    motors: Floats = _NONE
 
     def is_zero(self) -> bool:
         """Return whether no torque acts."""
-        return not (self.torque.any() or self.terms.any())
+        return not (self.torque.any() or self.space.any() or self.motors.any())
 
 
 def summed(samples: Mapping[int, Sample], time_ns: int, timeout_ns: int) -> Sum:
     """Return the sum of the samples that have not timed out, in the order of the sources."""
-    body = space = rotors = _NONE
+    body, space, motors = list[Floats](), list[Floats](), list[Floats]()
     for source in sorted(samples):
         stamp_ns, torque, in_space = samples[source]
-        if 0 < timeout_ns <= time_ns - stamp_ns:
-            continue
-        if source == WHEELS:
-            rotors = rotors + torque
-            body = body - torque
-        elif in_space:
-            space = space + torque
-        else:
-            body = body + torque
-    if not body.any() and space.any():
-        body, space, in_space = space, np.zeros((1, 3)), True
-    else:
-        in_space = False
-    if space is _NONE and rotors is _NONE:
-        return Sum(body, in_space, _ONE_SOURCE)
-    return Sum(body, in_space, np.concatenate([space, rotors]))
+        if not 0 < timeout_ns <= time_ns - stamp_ns:
+            (motors if source == WHEELS else space if in_space else body).append(torque)
+    if not (space or motors):
+        return Sum(added(body), False)
+    total, on_rotors = added(body), added(motors)
+    total = total - on_rotors
+    if not total.any():  # store it where a single one stands
+        return Sum(added(space), bool(space), _NONE, on_rotors)
+    return Sum(total, False, added(space), on_rotors)
 
 
 def timed_out(reached_ns: int) -> TimeoutError:
@@ -91,31 +86,23 @@ def timed_out(reached_ns: int) -> TimeoutError:
                         'motion: call again to continue from there, or raise the limit')
 
 
-def _read_only(values: ArrayLike) -> NDArray[Any]:
-    """Return a read-only array, as in a log: the kernels are compiled for this type."""
-    array = np.array(values)
-    array.flags.writeable = False
-    return array
-
-
 class Segment:
     """The motion under held torques, with the grid points reached so far."""
 
     def __init__(self, body: RigidBody, options: Options, history_ns: int, start: State,
                  total: Sum) -> None:
-        torque, in_space, terms = total
+        torque, in_space, *others = total
         self.coasts = total.is_zero() and not (body.is_damped or start._has_rotors)
         self._options, self._history_ns = options, history_ns
-        self._rule = options.rule(body, torque, in_space, terms)
+        self._rule = options.rule(body, torque, in_space, *others)
         origin = origin_of(start, self._rule)
         self._rotors = origin.rotors
-        #: See `summation.Summed`; None if only a torque in one frame acts.
-        self._terms = None
-        if body.is_damped or terms.any() or origin.rotors.any():
-            self._terms = np.concatenate([terms, origin.rotors])[None]
         self._grid_ns = [*dict.fromkeys((origin.begin_ns, origin.grid_ns))]
         self._states = [origin.begin, origin.grid][:len(self._grid_ns)]
-        self._log = _read_only([origin.begin_ns]), _read_only([torque]), _read_only([in_space])
+        terms = None
+        if body.is_damped or origin.rotors.any() or any(other.any() for other in others):
+            terms = Terms(origin.rotors[None], total.motors[None], total.space[None])
+        self._rows = held(origin.begin_ns, torque, in_space, terms)
         self._constants = body._constants
 
     def state_at(self, time_ns: int, until: float) -> State:
@@ -124,37 +111,37 @@ class Segment:
         if time_ns == begin_ns:
             return self._state(time_ns, begin, begin_ns, begin)
         nearest = bisect.bisect_right(self._grid_ns, time_ns) - 1
-        states = layout.pack_states(self._states[nearest], begin)
-        progress = layout.pack_place(self._grid_ns[nearest], begin_ns, 0)
-        self._run(states, progress, time_ns, until)
-        grid, _, latest = layout.unpack_states(states)
-        grid_ns = int(progress[layout.GRID_NS])
+        progress = layout.begun(self._states[nearest], self._grid_ns[nearest], begin, begin_ns, 0,
+                                1)
+        self._run(progress, time_ns, until)
+        grid, latest = progress['grid'][0], progress['latest'][0]
+        grid_ns, done = int(progress['grid_ns'][0]), int(progress['done'][0])
         if grid_ns > self._grid_ns[-1]:
             self._grid_ns.append(grid_ns)
             self._states.append(grid)
             self._discard_grid_points(grid_ns - self._history_ns)
-        if not progress[layout.DONE]:
+        if not done:
             raise timed_out(grid_ns)
         return self._state(time_ns, latest, grid_ns, grid)
 
     def _state(self, time_ns: int, packed: Floats, grid_ns: int, grid: Floats) -> State:
         begin_ns, rotors = self._grid_ns[0], self._rotors
-        if self._terms is not None:
-            rotors = momentum_at(np.array([begin_ns]), self._terms, np.array([time_ns]))[0]
+        terms = self._rows.terms
+        if terms is not None and terms.motors is not None:
+            rotors = momentum_at(self._rows.times_ns, terms.momentum, terms.motors,
+                                 np.array([time_ns]))[0]
             rotors.flags.writeable = False
         return State._as_computed(time_ns, packed, Origin(
             self._rule, begin_ns, self._states[0], grid_ns, grid, self._rotors), rotors)
 
-    def _run(self, states: Floats, progress: NDArray[np.int64], time_ns: int,
-             until: float) -> None:
+    def _run(self, progress: NDArray[Any], time_ns: int, until: float) -> None:
         """Run the loop up to a time, or until the computing time is used up."""
-        arguments = (states, progress, np.array([time_ns]), loop.IN_ORDER, *_UNUSED, *self._log,
-                     0, 1, self._constants, self._options.held_settings, loop.BUDGET,
-                     None if self._terms is None else self._terms[None])
+        arguments = (progress, np.array([time_ns]), loop.IN_ORDER, *_UNUSED, self._rows,
+                     self._constants, self._options.method)
         while result := loop.run(*arguments):
             if result == loop.TOO_FAST:
                 raise self._options.too_fast(
-                    time_ns if progress[layout.DONE] else int(progress[layout.GRID_NS]))
+                    time_ns if progress['done'][0] else int(progress['grid_ns'][0]))
             if time.monotonic() > until:
                 break
 

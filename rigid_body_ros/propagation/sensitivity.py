@@ -16,8 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,33 +24,30 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
-from rigid_body_ros.propagation.integration import propagate
+from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation.options import Options
-from rigid_body_ros.propagation.trajectory import Trajectory
+from rigid_body_ros.propagation.problem import Problem
 
 #: How often each kind of change is tried.
 _ROUNDS = 2
 
 
-def last_digit_effect(body: RigidBody, start: State,
-                      log: TorqueLog | Sequence[TorqueLog] | None = None, *,
-                      at: ArrayLike, wheels: TorqueLog | None = None,
-                      torque_timeout: float = Options.torque_timeout) -> float:
+def last_digit_effect(problem: Problem, at: ArrayLike) -> float:
     """
     Return how far a motion moves if its inputs change in the last digit.
 
     The function computes up to six changed motions: two with changes of inertia and damping, two
     of the torques, and two of all these and the start. A change moves every entry by one unit in
     the last place, up or down at random; the random numbers are the same in every call. Zeros stay
-    zero, and the tensors stay symmetric. The rounding error of the solver, `auto`, adds to the
-    result. The function skips a change if its tensor is not that of a rigid body, or if the body
-    then spins faster than 1e9 rad/s.
+    zero, and the tensors stay symmetric. The rounding error of the solver adds to the result; it
+    is `auto` at its tightest tolerance, whatever the solver of the problem. The function skips a
+    change if its tensor is not that of a rigid body, or if the body then spins faster than
+    1e9 rad/s.
 
     Parameters
     ----------
-    body, start, log, wheels, torque_timeout
-        As for `propagate`.
+    problem : Problem
+        Its body, start and torques.
     at : array of int, shape (m,), ns
         Times to compare at, at least one, in any order, none before the start.
 
@@ -66,56 +62,42 @@ def last_digit_effect(body: RigidBody, start: State,
         As for `propagate`.
 
     """
-    inputs = _Inputs(body.inertia, body.damping, start, torque_logs(log), torque_logs(wheels))
-    attitude = inputs.motion(at, torque_timeout).attitude
+    timeout = problem.options.torque_timeout
+    problem = problem.replaced(options=Options(torque_timeout=timeout))
+    attitude, random = problem.propagate(at=at).attitude, np.random.default_rng(0)
+    kinds = [{'tensors'}, {'tensors', 'start'}]
+    if any(log.torques.any() for log in problem.sources):
+        kinds = [{'tensors'}, {'torques'}, {'tensors', 'start', 'torques'}]
     found = []
-    for changed in _changes(inputs):
+    for kind in kinds * _ROUNDS:
         try:
-            motion = changed.motion(at, torque_timeout)
+            motion = _changed_problem(problem, kind, random).propagate(at=at)
         except ValueError:
             continue
         found.append(float(so3.angle_between(motion.attitude, attitude).max()))
     return max(found, default=0.0)
 
 
-class _Inputs(NamedTuple):
-    """The inputs of a motion."""
-
-    inertia: Floats
-    damping: Floats
-    start: State
-    logs: list[TorqueLog]
-    #: The torque on the rotors, or nothing.
-    wheels: list[TorqueLog]
-
-    def motion(self, at: ArrayLike, torque_timeout: float) -> Trajectory:
-        return propagate(RigidBody(self.inertia, self.damping), self.start, self.logs, at=at,
-                         wheels=next(iter(self.wheels), None), torque_timeout=torque_timeout)
-
-
-def _changes(inputs: _Inputs) -> Iterator[_Inputs]:
-    """Yield the inputs with some or all of them changed."""
-    random = np.random.default_rng(0)
-    has_torque = any(log.torques.any() for log in (*inputs.logs, *inputs.wheels))
-    for _ in range(_ROUNDS):
-        yield _with_changed_tensors(inputs, random)
-        if has_torque:
-            yield _with_changed_torques(inputs, random)
-        changed = _with_changed_tensors(inputs, random)
-        changed = changed._replace(start=_changed_start(inputs.start, random))
-        yield _with_changed_torques(changed, random) if has_torque else changed
+def _changed_problem(problem: Problem, kinds: Collection[str],
+                     random: np.random.Generator) -> Problem:
+    """Return a problem with some inputs changed; raise ValueError if no body has the tensors."""
+    start, logs, wheels = problem.start, problem.logs, problem.wheels
+    inertia, damping = problem.body.inertia, problem.body.damping
+    if 'tensors' in kinds:
+        inertia = _changed_tensor(inertia, random)
+        damping = _changed_tensor(damping, random) if damping.any() else damping
+    if 'start' in kinds:
+        start = _changed_start(start, random)
+    if 'torques' in kinds:
+        logs = tuple([_changed_log(log, random) for log in logs])
+        wheels = wheels and _changed_log(wheels, random)
+    # Last, so that the random numbers of other changes do not depend on whether it is a body.
+    return problem.replaced(body=RigidBody(inertia, damping), start=start, log=logs,
+                            wheels=wheels)
 
 
-def _with_changed_tensors(inputs: _Inputs, random: np.random.Generator) -> _Inputs:
-    changed = inputs._replace(inertia=_changed_tensor(inputs.inertia, random))
-    return changed._replace(damping=_changed_tensor(inputs.damping, random)) \
-        if inputs.damping.any() else changed
-
-
-def _with_changed_torques(inputs: _Inputs, random: np.random.Generator) -> _Inputs:
-    def changed(logs: list[TorqueLog]) -> list[TorqueLog]:
-        return [log.with_torques(_changed(log.torques, random)) for log in logs]
-    return inputs._replace(logs=changed(inputs.logs), wheels=changed(inputs.wheels))
+def _changed_log(log: TorqueLog, random: np.random.Generator) -> TorqueLog:
+    return log.with_torques(_changed(log.torques, random))
 
 
 def _changed_start(start: State, random: np.random.Generator) -> State:

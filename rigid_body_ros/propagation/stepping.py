@@ -37,17 +37,15 @@ import math
 from typing import NamedTuple
 
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import euler_equations, linear_terms, steppers, taylor, vector
+from rigid_body_ros.kernels import linear_terms, steppers, taylor, vector
 from rigid_body_ros.kernels.jit import inlined, internal, optional
-from rigid_body_ros.propagation import intervals, solvers
-from rigid_body_ros.propagation.intervals import Drive, Extras
+from rigid_body_ros.propagation import intervals, layout, solvers
+from rigid_body_ros.propagation.intervals import Drive, Loads
 from rigid_body_ros.propagation.layout import Body, Method
 from rigid_body_ros.propagation.options import FASTEST
 
 _RK4, _STRANG = solvers.RK4.code, solvers.STRANG.code
 _EXPLICIT_EULER = solvers.EXPLICIT_EULER.code
-#: Cost of a full step, or a state in closed form, in units of the budget; anything else costs 1.
-STEP_COST = 16
 
 
 class Reached(NamedTuple):
@@ -64,7 +62,7 @@ class Reached(NamedTuple):
     budget: int
 
 
-class Local(NamedTuple):
+class LocalLoads(NamedTuple):
     """The linear terms from a grid point on."""
 
     #: N m s, in the fraction of the interval.
@@ -78,7 +76,7 @@ class Local(NamedTuple):
 
 @internal
 def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, body: Body,
-            method: Method, table: Floats, budget: int, extras: Extras | None) -> Reached:
+            method: Method, table: Floats, budget: int, loads: Loads | None) -> Reached:
     """
     Step to the last grid point before a time, and from there to the time.
 
@@ -93,8 +91,8 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
     table : float64 (taylor.WORKSPACE,)
         Workspace.
     budget : int
-        Units of work after which to return; a step costs `STEP_COST`.
-    extras : Extras or None
+        Units of work after which to return; a step costs `layout.STEP_COST`.
+    loads : Loads or None
         What acts besides the drive.
 
     Returns
@@ -102,27 +100,25 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
     Reached
 
     """
-    bound = _acceleration_bound(drive, extras, body)
-    latest, now = grid, _local(extras, drive, grid_ns)
+    latest, now = grid, _local(loads, drive, grid_ns)
     while grid_ns < time_ns:
         if budget <= 0:
             return Reached(grid, grid_ns, latest, False, budget)
-        budget -= STEP_COST
+        budget -= layout.STEP_COST
         rest_ns = time_ns - grid_ns
-        step_ns = _natural_ns(grid, rest_ns, bound, method, now)
+        step_ns = _natural_ns(grid, rest_ns, drive.bound, method, now)
         last = step_ns >= rest_ns
         if last:
             step_ns = rest_ns
-        latest = _step(grid, step_ns / 1e9, grid_ns, drive, bound, body, method, table, extras,
-                       now)
+        latest = _step(grid, step_ns / 1e9, grid_ns, drive, body, method, table, loads, now)
         if last:
             break
         grid = latest
         grid_ns += step_ns
         if is_too_fast(latest):
             return Reached(grid, grid_ns, latest, False, budget)
-        if intervals.rotors_change(extras):
-            now = _local(extras, drive, grid_ns)
+        if intervals.rotors_change(loads):
+            now = _local(loads, drive, grid_ns)
     return Reached(grid, grid_ns, latest, True, budget)
 
 
@@ -134,7 +130,7 @@ def is_too_fast(state: vector.KernelState) -> bool:
 
 @inlined
 def _natural_ns(state: vector.KernelState, rest_ns: int, bound: float, method: Method,
-                now: Local | None) -> int:
+                now: LocalLoads | None) -> int:
     # Return the length of the next step on the grid. It depends on the time left only if the step
     # would be longer than that.
     if method.fixed_step:
@@ -160,29 +156,22 @@ def full_step_ns(seconds: float, method: Method) -> int:
     return max(1, int(min(seconds * 1e9, float(method.max_step_ns))))
 
 
-@inlined
-def _acceleration_bound(drive: Drive, extras: Extras | None, body: Body) -> float:
-    bound = euler_equations.acceleration_bound(drive.polynomial, drive.in_space, body.coefficients)
-    if extras is None:
-        return bound
-    return bound + euler_equations.acceleration_bound(extras.space_torque, True, body.coefficients)
-
-
 @optional
-def _local(extras: Extras, drive: Drive, grid_ns: int) -> Local:
+def _local(loads: Loads, drive: Drive, grid_ns: int) -> LocalLoads:
     # Return the linear terms from a grid point on.
-    if extras.linear_degree <= 0:
-        linear = linear_terms.at(extras.constants, extras.momentum[0], extras.low_momentum)
-        return Local(extras.momentum, linear, linear_terms.square_rate(linear.matrix), 0.0)
-    change, momentum = _rotors_from(extras.momentum,
+    if loads.linear_degree <= 0:
+        linear = linear_terms.at(loads.constants, loads.momentum[0], loads.low_momentum)
+        return LocalLoads(loads.momentum, linear, linear_terms.square_rate(linear.matrix), 0.0)
+    change, momentum = _rotors_from(loads.momentum,
                                     (grid_ns - drive.origin_ns) / 1e9 / drive.span)
-    first, low = vector.two_sum(extras.momentum[0], change)
-    linear = linear_terms.at(extras.constants, first, vector.add(low, extras.low_momentum))
+    first, low = vector.two_sum(loads.momentum[0], change)
+    linear = linear_terms.at(loads.constants, first, vector.add(low, loads.low_momentum))
     growth = 0.0
-    for i in range(1, extras.linear_degree + 1):
+    for i in range(1, loads.linear_degree + 1):
         growth += i * math.sqrt(linear_terms.square_rate(
-            linear_terms.rotor_matrix(extras.constants, momentum[i])))
-    return Local(momentum, linear, linear_terms.square_rate(linear.matrix), growth / drive.span)
+            linear_terms.rotor_matrix(loads.constants, momentum[i])))
+    return LocalLoads(momentum, linear, linear_terms.square_rate(linear.matrix),
+                      growth / drive.span)
 
 
 @inlined
@@ -201,33 +190,33 @@ def _rotors_from(momentum: linear_terms.Momentum,
 
 
 @optional
-def _others(extras: Extras, now: Local, drive: Drive, grid_ns: int,
-            seconds: float) -> steppers.Others:
+def _stage_loads(loads: Loads, now: LocalLoads, drive: Drive, grid_ns: int,
+                 seconds: float) -> steppers.StageLoads:
     # Return what acts besides the drive, in the fraction of a step.
     offset, ratio = (grid_ns - drive.origin_ns) / 1e9 / drive.span, seconds / drive.span
-    space = extras.space_torque
-    if extras.space_degree > 0:
+    space = loads.space_torque
+    if loads.space_degree > 0:
         space = vector.shifted(space, offset, ratio)
     a, b, c, d, e = now.momentum
     square = ratio * ratio
-    return steppers.Others(
+    return steppers.StageLoads(
         (a, vector.scale(ratio, b), vector.scale(square, c), vector.scale(square * ratio, d),
-         vector.scale(square * square, e)), extras.constants.damping.matrix, space)
+         vector.scale(square * square, e)), loads.constants.damping.matrix, space)
 
 
 @optional
-def _series(extras: Extras, now: Local, others: steppers.Others,
-            seconds: float) -> taylor.Extras:
+def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
+            seconds: float) -> taylor.SeriesLoads:
     # Return the same for a step of the series.
     none = vector.of(0.0, 0.0, 0.0)
     one = two = three = four = none, none, none
-    if extras.linear_degree > 0:
-        _, b, c, d, e = others.momentum
-        one, two = _change(extras.constants, seconds, b), _change(extras.constants, seconds, c)
-        three, four = _change(extras.constants, seconds, d), _change(extras.constants, seconds, e)
+    if loads.linear_degree > 0:
+        _, b, c, d, e = stage.momentum
+        one, two = _change(loads.constants, seconds, b), _change(loads.constants, seconds, c)
+        three, four = _change(loads.constants, seconds, d), _change(loads.constants, seconds, e)
     changes = one, two, three, four
-    return taylor.Extras(linear_terms.scaled(now.linear, seconds), changes, extras.linear_degree,
-                         others.space_torque, extras.space_degree)
+    return taylor.SeriesLoads(linear_terms.scaled(now.linear, seconds), changes,
+                              loads.linear_degree, stage.space_torque, loads.space_degree)
 
 
 @inlined
@@ -237,22 +226,22 @@ def _change(constants: linear_terms.Constants, seconds: float,
 
 
 @inlined
-def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive, bound: float,
-          body: Body, method: Method, table: Floats, extras: Extras | None,
-          now: Local | None) -> vector.KernelState:
+def _step(state: vector.KernelState, seconds: float, grid_ns: int, drive: Drive, body: Body,
+          method: Method, table: Floats, loads: Loads | None,
+          now: LocalLoads | None) -> vector.KernelState:
     local = drive.polynomial
     if drive.degree != 0:
         local = vector.shifted(local, (grid_ns - drive.origin_ns) / 1e9 / drive.span,
                                seconds / drive.span)
-    others = _others(extras, now, drive, grid_ns, seconds)
+    stage = _stage_loads(loads, now, drive, grid_ns, seconds)
     if method.solver == _RK4:
-        return steppers.rk4(state, seconds, body.coefficients, local, drive.in_space, others)
+        return steppers.rk4(state, seconds, body.coefficients, local, drive.in_space, stage)
     if method.solver == _STRANG:
         return steppers.strang(state, seconds, body.coefficients, body.frame, local,
-                               drive.in_space, others)
+                               drive.in_space, stage)
     if method.solver == _EXPLICIT_EULER:
         return steppers.explicit_euler(state, seconds, body.coefficients, local, drive.in_space,
-                                       others)
-    return taylor.step(state, seconds, body.coefficients, body.form, local, drive.degree,
-                       drive.in_space, bound, method.tolerance, table,
-                       _series(extras, now, others, seconds))
+                                       stage)
+    series = taylor.SeriesDrive(local, drive.degree, drive.in_space, drive.bound)
+    return taylor.step(state, seconds, body.coefficients, body.form, series, method.tolerance,
+                       table, _series(loads, now, stage, seconds))

@@ -36,26 +36,17 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import intervals
 from rigid_body_ros.propagation.rotors import after, Rotor
 
+#: To add it changes no bit of a torque.
+_NOTHING = np.full((1, 3), -0.0)
 
-class Summed(NamedTuple):
-    """The sum of torque logs from a start on."""
 
-    #: int64 (n,), ns, strictly ascending: the start, and the times at which a torque changes.
-    times_ns: NDArray[np.int64]
-    #: float64 (n, 2 degree + 1, 3), N m: torque from each time to the next, as
-    #: `TorqueLog.polynomials` returns it. In body axes the torque on the rotors is subtracted.
-    polynomials: Floats
-    #: bool (n,): whether these are in space axes.
-    in_space: NDArray[np.bool_]
-    #: float64 (n, 2 degree + 4, 3): the coefficients, N m, of a torque in space axes where one in
-    #: body axes acts as well; those of the torque on the rotors; the momentum of the rotors,
-    #: N m s, at each time, and its low-order part.
-    terms: Floats
+class Sums(NamedTuple):
+    """The sums of torques at the rows, and the momentum of the rotors; see `layout.Rows`."""
 
-    def acts(self, rows: slice = slice(None)) -> NDArray[np.bool_]:
-        """Return whether torques or rotors act on the body from each time on."""
-        torques, terms = self.polynomials[rows], self.terms[rows]
-        return np.asarray(torques.any(axis=(1, 2)) | terms.any(axis=(1, 2)))
+    torques: Floats
+    space: Floats
+    motors: Floats
+    momentum: Floats
 
 
 class _Total(NamedTuple):
@@ -80,16 +71,16 @@ class _Samples(NamedTuple):
 
 
 def summed(logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int, momentum: Floats,
-           timeout_ns: int) -> Summed:
+           timeout_ns: int) -> tuple[NDArray[np.int64], NDArray[np.bool_], Sums]:
     """
     Return the sum of torque logs and the momentum of the rotors.
 
     Parameters
     ----------
     logs : sequence of TorqueLog
-        Torques on the body.
+        Torques on the body, none of them empty.
     wheels : TorqueLog
-        Torque on the rotors, body axes.
+        Torque on the rotors, body axes; may be empty.
     start_ns : int
         Start of the motion.
     momentum : array, shape (2, 3), N m s
@@ -99,25 +90,19 @@ def summed(logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int, momentum
 
     Returns
     -------
-    Summed
+    times_ns, in_space, sums
+        See `layout.Rows`. The first time is the start.
 
     """
-    acting, motors = [log for log in logs if len(log)], [wheels] if len(wheels) else []
-    if timeout_ns == 0 and _change_together([*acting, *motors], start_ns):
-        in_body, in_space = ([log for log in acting if log.in_space[0] == frame]
-                             for frame in (False, True))
-        result = _summed_together(in_body, in_space, motors, start_ns, momentum)
-    else:
-        result = _merged([*logs, wheels], start_ns, momentum, timeout_ns)
-    for array in (result.polynomials, result.in_space):  # one type for the kernels
-        array.flags.writeable = False
-    return result
+    motors = [wheels] if len(wheels) else []
+    if timeout_ns == 0 and _change_together([*logs, *motors], start_ns):
+        return _summed_together(logs, motors, start_ns, momentum)
+    return _merged([*logs, wheels], start_ns, momentum, timeout_ns)
 
 
-def in_two_frames(logs: Sequence[TorqueLog]) -> bool:
-    """Return whether some torques are in body axes, as those of motors, and some in space axes."""
-    return (any(log.in_space.any() for log in logs)
-            and not all(log.in_space.all() for log in logs))
+def added(torques: Sequence[Floats]) -> Floats:
+    """Return the sum of torques, N m, shape (n, 3) or (1, 3), in the order given."""
+    return reduce(np.add, torques) if torques else _NOTHING
 
 
 def _change_together(logs: Sequence[TorqueLog], start_ns: int) -> bool:
@@ -129,38 +114,37 @@ def _change_together(logs: Sequence[TorqueLog], start_ns: int) -> bool:
             and all(log.in_space.all() or not log.in_space.any() for log in logs))
 
 
-def _summed_together(in_body: Sequence[TorqueLog], in_space: Sequence[TorqueLog],
-                     motors: Sequence[TorqueLog], start_ns: int, momentum: Floats) -> Summed:
+def _summed_together(logs: Sequence[TorqueLog], motors: Sequence[TorqueLog], start_ns: int,
+                     momentum: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_], Sums]:
     """Return the sum of logs that change together, which takes a third of the time."""
-    stamps = max((log.times_ns for log in (*in_body, *in_space, *motors)), key=len)
-    first = int(np.searchsorted(stamps, start_ns, 'right')) - 1
-    times = np.append(start_ns, stamps[first + 1:])
+    stamps_ns = max((log.times_ns for log in (*logs, *motors)), key=len)
+    first = int(np.searchsorted(stamps_ns, start_ns, 'right')) - 1
+    times_ns = np.append(start_ns, stamps_ns[first + 1:])
+    in_axes = [[log for log in logs if log.in_space[0] == in_space] for in_space in (False, True)]
     body, space, on_rotors = (
-        reduce(np.add, [log.torques[first if len(log) > 1 else 0:] for log in logs])
-        if logs else np.full((1, 3), -0.0)
-        for logs in (in_body, in_space, motors))
+        added([log.torques[first if len(log) > 1 else 0:] for log in group])
+        for group in (*in_axes, motors))
     for array in (body, space, on_rotors):  # one type for the kernels
         array.flags.writeable = False
-    torques, terms = _allocated(len(times), 0)
-    spaces = _sum_rows(times, body, space, on_rotors, momentum, torques, terms)
-    return Summed(times, torques, spaces, terms)
+    sums = _allocated(len(times_ns), 0)
+    return times_ns, _sum_rows(times_ns, body, space, on_rotors, momentum, sums), sums
 
 
-def _allocated(count: int, degree: int) -> tuple[Floats, Floats]:
+def _allocated(count: int, degree: int) -> Sums:
     """
-    Return arrays for the polynomials and terms of `Summed`, not yet filled.
+    Return arrays of sums, not yet filled.
 
     They are one block that numpy allocates. For a large block numpy asks for large pages; to get
     small ones from the system takes longer than to fill them. Memory that is never touched takes
     no time.
     """
-    block, parts = np.empty(count * 3 * (4 * degree + 5)), count * 3 * (2 * degree + 1)
-    return (block[:parts].reshape(count, 2 * degree + 1, 3),
-            block[parts:].reshape(count, 2 * degree + 4, 3))
+    sizes = 2 * degree + 1, degree + 1, degree + 1, 2
+    parts = np.split(np.empty(3 * count * sum(sizes)), 3 * count * np.cumsum(sizes[:-1]))
+    return Sums(*(part.reshape(count, size, 3) for part, size in zip(parts, sizes)))
 
 
-def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats,
-            timeout_ns: int) -> Summed:
+def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeout_ns: int
+            ) -> tuple[NDArray[np.int64], NDArray[np.bool_], Sums]:
     """Return the sum of any logs; the last one is the torque on the rotors."""
     pieces = [_pieces(log) for log in sources]
     degree = max(piece.shape[1] // 2 for piece in pieces)
@@ -169,14 +153,14 @@ def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats,
                        np.concatenate([log.in_space for log in sources]),
                        np.cumsum([0, *map(len, sources)]))
     limit = 1 + len(samples.stamps_ns) * (2 if timeout_ns > 0 else 1)
-    torques, terms = _allocated(limit, degree)
-    times, spaces = _sum(*samples, timeout_ns, start_ns, momentum, torques, terms)
-    return Summed(times, torques[:len(times)], spaces, terms[:len(times)])
+    sums = _allocated(limit, degree)
+    times_ns, in_space = _sum(samples, timeout_ns, start_ns, momentum, sums)
+    return times_ns, in_space, Sums(*(part[:len(times_ns)] for part in sums))
 
 
 @njit
 def _sum_rows(times_ns: NDArray[np.int64], body: Floats, space: Floats, on_rotors: Floats,
-              momentum: Floats, torques: Floats, terms: Floats) -> NDArray[np.bool_]:
+              momentum: Floats, sums: Sums) -> NDArray[np.bool_]:
     # Store the sum of held torques, each shape (n, 3), or (1, 3) if it is the same at all times.
     # Return whether it is in space axes.
     count = len(times_ns)
@@ -185,7 +169,7 @@ def _sum_rows(times_ns: NDArray[np.int64], body: Floats, space: Floats, on_rotor
         turning = _row(on_rotors, row)
         total = _Total(_held(four.subtract(_row(body, row), turning)), _zero(),
                        _held(_row(space, row)), _held(turning))
-        spaces[row] = _store(total, rotors, row, torques, terms)
+        spaces[row] = _store(total, rotors, row, sums)
         if row + 1 < count:
             length_ns = times_ns[row + 1] - times_ns[row]
             rotors = after(rotors, total.rotors, length_ns, length_ns)
@@ -205,8 +189,7 @@ def _loaded(momentum: Floats) -> Rotor:
 
 def _pieces(log: TorqueLog) -> Floats:
     """Return the polynomials of a log, shape (n, 2 degree + 1, 3), N m."""
-    chunks = [chunk[:stop - first] for first, stop, chunk in log.polynomials(0)]
-    return chunks[0] if len(chunks) == 1 else np.concatenate(chunks)
+    return log.polynomials(0, len(log))
 
 
 def _padded(coefficients: Floats, degree: int) -> Floats:
@@ -221,28 +204,27 @@ def _padded(coefficients: Floats, degree: int) -> Floats:
 
 
 @njit
-def _sum(coefficients: Floats, stamps_ns: NDArray[np.int64], in_space: NDArray[np.bool_],
-         offsets: NDArray[np.intp], timeout_ns: int, start_ns: int,
-         momentum: Floats, torques: Floats,
-         terms: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def _sum(samples: _Samples, timeout_ns: int, start_ns: int, momentum: Floats,
+         sums: Sums) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     # Store the sum, and return its times, and whether it is in space axes.
+    coefficients, stamps_ns, in_space, offsets = samples
     count, degree = len(offsets) - 1, coefficients.shape[1] // 2
-    samples = offsets[:-1] - 1  # in force, of each source
-    times, spaces = np.empty(len(torques), np.int64), np.empty(len(torques), np.bool_)
+    in_force = offsets[:-1] - 1  # of each source
+    times, spaces = np.empty(len(sums.torques), np.int64), np.empty(len(sums.torques), np.bool_)
     rotors = _loaded(momentum)
     at, time_ns = 0, start_ns
     while time_ns < NEVER_NS:
         next_ns = NEVER_NS
         for k in range(count):
-            while samples[k] + 1 < offsets[k + 1] and stamps_ns[samples[k] + 1] <= time_ns:
-                samples[k] += 1
-            next_ns = min(next_ns, _next_change(stamps_ns, samples[k], offsets[k],
+            while in_force[k] + 1 < offsets[k + 1] and stamps_ns[in_force[k] + 1] <= time_ns:
+                in_force[k] += 1
+            next_ns = min(next_ns, _next_change(stamps_ns, in_force[k], offsets[k],
                                                 offsets[k + 1], time_ns, timeout_ns))
         length_ns = next_ns - time_ns if next_ns < NEVER_NS else NEVER_NS
         if degree == 0:  # otherwise copies of zero coefficients take half of the time
             body = space = on_rotors = four.broadcast(-0.0)
             for k in range(count):
-                row = samples[k]
+                row = in_force[k]
                 if row >= offsets[k] and not 0 < timeout_ns <= time_ns - stamps_ns[row]:
                     torque = intervals.coefficient(coefficients, row, 0)
                     if in_space[row]:
@@ -255,13 +237,13 @@ def _sum(coefficients: Floats, stamps_ns: NDArray[np.int64], in_space: NDArray[n
         else:
             total = _Total(_nothing(), _nothing(), _nothing(), _nothing())
             for k in range(count):
-                row = samples[k]
+                row = in_force[k]
                 if row >= offsets[k] and not 0 < timeout_ns <= time_ns - stamps_ns[row]:
                     span_ns = stamps_ns[row + 1] - stamps_ns[row] if row + 1 < offsets[k + 1] \
                         else NEVER_NS
                     total = _add(total, _piece(coefficients, row, time_ns - stamps_ns[row],
                                                span_ns, length_ns), k == count - 1, in_space[row])
-        times[at], spaces[at] = time_ns, _store(total, rotors, at, torques, terms)
+        times[at], spaces[at] = time_ns, _store(total, rotors, at, sums)
         if next_ns < NEVER_NS:
             rotors = after(rotors, total.rotors, length_ns, length_ns)
         at, time_ns = at + 1, next_ns
@@ -302,7 +284,7 @@ def _piece(coefficients: Floats, row: int, passed_ns: int, span_ns: int,
            length_ns: int) -> tuple[Polynomial, Polynomial]:
     # Return a part of a polynomial that begins some time after its stamp; with the low-order parts
     # if it is the whole polynomial.
-    torque = intervals.torque_of(coefficients, row, False)
+    torque = intervals.torque_of(coefficients, row)
     if coefficients.shape[1] == 1 or (passed_ns == 0 and length_ns == span_ns):
         return torque, intervals.low_order_parts(coefficients, row)
     return shifted(torque, passed_ns / span_ns, length_ns / span_ns), _zero()
@@ -332,34 +314,33 @@ def _minus(p: Polynomial, q: Polynomial) -> Polynomial:
 
 
 @inlined
-def _store(total: _Total, rotors: Rotor, at: int, torques: Floats, terms: Floats) -> bool:
+def _store(total: _Total, rotors: Rotor, row: int, sums: Sums) -> bool:
     # Store the sum at a row. If only a torque in space axes acts, store it where a single one
     # stands, and return True.
-    (body, low, space, on_rotors), degree = total, torques.shape[1] // 2
+    (body, low, space, on_rotors), degree = total, sums.torques.shape[1] // 2
     only_space = intervals.is_zero(body) and not intervals.is_zero(space)
     if only_space:
         body, low, space = space, _zero(), _zero()
-    _store_polynomial(torques, at, 0, degree, body)
-    _store_vector(torques, at, degree + 1, low[1], degree > 0)
-    _store_vector(torques, at, degree + 2, low[2], degree > 1)
-    _store_vector(torques, at, degree + 3, low[3], degree > 1)
-    _store_polynomial(terms, at, 0, degree, space)
-    _store_polynomial(terms, at, degree + 1, degree, on_rotors)
-    _store_vector(terms, at, 2 * degree + 2, rotors[0], True)
-    _store_vector(terms, at, 2 * degree + 3, rotors[1], True)
+    _store_polynomial(sums.torques, row, degree, body)
+    _store_vector(sums.torques, row, degree + 1, low[1], degree > 0)
+    _store_vector(sums.torques, row, degree + 2, low[2], degree > 1)
+    _store_vector(sums.torques, row, degree + 3, low[3], degree > 1)
+    _store_polynomial(sums.space, row, degree, space)
+    _store_polynomial(sums.motors, row, degree, on_rotors)
+    _store_vector(sums.momentum, row, 0, rotors[0], True)
+    _store_vector(sums.momentum, row, 1, rotors[1], True)
     return only_space
 
 
 @inlined
-def _store_polynomial(rows: Floats, at: int, first: int, degree: int,
-                      polynomial: Polynomial) -> None:
-    _store_vector(rows, at, first, polynomial[0], True)
-    _store_vector(rows, at, first + 1, polynomial[1], degree > 0)
-    _store_vector(rows, at, first + 2, polynomial[2], degree > 1)
-    _store_vector(rows, at, first + 3, polynomial[3], degree > 1)
+def _store_polynomial(rows: Floats, row: int, degree: int, polynomial: Polynomial) -> None:
+    _store_vector(rows, row, 0, polynomial[0], True)
+    _store_vector(rows, row, 1, polynomial[1], degree > 0)
+    _store_vector(rows, row, 2, polynomial[2], degree > 1)
+    _store_vector(rows, row, 3, polynomial[3], degree > 1)
 
 
 @inlined
-def _store_vector(rows: Floats, at: int, i: int, vector: Vector, exists: bool) -> None:
+def _store_vector(rows: Floats, row: int, k: int, vector: Vector, exists: bool) -> None:
     if exists:
-        intervals.store_coefficient(rows, at, i, vector)
+        intervals.store_coefficient(rows, row, k, vector)

@@ -26,8 +26,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import motion_layout
 from rigid_body_ros.mechanics import euler, so3
 from rigid_body_ros.mechanics.body import RigidBody
-from rigid_body_ros.propagation.models import CombinedUsage, Model, SolverUsage
-from rigid_body_ros.propagation.rotors import Rotors
+from rigid_body_ros.propagation.models import Model, SolverUsage
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -49,9 +48,7 @@ class Trajectory:
     times_ns: NDArray[np.int64]
     #: See `motion_layout`; it may have rows after those of the times.
     _motion: Floats
-    _usage: SolverUsage | CombinedUsage
-    #: None without rotors.
-    _rotors: Rotors | None = None
+    _usage: SolverUsage
 
     def __repr__(self) -> str:
         if not self.times_ns.size:
@@ -122,15 +119,15 @@ class Trajectory:
     @cached_property
     def rotor_momentum(self) -> Floats:
         """Momentum of the rotors relative to the body, N m s, body axes, shape (m, 3)."""
-        if self._rotors is None:
+        if not self._usage.timeline.has_rotors:
             return np.zeros((self.times_ns.size, 3))
-        return self._rotors.momentum(self.times_ns)
+        return self._usage.timeline.momentum(self.times_ns)[:, 0]
 
     @cached_property
     def angular_momentum_space(self) -> Floats:
         """Angular momentum in space axes, N m s, shape (m, 3), that of the rotors included."""
         momentum = self.body.angular_momentum(self.angular_velocity)
-        if self._rotors is not None:
+        if self._usage.timeline.has_rotors:
             momentum = momentum + self.rotor_momentum
         return so3.rotate(self.attitude, momentum)
 

@@ -19,13 +19,23 @@ Reading: `source` finds a topic in a recording of any format. `mcap_file`, `sqli
 `csv_file` read the files of a recording through the interface in `file`; `csv_columns` interprets
 the first line of a CSV file, `unpack` decompresses, `bulk` decodes messages, and `transforms`
 those of one pair of frames. `torques` turns messages into a torque log, and divides the log of a
-node into its epochs.
+node into its epochs; `problem` makes problems of them, with a scene.
 
 Writing: `writer` writes MCAP files, with the records of the format in `container`; `folder` adds
 the metadata.yaml of a rosbag2 bag.
 """
 
 from rigid_body_ros.recording.folder import FolderWriter, suffix_of, writer_of
+from rigid_body_ros.recording.problem import (
+    chosen,
+    Logged,
+    read_epochs,
+    stamps_of,
+)
+from rigid_body_ros.recording.problem import (
+    read as read_problem,
+)
+from rigid_body_ros.recording.selection import Topics, topics_of
 from rigid_body_ros.recording.source import (
     joined,
     Messages,
@@ -35,6 +45,7 @@ from rigid_body_ros.recording.source import (
     topics,
     TORQUES,
 )
+from rigid_body_ros.recording.streams import Stream, Streams, whole
 from rigid_body_ros.recording.torques import (
     epochs,
     first_epoch,
@@ -46,5 +57,7 @@ from rigid_body_ros.recording.torques import (
 from rigid_body_ros.recording.writer import ANGULAR_VELOCITY, ATTITUDE, Column, Writer
 
 __all__ = ['ANGULAR_VELOCITY', 'ATTITUDE', 'TIME_SOURCES', 'TORQUES', 'Column', 'FolderWriter',
-           'Messages', 'NotInOrderError', 'Piece', 'Source', 'Writer', 'epochs', 'first_epoch',
-           'joined', 'read', 'suffix_of', 'topics', 'torque_log', 'torque_pieces', 'writer_of']
+           'Logged', 'Messages', 'NotInOrderError', 'Piece', 'Source', 'Stream', 'Streams',
+           'Topics', 'Writer', 'chosen', 'epochs', 'first_epoch', 'joined', 'read',
+           'read_epochs', 'read_problem', 'stamps_of', 'suffix_of', 'topics', 'topics_of',
+           'torque_log', 'torque_pieces', 'whole', 'writer_of']

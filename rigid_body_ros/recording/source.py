@@ -48,7 +48,6 @@ from yaml.constructor import BaseConstructor
 TIME_SOURCES = ('header', 'log', 'publish')
 #: The message types that carry a torque.
 TORQUES = (messages.WRENCH, messages.BARE_WRENCH)
-#: A wrapper around an iterable with a known total, to show progress: (items, total) -> items.
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,9 +36,9 @@ from rigid_body_ros.recording.source import Messages
 #: Ten years: longer than any simulation, and earlier than any wall-clock time.
 _SIMULATED_NS = 315_576_000 * 10 ** 9
 #: Approximate number of samples in a piece.
-_SAMPLES = 2 ** 16
-#: Samples on each side that interpolation needs, for the slopes of the cubic.
-_NEIGHBOURS = 2
+_SAMPLES = 2 ** 13
+#: Samples on each side that the cubics of a piece, and of the sample after it, need.
+_NEIGHBOURS = 3
 #: The topics on which a node logs the torques that it accepts.
 _NODE_LOG = re.compile(r'(.*/)?(accepted_torque(_[0-9]+)?|accepted_wheel_torque)')
 
@@ -233,8 +233,6 @@ class Piece(NamedTuple):
     torques : array, shape (n, 3), N m
     in_space : array of bool, shape (n,)
         Whether a torque is given in space axes.
-    dropped : int
-        Number of samples of the previous piece before the first sample of this piece.
     stop : int, optional
         Index of the sample at which the next piece continues; None in the last piece.
 
@@ -243,7 +241,6 @@ class Piece(NamedTuple):
     times_ns: NDArray[np.int64]
     torques: Floats
     in_space: NDArray[np.bool_]
-    dropped: int = 0
     stop: int | None = None
 
     def rows(self, chosen: slice | NDArray[np.intp]) -> Piece:
@@ -281,15 +278,14 @@ def torque_pieces(where: str, blocks: Iterable[Messages], body_frame: str, space
         earlier pieces.
 
     """
-    piece, dropped = _EMPTY, 0
+    piece = _EMPTY
     for samples in _ascending(where, blocks, (body_frame, space_frame, links)):
         piece = _concatenated(piece, samples)
         stop = len(piece.times_ns) - 1 - _NEIGHBOURS
         if stop >= _SAMPLES:
-            yield piece._replace(dropped=dropped, stop=stop)
-            dropped = stop - _NEIGHBOURS
-            piece = piece.rows(slice(dropped, None))
-    yield piece._replace(dropped=dropped)
+            yield piece._replace(stop=stop)
+            piece = piece.rows(slice(stop - _NEIGHBOURS, None))
+    yield piece
 
 
 def _ascending(where: str, blocks: Iterable[Messages],

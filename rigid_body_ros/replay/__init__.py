@@ -14,9 +14,6 @@
 
 """Compute the motion of a body from recorded torques."""
 
-from rigid_body_ros.replay.reading import read, torques
 from rigid_body_ros.replay.single import plot, Replay, replay
-from rigid_body_ros.replay.sources import topics_of
 
-__all__ = ['Replay', 'plot', 'read', 'replay', 'topics_of',
-           'torques']
+__all__ = ['Replay', 'plot', 'replay']

@@ -17,8 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
 import time
@@ -32,12 +31,10 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import INTERPOLATIONS, torque_logs, TorqueLog
-from rigid_body_ros.propagation import Integration, Options, Trajectory
-from rigid_body_ros.propagation.combined import CombinedMotion
-from rigid_body_ros.recording import NotInOrderError, Piece
+from rigid_body_ros.mechanics.torque import INTERPOLATIONS, TorqueLog
+from rigid_body_ros.propagation import Integration, Problem, Trajectory
+from rigid_body_ros.recording import NotInOrderError, stamps_of, Stream
 from rigid_body_ros.replay.gaps import announce, computing_time, Gaps
-from rigid_body_ros.replay.sources import Sources
 from rigid_body_ros.scene import Scene
 
 #: Largest number of outputs in a batch.
@@ -68,33 +65,31 @@ class Collector(Protocol):
 
 
 class Batch(NamedTuple):
-    """A part of the motion, its piece of the torque log, and the wall time to compute it, s."""
+    """A part of the motion, its piece of the torques, and the wall time to compute it, s."""
 
-    #: Of a motion with several topics, rotors or damping: all logs as a whole.
-    log: TorqueLog | Sequence[TorqueLog]
+    problem: Problem
     trajectory: Trajectory
     seconds: float
-    #: Torque on the rotors.
-    wheels: TorqueLog | None = None
 
     @property
     def last_ns(self) -> int:
-        """Return the last stamp of the logs, ns; 0 without torques."""
-        logs = [self.log] if isinstance(self.log, TorqueLog) else [*self.log, self.wheels]
-        return max((int(log.times_ns[-1]) for log in logs if log), default=0)
+        """Return the last stamp of the torques, ns; 0 without torques."""
+        return max((int(log.times_ns[-1]) for log in self.problem.sources), default=0)
 
 
 class Batches:
     """
-    The motion under a torque log that is read piece by piece; iteration yields each `Batch`.
+    The motion under torques that are read piece by piece; iteration yields each `Batch`.
 
     Parameters
     ----------
     request : Request
-    topic : str
-    pieces : iterator of Piece
-    start : State, optional
-        Start of an epoch of a node, which may have no torques; otherwise that of the scene.
+    topics : str
+        For error messages.
+    streams : sequence of Stream
+    start : State
+    is_epoch : bool
+        Whether the start is that of an epoch of a node, which may have no torques.
 
     Attributes
     ----------
@@ -102,50 +97,50 @@ class Batches:
     first_ns : int
         Stamp of the first torque; that of the start if there is none.
     gaps : tuple of Gaps
-        Those of the log as far as it was read.
+        Those of each log as far as it was read.
 
     """
 
-    def __init__(self, request: Request, topic: str, pieces: Iterator[Piece],
-                 start: State | None = None) -> None:
-        self._where = f'{request.path}: {topic}'
-        self._request, self._pieces = request, pieces
-        self._piece = next(pieces)
-        first = self._piece.times_ns[:1].tolist() or ([start.time_ns] if start else [])
-        if not first:
-            raise InputError(f'{self._where}: expected torques, found no messages')
-        self.first_ns = first[0]
-        self.start = start or replace(
-            request.scene.start, time_ns=request.scene.start.time_ns or self.first_ns)
-        self._integration = Integration(request.scene.body, self.start, **request.scene.options)
+    def __init__(self, request: Request, topics: str, streams: Sequence[Stream], start: State,
+                 is_epoch: bool) -> None:
+        self._where, self._topics, self._request = f'{request.path}: {topics}', topics, request
+        self.streams, self.start = streams, start
+        stamps = [int(stream.piece.times_ns[0]) for stream in streams
+                  if len(stream.piece.times_ns)]
+        self.first_ns = min(stamps, default=start.time_ns)
+        #: The motion, and those with the other interpolations, which are removed if the body spins
+        #: too fast; none before the first piece.
+        self._motions: dict[str, Integration] = {}
         names = [name for name in INTERPOLATIONS if name != request.interpolation]
-        #: Motions with the other interpolations; removed if the body spins too fast.
-        self._alternatives = {
-            name: Integration(request.scene.body, self.start, **request.scene.options)
-            for name in names}
+        self._alternatives = names
         #: Their final attitudes; None if the body spins too fast.
         self._final_attitudes: dict[str, Floats | None] = {}
-        #: The frames of the torques so far: whether in space axes.
-        self._frames: set[bool] = set()
+        #: The frames of the torques of each stream so far: whether in space axes.
+        self._frames: list[set[bool]] = [set() for _ in streams]
         #: Advances the alternatives. A daemon thread does not delay the end of the program.
         self._thread: Thread | None = None
         #: The exception that the thread raised.
         self._failure: BaseException | None = None
-        self._outputs = _OutputTimes(request, self.start.time_ns, start is not None)
+        self._outputs = _OutputTimes(request, start.time_ns, is_epoch)
         self._end_ns = NEVER_NS if request.until is None else \
-            end_of(request.path, 0, self.start.time_ns, request.until)
-        self.gaps = Gaps(self.start.time_ns, self._end_ns, request.scene.timeout_ns),
+            end_of(request.path, 0, start.time_ns, request.until)
+        self.gaps = tuple(Gaps(start.time_ns, self._end_ns, request.scene.timeout_ns)
+                          for _ in streams)
         #: rad/s; at the end of the motion so far.
-        self._speed = _speed(self.start.angular_velocity)
+        self._speed = _speed(start.angular_velocity)
 
     def __iter__(self) -> Iterator[Batch]:
-        piece: Piece | None = self._piece
-        while piece is not None:
-            stop = piece.stop
-            if stop is not None and piece.times_ns[stop] >= self._end_ns:
-                stop = None
-            yield from self._advance(piece, stop)
-            piece = next(self._pieces) if stop is not None else None
+        while True:
+            ends = [stream.end_ns for stream in self.streams if stream.end_ns is not None]
+            until_ns = min(ends, default=None)
+            if until_ns is not None and until_ns >= self._end_ns:
+                until_ns = None
+            yield from self._advance(until_ns)
+            if until_ns is None:
+                return
+            for stream in self.streams:
+                if stream.end_ns == until_ns:
+                    stream.advance()
 
     def differences(self, end: Floats) -> dict[str, float | None]:
         """
@@ -157,36 +152,70 @@ class Batches:
         return {name: None if other is None else float(so3.angle_between(other, end))
                 for name, other in self._final_attitudes.items()}
 
-    def _advance(self, piece: Piece, stop: int | None) -> Iterator[Batch]:
+    def _advance(self, until_ns: int | None) -> Iterator[Batch]:
         began = time.perf_counter()
         self._wait()
-        self._frames |= set(np.unique(piece.in_space).tolist())
-        if len(self._frames) > 1:
-            if self._request.interpolation != 'hold' and piece.dropped:
-                raise NotInOrderError  # the log as a whole is rejected
-            self._alternatives.clear()
-            self._final_attitudes.clear()
+        self._check_frames()
         begin_ns = self._outputs.done_ns
-        numbers, times_of = self._outputs.up_to(piece.times_ns, stop)
-        limits = (begin_ns, self._outputs.done_ns), self._speed, self._request.scene
         try:
-            log = piece.log(self._request.interpolation)
-            self.gaps[0].add(log)
-            announce(self._where, computing_time(log, *limits))
-            self._thread = Thread(target=self._advance_alternatives,
-                                  args=(piece, stop, times_of(numbers[-1:]), limits), daemon=True)
+            logs = self._logs(self._request.interpolation, begin_ns, until_ns)
+            numbers, times_of = self._outputs.up_to(stamps_of(logs), until_ns)
+            for gaps, log in zip(self.gaps, logs):
+                gaps.add(log)
+            limits = (begin_ns, self._outputs.done_ns), self._speed, self._request.scene
+            announce(self._where, _computing_time(logs, *limits))
+            motion = self._continued(self._request.interpolation, logs)
+            others = {name: self._logs(name, begin_ns, until_ns) for name in self._alternatives}
+            self._thread = Thread(target=self._advance_alternatives, daemon=True,
+                                  args=(others, until_ns, times_of(numbers[-1:]), limits))
             self._thread.start()
             for first in range(0, max(len(numbers), 1), _LARGEST):
-                trajectory = self._integration.advance(
-                    log, times_of(numbers[first:first + _LARGEST]),
-                    dropped=0 if first else piece.dropped,
-                    stop=stop if first + _LARGEST >= len(numbers) else None)
+                trajectory = motion.advance(
+                    times_of(numbers[first:first + _LARGEST]),
+                    until_ns if first + _LARGEST >= len(numbers) else None)
                 if trajectory.times_ns.size:
                     self._speed = _speed(trajectory.angular_velocity[-1])
-                yield Batch(log, trajectory, time.perf_counter() - began)
+                yield Batch(motion.problem, trajectory, time.perf_counter() - began)
                 began = time.perf_counter()
+        except InputError:
+            raise
         except ValueError as error:
             raise InputError(f'{self._where}: {error}') from error
+
+    def _check_frames(self) -> None:
+        """Drop the other interpolations if a log has torques in both frames."""
+        for stream, frames in zip(self.streams, self._frames):
+            frames |= set(np.unique(stream.piece.in_space).tolist())
+        if any(len(frames) > 1 for frames in self._frames):
+            if self._request.interpolation != 'hold' and self._motions:
+                raise NotInOrderError  # the log as a whole is rejected
+            self._alternatives = []
+            self._final_attitudes.clear()
+
+    def _logs(self, interpolation: str, begin_ns: int, until_ns: int | None) -> list[TorqueLog]:
+        """Return the torques of each stream from the end of the motion so far on."""
+        logs = []
+        for stream in self.streams:
+            try:
+                logs.append(stream.log(interpolation))
+            except ValueError as error:
+                topic = stream.topic or self._topics
+                raise InputError(f'{self._request.path}: {topic}: {error}') from error
+        if until_ns is None or len(logs) == 1:
+            return logs
+        return [log.between(begin_ns, until_ns) for log in logs]
+
+    def _continued(self, interpolation: str, logs: Sequence[TorqueLog]) -> Integration:
+        """Return a motion that continues under the next pieces of the torques."""
+        body = [log for log, stream in zip(logs, self.streams) if not stream.on_rotors]
+        wheels = [log for log, stream in zip(logs, self.streams) if stream.on_rotors]
+        motion = self._motions.get(interpolation)
+        if motion:
+            motion.extend(body, *wheels)
+            return motion
+        scene = self._request.scene
+        motion = Integration(scene.problem(body, next(iter(wheels), None), self.start))
+        return self._motions.setdefault(interpolation, motion)
 
     def _wait(self) -> None:
         if self._thread:
@@ -194,91 +223,29 @@ class Batches:
         if self._failure:
             raise self._failure
 
-    def _advance_alternatives(self, piece: Piece, stop: int | None, last: NDArray[np.int64],
+    def _advance_alternatives(self, others: dict[str, list[TorqueLog]], until_ns: int | None,
+                              last_ns: NDArray[np.int64],
                               limits: tuple[tuple[int, int], float, Scene]) -> None:
         """Advance the motions with the other interpolations to the end of the piece."""
         try:
-            for name, run in [*self._alternatives.items()]:
-                self._final_attitudes[name] = None
+            for name, logs in others.items():
                 try:
-                    log = piece.log(name)
-                    computing_time(log, *limits)
-                    motion = run.advance(log, last if stop is None else [],
-                                         dropped=piece.dropped, stop=stop)
+                    _computing_time(logs, *limits)
+                    motion = self._continued(name, logs).advance(last_ns, until_ns)
                 except ValueError:  # the body spins too fast, or too long
-                    del self._alternatives[name]
+                    self._alternatives.remove(name)
+                    self._final_attitudes[name] = None
                 else:
-                    self._final_attitudes[name] = motion.attitude[-1] if stop is None else None
+                    if last_ns.size:  # the last piece may have no output
+                        self._final_attitudes[name] = motion.attitude[-1]
         except BaseException as error:  # raised in the main thread by `_wait`
             self._failure = error
 
 
-class CombinedBatches:
-    """
-    The motion of a scene with several topics, rotors or damping; iteration yields each `Batch`.
-
-    Attributes
-    ----------
-    start : State
-    first_ns : int
-        Stamp of the first torque; that of the start if there is none.
-    gaps : tuple of Gaps
-        Those of the log as far as it was read.
-
-    """
-
-    def __init__(self, request: Request, topics: str, sources: Sources) -> None:
-        self._where, self._request, self._sources = f'{request.path}: {topics}', request, sources
-        self.start, self._stamps_ns = sources.start, sources.times_ns
-        self.first_ns = int(self._stamps_ns[0])
-        self._outputs = _OutputTimes(request, self.start.time_ns, sources.is_epoch)
-        self._end_ns = self._outputs.end_ns(self._stamps_ns)
-        self._logs = [*sources.logs, *torque_logs(sources.wheels)]
-        self.gaps = tuple(Gaps(self.start.time_ns, self._end_ns, request.scene.timeout_ns)
-                          for _ in self._logs)
-
-    def __iter__(self) -> Iterator[Batch]:
-        began = time.perf_counter()
-        numbers, times_of = self._outputs.up_to(self._stamps_ns, None)
-        try:
-            for gaps, log in zip(self.gaps, self._logs):
-                gaps.add(log)
-            announce(self._where, self._computing_time(self._sources))
-            motion = self._motion(self._sources)
-            for first in range(0, max(len(numbers), 1), _LARGEST):
-                trajectory = motion.advance(times_of(numbers[first:first + _LARGEST]))
-                yield Batch(self._sources.logs, trajectory, time.perf_counter() - began,
-                            self._sources.wheels)
-                began = time.perf_counter()
-        except ValueError as error:
-            raise InputError(f'{self._where}: {error}') from error
-
-    def differences(self, end: Floats) -> dict[str, float | None]:
-        """Return the angles, rad, of the other final attitudes from `end`, by interpolation."""
-        if any(np.unique(log.in_space).size > 1 for log in self._sources.logs):
-            return {}
-        found: dict[str, float | None] = {}
-        for name in INTERPOLATIONS:
-            if name != self._request.interpolation:
-                found[name] = None
-                with suppress(ValueError):  # the body spins too fast, or too long
-                    sources = self._sources.interpolated(name)
-                    self._computing_time(sources)
-                    motion = self._motion(sources)
-                    attitude = motion.advance([self._end_ns]).attitude[0]
-                    found[name] = float(so3.angle_between(attitude, end))
-        return found
-
-    def _computing_time(self, sources: Sources) -> float:
-        """Return the longest `computing_time` of a source, with its errors."""
-        span_ns, speed = (self.start.time_ns, self._end_ns), _speed(self.start.angular_velocity)
-        return max((computing_time(log, span_ns, speed, self._request.scene)
-                    for log in (*sources.logs, *torque_logs(sources.wheels))), default=0.0)
-
-    def _motion(self, sources: Sources) -> CombinedMotion:
-        scene = self._request.scene
-        return CombinedMotion(scene.body, self.start, sources.logs,
-                              sources.wheels or TorqueLog([], []), Options(**scene.options))
+def _computing_time(logs: Sequence[TorqueLog], span_ns: tuple[int, int], speed: float,
+                    scene: Scene) -> float:
+    """Return the longest `computing_time` of a log, with its errors."""
+    return max((computing_time(log, span_ns, speed, scene) for log in logs), default=0.0)
 
 
 class _OutputTimes:
@@ -301,7 +268,7 @@ class _OutputTimes:
             last_ns = max(last_ns, self._start_ns)
         return end_of(self._request.path, last_ns, self._start_ns, self._request.until)
 
-    def up_to(self, stamps_ns: NDArray[np.int64], stop: int | None
+    def up_to(self, stamps_ns: NDArray[np.int64], until_ns: int | None
               ) -> tuple[range, Callable[[range], NDArray[np.int64]]]:
         """
         Return the numbers of the next outputs and a function that returns their times.
@@ -310,12 +277,12 @@ class _OutputTimes:
         of them would not fit in memory.
         """
         start_ns, rate = self._start_ns, self._request.rate
-        end_ns = self.end_ns(stamps_ns) if stop is None else int(stamps_ns[stop])
+        end_ns = self.end_ns(stamps_ns) if until_ns is None else until_ns
         if rate is None:
             first = np.searchsorted(stamps_ns, self.done_ns, 'right' if self._count else 'left')
             times = stamps_ns[first:np.searchsorted(stamps_ns, end_ns, 'right')]
             more = [start_ns] if self._is_epoch and not self._count and end_ns >= start_ns else []
-            more += [end_ns] if stop is None else []
+            more += [end_ns] if until_ns is None else []
             times = np.union1d(times, np.array(more, np.int64)) if more else times
             numbers = range(len(times))
 

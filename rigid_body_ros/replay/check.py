@@ -20,19 +20,17 @@ Also estimate how far a change of the last digits of the data moves a motion, wi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
-from rigid_body_ros.propagation import propagate, summation, Trajectory
-from rigid_body_ros.propagation.rotors import Rotors
+from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
-from rigid_body_ros.scene import Scene
+from rigid_body_ros.propagation.timeline import Timeline
+from rigid_body_ros.recording import stamps_of
 
 #: The energy balance covers at most this many intervals of at most this angle, rad.
 _MOST_INTERVALS = 200_000
@@ -77,31 +75,26 @@ class LastDigits(NamedTuple):
                 f'attitude by {self.effect:.1e} rad{part}: no solver guarantees a smaller error')
 
 
-def last_digits(scene: Scene, log: TorqueLog | Sequence[TorqueLog], start: State,
-                trajectory: Trajectory, wheels: TorqueLog | None = None) -> LastDigits | None:
+def last_digits(problem: Problem, trajectory: Trajectory) -> LastDigits | None:
     """
     Return the effect of the last digits on the beginning of a motion.
 
     Return None if start and end are the same, or if the body spins too fast for the estimate,
     which uses the solver `auto`.
     """
-    begin_ns, end_ns = start.time_ns, int(trajectory.times_ns[-1])
+    begin_ns, end_ns = problem.start.time_ns, int(trajectory.times_ns[-1])
     speed = float(np.linalg.norm(trajectory.angular_velocity, axis=1).max())
     covered_ns = end_ns - begin_ns
-    logs = torque_logs(log)
-    stamps_ns = np.unique(np.concatenate([one.times_ns for one in (*logs, *torque_logs(wheels))]))
+    stamps_ns = stamps_of(problem.sources)
     following = stamps_ns[stamps_ns > begin_ns][_SAMPLES - 1:_SAMPLES]
     if following.size:
         covered_ns = min(covered_ns, int(following[0]) - begin_ns)
     if speed * covered_ns * 1e-9 > _ANGLE:
         covered_ns = int(_ANGLE / speed * 1e9)
-    span = begin_ns, begin_ns + covered_ns
-    times = np.unique(np.linspace(0, covered_ns, _TIMES + 1)[1:].astype(np.int64))
+    times_ns = np.unique(np.linspace(0, covered_ns, _TIMES + 1)[1:].astype(np.int64))
     try:
-        effect = last_digit_effect(scene.body, start, [one.between(*span) for one in logs],
-                                   at=begin_ns + times,
-                                   wheels=wheels.between(*span) if wheels else None,
-                                   torque_timeout=scene.torque_timeout)
+        effect = last_digit_effect(problem.between(problem.start, begin_ns + covered_ns),
+                                   at=begin_ns + times_ns)
     except ValueError:  # the body spins too fast
         return None
     if not covered_ns:
@@ -111,8 +104,7 @@ def last_digits(scene: Scene, log: TorqueLog | Sequence[TorqueLog], start: State
                       (end_ns - begin_ns) * 1e-9)
 
 
-def drift(scene: Scene, log: TorqueLog | Sequence[TorqueLog], start: State,
-          trajectory: Trajectory, wheels: TorqueLog | None = None) -> Check:
+def drift(problem: Problem, trajectory: Trajectory) -> Check:
     """
     Return how much a motion with at least one output violates the conservation laws.
 
@@ -120,34 +112,33 @@ def drift(scene: Scene, log: TorqueLog | Sequence[TorqueLog], start: State,
     space axes it follows their integral. Under torques in body axes, or damping, work and energy
     are compared.
     """
-    seconds = float(trajectory.times_ns[-1] - start.time_ns) * 1e-9
-    acting = [one for one in torque_logs(log) if one.torques.any()]
-    if not acting and not scene.body.is_damped:
+    seconds = float(trajectory.times_ns[-1] - problem.start.time_ns) * 1e-9
+    acting, is_damped = [log for log in problem.logs if log.torques.any()], problem.body.is_damped
+    if not acting and not is_damped:
         momentum = trajectory.angular_momentum_space
         size = max(_norm(momentum[:1]), _norm(trajectory.rotor_momentum))
         lost = _norm(momentum - momentum[0])
         return Check(
             f'relative drift of the space angular momentum {lost / size if size else lost:.1e}',
             seconds, seconds)
-    if not scene.body.is_damped and all(_is_in_space(one) for one in acting):
+    if not is_damped and all(_is_in_space(log) for log in acting):
         return Check('space angular momentum and the integral of the torque differ by '
-                     f'{_momentum_balance(scene, acting, start, trajectory):.1e} of the largest '
+                     f'{_momentum_balance(problem, trajectory):.1e} of the largest '
                      'momentum', seconds, seconds)
-    imbalance, covered = energy_balance(scene, log, start, trajectory, wheels)
+    imbalance, covered = energy_balance(problem, trajectory)
     return Check(f'work and energy differ by {imbalance:.1e} of the largest energy', covered,
                  seconds)
 
 
-def _momentum_balance(scene: Scene, logs: Sequence[TorqueLog], start: State,
-                      trajectory: Trajectory) -> float:
+def _momentum_balance(problem: Problem, trajectory: Trajectory) -> float:
     """Return the largest error of the momentum under torques in space axes, relative to it."""
-    times = trajectory.times_ns
+    start, body = problem.start, problem.body
     momentum = start_momentum = so3.rotate(
-        start.attitude, scene.body.angular_momentum(start.angular_velocity) + start.rotor_momentum)
-    for log in logs:  # the momentum of a rotor is the integral of a torque, too
+        start.attitude, body.angular_momentum(start.angular_velocity) + start.rotor_momentum)
+    for log in problem.logs:  # the momentum of a rotor is the integral of a torque, too
         driven = TorqueLog(log.times_ns, log.torques, interpolation=log.interpolation)
-        total = summation.summed([], driven, start.time_ns, np.zeros((2, 3)), scene.timeout_ns)
-        momentum = momentum + Rotors(total.times_ns, total.terms).momentum(times)
+        rotors = Timeline([], driven, problem.options.timeout_ns, False, start.time_ns, None)
+        momentum = momentum + rotors.momentum(trajectory.times_ns)[:, 0]
     scale = max(_norm(momentum), _norm(start_momentum[None]), _norm(trajectory.rotor_momentum))
     lost = _norm(trajectory.angular_momentum_space - momentum)
     return lost / scale if scale else lost
@@ -162,8 +153,7 @@ def _is_in_space(log: TorqueLog) -> bool:
     return bool(log.in_space[log.torques.any(axis=1)].all())
 
 
-def energy_balance(scene: Scene, log: TorqueLog | Sequence[TorqueLog], start: State,
-                   trajectory: Trajectory, wheels: TorqueLog | None = None) -> tuple[float, float]:
+def energy_balance(problem: Problem, trajectory: Trajectory) -> tuple[float, float]:
     """
     Compare the work on the body with the change of its kinetic energy.
 
@@ -180,21 +170,15 @@ def energy_balance(scene: Scene, log: TorqueLog | Sequence[TorqueLog], start: St
         Time from the start that the comparison covers; the number of intervals is limited.
 
     """
-    timeout_ns = scene.timeout_ns
-    logs = torque_logs(log)
-    edges = _interval_edges([*logs, *torque_logs(wheels)], start, trajectory, timeout_ns)
+    edges = _interval_edges(problem, trajectory)
     lengths = np.diff(edges)
     points = edges[:-1, None] + np.round(lengths[:, None] * _GAUSS_POINTS).astype(np.int64)
-    times = np.concatenate([points.ravel(), edges[[0, -1]]])
-    motion = propagate(scene.body, start, logs, at=times, wheels=wheels, **scene.options)
+    times_ns = np.concatenate([points.ravel(), edges[[0, -1]]])
+    motion = problem.propagate(at=times_ns)
     rates = motion.angular_velocity[:-2]
-    to_body = so3.conjugate(motion.attitude[:-2])
-    total = -rates @ scene.body.damping
-    for one in logs:
-        torque, in_space = one.at(times[:-2], timeout_ns)
-        total += np.where(in_space[:, None], so3.rotate(to_body, torque), torque)
-    if wheels:
-        total -= wheels.at(times[:-2], timeout_ns)[0]
+    total = problem.torque(times_ns[:-2], motion.attitude[:-2]) - rates @ problem.body.damping
+    if problem.wheels:
+        total -= problem.wheels.at(times_ns[:-2], problem.options.timeout_ns)[0]
     power = np.sum(total * rates, axis=1).reshape(-1, 3)
     work = np.sum(power @ _GAUSS_WEIGHTS * lengths) * 1e-9
     energy = motion.kinetic_energy
@@ -203,12 +187,12 @@ def energy_balance(scene: Scene, log: TorqueLog | Sequence[TorqueLog], start: St
         float(edges[-1] - edges[0]) * 1e-9
 
 
-def _interval_edges(logs: Sequence[TorqueLog], start: State, trajectory: Trajectory,
-                    timeout_ns: int) -> NDArray[np.int64]:
+def _interval_edges(problem: Problem, trajectory: Trajectory) -> NDArray[np.int64]:
     # Return the changes of the torque and times in between, such that all intervals are short.
     changes = np.unique(np.concatenate(
-        [np.empty(0, np.int64), *(log.segments(timeout_ns)[0] for log in logs)]))
-    start_ns, end_ns = start.time_ns, int(trajectory.times_ns[-1])
+        [np.empty(0, np.int64),
+         *(log.segments(problem.options.timeout_ns)[0] for log in problem.sources)]))
+    start_ns, end_ns = problem.start.time_ns, int(trajectory.times_ns[-1])
     inside = changes[(changes > start_ns) & (changes < end_ns)]
     edges = np.concatenate([[start_ns], inside, [end_ns]])[:_MOST_INTERVALS + 1]
     lengths = np.diff(edges)

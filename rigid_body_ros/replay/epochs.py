@@ -19,88 +19,12 @@ from __future__ import annotations
 from bisect import bisect
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.recording import Messages
-from rigid_body_ros.scene import Scene
-
-
-def aligned(path: str | Path, topics: Sequence[Sequence[Messages]],
-            has_stamps: bool) -> list[tuple[Messages, ...]]:
-    """
-    Return the torques of all topics in each epoch.
-
-    A node that is killed while it begins an epoch has marked it on the first topics only: on the
-    others there are no torques in that epoch.
-
-    Parameters
-    ----------
-    path : str or Path
-        The recording, for error messages.
-    topics : sequence of sequence of Messages
-        By topic, its epochs.
-    has_stamps : bool
-        Whether the stamps are those of the headers, which are the same on all topics.
-
-    Raises
-    ------
-    InputError
-        An epoch does not begin with the same state on all topics.
-
-    """
-    longest = max(topics, key=lambda parts: sum(part.start is not None for part in parts),
-                  default=())
-    if not longest or longest[0].start is None:
-        return [tuple(parts[0] for parts in topics)]
-    for parts in topics:
-        for part, expected in zip(parts, longest):
-            _check_same_start(path, part, expected, has_stamps)
-    return [tuple(parts[k] if k < len(parts) else
-                  replace(expected.rows(slice(0)), topic=parts[0].topic) for parts in topics)
-            for k, expected in enumerate(longest)]
-
-
-def _check_same_start(path: str | Path, part: Messages, expected: Messages,
-                      has_stamps: bool) -> None:
-    if part.start is None and not len(part):
-        return  # a topic without messages
-    one, other = ((state.time_ns if has_stamps else 0, state.attitude.tobytes(),
-                   state.angular_velocity.tobytes(), state.rotor_momentum.tobytes())
-                  if (state := found.start) else None for found in (part, expected))
-    if one != other:
-        found = f'the epoch that begins at {part.start.time_ns} ns' if part.start else \
-            'torques without epochs'
-        assert expected.start
-        raise InputError(f'{path}: {part.topic}: expected the epoch that begins at '
-                         f'{expected.start.time_ns} ns, with the same start state as on '
-                         f'{expected.topic}, found {found}')
-
-
-def chosen(path: str | Path, scene: Scene, starts: Sequence[State]) -> int:
-    """
-    Return the number of the epoch for a command that needs one motion.
-
-    Of several epochs, it is the last one that begins at the start_time of the scene.
-
-    Raises
-    ------
-    InputError
-        None begins there.
-
-    """
-    stamps, start_ns = [start.time_ns for start in starts], scene.start.time_ns
-    if len(stamps) > 1 and start_ns not in stamps:
-        raise InputError(f'{path}: expected one epoch, or the start_time of one, found '
-                         f'{len(stamps)} epochs, which begin at '
-                         f'{listed([str(stamp) for stamp in stamps])} ns, and start_time '
-                         f'{start_ns}; set start_time in the scene')
-    return len(stamps) - 1 - stamps[::-1].index(start_ns) if len(stamps) > 1 else 0
 
 
 def groups(starts: Sequence[State], stamps_ns: NDArray[np.int64], values: Floats) -> list[slice]:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.propagation.options import FASTEST, Options
+from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.runtime.terminal import report
 from rigid_body_ros.scene import Scene
 
@@ -172,7 +172,7 @@ def _sizes(log: TorqueLog) -> Floats:
 
 def _steps(sizes: Floats, seconds: Floats, speed: float, scene: Scene) -> Floats:
     """Return about how many steps the motion under each torque takes: one per radian."""
-    options, body = Options(**scene.options), scene.body
+    options, body = scene.options, scene.body
     is_closed = options.record.closed_form_beyond < np.inf and not (
         scene.has_rotors or body.is_damped)
     moment, rate = body.principal_moments[0], speed

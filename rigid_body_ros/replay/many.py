@@ -173,7 +173,7 @@ def _in_processes(tasks: Sequence[Task], scene: Scene, options: dict[str, Any]
     """Generate the outcomes in the order in which the processes finish."""
     replay = _Replay([path for path, _ in tasks], scene, options)
     with Processes() as processes:
-        yield from processes.map(partial(_in_process, replay), tasks, _died)
+        yield from processes.results(partial(_in_process, replay), tasks, _died)
 
 
 def on_cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
@@ -186,7 +186,7 @@ def on_cluster(scheduler: str, note: Callable[[str], None]) -> Pool:
                 TemporaryDirectory(prefix='.', dir=folder, ignore_cleanup_errors=True) as shared, \
                 connected(scheduler, note) as cluster:
             replay = _Replay([path for path, _ in given], scene, options, shared)
-            for outcome in cluster.map(replay, given, _died):
+            for outcome in cluster.results(replay, given, _died):
                 path, output = given[outcome.path, outcome.output]
                 yield replace(outcome, path=path, output=output)
     return outcomes

@@ -20,14 +20,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from rigid_body_ros.common.arrays import written
-from rigid_body_ros.mechanics.torque import torque_logs
 from rigid_body_ros.replay.batches import Batch
 from rigid_body_ros.replay.single import Replay
 from rigid_body_ros.replay.summary import rows
 from rigid_body_ros.report import moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page
-from rigid_body_ros.report.panels import ThinnedTorque, total_torque
+from rigid_body_ros.report.panels import ThinnedTorque
 from rigid_body_ros.report.thinning import EveryNth, Extremes
 from rigid_body_ros.scene import Scene
 
@@ -54,20 +53,20 @@ class PageCollector:
         motion, scene = batch.trajectory, self._scene
         if not motion.times_ns.size:
             return
-        logs = torque_logs(batch.log)
+        problem = batch.problem
         if self._start_ns is None:
             self._start_ns = int(motion.times_ns[0])
-            self._torques = [ThinnedTorque(scene.timeout_ns) for _ in logs]
+            self._torques = [ThinnedTorque(scene.timeout_ns) for _ in problem.logs]
         columns = [motion.euler_angles(scene.euler_sequence), motion.attitude,
                    motion.angular_velocity]
         if scene.has_rotors:
             columns.append(motion.rotor_momentum)
         self._motion.add(motion.times_ns, np.hstack(columns))
-        for torque, log in zip(self._torques, logs):
+        for torque, log in zip(self._torques, problem.logs):
             torque.add(log, motion.times_ns)
         chosen = self._keys.chosen(len(motion.times_ns))
         times_ns, attitude = motion.times_ns[chosen], motion.attitude[chosen]
-        torques = total_torque(logs, times_ns, attitude, scene.timeout_ns)
+        torques = problem.torque(times_ns, attitude)
         self._keys.add(len(motion.times_ns), times_ns, np.hstack([
             attitude, motion.angular_velocity[chosen], torques, motion.rotor_momentum[chosen]]))
 

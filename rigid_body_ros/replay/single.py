@@ -21,9 +21,10 @@ recordings with stamps far out of order, or with several epochs of a node, are r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 import time
 
@@ -31,22 +32,23 @@ import numpy as np
 from rigid_body_ros import recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.messages import VECTOR3
-from rigid_body_ros.propagation import Trajectory, warm_up
-from rigid_body_ros.recording import Messages, NotInOrderError, Piece, Source
-from rigid_body_ros.replay import outputs
-from rigid_body_ros.replay.batches import (
-    Batch,
-    Batches,
-    Collector,
-    CombinedBatches,
-    Request,
+from rigid_body_ros.propagation import Problem, Trajectory, warm_up
+from rigid_body_ros.recording import (
+    Logged,
+    NotInOrderError,
+    Source,
+    Streams,
+    suffix_of,
+    Topics,
+    topics_of,
+    whole,
 )
+from rigid_body_ros.replay import outputs
+from rigid_body_ros.replay.batches import Batch, Batches, Collector, Request
 from rigid_body_ros.replay.check import Check, drift, last_digits, LastDigits
 from rigid_body_ros.replay.gaps import Gaps
 from rigid_body_ros.replay.outputs import INPUT
-from rigid_body_ros.replay.sources import absolute, read_sources, Topics, topics_of
 from rigid_body_ros.runtime import files, interrupts
 from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
@@ -92,11 +94,8 @@ class Replay:
         Those of each log: of the torques in the order of the topics, then on the rotors.
     seconds : dict
         Wall time spent to read, propagate and write, s.
-    log, trajectory : TorqueLog, Trajectory, optional
-        The whole log and motion, if `keep` was set. A scene with several topics, rotors or damping
-        has a tuple of logs, one for each topic.
-    wheels : TorqueLog, optional
-        The torque on the rotors, if `keep` was set and the recording has it.
+    problem, trajectory : Problem, Trajectory, optional
+        With all torques, and the whole motion, if `keep` was set.
     collected : optional
         What `collect` returned.
     earlier : tuple of Replay
@@ -123,15 +122,14 @@ class Replay:
     gaps: tuple[Gaps, ...] = ()
     seconds: dict[str, float] = field(
         default_factory=lambda: {'read': 0.0, 'propagate': 0.0, 'write': 0.0})
-    log: TorqueLog | Sequence[TorqueLog] | None = None
-    wheels: TorqueLog | None = None
+    problem: Problem | None = None
     trajectory: Trajectory | None = None
     collected: Collector | None = None
     earlier: tuple[Replay, ...] = ()
 
 
 #: An epoch of a node, or a whole recording, before its motion is computed.
-Epoch = tuple[Replay, Batches | CombinedBatches]
+Epoch = tuple[Replay, Batches]
 
 
 def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
@@ -202,21 +200,36 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     """
     outputs.check_names(also)
     given = topics_of(topic, wheel_torque, wheel_momentum)
-    is_plain = given.is_plain(scene)
+    given.check(scene)
     keep = output is None if keep is None else keep
-    interpolation = interpolation or scene.interpolation
-    request = Request(path, scene, interpolation, rate, until, also, collect)
-    with files.reading(path), files.protected('scene', scene.path):
+    request = Request(path, scene, interpolation or scene.interpolation, rate, until, also,
+                      collect)
+    with files.reading(path), files.protected('scene', scene.path), ExitStack() as stack:
         if output is not None:
-            files.check((output, recording.suffix_of(output)))
+            files.check((output, suffix_of(output)))
         for prepare in progress('loading kernels (compiled on first use)')([warm_up], 1):
             prepare()
-        if not is_plain:
-            topics = given.found_in(path, scene)
-            return _combined(request, topics, output, keep, time_source, start)
-        with Source(path, next(iter(given.torques), None), recording.TORQUES, time_source, start,
-                    absolute(scene.torque_topics[0])) as source:
-            return _in_pieces_or_whole(request, source, output, keep)
+        topics = given.found_in(path, scene)
+        if start and (len(topics.wrenches) > 1 or topics.wheel_torque or topics.wheel_momentum):
+            raise InputError('--start: expected one topic of torques, found several, or rotors; '
+                             'set start_time in the scene instead')
+        copied = None
+        if INPUT in also:
+            copied = stack.enter_context(Source(
+                path, next(iter(topics.wrenches), topics.wheel_momentum), _KINDS,
+                preferred=topics.preferred))
+            copied.check_copied(outputs.topics_of(request))
+        if not keep and not topics.wheel_momentum:
+            with suppress(NotInOrderError), Streams(
+                    path, scene, topics, progress('replaying', size=len), time_source,
+                    start) as streams:
+                result = _replayed(request, partial(_pieces, request, topics, streams), copied,
+                                   output)
+                result.damage = streams.damage
+                return result
+        return _replayed(request, lambda: _whole(request, topics, recording.read_epochs(
+            path, scene, topics, request.interpolation, progress('reading', size=len),
+            time_source, start)), copied, output, keep)
 
 
 def plot(path: str | Path, result: Replay, name: str) -> None:
@@ -240,85 +253,36 @@ def plot(path: str | Path, result: Replay, name: str) -> None:
     """
     from rigid_body_ros.report import figures  # matplotlib takes longer to load than most replays
     assert result.trajectory is not None
-    assert result.log is not None
+    assert result.problem is not None
     sequence = result.scene.euler_sequence
     with files.atomic_output(path, '.png') as temporary:
-        figures.motion(temporary, result.trajectory, result.log, sequence,
+        figures.motion(temporary, result.trajectory, result.problem.logs, sequence,
                        f'{name}: {result.topic}', result.scene.timeout_ns)
 
 
-def _pieces(request: Request, source: Source) -> Sequence[Epoch]:
-    """Return the motion of a log that is read piece by piece; it has one epoch."""
-    result = Replay(request.scene, request.interpolation, source.topic)
-    start, blocks = recording.first_epoch(
-        request.path, iter(progress('replaying', size=len)(source, source.count)))
-
-    def counted() -> Iterator[Messages]:
-        last: list[int] = []
-        for block in blocks:
-            result.messages += len(block)
-            result.unordered += int(np.sum(np.diff(block.stamps_ns, prepend=last) <= 0))
-            last = [int(block.stamps_ns[-1])]
-            yield block
-    scene = request.scene
-    pieces = recording.torque_pieces(f'{request.path}: {source.topic}', counted(),
-                                     scene.body_frame, scene.space_frame, scene.links)
-    return [(result, Batches(request, source.topic, pieces, start))]
+def _pieces(request: Request, topics: Topics, streams: Streams) -> Sequence[Epoch]:
+    """Return the motion of torques that are read piece by piece; it has one epoch."""
+    opened, scene = streams.opened(), request.scene
+    first_ns = min([int(stream.piece.times_ns[0]) for stream in opened
+                    if len(stream.piece.times_ns)], default=0)
+    start = streams.start or scene.starting_at(first_ns)
+    result = Replay(scene, request.interpolation, ', '.join(streams.topics), topics.wheel_source)
+    return [(result, Batches(request, result.topic, opened, start, streams.start is not None))]
 
 
-def _whole(request: Request, source: Source) -> Sequence[Epoch]:
-    """Return the motions of all epochs, each with its log as one piece."""
-    blocks = [*progress('reading', size=len)(source, source.count)]
-    recorded = recording.joined(source.topic, source.kind, blocks, source.damage)
-    scene, found = request.scene, []
-    for part in recording.epochs(request.path, recorded):
-        log = recording.torque_log(request.path, part, scene.body_frame, scene.space_frame,
-                                   links=scene.links)
-        piece = Piece(log.times_ns, log.torques, log.in_space)
-        result = Replay(scene, request.interpolation, source.topic, messages=len(part),
-                        unordered=int(np.sum(np.diff(part.stamps_ns) <= 0)))
-        found.append((result, Batches(request, source.topic, iter([piece]), part.start)))
-    return found
+def _whole(request: Request, topics: Topics, epochs: Sequence[Logged]) -> Sequence[Epoch]:
+    """Return the motions of all epochs, each with its torques as one piece."""
+    return [(Replay(request.scene, request.interpolation, ', '.join(each.topics),
+                    topics.wheel_source, each.messages, each.unordered, damage=each.damage),
+             Batches(request, ', '.join(each.topics), whole(each), each.problem.start,
+                     each.is_epoch))
+            for each in epochs]
 
 
-def _in_pieces_or_whole(request: Request, source: Source, output: str | Path | None,
-                        keep: bool) -> Replay:
-    """Replay piece by piece; if `keep` is set or stamps are far out of order, as a whole."""
-    if INPUT in request.also:
-        source.check_copied(outputs.topics_of(request))
-
-    if not keep:
-        with suppress(NotInOrderError):
-            return _replayed(request, source, _pieces, output)
-    return _replayed(request, source, _whole, output, keep)
-
-
-def _combined(request: Request, topics: Topics, output: str | Path | None, keep: bool,
-              time_source: str, skip: float) -> Replay:
-    """Replay a scene with several topics, rotors or damping, whose logs are read as a whole."""
-    if skip and (len(topics.torques) != 1 or topics.wheel_torque or topics.wheel_momentum):
-        raise InputError('--start: expected one topic of torques, found several, or rotors; set '
-                         'start_time in the scene instead')
-    names = [*topics.torques, *filter(None, [topics.wheel_torque, topics.wheel_momentum])]
-    named = ', '.join(names)
-
-    def begin(request: Request, source: Source) -> Sequence[Epoch]:
-        scene, interpolation = request.scene, request.interpolation
-        return [(Replay(scene, interpolation, named, topics.wheel_source, one.messages,
-                        one.unordered, damage=one.damage), CombinedBatches(request, named, one))
-                for one in read_sources(request.path, scene, topics, interpolation,
-                                        progress('reading', size=len), time_source, skip)]
-    with Source(request.path, names[0], _KINDS, time_source) as source:
-        if INPUT in request.also:
-            source.check_copied(outputs.topics_of(request))
-        return _replayed(request, source, begin, output, keep)
-
-
-def _replayed(request: Request, source: Source,
-              begin: Callable[[Request, Source], Sequence[Epoch]],
+def _replayed(request: Request, begin: Callable[[], Sequence[Epoch]], copied: Source | None,
               output: str | Path | None, keep: bool = False) -> Replay:
     began = time.perf_counter()
-    epochs = begin(request, source)
+    epochs = begin()
     *earlier, result = [found for found, _ in epochs]
     result.collected = request.collect() if request.collect else None
     with ExitStack() as stack:
@@ -330,17 +294,16 @@ def _replayed(request: Request, source: Source,
             delay_ns = max(logged_ns - batches.start.time_ns, 0)
             _compute(request, found, batches, writer, keep, delay_ns)
             logged_ns = found.last.time_ns + delay_ns
-        if writer and INPUT in request.also:
-            source.copy_to(writer)
+        if writer and copied:
+            copied.copy_to(writer)
         interrupts.check()  # last chance before the output gets its final name
     result.earlier = tuple(earlier)
     result.seconds['read'] = time.perf_counter() - began - sum(
         found.seconds['propagate'] + found.seconds['write'] for found, _ in epochs)
-    result.damage = result.damage or source.damage
     return result
 
 
-def _compute(request: Request, result: Replay, batches: Batches | CombinedBatches,
+def _compute(request: Request, result: Replay, batches: Batches,
              writer: recording.Writer | None, keep: bool, delay_ns: int) -> None:
     """Compute the motion of an epoch, which is logged `delay_ns` later than its stamps."""
     kept: list[Batch] = []
@@ -359,22 +322,25 @@ def _compute(request: Request, result: Replay, batches: Batches | CombinedBatche
         if keep:
             kept.append(batch)
     result.interpolation_differences = batches.differences(result.last.attitude)
+    for stream in batches.streams:
+        result.messages += stream.counts.messages
+        result.unordered += stream.counts.unordered
     if keep:
-        result.log, result.wheels = kept[0].log, kept[0].wheels
+        result.problem = kept[0].problem
         result.trajectory = _joined(kept)
 
 
 def _update(result: Replay, batch: Batch) -> None:
     """Update the result with a batch of the motion."""
     began = time.perf_counter()
-    log, trajectory = batch.log, batch.trajectory
+    trajectory = batch.trajectory
     result.last_ns = max(batch.last_ns, result.first_ns)
     if trajectory.times_ns.size:
         result.last = State(int(trajectory.times_ns[-1]), trajectory.attitude[-1],
                             trajectory.angular_velocity[-1], trajectory.rotor_momentum[-1])
         if not result.check:
-            checked = result.scene, log, result.start, trajectory, batch.wheels
-            result.check, result.last_digits = drift(*checked), last_digits(*checked)
+            result.check = drift(batch.problem, trajectory)
+            result.last_digits = last_digits(batch.problem, trajectory)
         total = float(result.last.time_ns - result.start.time_ns) * 1e-9
         result.check = result.check._replace(total=total)
         if result.last_digits:

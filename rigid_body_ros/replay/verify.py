@@ -29,13 +29,11 @@ from rigid_body_ros.common.errors import InputError, shortened
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.propagation import propagate
-from rigid_body_ros.recording import Source
+from rigid_body_ros.recording import Logged, Source, topics_of
 from rigid_body_ros.replay.epochs import groups
-from rigid_body_ros.replay.reading import read_epochs
-from rigid_body_ros.replay.sources import Sources, topics_of
 from rigid_body_ros.report.text import lines
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, PROCESSOR, processor
+from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
 
 #: Message types of the states of a node and the attitude of a replay.
@@ -118,7 +116,8 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *,
 
     """
     topics = topics_of(topic, wheel_torque, wheel_momentum)
-    epochs = read_epochs(path, scene, topics, interpolation)
+    epochs = recording.read_epochs(path, scene, topics.found_in(path, scene), interpolation,
+                                   progress('reading', size=len))
     # Beside the log of a node; a recording of all topics has its outputs, too.
     committed = f'{topics.torques[0].rpartition("/")[0]}/committed' if topics.torques else ''
     until_ns = messages.LAST_NS if until is None else duration_ns(until, 'until')
@@ -132,14 +131,14 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *,
     try:
         parts = []
         for one, rows in zip(epochs, _rows(epochs, recorded.stamps_ns, values)):
-            stamps_ns, states = _until(one.start.time_ns + until_ns, recorded.stamps_ns[rows],
-                                       values[rows])
+            stamps_ns, states = _until(one.problem.start.time_ns + until_ns,
+                                       recorded.stamps_ns[rows], values[rows])
             if is_state:
                 _check_torques(one, stamps_ns)
             parts.append((one, stamps_ns, states))
     except InputError as error:
         raise InputError(f'{motion_path}: {source.topic}: {error}') from error
-    compared = [_compared(path, scene, *part) for part in parts]
+    compared = [_compared(path, *part) for part in parts]
     same, angles = (np.concatenate(each) for each in zip(*compared))
     is_node = epochs[0].is_epoch
     return Verified(source.topic, np.concatenate([stamps_ns for _, stamps_ns, _ in parts]), same,
@@ -149,7 +148,7 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *,
                     if is_node and is_state else 0)
 
 
-def _rows(epochs: Sequence[Sources], stamps_ns: NDArray[np.int64], values: Floats) -> list[slice]:
+def _rows(epochs: Sequence[Logged], stamps_ns: NDArray[np.int64], values: Floats) -> list[slice]:
     """
     Return the rows of each epoch in a recorded motion, or of the one motion to compare.
 
@@ -157,9 +156,9 @@ def _rows(epochs: Sequence[Sources], stamps_ns: NDArray[np.int64], values: Float
     """
     if not stamps_ns.size:
         raise InputError('expected states, found no messages')
-    start, is_state = epochs[0].start, values.shape[1] > 4
+    start, is_state = epochs[0].problem.start, values.shape[1] > 4
     if epochs[0].is_epoch:
-        return groups([one.start for one in epochs], stamps_ns, values)
+        return groups([one.problem.start for one in epochs], stamps_ns, values)
     # A node records the start of each epoch; without markers the last one is that of the scene.
     begun = np.flatnonzero(stamps_ns == start.time_ns)
     first = int(begun[-1]) if is_state and begun.size else 0
@@ -179,12 +178,11 @@ def _until(end_ns: int, stamps_ns: NDArray[np.int64],
     return stamps_ns[chosen], values[chosen]
 
 
-def _compared(path: str | Path, scene: Scene, epoch: Sources, stamps_ns: NDArray[np.int64],
+def _compared(path: str | Path, epoch: Logged, stamps_ns: NDArray[np.int64],
               values: Floats) -> tuple[NDArray[np.bool_], Floats]:
     """Return whether all bits of each state are those of the motion, and the angle, rad."""
     try:
-        motion = propagate(scene.body, epoch.start, epoch.logs, at=stamps_ns, wheels=epoch.wheels,
-                           **scene.options)
+        motion = epoch.problem.propagate(at=stamps_ns)
     except ValueError as error:
         raise InputError(f'{path}: {error}') from error
     expected = np.hstack([motion.attitude, motion.angular_velocity])[:, :values.shape[1]]
@@ -193,9 +191,9 @@ def _compared(path: str | Path, scene: Scene, epoch: Sources, stamps_ns: NDArray
     return same.all(axis=1), so3.angle_between(values[:, :4], motion.attitude)
 
 
-def _pending(epoch: Sources, stamps_ns: NDArray[np.int64], until_ns: int) -> int:
+def _pending(epoch: Logged, stamps_ns: NDArray[np.int64], until_ns: int) -> int:
     """Return the number of stamps of torques, up to `until`, without a committed state."""
-    start_ns, times = epoch.start.time_ns, epoch.times_ns
+    start_ns, times = epoch.problem.start.time_ns, epoch.times_ns
     due = times[(times > start_ns) & (times <= start_ns + until_ns)]
     return len(np.setdiff1d(due, stamps_ns))
 
@@ -227,14 +225,14 @@ def _check_start(start: State, stamps_ns: NDArray[np.int64], first: Floats) -> N
                          f'found an attitude {angle:.2g} rad away: {late}')
 
 
-def _check_torques(epoch: Sources, stamps_ns: NDArray[np.int64]) -> None:
+def _check_torques(epoch: Logged, stamps_ns: NDArray[np.int64]) -> None:
     """
     Raise InputError if torques of committed states are missing.
 
     A node commits the start of an epoch first, then the state at every torque that it accepted.
     """
     torques_ns = epoch.times_ns
-    missing = np.setdiff1d(stamps_ns, np.append(torques_ns, epoch.start.time_ns))
+    missing = np.setdiff1d(stamps_ns, np.append(torques_ns, epoch.problem.start.time_ns))
     if missing.size:
         where = 'the beginning' if missing[0] < torques_ns[0] else 'a part'
         raise InputError(

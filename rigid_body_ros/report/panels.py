@@ -21,7 +21,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.report import style
 from rigid_body_ros.report.charts import Curves, Panel
@@ -89,13 +88,3 @@ class ThinnedTorque:
         axes = style.axes_name(np.array([*self._frames], np.bool_))
         return Panel(f'{name}, {axes}', 'N m', [Curves.of(
             self._extremes, style.TORQUES, start_ns, self._step)], x_label)
-
-
-def total_torque(logs: Sequence[TorqueLog], times: NDArray[np.int64], attitude: Floats,
-                 timeout_ns: int) -> Floats:
-    """Return the sum of the torques, N m, body axes, shape (n, 3)."""
-    total = np.zeros((len(times), 3))
-    for log in logs:
-        torque, in_space = log.at(times, timeout_ns)
-        total += np.where(in_space[:, None], so3.rotate(so3.conjugate(attitude), torque), torque)
-    return total

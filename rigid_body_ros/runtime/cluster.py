@@ -76,8 +76,8 @@ class Cluster(Workers):
         self._has_workers, self._workers = bool(threads), max(threads, 1)
         return super().ahead()
 
-    def map(self, function: Callable[[Any], Any], items: Iterable[Any],
-            died: Callable[[Any, WorkerError], Any] | None = None) -> Iterator[Any]:
+    def results(self, function: Callable[[Any], Any], items: Iterable[Any],
+                died: Callable[[Any, WorkerError], Any] | None = None) -> Iterator[Any]:
         """
         Generate the results of a function for all items, see `Workers`.
 
@@ -92,7 +92,7 @@ class Cluster(Workers):
         # A task, unlike scattered data, is computed again if all workers die that have it.
         self._function = self.client.submit(bytes, pickle.dumps(function), pure=False)
         try:
-            yield from super().map(function, items, died)
+            yield from super().results(function, items, died)
         except OSError as error:
             raise InputError(f'{self._name}: lost the connection to the scheduler: '
                              f'{reason(error)}') from error
@@ -107,7 +107,7 @@ class Cluster(Workers):
             return future.result()
         except KilledWorker as error:
             raise WorkerError(f'{error.allowed_failures + 1} workers died one after the '
-                             'other') from error
+                              'other') from error
         except ImportError as error:
             raise InputError(f'{self._name}: a worker cannot import what it needs of {NAME}: '
                              f'{reason(error)}') from error

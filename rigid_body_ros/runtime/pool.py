@@ -60,8 +60,8 @@ class Workers:
             interrupts.abandon_threads()
         self._executor.shutdown(wait=False, cancel_futures=True)
 
-    def map(self, function: Callable[[Any], Any], items: Iterable[Any],
-            died: Callable[[Any, WorkerError], Any] | None = None) -> Iterator[Any]:
+    def results(self, function: Callable[[Any], Any], items: Iterable[Any],
+                died: Callable[[Any, WorkerError], Any] | None = None) -> Iterator[Any]:
         """
         Generate the results of a function for all items, in the order in which they are there.
 

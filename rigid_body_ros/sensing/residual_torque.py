@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -32,11 +32,9 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import entries, Floats, symmetric
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
-
-if TYPE_CHECKING:
-    from rigid_body_ros.comparison.motion import Model
 
 #: Length of a window, s, and its fewest samples; a window of more than twice the length has a gap.
 WINDOW, FEWEST = 0.25, 11
@@ -84,19 +82,19 @@ class ResidualTorque:
     of_inertia: Floats
 
 
-def residual_torque(model: Model, sensor: Measured) -> ResidualTorque | None:
+def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None:
     """
-    Return the torque that explains what a sensor measured, beyond the torques of a model.
+    Return the torque that explains what a sensor measured, beyond the torques of a problem.
 
     J dw/dt - (J w + h) x w + D w + tau_wheel - tau with the measured w, each term averaged over
     the window.
 
     Parameters
     ----------
-    model : Model
+    problem : Problem
         What is known.
     sensor : Measured
-        In the time and the axes of the model.
+        In the time and the axes of the problem.
 
     Returns
     -------
@@ -104,7 +102,7 @@ def residual_torque(model: Model, sensor: Measured) -> ResidualTorque | None:
         None if the measurement is too short.
 
     """
-    inside = np.flatnonzero(sensor.stamps_ns >= model.first_ns)
+    inside = np.flatnonzero(sensor.stamps_ns >= problem.start.time_ns)
     sensor = sensor.rows(inside)
     if len(sensor) < 2:
         return None
@@ -113,11 +111,11 @@ def residual_torque(model: Model, sensor: Measured) -> ResidualTorque | None:
     window = _half_window(seconds)
     if len(stamps_ns) <= 2 * window + 1:
         return None
-    body, momenta = model.body, model.rotor_momentum(stamps_ns)
+    body, momenta = problem.body, problem.rotor_momentum(stamps_ns)
     parts = [rates @ unit - _integral(seconds, np.cross(rates @ unit, rates)) for unit in _UNITS]
     known = momenta - _integral(seconds, np.cross(momenta, rates)) \
         + _integral(seconds, rates @ body.damping)
-    logged = impulses(model, stamps_ns, sensor)
+    logged = impulses(problem, stamps_ns, sensor)
     momentum = sum(entry * part for entry, part in zip(entries(body.inertia), parts)) \
         + known - logged
     slopes = _slopes(seconds, momentum, window)
@@ -130,11 +128,11 @@ def residual_torque(model: Model, sensor: Measured) -> ResidualTorque | None:
         _slopes(seconds, logged, window).values, of_inertia)
 
 
-def impulses(model: Model, stamps_ns: NDArray[np.int64], sensor: Measured) -> Floats:
+def impulses(problem: Problem, stamps_ns: NDArray[np.int64], sensor: Measured) -> Floats:
     """
     Return the impulses of the logged torques since the first of some times.
 
-    Torques in space axes are turned by the measured attitude, else by that of the model.
+    Torques in space axes are turned by the measured attitude, else by that of the motion.
 
     Returns
     -------
@@ -142,25 +140,26 @@ def impulses(model: Model, stamps_ns: NDArray[np.int64], sensor: Measured) -> Fl
 
     """
     total = np.zeros((len(stamps_ns), 3))
-    for log in model.logs:
-        changes, _ = log.segments(model.timeout_ns)
+    for log in problem.logs:
+        changes, _ = log.segments(problem.options.timeout_ns)
         changes = changes[(changes > stamps_ns[0]) & (changes < stamps_ns[-1])]
         ends = np.union1d(stamps_ns, changes)
         spans, impulse = np.diff(ends), np.zeros((len(ends) - 1, 3))
         for node in _NODES:
             times = ends[:-1] + (node * spans).astype(np.int64)
-            impulse += 0.5e-9 * spans[:, None] * _in_body(model, log, times, sensor)
+            impulse += 0.5e-9 * spans[:, None] * _in_body(problem, log, times, sensor)
         sums = np.concatenate([np.zeros((1, 3)), np.cumsum(impulse, axis=0)])
         total += sums[np.searchsorted(ends, stamps_ns)]
     return total
 
 
-def _in_body(model: Model, log: TorqueLog, times: NDArray[np.int64], sensor: Measured) -> Floats:
-    torques, in_space = log.at(times, model.timeout_ns)
+def _in_body(problem: Problem, log: TorqueLog, times: NDArray[np.int64],
+             sensor: Measured) -> Floats:
+    torques, in_space = log.at(times, problem.options.timeout_ns)
     rows = np.flatnonzero(in_space)
     if rows.size:
         if sensor.attitude is None:
-            attitude = model.at(times[rows]).attitude
+            attitude = problem.propagate(at=times[rows]).attitude
         else:
             attitude = _interpolated(sensor.stamps_ns, sensor.attitude, times[rows])
         torques[rows] = so3.rotate(so3.conjugate(attitude), torques[rows])

@@ -27,10 +27,9 @@ import numpy as np
 from rigid_body_ros.common.errors import InputError, quoted, reason
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.states import States
-from rigid_body_ros.propagation import propagate_many
+from rigid_body_ros.propagation import Problem, propagate_many
 from rigid_body_ros.runtime.limits import read_json
 from rigid_body_ros.tradeoff.choices import Advice, Choice, recommend, Spread
-from rigid_body_ros.tradeoff.problem import Problem
 from rigid_body_ros.tradeoff.settings import DEFAULT, Setting
 from rigid_body_ros.tradeoff.trade import Tradeoff
 
@@ -104,10 +103,9 @@ def _recommended_for_many(result: Tradeoff, target: float) -> Choice | None:
 
 def _seconds_per_run(result: Tradeoff, settings: list[Setting]) -> list[float]:
     """Time many copies of the motion with each setting in turns; the fastest round counts."""
-    problem = result.stretch
     cheapest = min(one.seconds for one in result.measurements if not one.failure)
     runs = min(_MOST_RUNS, math.ceil(_TIMED / cheapest))
-    run = _run_of(problem, runs)
+    run = _run_of(result.stretch.problem, runs, int(result.stretch.times_ns[-1]))
     rounds = []
     for _ in range(_ROUNDS):
         times = [time.perf_counter()]
@@ -118,12 +116,12 @@ def _seconds_per_run(result: Tradeoff, settings: list[Setting]) -> list[float]:
     return [float(fastest) * result.growth / runs for fastest in np.min(rounds, axis=0)]
 
 
-def _run_of(problem: Problem, runs: int) -> Callable[..., object]:
-    """Return what computes copies of a motion up to its final state, as an ensemble does."""
+def _run_of(problem: Problem, runs: int, end_ns: int) -> Callable[..., object]:
+    """Return what computes the final states of copies of a motion, as an ensemble does."""
     start = problem.start
     bodies = RigidBodies(np.tile(problem.body.inertia, (runs, 1, 1)), problem.body.damping)
     starts = States(start.time_ns, np.tile(start.attitude, (runs, 1)), start.angular_velocity,
                     start.rotor_momentum)
     logs = [problem.logs] * runs if len(problem.logs) > 1 else next(iter(problem.logs), None)
-    return partial(propagate_many, bodies, starts, logs, at=problem.times_ns[-1:],
-                   wheels=problem.wheels, torque_timeout=problem.torque_timeout)
+    return partial(propagate_many, bodies, starts, logs, at=[end_ns], wheels=problem.wheels,
+                   torque_timeout=problem.options.torque_timeout)

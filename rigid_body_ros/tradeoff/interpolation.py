@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS, TorqueLog
 from rigid_body_ros.propagation import Trajectory
-from rigid_body_ros.tradeoff.problem import Problem
+from rigid_body_ros.tradeoff.problem import Case
 
 #: Order of convergence of each interpolation in the sample spacing, for smooth torques.
 _ORDERS = {'hold': 1, 'linear': 2, 'cubic': 4}
@@ -43,14 +43,14 @@ class InterpolationError(NamedTuple):
     estimate: float
 
 
-def interpolation_errors(problem: Problem) -> tuple[InterpolationError, ...]:
+def interpolation_errors(case: Case) -> tuple[InterpolationError, ...]:
     """Return the estimated error of each interpolation, from logs with samples left out."""
-    if not _can_interpolate(problem) or len(problem.logs[0]) < 3:
+    if not _can_interpolate(case) or len(case.problem.logs[0]) < 3:
         return ()
     changes = {}
     for name in INTERPOLATIONS:
         try:
-            changes[name] = _change(problem, name, 2), _change(problem, name, 4)
+            changes[name] = _change(case, name, 2), _change(case, name, 4)
         except ValueError:  # the body spins too fast with this interpolation
             continue
     coarsest, _ = changes.get('hold', (0.0, 0.0))
@@ -65,7 +65,7 @@ def better_interpolation(errors: Sequence[InterpolationError],
     return best if best.estimate < _CLEARLY * own.estimate else None
 
 
-def final_differences(problem: Problem) -> dict[str, float | None]:
+def final_differences(case: Case) -> dict[str, float | None]:
     """
     Return the angles between the final attitudes with the scene's interpolation and the others.
 
@@ -77,10 +77,10 @@ def final_differences(problem: Problem) -> dict[str, float | None]:
         By interpolation, an angle, rad; None if the body spins too fast with it.
 
     """
-    if not _can_interpolate(problem):
+    if not _can_interpolate(case):
         return {}
-    last = replace(problem, times_ns=problem.times_ns[-1:])
-    rows, own = np.arange(len(problem.logs[0])), problem.interpolation
+    last = replace(case, times_ns=case.times_ns[-1:])
+    rows, own = np.arange(len(case.problem.logs[0])), case.interpolation
     end = _motion(last, own, rows).attitude[0]
     differences: dict[str, float | None] = {}
     for name in INTERPOLATIONS:
@@ -94,19 +94,20 @@ def final_differences(problem: Problem) -> dict[str, float | None]:
     return differences
 
 
-def _can_interpolate(problem: Problem) -> bool:
+def _can_interpolate(case: Case) -> bool:
     """Whether the torques have one log, of one frame, and none is on rotors."""
-    return not problem.torque_free and len(problem.logs) == len(problem.sources) == 1 \
-        and np.unique(problem.logs[0].in_space).size == 1
+    logs = case.problem.logs
+    return not case.torque_free and len(logs) == len(case.problem.sources) == 1 \
+        and np.unique(logs[0].in_space).size == 1
 
 
-def _change(problem: Problem, interpolation: str, spacing: int) -> float:
+def _change(case: Case, interpolation: str, spacing: int) -> float:
     """Return the largest change of the attitude, rad, if every `spacing`-th sample is kept."""
-    rows = np.arange(len(problem.logs[0]))
-    full = _motion(problem, interpolation, rows)
+    rows = np.arange(len(case.problem.logs[0]))
+    full = _motion(case, interpolation, rows)
     # Begin with each of the first samples in turn, because keeping only every second sample may
     # leave a pulse of an even number of samples unchanged.
-    thinned = [_motion(problem, interpolation, np.union1d(rows[first::spacing], rows[[0, -1]]))
+    thinned = [_motion(case, interpolation, np.union1d(rows[first::spacing], rows[[0, -1]]))
                for first in range(spacing)]
     return max(float(so3.angle_between(full.attitude, motion.attitude).max())
                for motion in thinned)
@@ -124,7 +125,7 @@ def _extrapolated(interpolation: str, half: float, quarter: float, hold: float) 
     return half / (min(max(observed, 2.0), 2.0 ** order) - 1.0)
 
 
-def _motion(problem: Problem, interpolation: str, rows: NDArray[np.intp]) -> Trajectory:
-    log, = problem.logs
+def _motion(case: Case, interpolation: str, rows: NDArray[np.intp]) -> Trajectory:
+    log, = case.problem.logs
     part = TorqueLog(log.times_ns[rows], log.torques[rows], log.in_space[rows], interpolation)
-    return replace(problem, logs=(part,)).run(solver='taylor')
+    return replace(case, problem=case.problem.replaced(log=part)).run(solver='taylor')

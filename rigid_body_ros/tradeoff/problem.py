@@ -31,10 +31,8 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, instant, LONGEST
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.mechanics.body import RigidBody
-from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.propagation import propagate, Trajectory
+from rigid_body_ros.propagation import Options, Problem, Trajectory
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.tradeoff.axes import PrincipalAxes
 
@@ -47,50 +45,39 @@ _SERIES_ANGLE = 0.5
 _WORK = 4000
 #: Outputs in addition to the torque stamps, to catch errors between stamps that are far apart.
 _OUTPUTS = 100
-_NO_TIMES = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Case:
     """
-    A motion and its output times.
+    A motion to measure.
 
     Attributes
     ----------
-    body : RigidBody
-    start : State
-    logs : tuple of TorqueLog
-        The torques, which add up.
+    problem : Problem
+        Each run replaces its solver.
     times_ns : array of int64, shape (m,)
-        Ascending.
-    torque_timeout : float, s
-    wheels : TorqueLog, optional
-        Torque on the rotors.
+        Output times, ascending.
 
     """
 
-    body: RigidBody
-    start: State
-    logs: tuple[TorqueLog, ...]
+    problem: Problem
     times_ns: NDArray[np.int64]
-    torque_timeout: float = 0.0
-    wheels: TorqueLog | None = None
 
     @property
     def seconds(self) -> float:
         """Return the simulated time, s."""
-        return (int(self.times_ns[-1]) - self.start.time_ns) * 1e-9
+        return (int(self.times_ns[-1]) - self.problem.start.time_ns) * 1e-9
 
     @property
     def torque_free(self) -> bool:
         """Whether all torques are zero, those on the rotors included."""
-        return not any(log.torques.any() for log in self.sources)
+        return not any(log.torques.any() for log in self.problem.sources)
 
     @property
     def has_linear_terms(self) -> bool:
         """Whether rotors or damping add terms linear in the angular velocity."""
-        return bool(self.body.is_damped or self.start.rotor_momentum.any()
-                    or (self.wheels and self.wheels.torques.any()))
+        return self.problem.body.is_damped or self.problem.has_rotors
 
     @property
     def conserves(self) -> bool:
@@ -98,43 +85,39 @@ class Problem:
         return self.torque_free and not self.has_linear_terms
 
     @property
-    def sources(self) -> tuple[TorqueLog, ...]:
-        """Return the torques on the body and on the rotors."""
-        return (*self.logs, self.wheels) if self.wheels else self.logs
-
-    @property
     def samples(self) -> int:
         """Return the number of torques."""
-        return sum(map(len, self.sources))
+        return sum(map(len, self.problem.sources))
 
     @property
     def interpolation(self) -> str:
         """Return the interpolation of the torques, that of a log by default without any."""
-        return self.logs[0].interpolation if self.logs else 'hold'
+        return self.problem.logs[0].interpolation if self.problem.logs else 'hold'
 
     def run(self, **options: Any) -> Trajectory:
-        """Return the motion; raise ValueError as `propagate` does."""
-        return propagate(self.body, self.start, self.logs, at=self.times_ns, wheels=self.wheels,
-                         torque_timeout=self.torque_timeout, **options)
+        """Return the motion with some `Options`; raise ValueError as `propagate` does."""
+        timeout = self.problem.options.torque_timeout
+        problem = self.problem.replaced(options=Options(torque_timeout=timeout, **options))
+        return problem.propagate(at=self.times_ns)
 
     def in_principal_axes(self, max_step: float) -> Floats:
         """Return attitudes computed by the series in principal axes, without linear terms."""
-        axes = PrincipalAxes(self.body)
-        turned = replace(self, body=axes.body, start=axes.start(self.start),
-                         logs=tuple(map(axes.log, self.logs)))
+        axes, given = PrincipalAxes(self.problem.body), self.problem
+        problem = given.replaced(body=axes.body, start=axes.start(given.start),
+                                 log=[*map(axes.log, given.logs)])
+        turned = replace(self, problem=problem)
         return axes.back(turned.run(solver='taylor', tolerance=TIGHTEST,
                                     max_step=max_step).attitude)
 
-    def until(self, end_ns: int) -> Problem:
-        """Return the problem up to an end time, with the samples needed up to it."""
-        start_ns = self.start.time_ns
-        part = replace(self, logs=tuple(log.between(start_ns, end_ns) for log in self.logs),
-                       wheels=self.wheels and self.wheels.between(start_ns, end_ns))
-        return replace(part, times_ns=_times(part.sources, start_ns, end_ns))
+    def until(self, end_ns: int) -> Case:
+        """Return the motion up to an end time, with the samples needed up to it."""
+        problem = self.problem.between(self.problem.start, end_ns)
+        return Case(problem, _times(problem, end_ns))
 
-    def stretch(self) -> Problem:
+    def stretch(self) -> Case:
         """Return the motion, or its first half, quarter, ...: as long as is quick to compute."""
-        start_ns, span_ns = self.start.time_ns, int(self.times_ns[-1]) - self.start.time_ns
+        start_ns = self.problem.start.time_ns
+        span_ns = int(self.times_ns[-1]) - start_ns
         # Begin with the shortest, because the cost of the whole motion is not known in advance.
         shorter = self.until(start_ns + max(span_ns >> 30, 1))
         for halvings in range(29, -1, -1):
@@ -147,8 +130,8 @@ class Problem:
 
     def natural_step(self, motion: Trajectory, angle: float) -> float:
         """Return the time, s, to turn by an angle at top speed; at most the sample spacing."""
-        first_ns, last_ns = self.start.time_ns, int(self.times_ns[-1])
-        stamps = _stamps(self.sources)
+        first_ns, last_ns = self.problem.start.time_ns, int(self.times_ns[-1])
+        stamps = _stamps(self.problem.sources)
         edges = np.union1d([first_ns, last_ns],
                            stamps[(stamps > first_ns) & (stamps < last_ns)])
         speed = float(np.linalg.norm(motion.angular_velocity, axis=1).max())
@@ -183,25 +166,22 @@ class Reference:
         return max(self.floor, self.last_digits)
 
     @classmethod
-    def of(cls, problem: Problem) -> Reference:
-        """Return the reference of a problem."""
-        plain = problem.run(solver='taylor', tolerance=TIGHTEST)
-        step = problem.natural_step(plain, _SERIES_ANGLE)
-        best, other = (problem.run(solver='taylor', tolerance=TIGHTEST, max_step=share * step)
+    def of(cls, case: Case) -> Reference:
+        """Return the reference of a motion."""
+        plain = case.run(solver='taylor', tolerance=TIGHTEST)
+        step = case.natural_step(plain, _SERIES_ANGLE)
+        best, other = (case.run(solver='taylor', tolerance=TIGHTEST, max_step=share * step)
                        for share in (0.7, 0.4))
         motions = [best.attitude, plain.attitude, other.attitude]
-        if not problem.has_linear_terms:
-            motions.append(problem.in_principal_axes(0.55 * step))
-        if problem.conserves:
-            motions.append(problem.run(solver='exact').attitude)
+        if not case.has_linear_terms:
+            motions.append(case.in_principal_axes(0.55 * step))
+        if case.conserves:
+            motions.append(case.run(solver='exact').attitude)
         floor = max(float(so3.angle_between(*pair).max()) for pair in combinations(motions, 2))
-        moved = last_digit_effect(problem.body, problem.start, problem.logs, at=problem.times_ns,
-                                  wheels=problem.wheels, torque_timeout=problem.torque_timeout)
-        return cls(best, max(floor, math.ulp(1.0)), moved)
+        return cls(best, max(floor, math.ulp(1.0)), last_digit_effect(case.problem, case.times_ns))
 
 
-def whole(body: RigidBody, start: State, logs: Sequence[TorqueLog], wheels: TorqueLog | None,
-          end_ns: int | None, torque_timeout: float) -> Problem:
+def whole(problem: Problem, end_ns: int | None) -> Case:
     """
     Return the whole motion, up to `end_ns`; by default to the last stamp, or for `TURNS` turns.
 
@@ -211,38 +191,38 @@ def whole(body: RigidBody, start: State, logs: Sequence[TorqueLog], wheels: Torq
         The body does not rotate and has no torques, or the end is not after the start.
 
     """
-    speed = float(np.linalg.norm(start.angular_velocity))
-    problem = Problem(body, start, tuple(log for log in logs if len(log)), _NO_TIMES,
-                      torque_timeout, wheels)
+    start_ns = problem.start.time_ns
+    speed = float(np.linalg.norm(problem.start.angular_velocity))
     stamps = _stamps(problem.sources)
-    if not speed and problem.torque_free:
+    if not speed and not any(log.torques.any() for log in problem.sources):
         raise ValueError('expected a nonzero initial angular velocity or torque, found neither')
     if end_ns is not None:
         end_ns = instant(end_ns, 'end_ns')
-        if end_ns <= start.time_ns:
-            raise ValueError(f'end_ns: expected a time after the start, {start.time_ns} ns, '
+        if end_ns <= start_ns:
+            raise ValueError(f'end_ns: expected a time after the start, {start_ns} ns, '
                              f'found {end_ns} ns')
     elif stamps.size:
         end_ns = int(stamps[-1])
-        if end_ns <= start.time_ns:
+        if end_ns <= start_ns:
             raise ValueError('expected the last torque after the start of the motion, '
-                             f'{start.time_ns} ns, found it at {end_ns} ns')
+                             f'{start_ns} ns, found it at {end_ns} ns')
     else:
         turns = min(TURNS * 2.0 * math.pi / speed, LONGEST)
-        end_ns = start.time_ns + max(duration_ns(turns, 'end_ns'), 1)
-    return replace(problem, times_ns=_times(problem.sources, start.time_ns, end_ns))
+        end_ns = start_ns + max(duration_ns(turns, 'end_ns'), 1)
+    return Case(problem, _times(problem, end_ns))
 
 
-def _times(sources: Sequence[TorqueLog], start_ns: int, end_ns: int) -> NDArray[np.int64]:
+def _times(problem: Problem, end_ns: int) -> NDArray[np.int64]:
+    start_ns = problem.start.time_ns
     grid = start_ns + np.linspace(0, end_ns - start_ns, _OUTPUTS + 1).astype(np.int64)
-    stamps = _stamps(sources)
+    stamps = _stamps(problem.sources)
     inside = (stamps > start_ns) & (stamps <= end_ns)
     return np.union1d(stamps[inside], np.append(grid[1:], end_ns))
 
 
 def _stamps(sources: Sequence[TorqueLog]) -> NDArray[np.int64]:
     """Return the stamps of all torques, ascending, each once."""
-    return np.unique(np.concatenate([_NO_TIMES, *(log.times_ns for log in sources)]))
+    return np.unique(np.concatenate([np.empty(0, np.int64), *(log.times_ns for log in sources)]))
 
 
 def turned_angle(motion: Trajectory) -> float:

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from rigid_body_ros.propagation import Options, Trajectory
 from rigid_body_ros.propagation.solvers import RECORDS
-from rigid_body_ros.tradeoff.problem import Problem, TIGHTEST
+from rigid_body_ros.tradeoff.problem import Case, TIGHTEST
 
 _TOLERANCES = tuple(float(f'1e-{k}') for k in range(2, 16))
 #: Angle of the longest fixed step, rad; largest number of steps in a run, which take about 0.1 s.
@@ -53,17 +53,17 @@ class Setting(NamedTuple):
 DEFAULT = Setting(Options.solver, Options.tolerance)
 
 
-def settings_of(problem: Problem, motion: Trajectory) -> list[Setting]:
-    """Return all settings to measure, from coarse to fine, for a problem and its motion."""
+def settings_of(case: Case, motion: Trajectory) -> list[Setting]:
+    """Return all settings to measure, from coarse to fine, for a case and its motion."""
     settings = [Setting(solver.name) for solver in RECORDS
-                if problem.conserves and not solver.takes_torque]
+                if case.conserves and not solver.takes_torque]
     settings += [Setting(solver.name, tolerance) for solver in RECORDS
                  if solver.takes_torque and not solver.fixed_step for tolerance in _TOLERANCES]
-    longest = problem.natural_step(motion, _LONGEST_ANGLE)
+    longest = case.natural_step(motion, _LONGEST_ANGLE)
     for solver in [solver.name for solver in RECORDS if solver.fixed_step
-                   and (solver.takes_linear_terms or not problem.has_linear_terms)]:
+                   and (solver.takes_linear_terms or not case.has_linear_terms)]:
         step = longest
-        while step >= 1e-9 and problem.seconds / step <= _MOST_STEPS:
+        while step >= 1e-9 and case.seconds / step <= _MOST_STEPS:
             settings.append(Setting(solver, max_step=round(step * 1e9) / 1e9))
             step /= 2.0
     return settings

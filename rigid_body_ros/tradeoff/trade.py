@@ -24,10 +24,7 @@ import time
 
 import numpy as np
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.mechanics.body import RigidBody
-from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
-from rigid_body_ros.propagation import Trajectory, warm_up
+from rigid_body_ros.propagation import Problem, Trajectory, warm_up
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.tradeoff.choices import Advice, Choice, Error, Measurement, NO_ERROR, recommend
 from rigid_body_ros.tradeoff.interpolation import (
@@ -36,10 +33,8 @@ from rigid_body_ros.tradeoff.interpolation import (
     interpolation_errors,
     InterpolationError,
 )
-from rigid_body_ros.tradeoff.problem import Problem, Reference, TIGHTEST, turned_angle, whole
+from rigid_body_ros.tradeoff.problem import Case, Reference, TIGHTEST, turned_angle, whole
 from rigid_body_ros.tradeoff.settings import Setting, settings_of
-
-#: Wraps an iterable of a given length to show progress.
 
 #: rad; the target of `measure` and of --target by default.
 TARGET = 1e-6
@@ -57,7 +52,7 @@ class Tradeoff:
 
     Attributes
     ----------
-    stretch, whole : Problem
+    stretch, whole : Case
     angle : float
         Angle that the body turns through over the stretch, rad.
     measurements : tuple of Measurement
@@ -79,8 +74,8 @@ class Tradeoff:
 
     """
 
-    stretch: Problem
-    whole: Problem
+    stretch: Case
+    whole: Case
     angle: float
     measurements: tuple[Measurement, ...]
     reference: Reference
@@ -122,26 +117,18 @@ class Tradeoff:
         return max(shares, key=lambda name: shares[name])
 
 
-def measure(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None, *,
-            wheels: TorqueLog | None = None, end_ns: int | None = None,
-            torque_timeout: float = 0.0, targets: Sequence[float] = (TARGET,),
-            seconds: float = 10.0,
+def measure(problem: Problem, *, end_ns: int | None = None,
+            targets: Sequence[float] = (TARGET,), seconds: float = 10.0,
             track: Track = no_progress) -> Tradeoff:
     """
     Measure every solver, and choose the cheapest setting that meets each target.
 
     Parameters
     ----------
-    body, start : RigidBody, State
-        As for `propagate`.
-    log : TorqueLog or sequence of TorqueLog, optional
-        None for a motion without torque.
-    wheels : TorqueLog, optional
-        Torque on the rotors, as for `propagate`.
+    problem : Problem
+        Its solver, tolerance and longest step are ignored.
     end_ns : int, optional
-        End of the motion; otherwise the last stamp, or 50 turns after the start without a log.
-    torque_timeout : float, s
-        As for `propagate`.
+        End of the motion; otherwise the last stamp, or 50 turns after the start without torques.
     targets : sequence of float, rad
         Attitude errors allowed at any time of the motion.
     seconds : float
@@ -163,27 +150,27 @@ def measure(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
     began = time.perf_counter()
     warm_up()
     load_seconds = time.perf_counter() - began
-    problem = whole(body, start, torque_logs(log), wheels, end_ns, torque_timeout)
-    stretch = problem.stretch()
+    case = whole(problem, end_ns)
+    stretch = case.stretch()
     reference = Reference.of(stretch)
     measurements = _with_pareto_front(
         _measure_all(stretch, settings_of(stretch, reference.trajectory), reference, seconds,
                      track),
         reference.floor)
-    growth = problem.seconds / stretch.seconds
-    error_on_whole = _evaluator(problem, stretch, reference, measurements, seconds)
+    growth = case.seconds / stretch.seconds
+    error_on_whole = _evaluator(case, stretch, reference, measurements, seconds)
     choices = {target: recommend(measurements, target, reference.guaranteed_error, growth,
                                  error_on_whole)
                for target in targets}
-    return Tradeoff(stretch, problem, turned_angle(reference.trajectory), measurements, reference,
-                    interpolation_errors(stretch), final_differences(problem), choices,
+    return Tradeoff(stretch, case, turned_angle(reference.trajectory), measurements, reference,
+                    interpolation_errors(stretch), final_differences(case), choices,
                     error_on_whole, load_seconds)
 
 
-def _measure_all(problem: Problem, settings: Sequence[Setting], reference: Reference,
+def _measure_all(case: Case, settings: Sequence[Setting], reference: Reference,
                  seconds: float, track: Track) -> list[Measurement]:
     """Run every setting once to get its error, then repeatedly, in turns, to get its time."""
-    measurements = [_first_run(problem, setting, reference)
+    measurements = [_first_run(case, setting, reference)
                     for setting in track(settings, len(settings))]
     times: list[list[float]] = [[] for _ in measurements]
     limit = time.perf_counter() + seconds
@@ -193,37 +180,36 @@ def _measure_all(problem: Problem, settings: Sequence[Setting], reference: Refer
         for one, measured in zip(measurements, times):
             if not one.failure:
                 if one.first_seconds < _BRIEF:
-                    problem.run(**one.setting.options)
+                    case.run(**one.setting.options)
                 began = time.perf_counter()
-                problem.run(**one.setting.options)
+                case.run(**one.setting.options)
                 measured.append(time.perf_counter() - began)
     return [replace(one, seconds=min(measured)) if measured else one
             for one, measured in zip(measurements, times)]
 
 
-def _first_run(problem: Problem, setting: Setting, reference: Reference) -> Measurement:
+def _first_run(case: Case, setting: Setting, reference: Reference) -> Measurement:
     began = time.perf_counter()
     try:
-        motion = problem.run(**setting.options)
+        motion = case.run(**setting.options)
     except ValueError as error:
         return Measurement(setting, NO_ERROR, math.nan, math.nan, str(error))
     seconds = time.perf_counter() - began
-    return Measurement(setting, _error(problem, motion, reference.trajectory), seconds, seconds)
+    return Measurement(setting, _error(case, motion, reference.trajectory), seconds, seconds)
 
 
-def _error(problem: Problem, motion: Trajectory, reference: Trajectory) -> Error:
+def _error(case: Case, motion: Trajectory, reference: Trajectory) -> Error:
     attitude = so3.angle_between(motion.attitude, reference.attitude)
     rates = np.linalg.norm(motion.angular_velocity - reference.angular_velocity, axis=1)
     momentum, energy = reference.angular_momentum_space, reference.kinetic_energy
-    if problem.conserves:
-        start = problem.start
-        momentum = so3.rotate(start.attitude,
-                              problem.body.angular_momentum(start.angular_velocity))[None]
-        energy = problem.body.kinetic_energy(start.angular_velocity)
+    body, start = case.problem.body, case.problem.start
+    if case.conserves:
+        momentum = so3.rotate(start.attitude, body.angular_momentum(start.angular_velocity))[None]
+        energy = body.kinetic_energy(start.angular_velocity)
     momentum_error = np.linalg.norm(motion.angular_momentum_space - momentum, axis=1).max()
     energy_error = np.abs(motion.kinetic_energy - energy).max()
     # With rotors, the momentum of both may be zero.
-    size = np.linalg.norm(problem.body.angular_momentum(reference.angular_velocity), axis=1).max()
+    size = np.linalg.norm(body.angular_momentum(reference.angular_velocity), axis=1).max()
     return Error(float(attitude[-1]), float(attitude.max()), float(rates.max()),
                  float(momentum_error / size), float(energy_error / np.max(energy)))
 
@@ -241,7 +227,7 @@ def _with_pareto_front(measurements: Sequence[Measurement],
                  for number, one in enumerate(measurements))
 
 
-def _evaluator(whole: Problem, stretch: Problem, reference: Reference,
+def _evaluator(whole: Case, stretch: Case, reference: Reference,
                measurements: Sequence[Measurement], seconds: float
                ) -> Callable[[Measurement], float | None]:
     """Return a function that measures the error of a setting on the whole log, if time allows."""

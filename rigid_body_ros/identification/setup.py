@@ -1,0 +1,77 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What is fitted to what, and the windows that it can be divided into."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from rigid_body_ros.identification.parameters import Parameters, Physics
+from rigid_body_ros.identification.windows import LEAD_NS, Window, windows_of
+from rigid_body_ros.propagation import Problem
+from rigid_body_ros.sensing.measured import Measured
+
+#: rad; the body turns by about this much in the first windows.
+_FIRST = 8.0
+#: Fewest and most samples of a channel in a window.
+_SHORTEST, _LONGEST = 20, 60_000
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What is fitted to what: see `identify`."""
+
+    problems: Sequence[Problem]
+    channels: list[list[Measured]]
+    parameters: Parameters
+    rate: float
+    fits_start: bool
+    attitude_noise: float | None
+    rate_noise: float | None
+
+    @property
+    def fits_attitude(self) -> list[bool]:
+        """Return whether attitudes are measured, for each recording."""
+        return [any(channel.is_attitude for channel in channels) for channels in self.channels]
+
+    @property
+    def span_ns(self) -> int:
+        """Return the length of the longest recording, ns."""
+        return max(max(int(channel.stamps_ns[-1]) for channel in channels)
+                   - min(int(channel.stamps_ns[0]) for channel in channels)
+                   for channels in self.channels) + 1
+
+    @property
+    def longest_ns(self) -> int:
+        """Return the longest length of a window, ns."""
+        most = max(len(channel) for channels in self.channels for channel in channels)
+        return max(int(self.span_ns * min(1.0, _LONGEST / most)), 1)
+
+    @property
+    def shortest_ns(self) -> int:
+        """Return the length of the first windows, ns."""
+        spacing = max(float(np.median(np.diff(channel.stamps_ns))) for channels in self.channels
+                      for channel in channels)
+        return int(min(max(1e9 * _FIRST / self.rate, _SHORTEST * spacing), self.longest_ns))
+
+    def windows(self, length_ns: int, physics: Physics) -> list[Window]:
+        """Return all recordings in windows of about this length."""
+        lead_ns = LEAD_NS if 'clock_offset' in self.parameters.groups else 0
+        return [window for number, (problem, channels)
+                in enumerate(zip(self.problems, self.channels))
+                for window in windows_of(number, problem, channels, length_ns,
+                                         round(physics.clock_offset * 1e9), lead_ns)]

@@ -1,0 +1,246 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What acts on a body, as rows: the torques of all sources, their timeouts, and the rotors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.propagation import summation
+from rigid_body_ros.propagation.layout import Rows, Terms
+from rigid_body_ros.propagation.rotors import momentum_at
+
+#: Number of samples whose polynomials are computed at a time.
+_CHUNK = 65536
+
+
+class Timeline:
+    """
+    What acts on a body from a time on.
+
+    The torque of one log is in its own rows; several logs are summed. A torque that times out has
+    a row of zeros from then on.
+
+    Parameters
+    ----------
+    logs : sequence of TorqueLog
+        The torques on the body, none of them empty.
+    wheels : TorqueLog, optional
+        The torque on the rotors, not empty.
+    timeout_ns : int
+        As for `TorqueLog.segments`.
+    is_damped : bool
+        Whether the body is.
+    start_ns : int
+    momentum : array, shape (2, 3), N m s, or None
+        Momentum of the rotors at that time, and its low-order part; None without rotors.
+
+    Attributes
+    ----------
+    times_ns : array of int64, shape (n,)
+        When each row comes into force.
+    has_rotors, is_linear : bool
+        Whether there are rotors; and whether there are rotors or damping.
+
+    """
+
+    def __init__(self, logs: Sequence[TorqueLog], wheels: TorqueLog | None, timeout_ns: int,
+                 is_damped: bool, start_ns: int, momentum: Floats | None) -> None:
+        self._timeout_ns = timeout_ns
+        has_motors = wheels is not None and bool(wheels.torques.any())
+        self.has_rotors = momentum is not None or has_motors
+        self.is_linear = self.has_rotors or is_damped
+        self._always_acts = momentum is not None or is_damped
+        #: Constant terms; those of summed rows are in these.
+        self._terms = None
+        if self.is_linear:
+            self._terms = Terms((_NO_MOMENTUM if momentum is None else momentum)[None], None, None)
+        self._summed: Rows | None = None
+        if len(logs) > 1 or wheels is not None:
+            self._summed = self._sum(logs, wheels or _NO_LOG, start_ns, has_motors)
+            self.times_ns = self._summed.times_ns
+            return
+        self._log = logs[0] if logs else _NO_LOG
+        #: The samples that time out before the next one, as indices; None without a timeout.
+        self._silent: NDArray[np.intp] | None = None
+        stamps_ns = self.times_ns = self._log.times_ns
+        if timeout_ns and len(stamps_ns):
+            self._silent = self._log.silent(timeout_ns)
+            self.times_ns = np.insert(stamps_ns, self._silent + 1,
+                                      stamps_ns[self._silent] + timeout_ns)
+
+    @cached_property
+    def _samples(self) -> NDArray[np.intp] | None:
+        """Return the sample in force in each row, -1 after a timeout; None if it is the row."""
+        if self._silent is None:
+            return None
+        return np.insert(np.arange(len(self._log)), self._silent + 1, -1)
+
+    def _sum(self, logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int,
+             has_motors: bool) -> Rows:
+        momentum = self._terms.momentum[0] if self._terms else _NO_MOMENTUM
+        times_ns, in_space, sums = summation.summed(
+            logs, wheels, start_ns, momentum, self._timeout_ns)
+        axes = [log.in_space for log in (*logs, wheels) if len(log)]
+        in_two = any(each.any() for each in axes) and not all(each.all() for each in axes)
+        spans = _NO_SPANS
+        if sums.torques.shape[1] > 1:
+            spans = np.append(np.diff(times_ns) / 1e9, 1.0)
+        terms = None
+        if self.is_linear or in_two:
+            terms = Terms(sums.momentum if has_motors else momentum[None],
+                          sums.motors if has_motors else None, sums.space if in_two else None)
+        return _frozen(Rows(times_ns, sums.torques, in_space, spans, terms))
+
+    def in_force(self, time_ns: int) -> int:
+        """Return the row in force at a time, -1 before the first."""
+        return int(self.times_ns.searchsorted(time_ns, 'right')) - 1 if len(self.times_ns) else -1
+
+    def held(self, row: int) -> tuple[Floats, bool, Floats, Floats] | None:
+        """
+        Return the torques that are held in a row, N m, shape (3,); None if they change in it.
+
+        The first one is that on the body, in the axes that the second result states: whether in
+        space axes. The others are that in space axes beside one in body axes, and on the rotors.
+        """
+        none = np.zeros(3)
+        if self._summed is not None:
+            _, torques, in_space, _, terms = self._summed
+            space, motors = (terms.space, terms.motors) if terms else (None, None)
+            if torques.shape[1] > 1:
+                return None
+            return (torques[row, 0], bool(in_space[row]), none if space is None else space[row, 0],
+                    none if motors is None else motors[row, 0])
+        if row >= 0 and self._samples is not None:
+            row = int(self._samples[row])
+        if row < 0:
+            return none, False, none, none
+        if self._log.interpolation != 'hold':
+            return None
+        return self._log.torques[row], bool(self._log.in_space[row]), none, none
+
+    def begin_earlier(self, begin_ns: int, momentum: Floats) -> None:
+        """Let the first row, in which torques are held, begin before the start."""
+        if self._summed is None:
+            return
+        self.times_ns, terms = np.append(begin_ns, self.times_ns[1:]), self._summed.terms
+        if terms and terms.motors is not None:
+            terms = terms._replace(momentum=np.concatenate([momentum[None], terms.momentum[1:]]))
+        self._summed = _frozen(self._summed._replace(times_ns=self.times_ns, terms=terms))
+
+    def chunks(self, first: int, stop: int) -> Iterable[tuple[int, int, Rows]]:
+        """
+        Return the rows in chunks, each as the first, the one after the last, and the rows.
+
+        Parameters
+        ----------
+        first, stop : int
+            The row to begin with, -1 for the time before the first row, and that to end before.
+
+        Returns
+        -------
+        iterable of (int, int, Rows)
+            The row after the last of a chunk is there, too.
+
+        """
+        if self._summed:
+            return (0, stop, self._summed),
+        if self._log.interpolation == 'hold':
+            return (0, stop, self._held()),
+        return ((begin, min(begin + _CHUNK, stop), self._interpolated(
+            slice(begin, min(begin + _CHUNK, stop) + 1)))
+            for begin in range(max(first, 0), stop, _CHUNK))
+
+    def _held(self) -> Rows:
+        log = self._log
+        if self._silent is None:
+            return Rows(log.times_ns, log.torques[:, None, :], log.in_space, _NO_SPANS,
+                        self._terms)
+        due = self._silent + 1
+        return _frozen(Rows(self.times_ns, np.insert(log.torques, due, 0.0, axis=0)[:, None, :],
+                            np.insert(log.in_space, due, False), _NO_SPANS, self._terms))
+
+    def _interpolated(self, rows: slice) -> Rows:
+        log, times_ns = self._log, self.times_ns[rows]
+        samples = self._samples[rows] if self._samples is not None else \
+            np.arange(rows.start, rows.start + len(times_ns))
+        acts = samples >= 0
+        first = int(samples[acts][0]) if acts.any() else 0
+        stop = int(samples.max(initial=0)) + 1
+        index = np.maximum(samples - first, 0)
+        polynomials = log.polynomials(first, stop)[index] * acts[:, None, None]
+        spans = np.append(np.diff(log.times_ns[first:stop + 1]) / 1e9, 1.0)[index]
+        return _frozen(Rows(times_ns, polynomials, log.in_space[samples] & acts, spans,
+                            self._terms))
+
+    def acts(self) -> NDArray[np.bool_]:
+        """Return for each row whether torques, rotors or damping act on the body."""
+        if self._always_acts:
+            return np.ones(len(self.times_ns), np.bool_)
+        if self._summed is not None:
+            _, torques, _, _, terms = self._summed
+            others = [] if terms is None else [terms.space, terms.motors]
+            if terms and terms.motors is not None:
+                others.append(terms.momentum)
+            parts = [torques, *(other for other in others if other is not None)]
+            return np.asarray(np.concatenate(parts, axis=1).any(axis=(1, 2)))
+        found = np.asarray(self._log.torques.any(axis=1))
+        return found if self._silent is None else np.insert(found, self._silent + 1, False)
+
+    def momentum(self, times_ns: NDArray[np.int64]) -> Floats:
+        """
+        Return the momentum of the rotors, and its low-order part.
+
+        Parameters
+        ----------
+        times_ns : array of int64, shape (m,)
+            In any order, none before the start.
+
+        Returns
+        -------
+        array, shape (m, 2, 3), N m s
+
+        """
+        terms = self._summed.terms if self._summed else self._terms
+        if terms is None or terms.motors is None:
+            constant = terms.momentum if terms else _NO_MOMENTUM[None]
+            return np.broadcast_to(constant, (len(times_ns), 2, 3))
+        return momentum_at(self.times_ns, terms.momentum, terms.motors, times_ns)
+
+
+def held(time_ns: int, torque: Floats, in_space: bool, terms: Terms | None = None) -> Rows:
+    """Return the row of a torque that is held from a time on, N m, shape (1, 3)."""
+    return _frozen(Rows(np.array([time_ns]), torque[None], np.array([in_space]), _NO_SPANS, terms))
+
+
+_NO_LOG = TorqueLog([], [])
+_NO_SPANS, _NO_MOMENTUM = np.empty(0), np.zeros((2, 3))
+for _constant in (_NO_SPANS, _NO_MOMENTUM):
+    _constant.flags.writeable = False
+
+
+def _frozen(rows: Rows) -> Rows:
+    """Return the same rows, read-only like those of a log: one type for the kernels."""
+    array: Any
+    for array in (*rows[:-1], *(rows.terms or ())):
+        if array is not None:
+            array.flags.writeable = False
+    return rows

@@ -1,0 +1,313 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The problem that a recording and a scene state: torques, start and body, in each epoch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros import messages
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError, listed, quoted
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.propagation import Problem
+from rigid_body_ros.recording import source
+from rigid_body_ros.recording.selection import Topics, topics_of
+from rigid_body_ros.recording.source import Messages
+from rigid_body_ros.recording.torques import epochs, torque_log
+from rigid_body_ros.runtime.terminal import no_progress, Track
+from rigid_body_ros.scene import load, Scene
+
+#: Relative difference up to which two momenta of the rotors count as equal.
+_SAME_MOMENTUM = 1e-6
+
+
+class Logged(NamedTuple):
+    """The problem of a recording, or of an epoch of a node, and how it was recorded."""
+
+    problem: Problem
+    #: Whether the torque on the rotors comes from their momentum, so it is never interpolated.
+    is_measured: bool
+    messages: int
+    #: Number of messages whose stamp is not later than the stamp of the previous message.
+    unordered: int
+    #: Whether the start is that of an epoch, and not that of the scene.
+    is_epoch: bool
+    damage: str
+    topics: tuple[str, ...]
+
+    @property
+    def times_ns(self) -> NDArray[np.int64]:
+        """Return the stamps of all samples in ascending order; that of the start if none."""
+        stamps_ns = stamps_of(self.problem.sources)
+        return stamps_ns if stamps_ns.size else np.array([self.problem.start.time_ns])
+
+
+def read(path: str | Path, scene: str | Path | Scene, *,
+         topic: str | Sequence[str] | None = None, wheel_torque: str | None = None,
+         wheel_momentum: str | None = None, interpolation: str | None = None,
+         time_source: str = 'header') -> Problem:
+    """
+    Return the problem that a recording and a scene state, as `attitude_replay` computes it.
+
+    Of several epochs of a node, it is the last one that begins at the start_time of the scene.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording.
+    scene : str, Path or Scene
+        A scene, or its file.
+    topic, wheel_torque, wheel_momentum, interpolation, time_source
+        As for `replay`.
+
+    Returns
+    -------
+    Problem
+
+    Raises
+    ------
+    InputError
+        The recording or the scene cannot be read, they do not fit, or no epoch begins there.
+
+    """
+    loaded = scene if isinstance(scene, Scene) else load(scene)
+    topics = topics_of(topic, wheel_torque, wheel_momentum).found_in(path, loaded)
+    return chosen(path, loaded, read_epochs(path, loaded, topics, interpolation,
+                                            time_source=time_source)).problem
+
+
+def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: str | None = None,
+                track: Track = no_progress, time_source: str = 'header',
+                skip: float = 0.0) -> list[Logged]:
+    """
+    Read the problem of a recording, or of each epoch of a node.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording.
+    scene : Scene
+        The body, the names of the frames, and the initial state.
+    topics : Topics
+        As `Topics.found_in` returns them.
+    interpolation : str, optional
+        Interpolation between samples; otherwise the scene's.
+    track : callable
+        Wraps the iteration over blocks of messages, to show progress.
+    time_source, skip
+        As for `recording.read`; `skip` only for one topic.
+
+    Returns
+    -------
+    list of Logged
+        In the order of the recording.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read, does not fit the scene, or the topics have other epochs.
+
+    """
+    torques = [source.read(path, name, None, track, time_source, skip, topics.preferred)
+               for name in topics.wrenches]
+    momentum = source.read(path, topics.wheel_momentum, messages.VECTOR3, track, time_source) \
+        if topics.wheel_momentum else None
+    found = aligned(path, [epochs(path, one) for one in torques], time_source == 'header')
+    if momentum is not None and len(found) > 1:
+        raise InputError(f'{path}: --wheel-momentum: expected one epoch, found {len(found)}')
+    return [_logged(path, scene, parts, momentum, bool(topics.wheel_torque),
+                    interpolation or scene.interpolation) for parts in found]
+
+
+def chosen(path: str | Path, scene: Scene, found: Sequence[Logged]) -> Logged:
+    """
+    Return the epoch for a command that needs one motion.
+
+    Of several epochs, it is the last one that begins at the start_time of the scene.
+
+    Raises
+    ------
+    InputError
+        None begins there.
+
+    """
+    stamps_ns = [each.problem.start.time_ns for each in found]
+    start_ns = scene.start.time_ns
+    if len(stamps_ns) > 1 and start_ns not in stamps_ns:
+        raise InputError(f'{path}: expected one epoch, or the start_time of one, found '
+                         f'{len(stamps_ns)} epochs, which begin at '
+                         f'{listed([str(stamp) for stamp in stamps_ns])} ns, and start_time '
+                         f'{start_ns}; set start_time in the scene')
+    return found[len(found) - 1 - stamps_ns[::-1].index(start_ns) if len(found) > 1 else 0]
+
+
+def _logged(path: str | Path, scene: Scene, torques: Sequence[Messages],
+            momentum: Messages | None, has_wheels: bool, interpolation: str) -> Logged:
+    """Return the problem of a motion; torques on the rotors are the last, if there are any."""
+    body = torques[:-1] if has_wheels else torques
+    logs = [_log(path, one, scene, interpolation) for one in body]
+    every, measured = [*torques, *([] if momentum is None else [momentum])], None
+    wheels = _wheel_log(path, torques[-1], scene, interpolation) if has_wheels else None
+    if momentum is not None:
+        measured = _momentum(path, momentum, scene)
+        wheels = _from_momentum(path, momentum, measured, scene)
+    damage = '; '.join(dict.fromkeys(one.damage for one in every if one.damage))
+    stamps_ns = stamps_of([*logs, *([wheels] if wheels else [])])
+    begin = next((one.start for one in torques if one.start), None)
+    if not stamps_ns.size and not begin:
+        lost = f' ({damage})' if damage else ''
+        raise InputError(f'{path}: {listed([one.topic for one in every])}: expected torques, '
+                         f'found no messages{lost}')
+    start = begin or scene.starting_at(int(stamps_ns[0]))
+    if measured is not None:
+        start = _started(start, measured)
+    try:
+        problem = scene.problem(logs, wheels, start)
+    except ValueError as error:
+        raise InputError(f'{path}: {listed([one.topic for one in every])}: {error}') from error
+    return Logged(problem, measured is not None, sum(len(one) for one in every),
+                  sum(int(np.sum(np.diff(one.stamps_ns) <= 0)) for one in every),
+                  begin is not None, damage, tuple(one.topic for one in every))
+
+
+def aligned(path: str | Path, topics: Sequence[Sequence[Messages]],
+            has_stamps: bool) -> list[tuple[Messages, ...]]:
+    """
+    Return the torques of all topics in each epoch.
+
+    A node that is killed while it begins an epoch has marked it on the first topics only: on the
+    others there are no torques in that epoch.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording, for error messages.
+    topics : sequence of sequence of Messages
+        By topic, its epochs.
+    has_stamps : bool
+        Whether the stamps are those of the headers, which are the same on all topics.
+
+    Raises
+    ------
+    InputError
+        An epoch does not begin with the same state on all topics.
+
+    """
+    longest = max(topics, key=lambda parts: sum(part.start is not None for part in parts),
+                  default=())
+    if not longest or longest[0].start is None:
+        return [tuple(parts[0] for parts in topics)]
+    for parts in topics:
+        for part, expected in zip(parts, longest):
+            _check_same_start(path, part, expected, has_stamps)
+    return [tuple(parts[k] if k < len(parts) else
+                  replace(expected.rows(slice(0)), topic=parts[0].topic) for parts in topics)
+            for k, expected in enumerate(longest)]
+
+
+def _check_same_start(path: str | Path, part: Messages, expected: Messages,
+                      has_stamps: bool) -> None:
+    if part.start is None and not len(part):
+        return  # a topic without messages
+    one, other = ((state.time_ns if has_stamps else 0, state.attitude.tobytes(),
+                   state.angular_velocity.tobytes(), state.rotor_momentum.tobytes())
+                  if (state := found.start) else None for found in (part, expected))
+    if one != other:
+        found = f'the epoch that begins at {part.start.time_ns} ns' if part.start else \
+            'torques without epochs'
+        assert expected.start
+        raise InputError(f'{path}: {part.topic}: expected the epoch that begins at '
+                         f'{expected.start.time_ns} ns, with the same start state as on '
+                         f'{expected.topic}, found {found}')
+
+
+def stamps_of(logs: Sequence[TorqueLog]) -> NDArray[np.int64]:
+    """Return the stamps of logs, ns, in ascending order."""
+    return np.unique(np.concatenate([np.empty(0, np.int64), *(log.times_ns for log in logs)]))
+
+
+def _log(path: str | Path, recorded: Messages, scene: Scene, interpolation: str) -> TorqueLog:
+    """Return the log of a topic; a source without messages has no torque."""
+    if not len(recorded):
+        return TorqueLog([], [], interpolation=interpolation)
+    return torque_log(path, recorded, scene.body_frame, scene.space_frame, interpolation,
+                      scene.links)
+
+
+def _wheel_log(path: str | Path, recorded: Messages, scene: Scene,
+               interpolation: str) -> TorqueLog:
+    check_axes(path, recorded, scene)
+    return _log(path, recorded, scene, interpolation)
+
+
+def check_axes(path: str | Path, recorded: Messages, scene: Scene) -> None:
+    """Raise InputError if a vector of the rotors is not in body axes."""
+    body = scene.body_frame
+    for code, name in enumerate(recorded.names):
+        if name not in ('', body):
+            number = recorded.before + int(np.argmax(recorded.frames == code)) + 1
+            raise InputError(f'{path}: {recorded.topic}: message {number}: frame_id: '
+                             f"expected '{body}' or '' (body axes), found {quoted(name)}")
+
+
+def _momentum(path: str | Path, recorded: Messages, scene: Scene) -> TorqueLog:
+    """Return the measured momenta, N m s, between whose samples the momentum is linear."""
+    where = f'{path}: {recorded.topic}'
+    if not len(recorded):
+        raise InputError(f'{where}: expected the momentum of the rotors, found no messages')
+    check_axes(path, recorded, scene)
+    unstamped = int(np.sum(recorded.stamps_ns == 0))
+    if unstamped > 1:
+        raise InputError(f'{where}: expected stamps in the headers, found 0 in {unstamped} of '
+                         f'{len(recorded)} messages; use --time-source log for the times of the '
+                         'recording')
+    bad = np.flatnonzero(~np.isfinite(recorded.values).all(axis=1))
+    if bad.size:
+        raise InputError(f'{where}: message {bad[0] + 1} at {recorded.stamps_ns[bad[0]]} ns: '
+                         'expected a finite momentum, found '
+                         f'{recorded.values[bad[0]].tolist()}')
+    return TorqueLog(recorded.stamps_ns, recorded.values, interpolation='linear')
+
+
+def _from_momentum(path: str | Path, recorded: Messages, measured: TorqueLog,
+                   scene: Scene) -> TorqueLog:
+    where = f'{path}: {recorded.topic}'
+    longest = int(np.diff(measured.times_ns).max(initial=0))
+    if 0 < scene.timeout_ns < longest:
+        raise InputError(f'{where}: expected samples at most torque_timeout '
+                         f'({scene.torque_timeout} s) apart, found a gap of '
+                         f'{longest * 1e-9:.9g} s')
+    try:
+        return TorqueLog.from_momentum(measured.times_ns, measured.torques)
+    except ValueError as error:
+        raise InputError(f'{where}: {error}') from error
+
+
+def _started(start: State, measured: TorqueLog) -> State:
+    """Return the start with the measured momentum, which is constant before the first sample."""
+    time_ns = max(start.time_ns, int(measured.times_ns[0]))
+    momentum: Floats = measured.at([time_ns])[0][0]
+    given = start.rotor_momentum
+    if given.any() and np.linalg.norm(given - momentum) > _SAME_MOMENTUM * np.linalg.norm(given):
+        raise InputError(f'initial_rotor_momentum: expected {momentum.tolist()} N m s as '
+                         f'measured at the start, or no value, found {given.tolist()}')
+    return replace(start, rotor_momentum=momentum)

@@ -1,0 +1,147 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The topics of a recording that have the torques of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.recording import source
+from rigid_body_ros.recording.source import TORQUES
+from rigid_body_ros.scene import Scene
+
+#: The topic of the torque on the rotors.
+_WHEEL_TORQUE = 'wheel_torque'
+
+
+@dataclass(frozen=True)
+class Topics:
+    """
+    The topics of the torques.
+
+    Attributes
+    ----------
+    torques : tuple of str
+        Their torques add up. Empty: those of the scene.
+    wheel_torque, wheel_momentum : str, optional
+        Topic of the torque on the rotors, or of their momentum.
+    preferred : str
+        If set, the torques are those of the only topic of a recording, or of this one.
+
+    Raises
+    ------
+    InputError
+        A topic is given twice, or a name is empty.
+
+    """
+
+    torques: tuple[str, ...] = ()
+    wheel_torque: str | None = None
+    wheel_momentum: str | None = None
+    preferred: str = ''
+
+    def __post_init__(self) -> None:
+        if self.wheel_torque and self.wheel_momentum:
+            raise InputError('expected one of --wheel-torque and --wheel-momentum, found both')
+        if '' in (self.wheel_torque, self.wheel_momentum):
+            option = '--wheel-torque' if self.wheel_torque == '' else '--wheel-momentum'
+            raise InputError(f'{option}: expected a topic, found an empty name')
+        names = [*self.torques, *filter(None, [self.wheel_torque])]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f'expected each topic once, found {name!r} twice')
+
+    @property
+    def wheel_source(self) -> str:
+        """Return where the torque on the rotors comes from, for a summary."""
+        if self.wheel_momentum:
+            return f'momentum on {self.wheel_momentum}, linear between samples'
+        return f'torque on {self.wheel_torque}' if self.wheel_torque else 'constant momentum'
+
+    def found_in(self, path: str | Path, scene: Scene) -> Topics:
+        """
+        Return the topics with those of the scene where none are given.
+
+        Raises
+        ------
+        InputError
+            The recording cannot be read, or lacks a topic of the scene; or the rotors have a
+            topic, but the scene has no rotors with motors.
+
+        """
+        self.check(scene)
+        names, wheel_torque = self.torques, self.wheel_torque
+        if len(names or scene.torque_topics) == 1 and not scene.wheels:
+            return self if names else Topics(preferred=absolute(scene.torque_topics[0]))
+        recorded = source.topics(path, TORQUES)
+        if scene.wheels and not self.wheel_momentum:
+            wheel_torque = wheel_torque or _match(_WHEEL_TORQUE, recorded)
+        if not names:
+            others = [topic for topic in recorded if topic != wheel_torque]
+            optional = bool(wheel_torque or self.wheel_momentum)
+            names = _torques_of(path, scene.torque_topics, others, optional)
+        return Topics(names, wheel_torque, self.wheel_momentum)
+
+    def check(self, scene: Scene) -> None:
+        """Raise InputError if the rotors have a topic, but the scene has none with motors."""
+        for option, topic in (('--wheel-torque', self.wheel_torque),
+                              ('--wheel-momentum', self.wheel_momentum)):
+            if topic and not scene.wheels:
+                raise InputError(f'{option}: expected a scene with wheels: true, found '
+                                 'wheels: false')
+
+    @property
+    def wrenches(self) -> list[str | None]:
+        """Return the topics of torques, that on the rotors last; None for the only topic."""
+        return [*([None] if self.preferred else self.torques),
+                *filter(None, [self.wheel_torque])]
+
+
+def topics_of(topic: str | Sequence[str] | None, wheel_torque: str | None = None,
+              wheel_momentum: str | None = None) -> Topics:
+    """Return the given topics; raise InputError if a topic is given twice."""
+    names = (topic,) if isinstance(topic, str) else tuple(topic or ())
+    return Topics(names, wheel_torque, wheel_momentum)
+
+
+def absolute(topic: str) -> str:
+    """Return the name of a topic in a recording, for a node without a namespace."""
+    return topic if topic.startswith('/') else f'/{topic}'
+
+
+def _match(name: str, recorded: Sequence[str]) -> str | None:
+    return next((topic for topic in recorded if topic in (name, absolute(name))), None)
+
+
+def _torques_of(path: str | Path, names: Sequence[str], recorded: list[str],
+                optional: bool) -> tuple[str, ...]:
+    """Return the topics of the scene in a recording; a single topic may have any name."""
+    found = [_match(name, recorded) for name in names]
+    missing = [name for name, topic in zip(names, found) if topic is None]
+    for topic in found:
+        if topic and found.count(topic) > 1:
+            raise InputError(f'{path}: torque_topics: expected each topic once, found {topic!r} '
+                             'twice')
+    if not missing:
+        return tuple(filter(None, found))
+    if len(names) == len(recorded) == 1:
+        return recorded[0],
+    if optional and not recorded:
+        return ()
+    raise InputError(f'{path}: expected the torque_topics of the scene, found no topic '
+                     f'{listed(missing)} among {listed(recorded)}; choose topics with --topic')

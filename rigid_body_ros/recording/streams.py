@@ -1,0 +1,179 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The torques of several topics, piece by piece, so that they need not fit in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.messages import is_epoch_marker
+from rigid_body_ros.recording.problem import check_axes, Logged
+from rigid_body_ros.recording.selection import Topics
+from rigid_body_ros.recording.source import Messages, Source, TORQUES
+from rigid_body_ros.recording.torques import first_epoch, NotInOrderError, Piece, torque_pieces
+from rigid_body_ros.runtime.terminal import Track
+from rigid_body_ros.scene import Scene
+
+
+@dataclass
+class Counts:
+    """The number of messages, and of those whose stamp is not later than the stamp before."""
+
+    messages: int = 0
+    unordered: int = 0
+
+
+class Stream:
+    """
+    The torques of a topic, piece by piece.
+
+    Parameters
+    ----------
+    pieces : iterator of Piece
+    on_rotors : bool
+        Whether these are the torques of the motors on the rotors.
+    is_measured : bool
+        Whether they come from the momentum of the rotors, so they are never interpolated.
+    counts : Counts, optional
+        Of the pieces so far.
+    topic : str
+        For error messages.
+
+    Attributes
+    ----------
+    piece : Piece
+        The present one.
+
+    """
+
+    def __init__(self, pieces: Iterator[Piece], on_rotors: bool = False,
+                 is_measured: bool = False, counts: Counts | None = None,
+                 topic: str = '') -> None:
+        self._pieces, self.topic, self.counts = pieces, topic, counts or Counts()
+        self.on_rotors, self._is_measured = on_rotors, is_measured
+        self.piece = next(pieces)
+
+    @property
+    def end_ns(self) -> int | None:
+        """Return the stamp at which the next piece continues; None in the last piece."""
+        return None if self.piece.stop is None else int(self.piece.times_ns[self.piece.stop])
+
+    def advance(self) -> None:
+        """Go to the next piece."""
+        self.piece = next(self._pieces)
+
+    def log(self, interpolation: str) -> TorqueLog:
+        """Return the present piece as a log, with the errors of `Piece.log`."""
+        return self.piece.log('hold' if self._is_measured else interpolation)
+
+
+def whole(logged: Logged) -> list[Stream]:
+    """Return the torques of a problem, each as one piece."""
+    wheels = logged.problem.wheels
+    return [Stream(iter([Piece(log.times_ns, log.torques, log.in_space)]), log is wheels,
+                   log is wheels and logged.is_measured) for log in logged.problem.sources]
+
+
+class Streams:
+    """
+    The torques of all topics of a recording, which has one epoch; a context manager.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording.
+    scene : Scene
+    topics : Topics
+        As `Topics.found_in` returns them, without measured momentum.
+    track : callable
+        Wraps the iteration over blocks of messages, to show progress.
+    time_source, skip
+        As for `recording.read`.
+
+    Attributes
+    ----------
+    start : State, optional
+        That of an epoch of a node.
+    topics : tuple of str
+
+    """
+
+    def __init__(self, path: str | Path, scene: Scene, topics: Topics, track: Track,
+                 time_source: str = 'header', skip: float = 0.0) -> None:
+        self._path, self._scene, self._track = path, scene, track
+        with ExitStack() as stack:
+            self._sources = [stack.enter_context(Source(path, name, TORQUES, time_source, skip,
+                                                        topics.preferred))
+                             for name in topics.wrenches]
+            self._wheel_torque, self._stack = topics.wheel_torque, stack.pop_all()
+        self.start: State | None = None
+        self.topics = tuple(source.topic for source in self._sources)
+
+    def __enter__(self) -> Streams:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def opened(self) -> list[Stream]:
+        """
+        Return the torques of each topic.
+
+        Raises
+        ------
+        InputError
+            As for `torque_pieces`, or there are no messages.
+        NotInOrderError
+            The recording has to be read as a whole.
+
+        """
+        begun = [self._begun(source) for source in self._sources]
+        starts = {None if start is None else (
+            start.time_ns, start.attitude.tobytes(), start.angular_velocity.tobytes(),
+            start.rotor_momentum.tobytes()) for start, _ in begun}
+        self.start, streams = begun[0][0], [stream for _, stream in begun]
+        if len(starts) > 1 or not (self.start or any(len(stream.piece.times_ns)
+                                                     for stream in streams)):
+            raise NotInOrderError  # the whole recording is read to tell what is wrong
+        return streams
+
+    def _begun(self, source: Source) -> tuple[State | None, Stream]:
+        scene, on_rotors = self._scene, source.topic == self._wheel_torque
+        start, blocks = first_epoch(self._path, iter(self._track(source, source.count)))
+        counts = Counts()
+
+        def counted() -> Iterator[Messages]:
+            last: list[int] = []
+            for block in blocks:
+                if on_rotors and not any(map(is_epoch_marker, block.names)):
+                    check_axes(self._path, block, scene)
+                counts.messages += len(block)
+                counts.unordered += int(np.sum(np.diff(block.stamps_ns, prepend=last) <= 0))
+                last = [int(block.stamps_ns[-1])]
+                yield block
+        pieces = torque_pieces(f'{self._path}: {source.topic}', counted(), scene.body_frame,
+                               scene.space_frame, scene.links)
+        return start, Stream(pieces, on_rotors, counts=counts, topic=source.topic)
+
+    @property
+    def damage(self) -> str:
+        """Return what was lost and where, known after the last piece; '' if nothing."""
+        return '; '.join(dict.fromkeys(filter(None, (each.damage for each in self._sources))))

@@ -1,0 +1,167 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Read the torques of a recording and what was measured under them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rigid_body_ros import recording
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.propagation import Problem
+from rigid_body_ros.recording import Topics
+from rigid_body_ros.runtime.terminal import no_progress, Track
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.sensing.measured import Measured
+from rigid_body_ros.sensing.reading import read_all
+
+_TOPICS_OF_SCENE = Topics()
+
+
+@dataclass(frozen=True)
+class Reading:
+    """
+    What to read from a recording, and how.
+
+    Attributes
+    ----------
+    measured : tuple of str
+        Measured topics; empty if the recording has one, as for `read_measured`.
+    topics : Topics
+        The topics of the torques.
+    interpolation : str, optional
+        Interpolation of the torques between samples; otherwise the scene's.
+    time_source : str
+        Of torques and measurements, as for `recording.read`.
+    frames : tuple of str, optional
+        As for `read_measured`.
+    track : callable
+        Wraps the iteration over blocks of messages, to show progress.
+
+    """
+
+    measured: tuple[str, ...] = ()
+    topics: Topics = _TOPICS_OF_SCENE
+    interpolation: str | None = None
+    time_source: str = 'header'
+    frames: tuple[str, str] | None = None
+    track: Track = no_progress
+
+    def sensors(self, path: str | Path, scene: Scene) -> list[Measured]:
+        """Return what was measured, with the errors of `read_all`."""
+        return read_all(path, self.measured, frames=self.frames, body_frame=scene.body_frame,
+                        space_frame=scene.space_frame, time_source=self.time_source,
+                        track=self.track)
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """
+    What was measured during a motion.
+
+    Attributes
+    ----------
+    sensors : list of Measured
+        With all samples of the recording.
+    end_ns : int
+        Where the motion ends, and the next epoch of a node begins.
+
+    """
+
+    sensors: list[Measured]
+    end_ns: int = NEVER_NS // 2
+
+    @property
+    def is_followed(self) -> bool:
+        """Return whether another epoch follows."""
+        return self.end_ns < Measurements.end_ns
+
+    def until_end(self, offset_s: float = 0.0) -> list[Measured]:
+        """
+        Return the samples before the end, if a clock offset is to be added to their stamps.
+
+        Raises
+        ------
+        InputError
+            A sensor has none.
+
+        """
+        end_ns = self.end_ns - round(1e9 * offset_s)
+        for sensor in self.sensors:
+            if sensor.stamps_ns[0] >= end_ns:
+                raise InputError(f'{sensor.topic}: expected measurements before the next epoch, '
+                                 f'which begins at {end_ns} ns on their clock, found them from '
+                                 f'{sensor.stamps_ns[0]} ns on')
+        return [sensor.rows(sensor.stamps_ns < end_ns) for sensor in self.sensors]
+
+
+def read_observed(path: str | Path, scene: Scene, reading: Reading,
+                  largest_offset: float = 0.0) -> tuple[Problem, Measurements]:
+    """
+    Read the torques of a recording, and what was measured under them.
+
+    Without torques in the recording, the body is free. Of several epochs of a node, the start_time
+    of the scene chooses one.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording.
+    scene : Scene
+        If its start_time is 0, the motion starts at the earliest stamp of the torques or, without
+        torques, of the measurements.
+    reading : Reading
+        What to read.
+    largest_offset : float, s
+        How far apart the clocks of torques and measurements may be.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read, does not fit the scene, or torques and measurements do not
+        overlap in time.
+
+    """
+    sensors = reading.sensors(path, scene)
+    measurements = Measurements(sensors)
+    if reading.topics == _TOPICS_OF_SCENE and not recording.topics(path, recording.TORQUES):
+        first_ns = min(int(sensor.stamps_ns[0]) for sensor in sensors)
+        problem = scene.problem(start=scene.starting_at(first_ns))
+    else:
+        epochs = recording.read_epochs(path, scene, reading.topics.found_in(path, scene),
+                                       reading.interpolation, reading.track, reading.time_source)
+        problem = recording.chosen(path, scene, epochs).problem
+        begins_ns = [epoch.problem.start.time_ns for epoch in epochs]
+        later_ns = [time_ns for time_ns in begins_ns if time_ns > problem.start.time_ns]
+        measurements = Measurements(sensors, *sorted(later_ns)[:1])
+    _check_overlap(path, problem, measurements, round(1e9 * largest_offset))
+    return problem, measurements
+
+
+def _check_overlap(path: str | Path, problem: Problem, measurements: Measurements,
+                   margin_ns: int) -> None:
+    """Raise InputError if the measurements end before the torques begin, or the reverse."""
+    first = problem.start.time_ns
+    torque = max((int(log.times_ns[-1]) for log in problem.logs), default=NEVER_NS)
+    last = min(torque, measurements.end_ns - 1)
+    for sensor in measurements.sensors:
+        begin, end = int(sensor.stamps_ns[0]), int(sensor.stamps_ns[-1])
+        if end + margin_ns < first or begin - margin_ns > last:
+            raise InputError(
+                f'{path}: {sensor.topic}: expected measurements during the motion, from {first} '
+                f'ns to the last torque at {last} ns, found them from {begin} ns to {end} ns; '
+                'are the clocks the same (--time-source log)?')
