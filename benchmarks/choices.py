@@ -50,21 +50,21 @@ def seconds(function):
 def calls():
     """Print the time of a call from Python to a kernel that does nothing."""
     from rigid_body_ros.propagation import layout
-    stamps, rows, flags = np.zeros(2, np.int64), np.zeros(0, np.intp), np.zeros(2, bool)
-    values = np.zeros(48)
-    records = (layout.Method(1, False, 16.0, 1e-15, 1.0, 0),
-               layout.Log(stamps, np.zeros((1, 1, 3)), flags, 0, 1, 0),
-               layout.Outputs(stamps, rows, values, flags), layout.Place(0, 0, -1, False, 0))
-    fields = [field for record in records for field in record]
+    stamps, order, flags = np.zeros(2, np.int64), np.zeros(0, np.intp), np.zeros(2, bool)
+    values, method = np.zeros(48), layout.Method(1, False, 16.0, 1e-15, 1.0, 0)
+    rows = layout.Rows(stamps, np.zeros((1, 1, 3)), flags, np.zeros(0))
+    outputs = layout.Requested(stamps, order, values, flags)
     vector = (1.0, 2.0, 3.0, 0.0)
     axes, state = (vector, vector, vector), (vector, vector, vector, vector)
-    nested = (layout.Body(((vector,) * 9, (vector,) * 9, vector, vector), 0,
-                          (vector, vector, axes, axes)), layout.States(state, state, state))
-    arrays = [values, stamps, stamps, rows, values, flags, stamps, values, flags, values, values]
+    body = layout.Body(((vector,) * 9, (vector,) * 9, vector, vector), 0,
+                       (vector, vector, axes, axes))
+    records = (method, rows, outputs, layout.Place(0, 0, -1, 0), body,
+               layout.GridStates(state, state, state))
+    shared = np.zeros(1, layout.PROGRESS), *outputs, rows, values, np.zeros(1, layout.METHOD)
+    fields = [*shared[:-3], *rows, *shared[-2:]]
     empty = numba.njit(lambda *arguments: None)
-    for name, arguments in (('6 records', (*records, *nested)),
-                            ('4 of them, no vectors', records),
-                            ('their 21 fields', fields), ('11 arrays', arrays)):
+    for name, arguments in (('6 records', records), ('as the loop is called', shared),
+                            ('with arrays only', fields)):
         print(f'calls: {name:24} {1e6 * seconds(partial(empty, *arguments)):.1f} us')
 
 

@@ -34,11 +34,11 @@ import time
 from distributed import LocalCluster
 import numpy as np
 import psutil
-from rigid_body_ros import replay, scene
 from rigid_body_ros.ensemble import driver
 from rigid_body_ros.ensemble.dispersions import Dispersion
 from rigid_body_ros.ensemble.folder import Folder
 from rigid_body_ros.ensemble.runs import Ensemble
+from rigid_body_ros.recording import read_problem
 
 HERE = Path(__file__).resolve().parent
 SCENE = HERE.parent / 'config' / 'tumbler.yaml'
@@ -52,9 +52,8 @@ BAR = 1.7
 
 def ensemble():
     """Return the motions to compute."""
-    loaded = scene.load(SCENE)
-    logs, wheels, stamps, start = replay.torques(RECORDING, loaded, replay.topics_of(None))
-    return Ensemble(loaded, start, tuple(logs), wheels, int(stamps[-1]), VARY, 0)
+    problem = read_problem(RECORDING, SCENE)
+    return Ensemble(problem, int(problem.logs[0].times_ns[-1]), VARY, 0)
 
 
 def seconds(motions, runs, workers):

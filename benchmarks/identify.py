@@ -31,9 +31,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))
 
-from rigid_body_ros import (
+from rigid_body_ros import (  # noqa: E402
     Experiment,
-    # noqa: E402     Experiment,
     identify,
     Measured,
     propagate,
@@ -41,7 +40,7 @@ from rigid_body_ros import (
     State,
     TorqueLog,
 )
-from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics import so3  # noqa: E402
 from tumbling import INERTIA, Truth  # noqa: E402
 
 ATTITUDE, RATE = 2e-3, 5e-3

@@ -36,7 +36,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / 'test'))
 
-import bags  # noqa: E402
+import bags  # noqa: E402, I100
 from rigid_body_ros import recording  # noqa: E402
 from rigid_body_ros.common.errors import InputError, LONGEST  # noqa: E402
 

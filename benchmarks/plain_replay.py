@@ -27,7 +27,7 @@ import time
 from mcap_ros2.reader import read_ros2_messages
 from mcap_ros2.writer import Writer
 import numpy as np
-from rigid_body_ros import messages, propagate, scene, TorqueLog
+from rigid_body_ros import messages, scene, TorqueLog
 from rigid_body_ros.propagation import warm_up
 
 
@@ -71,7 +71,7 @@ def main():
     loaded = scene.load(config)
     log = read(recording)
     start = replace(loaded.start, time_ns=int(log.times_ns[0]))
-    motion = propagate(loaded.body, start, log, at=log.times_ns, **loaded.options)
+    motion = loaded.problem(log, start=start).propagate(at=log.times_ns)
     write(output, motion, loaded.values)
     print(time.perf_counter() - began)
 
