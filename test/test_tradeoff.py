@@ -401,6 +401,12 @@ def test_torques_are_measured_whatever_the_solver_of_the_scene(tmp_path, capsys)
     assert '\n    solver: ' in capsys.readouterr().out
 
 
+def test_a_topic_of_rotors_needs_a_scene_that_has_them(capsys):
+    assert main.attitude_tradeoff([*TUMBLER, '--wheel-torque', '/wheels']) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert '--wheel-torque: expected a scene with wheels: true, found wheels: false' in line
+
+
 @pytest.mark.parametrize(('log', 'end_ns', 'message'), [
     (None, 5, 'end_ns: expected a time after the start, 10 ns, found 5 ns'),
     (TorqueLog([3], [[1.0, 0.0, 0.0]]), None, 'expected the last torque after the start of the '

@@ -31,6 +31,7 @@ from rigid_body_ros.commands.arguments import (
     parsed,
     Parser,
     read_torques,
+    topics_of,
     within,
 )
 from rigid_body_ros.commands.outputs import checked
@@ -86,6 +87,7 @@ def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, str]:
     """Return the motion to measure, and the topics of its torques."""
     # The solver of the scene is one of those to measure, and might take no torques.
     scene = replace(scene, values={**scene.values, 'solver': 'auto'})
+    topics_of(options).check(scene)
     if options.recording is None:
         return scene.problem(), 'no torque'
     logged = read_torques(options, scene)

@@ -232,8 +232,8 @@ class Ensemble:
         logs = [later(log, offset, torque) for log, torque in zip(self.problem.logs, torques)]
         bias, wheels = applied.torque_bias[row], self.problem.wheels
         if bias.any():
-            logs.append(_constant(bias, self._start_ns, self.end_ns,
-                                  self.problem.options.timeout_ns))
+            logs.append(TorqueLog.constant(bias, self._start_ns, self.end_ns,
+                                           self.problem.options.timeout_ns))
         return logs, wheels and later(wheels, offset)
 
     @property
@@ -360,11 +360,3 @@ class Ensemble:
                 else:
                     values[one.key] = draw + (one.kind == 'normal') * values[one.key]
         return values
-
-
-def _constant(torque: Floats, start_ns: int, end_ns: int, timeout_ns: int) -> TorqueLog:
-    """Return the log of a constant torque, which does not time out."""
-    times = np.array([start_ns])
-    if timeout_ns:
-        times = np.arange(start_ns, end_ns + 1, max(1, timeout_ns // 2))
-    return TorqueLog(times, np.broadcast_to(torque, (len(times), 3)))

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -131,6 +131,27 @@ class TorqueLog:
                              f'{values[row + 1].tolist()} N m s in {times[row + 1] - times[row]} '
                              'ns')
         return measured.with_torques(slopes)
+
+    @classmethod
+    def constant(cls, torque: ArrayLike, begin_ns: int, end_ns: int, timeout_ns: int = 0
+                 ) -> TorqueLog:
+        """
+        Return a constant torque, body axes, that does not time out.
+
+        Parameters
+        ----------
+        torque : array, shape (3,), N m
+            About the centre of mass.
+        begin_ns, end_ns : int
+            The torque acts from the first of these times on, at least up to the second.
+        timeout_ns : int
+            As for `segments`.
+
+        """
+        times = np.array([begin_ns])
+        if timeout_ns:
+            times = np.arange(begin_ns, end_ns + 1, max(1, timeout_ns // 2))
+        return cls(times, np.broadcast_to(torque, (len(times), 3)))
 
     def __len__(self) -> int:
         return len(self.times_ns)
@@ -386,3 +407,8 @@ def _store_cubic(row: Floats, here: float, following: float, span: DoubleDouble,
 def torque_logs(log: TorqueLog | Sequence[TorqueLog] | None) -> list[TorqueLog]:
     """Return one log, several or none as a list."""
     return [log] if isinstance(log, TorqueLog) else [*(log or ())]
+
+
+def stamps_of(logs: Iterable[TorqueLog]) -> NDArray[np.int64]:
+    """Return the stamps of logs, ns, in ascending order, each once."""
+    return np.unique(np.concatenate([np.empty(0, np.int64), *(log.times_ns for log in logs)]))

@@ -239,24 +239,24 @@ class _Runs:
         which = which[self._progress['stop'][which] != layout.FAILED]
         if not (which.size and self._times_ns.size):
             return
-        if len(problem.sources) < 2 and not wheels:
+        if len(problem.logs) < 2 and not problem.wheels:
             self._advance_alike(problem, which, gains)
             return
         # The rows of a sum begin with the start. Without motors, they do not depend on the
         # momentum of the rotors.
-        has_motors = bool(wheels.torques.any())
         begins_ns = self._progress['grid_ns'][which].tolist()
-        for rows in _grouped([(begin_ns, self._momentum[run].tobytes() if has_motors else b'')
-                              for begin_ns, run in zip(begins_ns, which)]):
+        momenta = self._momentum[which] * problem.has_rotors
+        for rows in _grouped([(begin_ns, momentum.tobytes())
+                              for begin_ns, momentum in zip(begins_ns, momenta)]):
             self._advance_alike(problem, which[rows])
 
     def _advance_alike(self, problem: Problem, which: NDArray[np.intp],
                        gains: Floats | None = None) -> None:
         """Compute runs under the same rows."""
-        begins_ns, first = self._progress['grid_ns'][which], int(which[0])
-        has_motors = bool(problem.wheels and problem.wheels.torques.any())
+        begins_ns = self._progress['grid_ns'][which]
+        momentum = self._momentum[which[0]] if problem.has_rotors else None
         timeline = Timeline(problem.logs, problem.wheels, self._options.timeout_ns, False,
-                            int(begins_ns[0]), self._momentum[first] if has_motors else None)
+                            int(begins_ns[0]), momentum)
         self._progress['row'][which] = timeline.times_ns.searchsorted(begins_ns, 'right') - 1
         for begin, end, rows in timeline.chunks(int(self._progress['row'][which].min()),
                                                 len(timeline.times_ns)):

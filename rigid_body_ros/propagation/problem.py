@@ -110,6 +110,11 @@ class Problem:
         return self.start._has_rotors or bool(self.wheels and self.wheels.torques.any())
 
     @property
+    def has_torque(self) -> bool:
+        """Return whether a torque is not zero, those on the rotors included."""
+        return any(log.torques.any() for log in self.sources)
+
+    @property
     def sources(self) -> tuple[TorqueLog, ...]:
         """Return the torques on the body, and then that on the rotors, if there is one."""
         return (*self.logs, self.wheels) if self.wheels else self.logs
@@ -156,18 +161,12 @@ class Problem:
 
     def biased(self, torque: Floats, end_ns: int) -> Problem:
         """Return the problem with a constant torque, N m, body axes, added up to a time, ns."""
-        begin_ns, timeout_ns = self.start.time_ns, self.options.timeout_ns
-        times_ns = np.array([begin_ns])
-        if timeout_ns:  # this torque does not time out
-            times_ns = np.arange(begin_ns, end_ns + 1, max(1, timeout_ns // 2))
-        bias = TorqueLog(times_ns, np.broadcast_to(torque, (len(times_ns), 3)))
+        bias = TorqueLog.constant(torque, self.start.time_ns, end_ns, self.options.timeout_ns)
         return self.replaced(log=[*self.logs, bias])
 
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the momentum of the rotors at times, N m s, body axes, shape (m, 3)."""
-        if self.wheels is None:
-            return np.broadcast_to(self.start.rotor_momentum, (len(times_ns), 3))
-        return self.propagate(at=times_ns).rotor_momentum
+        return Integration(self).rotor_momentum(times_ns)
 
     def propagate(self, *, at: ArrayLike) -> Trajectory:
         """
@@ -256,10 +255,10 @@ class Integration:
         ----------
         logs : sequence of TorqueLog
             Each begins with the sample in force at the end of the motion so far, or earlier. For
-            cubic interpolation there are two samples before that one, and two after the end of the
-            piece.
+            cubic interpolation there are three samples before that one, and three after the end of
+            the piece.
         wheels : TorqueLog, optional
-            The next piece of the torque on the rotors.
+            The next piece of the torque on the rotors; None: it goes on as in the present piece.
 
         Raises
         ------
@@ -314,6 +313,10 @@ class Integration:
         if times_ns.size > count:
             times_ns = times_ns[:count]
         return Trajectory(self.problem.body, times_ns, motion, usage)
+
+    def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
+        """Return the momentum of the rotors in this piece at times, N m s, shape (m, 3)."""
+        return self._timeline.momentum(times_ns)[:, 0]
 
     def _fill(self, times_ns: NDArray[np.int64], order: NDArray[np.intp], motion: Floats,
               stop: int) -> NDArray[np.bool_]:

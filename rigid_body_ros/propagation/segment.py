@@ -34,7 +34,7 @@ from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
 from rigid_body_ros.propagation.rotors import momentum_at
 from rigid_body_ros.propagation.summation import added
-from rigid_body_ros.propagation.timeline import held
+from rigid_body_ros.propagation.timeline import held_row
 
 #: The key of the torque on the rotors among the sources: the last one.
 WHEELS = sys.maxsize
@@ -102,7 +102,7 @@ class Segment:
         terms = None
         if body.is_damped or origin.rotors.any() or any(other.any() for other in others):
             terms = Terms(origin.rotors[None], total.motors[None], total.space[None])
-        self._rows = held(origin.begin_ns, torque, in_space, terms)
+        self._rows = held_row(origin.begin_ns, torque, in_space, terms)
         self._constants = body._constants
 
     def state_at(self, time_ns: int, until: float) -> State:

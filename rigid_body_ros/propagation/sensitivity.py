@@ -66,7 +66,7 @@ def last_digit_effect(problem: Problem, at: ArrayLike) -> float:
     problem = problem.replaced(options=Options(torque_timeout=timeout))
     attitude, random = problem.propagate(at=at).attitude, np.random.default_rng(0)
     kinds = [{'tensors'}, {'tensors', 'start'}]
-    if any(log.torques.any() for log in problem.sources):
+    if problem.has_torque:
         kinds = [{'tensors'}, {'torques'}, {'tensors', 'start', 'torques'}]
     found = []
     for kind in kinds * _ROUNDS:

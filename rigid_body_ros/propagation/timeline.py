@@ -226,7 +226,7 @@ class Timeline:
         return momentum_at(self.times_ns, terms.momentum, terms.motors, times_ns)
 
 
-def held(time_ns: int, torque: Floats, in_space: bool, terms: Terms | None = None) -> Rows:
+def held_row(time_ns: int, torque: Floats, in_space: bool, terms: Terms | None = None) -> Rows:
     """Return the row of a torque that is held from a time on, N m, shape (1, 3)."""
     return _frozen(Rows(np.array([time_ns]), torque[None], np.array([in_space]), _NO_SPANS, terms))
 

@@ -27,7 +27,7 @@ from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import source
 from rigid_body_ros.recording.selection import Topics, topics_of
@@ -238,11 +238,6 @@ def _check_same_start(path: str | Path, part: Messages, expected: Messages,
         raise InputError(f'{path}: {part.topic}: expected the epoch that begins at '
                          f'{expected.start.time_ns} ns, with the same start state as on '
                          f'{expected.topic}, found {found}')
-
-
-def stamps_of(logs: Sequence[TorqueLog]) -> NDArray[np.int64]:
-    """Return the stamps of logs, ns, in ascending order."""
-    return np.unique(np.concatenate([np.empty(0, np.int64), *(log.times_ns for log in logs)]))
 
 
 def _log(path: str | Path, recorded: Messages, scene: Scene, interpolation: str) -> TorqueLog:

@@ -31,9 +31,9 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import INTERPOLATIONS, TorqueLog
+from rigid_body_ros.mechanics.torque import INTERPOLATIONS, stamps_of, TorqueLog
 from rigid_body_ros.propagation import Integration, Problem, Trajectory
-from rigid_body_ros.recording import NotInOrderError, stamps_of, Stream
+from rigid_body_ros.recording import NotInOrderError, Stream
 from rigid_body_ros.replay.gaps import announce, computing_time, Gaps
 from rigid_body_ros.scene import Scene
 

@@ -26,11 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.propagation.timeline import Timeline
-from rigid_body_ros.recording import stamps_of
 
 #: The energy balance covers at most this many intervals of at most this angle, rad.
 _MOST_INTERVALS = 200_000

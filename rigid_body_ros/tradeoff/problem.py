@@ -20,7 +20,6 @@ The reference is the Taylor series at its tightest tolerance with shorter steps.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 import math
@@ -31,7 +30,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, instant, LONGEST
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.mechanics.torque import stamps_of
 from rigid_body_ros.propagation import Options, Problem, Trajectory
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.tradeoff.axes import PrincipalAxes
@@ -72,7 +71,7 @@ class Case:
     @property
     def torque_free(self) -> bool:
         """Whether all torques are zero, those on the rotors included."""
-        return not any(log.torques.any() for log in self.problem.sources)
+        return not self.problem.has_torque
 
     @property
     def has_linear_terms(self) -> bool:
@@ -131,7 +130,7 @@ class Case:
     def natural_step(self, motion: Trajectory, angle: float) -> float:
         """Return the time, s, to turn by an angle at top speed; at most the sample spacing."""
         first_ns, last_ns = self.problem.start.time_ns, int(self.times_ns[-1])
-        stamps = _stamps(self.problem.sources)
+        stamps = stamps_of(self.problem.sources)
         edges = np.union1d([first_ns, last_ns],
                            stamps[(stamps > first_ns) & (stamps < last_ns)])
         speed = float(np.linalg.norm(motion.angular_velocity, axis=1).max())
@@ -193,8 +192,8 @@ def whole(problem: Problem, end_ns: int | None) -> Case:
     """
     start_ns = problem.start.time_ns
     speed = float(np.linalg.norm(problem.start.angular_velocity))
-    stamps = _stamps(problem.sources)
-    if not speed and not any(log.torques.any() for log in problem.sources):
+    stamps = stamps_of(problem.sources)
+    if not speed and not problem.has_torque:
         raise ValueError('expected a nonzero initial angular velocity or torque, found neither')
     if end_ns is not None:
         end_ns = instant(end_ns, 'end_ns')
@@ -215,14 +214,10 @@ def whole(problem: Problem, end_ns: int | None) -> Case:
 def _times(problem: Problem, end_ns: int) -> NDArray[np.int64]:
     start_ns = problem.start.time_ns
     grid = start_ns + np.linspace(0, end_ns - start_ns, _OUTPUTS + 1).astype(np.int64)
-    stamps = _stamps(problem.sources)
+    stamps = stamps_of(problem.sources)
     inside = (stamps > start_ns) & (stamps <= end_ns)
     return np.union1d(stamps[inside], np.append(grid[1:], end_ns))
 
-
-def _stamps(sources: Sequence[TorqueLog]) -> NDArray[np.int64]:
-    """Return the stamps of all torques, ascending, each once."""
-    return np.unique(np.concatenate([np.empty(0, np.int64), *(log.times_ns for log in sources)]))
 
 
 def turned_angle(motion: Trajectory) -> float:
