@@ -219,7 +219,6 @@ def _times(problem: Problem, end_ns: int) -> NDArray[np.int64]:
     return np.union1d(stamps[inside], np.append(grid[1:], end_ns))
 
 
-
 def turned_angle(motion: Trajectory) -> float:
     """Return the angle that the body turns through from the first to the last output, rad."""
     speed = np.linalg.norm(motion.angular_velocity, axis=1)
