@@ -49,7 +49,7 @@ def seconds(function):
 
 def calls():
     """Print the time of a call from Python to a kernel that does nothing."""
-    from rigid_body_ros.propagation import layout
+    from rigid_body_ros.kernels import layout
     stamps, order, flags = np.zeros(2, np.int64), np.zeros(0, np.intp), np.zeros(2, bool)
     values, method = np.zeros(48), layout.Method(1, False, 16.0, 1e-15, 1.0, 0)
     rows = layout.Rows(stamps, np.zeros((1, 1, 3)), flags, np.zeros(0))

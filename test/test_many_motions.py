@@ -30,11 +30,10 @@ from rigid_body_ros import (
     States,
     TorqueLog,
 )
-from rigid_body_ros.kernels import motion_layout
+from rigid_body_ros.kernels import group, groups, layout, motion_layout
+from rigid_body_ros.kernels.group import Group
 from rigid_body_ros.kernels.lanes import LANES
-from rigid_body_ros.propagation import group, groups, layout, loop
-from rigid_body_ros.propagation.group import Group
-from rigid_body_ros.propagation.layout import Rows
+from rigid_body_ros.kernels.layout import Rows
 from rigid_body_ros.propagation.options import Options
 
 SECOND = 10 ** 9
@@ -232,7 +231,7 @@ def test_runs_like_each_other_step_together(interval_ns, samples, own):
                     States(0, starts.attitude[alike], starts.angular_velocity[alike]),
                     np.stack([log.torques[:, None]] * (LANES if own else 1)), [end_ns])
     rows = Rows(log.times_ns, log.torques[:, None], log.in_space, np.empty(0))
-    found = advance(runs, LANES, np.arange(0), np.array([end_ns]), loop.IN_ORDER, rows,
+    found = advance(runs, LANES, np.arange(0), np.array([end_ns]), layout.IN_ORDER, rows,
                     Options().method)
     left = end_ns - runs.progress['grid_ns']
     assert found.steps > 50
@@ -256,7 +255,7 @@ def test_a_run_that_ends_gives_its_lane_to_the_next():
     runs = gathered(bodies, starts, log.torques[None, :, None], at)
     rows = Rows(log.times_ns, log.torques[:, None], log.in_space, np.empty(0))
     waiting = np.arange(LANES, 5 * LANES)
-    found = advance(runs, LANES, waiting, at, loop.IN_ORDER, rows, Options().method)
+    found = advance(runs, LANES, waiting, at, layout.IN_ORDER, rows, Options().method)
     done = runs.progress['done'] == 1
     assert found.taken == len(waiting)
     assert done.sum() >= len(bodies) - 2  # which are quicker one by one

@@ -19,8 +19,8 @@ import numba
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, Propagator, RigidBody
-from rigid_body_ros.kernels import body_layout, motion_layout, state_layout
-from rigid_body_ros.propagation import layout, Options, Problem
+from rigid_body_ros.kernels import body_layout, layout, motion_layout, state_layout
+from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.propagation.solvers import RECORDS
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)

@@ -19,8 +19,9 @@ from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
+from rigid_body_ros.kernels import layout, loop
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.propagation import layout, loop, timeline, warm_up
+from rigid_body_ros.propagation import timeline, warm_up
 import truth
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels.jit import njit
+from rigid_body_ros.kernels.triangles import reduced
 
 
 def triangle(columns: Floats) -> Floats:
@@ -36,45 +36,4 @@ def triangle(columns: Floats) -> Floats:
         Upper triangular, with rows of zeros if m is less than n.
 
     """
-    return np.triu(_reduced(columns)[:, :len(columns)])
-
-
-@njit
-def _reduced(columns: Floats) -> Floats:
-    # Householder reflections; row j of the result is that of the factor.
-    count, length = columns.shape
-    result = np.zeros((count, count))
-    for j in range(min(count, length)):
-        column = columns[j]
-        norm = np.sqrt(_product(column, column, j))
-        if norm > 0.0:
-            if column[j] > 0.0:
-                norm = -norm
-            pivot = column[j] - norm
-            column[j] = pivot
-            for k in range(j + 1, count):
-                other = columns[k]
-                factor = _product(column, other, j) / (norm * pivot)
-                for i in range(j, length):
-                    other[i] += factor * column[i]
-        result[j, j] = norm
-        for k in range(j + 1, count):
-            result[j, k] = columns[k, j]
-    return result
-
-
-@njit
-def _product(one: Floats, other: Floats, first: int) -> float:
-    # Four sums at once, which a processor adds in parallel.
-    a = b = c = d = 0.0
-    i = first
-    while i + 3 < len(one):
-        a += one[i] * other[i]
-        b += one[i + 1] * other[i + 1]
-        c += one[i + 2] * other[i + 2]
-        d += one[i + 3] * other[i + 3]
-        i += 4
-    while i < len(one):
-        a += one[i] * other[i]
-        i += 1
-    return (a + b) + (c + d)
+    return np.triu(reduced(columns)[:, :len(columns)])

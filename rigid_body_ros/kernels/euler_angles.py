@@ -33,6 +33,7 @@ from rigid_body_ros.kernels.jit import internal, njit
 #: Smallest and largest double in the range of the first and third angle.
 _PROPER = 0.0, math.nextafter(2.0 * math.pi, 0.0)
 _TAIT_BRYAN = math.nextafter(-math.pi, 0.0), math.pi
+_TURN = 2.0 * np.pi
 
 
 @njit
@@ -147,3 +148,55 @@ def _wrapped(angle: DoubleDouble, centre: float) -> DoubleDouble:
     # Return the angle less whole turns, within half a turn of the centre.
     turns = 2.0 * float(round((angle[0] - centre) / (2.0 * dd.PI[0])))
     return dd.subtract(angle, (turns * dd.PI[0], turns * dd.PI[1]))
+
+
+@njit
+def make_rows_continuous(angles: Floats, anchor: int, poles: Floats, proper: bool) -> None:
+    """
+    Choose of the triples for each attitude that closest to its neighbour.
+
+    Parameters
+    ----------
+    angles : float64 (m, 3), rad
+        Changed: from the row `anchor` on to the last row, and back to the first, each row is made
+        continuous with its neighbour on the side of the anchor.
+    anchor : int
+        A row.
+    poles : float64 (m,)
+        0 for a row that is not at a pole; 1 or -1 if only a + c or a - c is determined there.
+    proper : bool
+        See `fill_angles`.
+
+    """
+    for row in range(anchor + 1, len(angles)):
+        _make_continuous(angles[row], angles[row - 1], poles[row], proper)
+    for row in range(anchor - 1, -1, -1):
+        _make_continuous(angles[row], angles[row + 1], poles[row], proper)
+
+
+@internal
+def _make_continuous(triple: Floats, last: Floats, pole: float, proper: bool) -> None:
+    a, b, c = triple
+    if pole != 0.0:  # a + pole c is determined; a - pole c is not, and is copied
+        free = last[0] - pole * last[2]
+        determined = _nearest(a + pole * c, last[0] + pole * last[2])
+        triple[0] = 0.5 * (determined + free)
+        triple[1] = _nearest(b, last[1])
+        triple[2] = 0.5 * pole * (determined - free)
+        return
+    same = _nearest(a, last[0]), _nearest(b, last[1]), _nearest(c, last[2])
+    other = (_nearest(a + np.pi, last[0]), _nearest(-b if proper else np.pi - b, last[1]),
+             _nearest(c + np.pi, last[2]))
+    triple[0], triple[1], triple[2] = (
+        other if _distance(other, last) < _distance(same, last) else same)
+
+
+@internal
+def _nearest(angle: float, last: float) -> float:
+    return angle + _TURN * np.rint((last - angle) / _TURN)
+
+
+@internal
+def _distance(triple: tuple[float, float, float], last: Floats) -> float:
+    a, b, c = triple[0] - last[0], triple[1] - last[1], triple[2] - last[2]
+    return a * a + b * b + c * c

@@ -35,7 +35,7 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import body_layout
 from rigid_body_ros.kernels import double_double as dd
-from rigid_body_ros.kernels.jit import internal
+from rigid_body_ros.kernels.jit import internal, njit
 from rigid_body_ros.kernels.triple_double import (
     add_product,
     add_scaled,
@@ -57,6 +57,20 @@ _ROUNDING = 2.0 ** -49
 _SWEEPS, _ITERATIONS = 10, 3
 _AMBIGUOUS = math.inf
 _ZERO = (0.0, 0.0, 0.0)
+
+
+@njit
+def components(high: Floats, low: Floats, vectors: Floats) -> Floats:
+    """Return the components of vectors along axes (columns) as double-double numbers."""
+    result = np.empty((len(vectors), 3, 2))
+    for row in range(len(vectors)):
+        for axis in range(3):
+            total = (0.0, 0.0)
+            for k in range(3):
+                total = dd.add(total, dd.multiply((high[k, axis], low[k, axis]),
+                                                  (vectors[row, k], 0.0)))
+            result[row, axis, 0], result[row, axis, 1] = total
+    return result
 
 
 @internal

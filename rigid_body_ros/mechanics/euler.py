@@ -36,12 +36,10 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import euler_angles as kernels
 from rigid_body_ros.kernels.elementary_arrays import sines_cosines
-from rigid_body_ros.kernels.jit import njit
 
 #: sin(theta), or cos(theta) for three different axes, below which angles count as degenerate:
 #: only the sum or the difference of the first and third angle is determined.
 DEGENERATE = 1e-7
-_TURN = 2.0 * np.pi
 #: sin(theta) below which a rate divided by it may overflow.
 _VANISHING = 1e-290
 #: sin(theta) below which theta is at a pole within rounding: of the sum and the difference of the
@@ -315,46 +313,8 @@ def unwrap(angles: ArrayLike, sequence: str = 'ZXZ') -> Floats:
     free = np.abs(sine) < _UNDETERMINED
     if free.size:
         poles = np.where(free, np.sign(cosine), 0.0)
-        _make_rows_continuous(result, int(np.argmin(free)), poles, axes.proper)
+        kernels.make_rows_continuous(result, int(np.argmin(free)), poles, axes.proper)
     return result
-
-
-@njit
-def _make_rows_continuous(angles: Floats, anchor: int, poles: Floats, proper: bool) -> None:
-    # From the row `anchor` on to the last row, and back to the first, make each row continuous
-    # with its neighbour on the side of the anchor.
-    for row in range(anchor + 1, len(angles)):
-        _make_continuous(angles[row], angles[row - 1], poles[row], proper)
-    for row in range(anchor - 1, -1, -1):
-        _make_continuous(angles[row], angles[row + 1], poles[row], proper)
-
-
-@njit
-def _make_continuous(triple: Floats, last: Floats, pole: float, proper: bool) -> None:
-    a, b, c = triple
-    if pole != 0.0:  # a + pole c is determined; a - pole c is not, and is copied
-        free = last[0] - pole * last[2]
-        determined = _nearest(a + pole * c, last[0] + pole * last[2])
-        triple[0] = 0.5 * (determined + free)
-        triple[1] = _nearest(b, last[1])
-        triple[2] = 0.5 * pole * (determined - free)
-        return
-    same = _nearest(a, last[0]), _nearest(b, last[1]), _nearest(c, last[2])
-    other = (_nearest(a + np.pi, last[0]), _nearest(-b if proper else np.pi - b, last[1]),
-             _nearest(c + np.pi, last[2]))
-    triple[0], triple[1], triple[2] = (
-        other if _distance(other, last) < _distance(same, last) else same)
-
-
-@njit
-def _nearest(angle: float, last: float) -> float:
-    return angle + _TURN * np.rint((last - angle) / _TURN)
-
-
-@njit
-def _distance(triple: tuple[float, float, float], last: Floats) -> float:
-    a, b, c = triple[0] - last[0], triple[1] - last[1], triple[2] - last[2]
-    return a * a + b * b + c * c
 
 
 def _intrinsic(angles: ArrayLike, axes: _Axes) -> Floats:

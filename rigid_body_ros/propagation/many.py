@@ -25,15 +25,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import motion_layout
+from rigid_body_ros.kernels import layout, many_loop, motion_layout
 from rigid_body_ros.kernels.lanes import LANES
+from rigid_body_ros.kernels.layout import Rows, Terms
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.propagation import layout, loop, many_loop
-from rigid_body_ros.propagation.layout import Rows, Terms
 from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.problem import Problem
 from rigid_body_ros.propagation.requested import checked_times
@@ -210,7 +209,7 @@ class _Runs:
         checked_times(self._times_ns, int(begins_ns.min()))
         options.check_linear_terms(bool(bodies.is_damped.any()), bool(starts.has_rotors.any()))
         self._bodies, self._options = bodies, options
-        self._order = loop.IN_ORDER if ascends else np.argsort(self._times_ns, kind='stable')
+        self._order = layout.IN_ORDER if ascends else np.argsort(self._times_ns, kind='stable')
         self._messages = [one or other for one, other in zip(bodies.messages, starts.messages)]
         count = len(bodies)
         self._progress = np.zeros(count, layout.PROGRESS)

@@ -25,14 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, LONGEST
+from rigid_body_ros.kernels import layout
+from rigid_body_ros.kernels.layout import FASTEST as FASTEST
 from rigid_body_ros.kernels.taylor import step_angle
 from rigid_body_ros.mechanics.body import RigidBody
-from rigid_body_ros.propagation import layout
 from rigid_body_ros.propagation.solvers import AUTO, Solver, solver_named
 
 TOLERANCES = (1e-15, 1.0)
-#: rad/s; up to this speed the series converges in a step of a nanosecond.
-FASTEST = 1e9
 
 
 @dataclass(frozen=True)

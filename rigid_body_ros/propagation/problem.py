@@ -22,12 +22,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import motion_layout, state_layout
+from rigid_body_ros.kernels import layout, loop, motion_layout, state_layout
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
-from rigid_body_ros.propagation import layout, loop
 from rigid_body_ros.propagation.models import SolverUsage
 from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.origin import origin_of
@@ -304,7 +303,7 @@ class Integration:
             stop = int(np.searchsorted(self._timeline.times_ns, until_ns))
             if end_ns < until_ns:  # the end of the piece was not requested
                 times_ns, end_ns = np.append(times_ns, until_ns), until_ns
-        order = loop.IN_ORDER if ascends else np.argsort(times_ns, kind='stable')
+        order = layout.IN_ORDER if ascends else np.argsort(times_ns, kind='stable')
         motion = motion_layout.allocate(times_ns.size)
         closed = self._fill(times_ns, order, motion, stop)
         self._end_ns = end_ns
@@ -334,7 +333,7 @@ class Integration:
             marks = closed[first:] if first else closed
             while result := loop.run(progress, times_ns, order, motion, marks, rows,
                                      problem.body._constants, problem.options.method):
-                if result == loop.TOO_FAST:
+                if result == layout.TOO_FAST:
                     raise problem.options.too_fast(int(progress['grid_ns'][0]))
             if first:
                 progress['row'] += first

@@ -19,14 +19,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.times import instants, NEVER_NS
-from rigid_body_ros.kernels.jit import njit
+from rigid_body_ros.kernels.extent import extent
 
 
 def checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], bool, int]:
     """Return times, whether they ascend, and the latest of them."""
     times = instants(at, 'at')
     if times.size > 1:
-        ascends, first_ns, last_ns = _order(times)
+        ascends, first_ns, last_ns = extent(times)
     else:  # calling a kernel takes as long as all the rest
         ascends, (first_ns, last_ns) = True, 2 * (times.tolist() or [start_ns])
     if first_ns < start_ns:
@@ -38,13 +38,3 @@ def checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], bool
         raise ValueError(f'at: expected times within 292 years of the start ({start_ns} ns), '
                          f'found {last_ns} ns')
     return times, ascends, int(last_ns)  # a numpy integer if numba is absent
-
-
-@njit
-def _order(times_ns: NDArray[np.int64]) -> tuple[bool, int, int]:
-    # Return whether times ascend, the earliest and the latest of them.
-    ascends, first, last = True, times_ns[0], times_ns[0]
-    for k in range(1, len(times_ns)):
-        ascends = ascends and times_ns[k] >= times_ns[k - 1]
-        first, last = min(first, times_ns[k]), max(last, times_ns[k])
-    return ascends, first, last

@@ -25,14 +25,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import motion_layout
+from rigid_body_ros.kernels import layout, loop, motion_layout
+from rigid_body_ros.kernels.layout import Terms
+from rigid_body_ros.kernels.rotors import momentum_at
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.propagation import layout, loop
-from rigid_body_ros.propagation.layout import Terms
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
-from rigid_body_ros.propagation.rotors import momentum_at
 from rigid_body_ros.propagation.summation import added
 from rigid_body_ros.propagation.timeline import held_row
 
@@ -136,10 +135,10 @@ class Segment:
 
     def _run(self, progress: NDArray[Any], time_ns: int, until: float) -> None:
         """Run the loop up to a time, or until the computing time is used up."""
-        arguments = (progress, np.array([time_ns]), loop.IN_ORDER, *_UNUSED, self._rows,
+        arguments = (progress, np.array([time_ns]), layout.IN_ORDER, *_UNUSED, self._rows,
                      self._constants, self._options.method)
         while result := loop.run(*arguments):
-            if result == loop.TOO_FAST:
+            if result == layout.TOO_FAST:
                 raise self._options.too_fast(
                     time_ns if progress['done'][0] else int(progress['grid_ns'][0]))
             if time.monotonic() > until:

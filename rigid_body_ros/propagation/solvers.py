@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from rigid_body_ros.kernels import steppers
+from rigid_body_ros.kernels import layout, steppers
 
 #: rad; `auto` computes a coast in closed form if the body turns by more. Up to this angle the
 #: series is as exact, and cheaper.
@@ -44,13 +44,13 @@ class Solver(NamedTuple):
     closed_form_beyond: float = math.inf
 
 
-AUTO = Solver('auto', 0, closed_form_beyond=LONG_COAST)
-TAYLOR = Solver('taylor', 1)
-EXACT = Solver('exact', 2, takes_torque=False, takes_linear_terms=False,
+AUTO = Solver('auto', layout.AUTO, closed_form_beyond=LONG_COAST)
+TAYLOR = Solver('taylor', layout.TAYLOR)
+EXACT = Solver('exact', layout.EXACT, takes_torque=False, takes_linear_terms=False,
                closed_form_beyond=-1.0)
-RK4 = Solver('rk4', 3, order=steppers.CLASSICAL.order, fixed_step=True)
-STRANG = Solver('strang', 4, order=2, fixed_step=True, takes_linear_terms=False)
-EXPLICIT_EULER = Solver('explicit_euler', 5, order=1, fixed_step=True)
+RK4 = Solver('rk4', layout.RK4, order=steppers.CLASSICAL.order, fixed_step=True)
+STRANG = Solver('strang', layout.STRANG, order=2, fixed_step=True, takes_linear_terms=False)
+EXPLICIT_EULER = Solver('explicit_euler', layout.EXPLICIT_EULER, order=1, fixed_step=True)
 RECORDS = (AUTO, TAYLOR, EXACT, RK4, STRANG, EXPLICIT_EULER)
 #: Their names.
 SOLVERS = tuple(solver.name for solver in RECORDS)

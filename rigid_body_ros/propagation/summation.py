@@ -23,51 +23,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import reduce
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.kernels import four
-from rigid_body_ros.kernels.jit import inlined, njit
-from rigid_body_ros.kernels.vector import add, of, Polynomial, shifted, Vector
+from rigid_body_ros.kernels.layout import Samples, Sums
+from rigid_body_ros.kernels.summation import sum_logs, sum_rows
 from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.propagation import intervals
-from rigid_body_ros.propagation.rotors import after, Rotor
 
 #: To add it changes no bit of a torque.
 _NOTHING = np.full((1, 3), -0.0)
-
-
-class Sums(NamedTuple):
-    """The sums of torques at the rows, and the momentum of the rotors; see `layout.Rows`."""
-
-    torques: Floats
-    space: Floats
-    motors: Floats
-    momentum: Floats
-
-
-class _Total(NamedTuple):
-    """The sum of torques, N m, in the fraction of an interval."""
-
-    body: Polynomial
-    #: Low-order parts of the coefficients.
-    low: Polynomial
-    space: Polynomial
-    rotors: Polynomial
-
-
-class _Samples(NamedTuple):
-    """The samples of all sources, one source after the other."""
-
-    #: float64 (n, 2 degree + 1, 3), N m.
-    coefficients: Floats
-    stamps_ns: NDArray[np.int64]
-    in_space: NDArray[np.bool_]
-    #: int (sources + 1,): where each source begins.
-    offsets: NDArray[np.intp]
 
 
 def summed(logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int, momentum: Floats,
@@ -127,7 +92,7 @@ def _summed_together(logs: Sequence[TorqueLog], motors: Sequence[TorqueLog], sta
     for array in (body, space, on_rotors):  # one type for the kernels
         array.flags.writeable = False
     sums = _allocated(len(times_ns), 0)
-    return times_ns, _sum_rows(times_ns, body, space, on_rotors, momentum, sums), sums
+    return times_ns, sum_rows(times_ns, body, space, on_rotors, momentum, sums), sums
 
 
 def _allocated(count: int, degree: int) -> Sums:
@@ -148,43 +113,14 @@ def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeo
     """Return the sum of any logs; the last one is the torque on the rotors."""
     pieces = [_pieces(log) for log in sources]
     degree = max(piece.shape[1] // 2 for piece in pieces)
-    samples = _Samples(np.concatenate([_padded(piece, degree) for piece in pieces]),
-                       np.concatenate([log.times_ns for log in sources]),
-                       np.concatenate([log.in_space for log in sources]),
-                       np.cumsum([0, *map(len, sources)]))
+    samples = Samples(np.concatenate([_padded(piece, degree) for piece in pieces]),
+                      np.concatenate([log.times_ns for log in sources]),
+                      np.concatenate([log.in_space for log in sources]),
+                      np.cumsum([0, *map(len, sources)]))
     limit = 1 + len(samples.stamps_ns) * (2 if timeout_ns > 0 else 1)
     sums = _allocated(limit, degree)
-    times_ns, in_space = _sum(samples, timeout_ns, start_ns, momentum, sums)
+    times_ns, in_space = sum_logs(samples, timeout_ns, start_ns, momentum, sums)
     return times_ns, in_space, Sums(*(part[:len(times_ns)] for part in sums))
-
-
-@njit
-def _sum_rows(times_ns: NDArray[np.int64], body: Floats, space: Floats, on_rotors: Floats,
-              momentum: Floats, sums: Sums) -> NDArray[np.bool_]:
-    # Store the sum of held torques, each shape (n, 3), or (1, 3) if it is the same at all times.
-    # Return whether it is in space axes.
-    count = len(times_ns)
-    spaces, rotors = np.empty(count, np.bool_), _loaded(momentum)
-    for row in range(count):
-        turning = _row(on_rotors, row)
-        total = _Total(_held(four.subtract(_row(body, row), turning)), _zero(),
-                       _held(_row(space, row)), _held(turning))
-        spaces[row] = _store(total, rotors, row, sums)
-        if row + 1 < count:
-            length_ns = times_ns[row + 1] - times_ns[row]
-            rotors = after(rotors, total.rotors, length_ns, length_ns)
-    return spaces
-
-
-@inlined
-def _row(rows: Floats, row: int) -> Vector:
-    row = min(row, len(rows) - 1)
-    return of(rows[row, 0], rows[row, 1], rows[row, 2])
-
-
-@inlined
-def _loaded(momentum: Floats) -> Rotor:
-    return _row(momentum, 0), _row(momentum, 1)
 
 
 def _pieces(log: TorqueLog) -> Floats:
@@ -201,146 +137,3 @@ def _padded(coefficients: Floats, degree: int) -> Floats:
     result[:, :own + 1] = coefficients[:, :own + 1]
     result[:, degree + 1:degree + 1 + own] = coefficients[:, own + 1:]
     return result
-
-
-@njit
-def _sum(samples: _Samples, timeout_ns: int, start_ns: int, momentum: Floats,
-         sums: Sums) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    # Store the sum, and return its times, and whether it is in space axes.
-    coefficients, stamps_ns, in_space, offsets = samples
-    count, degree = len(offsets) - 1, coefficients.shape[1] // 2
-    in_force = offsets[:-1] - 1  # of each source
-    times, spaces = np.empty(len(sums.torques), np.int64), np.empty(len(sums.torques), np.bool_)
-    rotors = _loaded(momentum)
-    at, time_ns = 0, start_ns
-    while time_ns < NEVER_NS:
-        next_ns = NEVER_NS
-        for k in range(count):
-            while in_force[k] + 1 < offsets[k + 1] and stamps_ns[in_force[k] + 1] <= time_ns:
-                in_force[k] += 1
-            next_ns = min(next_ns, _next_change(stamps_ns, in_force[k], offsets[k],
-                                                offsets[k + 1], time_ns, timeout_ns))
-        length_ns = next_ns - time_ns if next_ns < NEVER_NS else NEVER_NS
-        if degree == 0:  # otherwise copies of zero coefficients take half of the time
-            body = space = on_rotors = four.broadcast(-0.0)
-            for k in range(count):
-                row = in_force[k]
-                if row >= offsets[k] and not 0 < timeout_ns <= time_ns - stamps_ns[row]:
-                    torque = intervals.coefficient(coefficients, row, 0)
-                    if in_space[row]:
-                        space = add(space, torque)
-                    elif k == count - 1:
-                        body, on_rotors = four.subtract(body, torque), add(on_rotors, torque)
-                    else:
-                        body = add(body, torque)
-            total = _Total(_held(body), _zero(), _held(space), _held(on_rotors))
-        else:
-            total = _Total(_nothing(), _nothing(), _nothing(), _nothing())
-            for k in range(count):
-                row = in_force[k]
-                if row >= offsets[k] and not 0 < timeout_ns <= time_ns - stamps_ns[row]:
-                    span_ns = stamps_ns[row + 1] - stamps_ns[row] if row + 1 < offsets[k + 1] \
-                        else NEVER_NS
-                    total = _add(total, _piece(coefficients, row, time_ns - stamps_ns[row],
-                                               span_ns, length_ns), k == count - 1, in_space[row])
-        times[at], spaces[at] = time_ns, _store(total, rotors, at, sums)
-        if next_ns < NEVER_NS:
-            rotors = after(rotors, total.rotors, length_ns, length_ns)
-        at, time_ns = at + 1, next_ns
-    return times[:at], spaces[:at]
-
-
-@inlined
-def _nothing() -> Polynomial:
-    # To add to -0 changes no bit of a torque.
-    nothing = four.broadcast(-0.0)
-    return nothing, nothing, nothing, nothing
-
-
-@inlined
-def _held(torque: Vector) -> Polynomial:
-    zero = four.broadcast(0.0)
-    return torque, zero, zero, zero
-
-
-@inlined
-def _zero() -> Polynomial:
-    zero = four.broadcast(0.0)
-    return zero, zero, zero, zero
-
-
-@inlined
-def _next_change(stamps_ns: NDArray[np.int64], sample: int, first: int, stop: int, time_ns: int,
-                 timeout_ns: int) -> int:
-    # Return when the torque of a source changes next: at its next stamp, or when it times out.
-    next_ns = stamps_ns[sample + 1] if sample + 1 < stop else NEVER_NS
-    if timeout_ns > 0 and sample >= first and stamps_ns[sample] + timeout_ns > time_ns:
-        return min(next_ns, stamps_ns[sample] + timeout_ns)
-    return next_ns
-
-
-@inlined
-def _piece(coefficients: Floats, row: int, passed_ns: int, span_ns: int,
-           length_ns: int) -> tuple[Polynomial, Polynomial]:
-    # Return a part of a polynomial that begins some time after its stamp; with the low-order parts
-    # if it is the whole polynomial.
-    torque = intervals.torque_of(coefficients, row)
-    if coefficients.shape[1] == 1 or (passed_ns == 0 and length_ns == span_ns):
-        return torque, intervals.low_order_parts(coefficients, row)
-    return shifted(torque, passed_ns / span_ns, length_ns / span_ns), _zero()
-
-
-@inlined
-def _add(total: _Total, piece: tuple[Polynomial, Polynomial], on_rotors: bool,
-         in_space: bool) -> _Total:
-    (body, low, space, rotors), (torque, torque_low) = total, piece
-    if in_space:
-        return _Total(body, low, _plus(space, torque), rotors)
-    if on_rotors:
-        return _Total(_minus(body, torque), _minus(low, torque_low), space, _plus(rotors, torque))
-    return _Total(_plus(body, torque), _plus(low, torque_low), space, rotors)
-
-
-@inlined
-def _plus(p: Polynomial, q: Polynomial) -> Polynomial:
-    (a, b, c, d), (e, f, g, h) = p, q
-    return add(a, e), add(b, f), add(c, g), add(d, h)
-
-
-@inlined
-def _minus(p: Polynomial, q: Polynomial) -> Polynomial:
-    (a, b, c, d), (e, f, g, h) = p, q
-    return four.subtract(a, e), four.subtract(b, f), four.subtract(c, g), four.subtract(d, h)
-
-
-@inlined
-def _store(total: _Total, rotors: Rotor, row: int, sums: Sums) -> bool:
-    # Store the sum at a row. If only a torque in space axes acts, store it where a single one
-    # stands, and return True.
-    (body, low, space, on_rotors), degree = total, sums.torques.shape[1] // 2
-    only_space = intervals.is_zero(body) and not intervals.is_zero(space)
-    if only_space:
-        body, low, space = space, _zero(), _zero()
-    _store_polynomial(sums.torques, row, degree, body)
-    _store_vector(sums.torques, row, degree + 1, low[1], degree > 0)
-    _store_vector(sums.torques, row, degree + 2, low[2], degree > 1)
-    _store_vector(sums.torques, row, degree + 3, low[3], degree > 1)
-    _store_polynomial(sums.space, row, degree, space)
-    _store_polynomial(sums.motors, row, degree, on_rotors)
-    _store_vector(sums.momentum, row, 0, rotors[0], True)
-    _store_vector(sums.momentum, row, 1, rotors[1], True)
-    return only_space
-
-
-@inlined
-def _store_polynomial(rows: Floats, row: int, degree: int, polynomial: Polynomial) -> None:
-    _store_vector(rows, row, 0, polynomial[0], True)
-    _store_vector(rows, row, 1, polynomial[1], degree > 0)
-    _store_vector(rows, row, 2, polynomial[2], degree > 1)
-    _store_vector(rows, row, 3, polynomial[3], degree > 1)
-
-
-@inlined
-def _store_vector(rows: Floats, row: int, k: int, vector: Vector, exists: bool) -> None:
-    if exists:
-        intervals.store_coefficient(rows, row, k, vector)

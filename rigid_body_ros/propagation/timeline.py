@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels.layout import Rows, Terms
+from rigid_body_ros.kernels.rotors import momentum_at
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import summation
-from rigid_body_ros.propagation.layout import Rows, Terms
-from rigid_body_ros.propagation.rotors import momentum_at
 
 #: Number of samples whose polynomials are computed at a time.
 _CHUNK = 65536

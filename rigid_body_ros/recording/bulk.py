@@ -22,12 +22,12 @@ decode is passed to `MessageType.decode`, which raises an error with the reason.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels.jit import inlined, njit
+from rigid_body_ros.kernels import messages as kernels
 from rigid_body_ros.messages import MessageType
 
 Bytes = NDArray[np.uint8]
@@ -110,9 +110,9 @@ def decode(kind: MessageType, raw: Raw) -> Decoded:
     stamps, bits = np.zeros(count, np.int64), np.empty((count, kind.doubles), np.int64)
     texts, changes = np.zeros((count, 2), np.int64), np.zeros(count, np.bool_)
     after = np.zeros(count, np.int64)
-    done = _decode(raw.data, raw.starts, raw.sizes, kind.has_header, kind.is_list,
-                   kind.has_child_frame, len(kind.before_doubles), stamps, bits, texts, changes,
-                   after)
+    done = kernels.decode(
+        raw.data, raw.starts, raw.sizes, kind.has_header, kind.is_list, kind.has_child_frame,
+        len(kind.before_doubles), stamps, bits, texts, changes, after)
     names: dict[str, int] = {}
     codes = np.zeros(count, np.intp)
     rows = np.flatnonzero(changes[:done])
@@ -129,105 +129,3 @@ def decode(kind: MessageType, raw: Raw) -> Decoded:
         raise BadMessageError(row, str(error)) from error
     longer = int(np.sum(after > len(kind.after_doubles) + _PADDING))
     return Decoded(stamps, codes, [*names], bits.view(np.float64), longer)
-
-
-@njit
-def _decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: bool,
-            has_child_frame: bool, before_doubles: int, stamps: Ints, bits: Ints, texts: Ints,
-            changes: NDArray[np.bool_], after: Ints) -> int:
-    # Fill `stamps`, `bits` (of the doubles), `texts` (start and size of each frame_id),
-    # `changes` (whether the frame_id differs from the previous one), and `after` (bytes after the
-    # doubles). Return the number of valid messages before the first invalid one.
-    for row in range(len(starts)):
-        start, end = starts[row], starts[row] + sizes[row]
-        if sizes[row] < 4 or data[start] != 0 or data[start + 1] > 1:
-            return row
-        little, body = data[start + 1] == 1, start + 4
-        offset = body
-        if is_list:
-            if offset + 4 > end or integer(data, offset, 4, little) != 1:
-                return row
-            offset += 4
-        if has_header:
-            if offset + 8 > end:
-                return row
-            seconds, rest = integer(data, offset, 4, little), integer(data, offset + 4, 4, little)
-            if seconds >= 2 ** 31 or rest >= 10 ** 9:
-                return row
-            stamps[row] = seconds * 10 ** 9 + rest
-            offset += 8
-            for text in range(2 if has_child_frame else 1):
-                offset += (body - offset) % 4
-                size = integer(data, offset, 4, little) if offset + 4 <= end else 0
-                if size < 1 or size > end - offset - 4:
-                    return row
-                if text == 0:
-                    texts[row, 0], texts[row, 1] = offset + 4, size - 1
-                    changes[row] = row == 0 or not _same_text(data, texts[row - 1], texts[row])
-                offset += 4 + size
-            offset += (body - offset) % 4 + before_doubles
-            offset += (body - offset) % 8
-        elif row == 0:
-            changes[row] = True
-        if offset + 8 * bits.shape[1] > end:
-            return row
-        for k in range(bits.shape[1]):
-            bits[row, k] = integer(data, offset + 8 * k, 8, little)
-        after[row] = end - offset - 8 * bits.shape[1]
-    return len(starts)
-
-
-@inlined
-def integer(data: Bytes, start: int, size: int, little: bool) -> Any:
-    """Return an integer, little or big endian; eight bytes are signed, fewer are unsigned."""
-    value = np.int64(0)
-    for k in range(size):
-        place = size - 1 - k if little else k
-        value = value << np.int64(8) | np.int64(data[start + place])
-    return value
-
-
-@inlined
-def _same_text(data: Bytes, one: Ints, other: Ints) -> bool:
-    # Compare two texts, each given by its start and size.
-    if one[1] != other[1]:
-        return False
-    for k in range(one[1]):
-        if data[one[0] + k] != data[other[0] + k]:
-            return False
-    return True
-
-
-@njit
-def scan(data: Bytes, position: int, count: int, channels: Ints, log_ns: Ints, publish_ns: Ints,
-         starts: Ints, sizes: Ints) -> tuple[int, int]:
-    """
-    Find the messages in MCAP records, up to the first record that is not a message.
-
-    Parameters
-    ----------
-    data : array of uint8, shape (size,)
-        Consecutive records, as in a decompressed chunk.
-    position, count : int
-        Where to start in the data, and how many messages were found before.
-    channels, log_ns, publish_ns, starts, sizes : array of int64
-        Outputs, filled from index `count` on.
-
-    Returns
-    -------
-    position, count : int
-        Where the scan stopped, and how many messages have been found so far.
-
-    """
-    end = len(data)
-    while position + 31 <= end and data[position] == 5:  # a message with all its fields
-        length = integer(data, position + 1, 8, True)
-        if length < 22 or length > end - position - 9:
-            break
-        channels[count] = integer(data, position + 9, 2, True)
-        log_ns[count] = integer(data, position + 15, 8, True)
-        publish_ns[count] = integer(data, position + 23, 8, True)
-        starts[count], sizes[count] = position + 31, length - 22
-        position += 9 + length
-        count += 1
-    return position, count

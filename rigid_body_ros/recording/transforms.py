@@ -17,10 +17,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
-from rigid_body_ros.kernels.jit import inlined, njit
+from rigid_body_ros.kernels.messages import find_transforms
 from rigid_body_ros.messages import MessageType
-from rigid_body_ros.recording.bulk import BadMessageError, Bytes, Decoded, integer, Ints, Raw
+from rigid_body_ros.recording.bulk import BadMessageError, Decoded, Raw
 
 #: Fewest bytes of a transform before its doubles: a stamp and two empty names.
 _LEAST = 8 + 2 * 5
@@ -57,8 +56,8 @@ def decode(kind: MessageType, raw: Raw, frames: tuple[str, str]) -> tuple[Raw, D
     rows, stamps = np.zeros(most, np.int64), np.zeros(most, np.int64)
     bits = np.zeros((most, kind.doubles), np.int64)
     parent, child = (np.frombuffer(name.encode() + b'\0', np.uint8) for name in frames)
-    found, bad = _find(raw.data, raw.starts, raw.sizes, kind.is_list, parent, child, rows, stamps,
-                       bits)
+    found, bad = find_transforms(raw.data, raw.starts, raw.sizes, kind.is_list, parent, child,
+                                 rows, stamps, bits)
     if bad >= 0:
         raise BadMessageError(bad, f'expected a {kind.name} in CDR, found undecodable bytes')
     rows = rows[:found]
@@ -89,52 +88,3 @@ def pairs(kind: MessageType, raw: Raw) -> list[tuple[str, str]]:
         same, _ = decode(kind, raw, found[-1])
         rows = rows[1:][~np.isin(raw.starts[rows[1:]], same.starts)]
     return found
-
-
-@inlined
-def _is_name(data: Bytes, start: int, size: int, name: Bytes) -> bool:
-    same = size == len(name)
-    for k in range(size if same else 0):
-        same = same and data[start + k] == name[k]
-    return same
-
-
-@njit
-def _find(data: Bytes, starts: Ints, sizes: Ints, is_list: bool, parent: Bytes, child: Bytes,
-          rows: Ints, stamps: Ints, bits: NDArray[np.int64]) -> tuple[int, int]:
-    # Fill `rows` (of the messages), `stamps` and `bits` (of the doubles). Return the number of
-    # transforms found, and the first invalid message or -1.
-    found = 0
-    for row in range(len(starts)):
-        start, end = starts[row], starts[row] + sizes[row]
-        if sizes[row] < 8 or data[start] != 0 or data[start + 1] > 1:
-            return found, row
-        little, body = data[start + 1] == 1, start + 4
-        offset, count = body, 1
-        if is_list:
-            offset, count = body + 4, integer(data, body, 4, little)
-        for _ in range(count):
-            if offset + 8 > end:
-                return found, row
-            seconds, rest = integer(data, offset, 4, little), integer(data, offset + 4, 4, little)
-            if seconds >= 2 ** 31 or rest >= 10 ** 9:
-                return found, row
-            offset, wanted = offset + 8, True
-            for number in range(2):
-                offset += (body - offset) % 4
-                size = integer(data, offset, 4, little) if offset + 4 <= end else 0
-                if size < 1 or size > end - offset - 4:
-                    return found, row
-                name = parent if number == 0 else child
-                wanted = wanted and _is_name(data, offset + 4, size, name)
-                offset += 4 + size
-            offset += (body - offset) % 8
-            if offset + 8 * bits.shape[1] > end:
-                return found, row
-            if wanted:
-                rows[found], stamps[found] = row, seconds * 10 ** 9 + rest
-                for k in range(bits.shape[1]):
-                    bits[found, k] = integer(data, offset + 8 * k, 8, little)
-                found += 1
-            offset += 8 * bits.shape[1]
-    return found, -1

@@ -26,8 +26,7 @@ from fractions import Fraction
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import body_layout, state_layout, tensor
-from rigid_body_ros.kernels import double_double as dd
-from rigid_body_ros.kernels.jit import njit
+from rigid_body_ros.kernels.principal_axes import components
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
@@ -77,18 +76,4 @@ class PrincipalAxes:
 
     def _components(self, vectors: Floats) -> Floats:
         high, low = self._axes
-        return _components(high, low, vectors)
-
-
-@njit
-def _components(high: Floats, low: Floats, vectors: Floats) -> Floats:
-    """Return the components of vectors along axes (columns) as double-double numbers."""
-    result = np.empty((len(vectors), 3, 2))
-    for row in range(len(vectors)):
-        for axis in range(3):
-            total = (0.0, 0.0)
-            for k in range(3):
-                total = dd.add(total, dd.multiply((high[k, axis], low[k, axis]),
-                                                  (vectors[row, k], 0.0)))
-            result[row, axis, 0], result[row, axis, 1] = total
-    return result
+        return components(high, low, vectors)

@@ -33,19 +33,19 @@ from rigid_body_ros.kernels import (
     euler_equations,
     four,
     lanes,
+    layout,
     motion_layout,
     short_step,
     state_layout,
+    stepping,
     taylor,
     vector,
 )
+from rigid_body_ros.kernels import group as runs
+from rigid_body_ros.kernels.group import Group
 from rigid_body_ros.kernels.jit import inlined, internal
 from rigid_body_ros.kernels.lanes import LANES
-from rigid_body_ros.propagation import group as runs
-from rigid_body_ros.propagation import layout, stepping
-from rigid_body_ros.propagation.group import Group
-from rigid_body_ros.propagation.layout import Body, Method
-from rigid_body_ros.propagation.options import FASTEST
+from rigid_body_ros.kernels.layout import Body, FASTEST, Method
 
 #: A step of the group takes about as long as steps of so many runs one by one.
 _FEWEST_RUNS = 3

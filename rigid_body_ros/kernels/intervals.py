@@ -27,10 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.kernels import euler_equations, four, linear_terms, short_step, vector
+from rigid_body_ros.kernels import euler_equations, four, layout, linear_terms, short_step, vector
 from rigid_body_ros.kernels.jit import inlined, optional
-from rigid_body_ros.propagation import layout
-from rigid_body_ros.propagation.layout import Body
+from rigid_body_ros.kernels.layout import Body
 
 
 class Interval(NamedTuple):

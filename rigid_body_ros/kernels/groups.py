@@ -28,11 +28,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.kernels import group_segment, group_stamps, layout
+from rigid_body_ros.kernels.group import Group
+from rigid_body_ros.kernels.group_segment import Shared
 from rigid_body_ros.kernels.jit import internal
-from rigid_body_ros.propagation import group_segment, group_stamps, layout
-from rigid_body_ros.propagation.group import Group
-from rigid_body_ros.propagation.group_segment import Shared
-from rigid_body_ros.propagation.layout import Method, Place, Rows
+from rigid_body_ros.kernels.layout import Method, Place, Rows
 
 
 class Advanced(NamedTuple):

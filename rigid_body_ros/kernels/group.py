@@ -29,7 +29,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import body_layout, four, lanes, state_layout, taylor, vector
 from rigid_body_ros.kernels.jit import inlined, internal
 from rigid_body_ros.kernels.lanes import LANES
-from rigid_body_ros.propagation.layout import Method
+from rigid_body_ros.kernels.layout import Method
 
 #: Steps in a segment, or stamps before the next output, from which it pays to gather a group.
 FEWEST = 4

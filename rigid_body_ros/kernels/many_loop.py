@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import groups, layout, loop
+from rigid_body_ros.kernels.group import BUDGET, Group, workspace
+from rigid_body_ros.kernels.groups import Advanced
 from rigid_body_ros.kernels.jit import COMPILES, inlined, internal, njit, optional
 from rigid_body_ros.kernels.lanes import LANES
-from rigid_body_ros.propagation import groups, layout, loop
-from rigid_body_ros.propagation.group import BUDGET, Group, workspace
-from rigid_body_ros.propagation.groups import Advanced
-from rigid_body_ros.propagation.layout import Rows, Terms
+from rigid_body_ros.kernels.layout import Rows, Terms
 
 #: Rows after which runs that could not step together are tried again.
 _PIECE = 64
@@ -98,9 +98,9 @@ def run_each(which: NDArray[np.intp], progress: NDArray[Any], times_ns: NDArray[
                              _of_run(rows.terms, i)),
                         constants[i], methods)
                     progress[i].row, progress[i].stop = progress[i].row + first, stop
-                    if result == loop.UNFINISHED:
+                    if result == layout.UNFINISHED:
                         return k
-                    if result == loop.TOO_FAST:
+                    if result == layout.TOO_FAST:
                         progress[i].stop = layout.FAILED
                 going |= _is_left(progress[i], outputs, stop)
 

@@ -37,15 +37,12 @@ import math
 from typing import NamedTuple
 
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import linear_terms, steppers, taylor, vector
+from rigid_body_ros.kernels import intervals, layout, linear_terms, steppers, taylor, vector
+from rigid_body_ros.kernels.intervals import Drive, Loads
 from rigid_body_ros.kernels.jit import inlined, internal, optional
-from rigid_body_ros.propagation import intervals, layout, solvers
-from rigid_body_ros.propagation.intervals import Drive, Loads
-from rigid_body_ros.propagation.layout import Body, Method
-from rigid_body_ros.propagation.options import FASTEST
+from rigid_body_ros.kernels.layout import Body, FASTEST, Method
 
-_RK4, _STRANG = solvers.RK4.code, solvers.STRANG.code
-_EXPLICIT_EULER = solvers.EXPLICIT_EULER.code
+_RK4, _STRANG, _EXPLICIT_EULER = layout.RK4, layout.STRANG, layout.EXPLICIT_EULER
 
 
 class Reached(NamedTuple):

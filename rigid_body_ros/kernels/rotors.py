@@ -20,12 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.kernels import four
+from rigid_body_ros.kernels import four, intervals, layout
 from rigid_body_ros.kernels.double_double import DoubleDouble
 from rigid_body_ros.kernels.jit import inlined, njit
 from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.vector import add, add_scaled, Polynomial, scale, two_sum, Vector
-from rigid_body_ros.propagation import intervals, layout
 
 #: Momentum of the rotors, N m s, and its low-order part.
 Rotor = tuple[Vector, Vector]

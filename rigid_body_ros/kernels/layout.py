@@ -42,6 +42,16 @@ from rigid_body_ros.kernels.jit import inlined, internal, optional, record
 STEP_COST = 16
 #: Units of work, at most about 0.1 s, after which a kernel returns so that Python handles signals.
 BUDGET = 20_000 * STEP_COST
+#: Results of `loop.run`. FINISHED: all outputs are filled, or the row to stop at is reached.
+#: UNFINISHED: the budget is used up; another call continues. TOO_FAST: the body turns faster than
+#: FASTEST.
+FINISHED, UNFINISHED, TOO_FAST = range(3)
+#: rad/s; up to this speed the series converges in a step of a nanosecond.
+FASTEST = 1e9
+#: Value of `order` of `loop.run` if the times ascend.
+IN_ORDER = np.empty(0, np.intp)
+#: The codes of the solvers.
+AUTO, TAYLOR, EXACT, RK4, STRANG, EXPLICIT_EULER = range(6)
 #: The solver and its limits on a step; see `Method`.
 METHOD = record([
     ('solver', np.int64), ('fixed_step', np.bool_), ('closed_form_beyond', np.float64),
@@ -108,6 +118,26 @@ class Rows(NamedTuple):
     spans: Floats
     #: None if there are neither rotors nor damping, nor torques in two frames.
     terms: Terms | None = None
+
+
+class Sums(NamedTuple):
+    """The sums of torques at the rows, and the momentum of the rotors; see `Rows`."""
+
+    torques: Floats
+    space: Floats
+    motors: Floats
+    momentum: Floats
+
+
+class Samples(NamedTuple):
+    """The samples of all sources, one source after the other."""
+
+    #: float64 (n, 2 degree + 1, 3), N m.
+    coefficients: Floats
+    stamps_ns: NDArray[np.int64]
+    in_space: NDArray[np.bool_]
+    #: int (sources + 1,): where each source begins.
+    offsets: NDArray[np.intp]
 
 
 class Requested(NamedTuple):

@@ -41,22 +41,27 @@ from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels import (
     euler_equations,
     free_motion,
+    intervals,
+    layout,
     motion_layout,
     short_step,
+    stepping,
     taylor,
     vector,
 )
 from rigid_body_ros.kernels.jit import inlined, internal, njit
+from rigid_body_ros.kernels.layout import (
+    Body,
+    FINISHED,
+    GridStates,
+    Method,
+    Place,
+    Requested,
+    Rows,
+    TOO_FAST,
+    UNFINISHED,
+)
 from rigid_body_ros.kernels.linear_terms import Constants
-from rigid_body_ros.propagation import intervals, layout, stepping
-from rigid_body_ros.propagation.layout import Body, GridStates, Method, Place, Requested, Rows
-
-#: Results of `run`. FINISHED: all outputs are filled, or the row to stop at is reached.
-#: UNFINISHED: the budget is used up; another call continues. TOO_FAST: the body turns faster than
-#: FASTEST.
-FINISHED, UNFINISHED, TOO_FAST = range(3)
-#: Value of `order` of `run` if the times ascend.
-IN_ORDER = np.empty(0, np.intp)
 
 
 @njit

@@ -27,11 +27,11 @@ from rigid_body_ros.kernels import (
     state_layout,
     vector,
 )
+from rigid_body_ros.kernels import group as runs
+from rigid_body_ros.kernels.group import Group
 from rigid_body_ros.kernels.jit import inlined, internal
 from rigid_body_ros.kernels.lanes import LANES
-from rigid_body_ros.propagation import group as runs
-from rigid_body_ros.propagation.group import Group
-from rigid_body_ros.propagation.layout import Body, Method, Place, Rows
+from rigid_body_ros.kernels.layout import Body, Method, Place, Rows
 
 
 @internal

@@ -1,0 +1,31 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The extent of an array of times."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.kernels.jit import njit
+
+
+@njit
+def extent(times_ns: NDArray[np.int64]) -> tuple[bool, int, int]:
+    """Return whether times ascend, the earliest and the latest of them."""
+    ascends, first, last = True, times_ns[0], times_ns[0]
+    for k in range(1, len(times_ns)):
+        ascends = ascends and times_ns[k] >= times_ns[k - 1]
+        first, last = min(first, times_ns[k]), max(last, times_ns[k])
+    return ascends, first, last

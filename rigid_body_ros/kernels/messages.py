@@ -1,0 +1,220 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Messages and their records in files, from bytes to arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.kernels.jit import inlined, njit
+
+Bytes = NDArray[np.uint8]
+Ints = NDArray[np.int64]
+
+
+@njit
+def decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: bool,
+           has_child_frame: bool, before_doubles: int, stamps: Ints, bits: Ints, texts: Ints,
+           changes: NDArray[np.bool_], after: Ints) -> int:
+    """
+    Decode messages in CDR.
+
+    Parameters
+    ----------
+    data : uint8 (size,)
+        Messages, one after the other.
+    starts, sizes : int64 (n,)
+        Position and size of each message in the data.
+    has_header, is_list, has_child_frame, before_doubles : bool, bool, bool, int
+        See `MessageType`; the last is a number of bytes.
+    stamps : int64 (n,)
+        Output, ns, zero before.
+    bits : int64 (n, doubles)
+        Output: the bits of the doubles.
+    texts : int64 (n, 2)
+        Output: start and size of each frame_id.
+    changes : bool (n,)
+        Output, false before: whether the frame_id differs from the previous one.
+    after : int64 (n,)
+        Output: the number of bytes after the doubles.
+
+    Returns
+    -------
+    int
+        The number of valid messages before the first invalid one.
+
+    """
+    for row in range(len(starts)):
+        start, end = starts[row], starts[row] + sizes[row]
+        if sizes[row] < 4 or data[start] != 0 or data[start + 1] > 1:
+            return row
+        little, body = data[start + 1] == 1, start + 4
+        offset = body
+        if is_list:
+            if offset + 4 > end or _integer(data, offset, 4, little) != 1:
+                return row
+            offset += 4
+        if has_header:
+            if offset + 8 > end:
+                return row
+            seconds = _integer(data, offset, 4, little)
+            rest = _integer(data, offset + 4, 4, little)
+            if seconds >= 2 ** 31 or rest >= 10 ** 9:
+                return row
+            stamps[row] = seconds * 10 ** 9 + rest
+            offset += 8
+            for text in range(2 if has_child_frame else 1):
+                offset += (body - offset) % 4
+                size = _integer(data, offset, 4, little) if offset + 4 <= end else 0
+                if size < 1 or size > end - offset - 4:
+                    return row
+                if text == 0:
+                    texts[row, 0], texts[row, 1] = offset + 4, size - 1
+                    changes[row] = row == 0 or not _same_text(data, texts[row - 1], texts[row])
+                offset += 4 + size
+            offset += (body - offset) % 4 + before_doubles
+            offset += (body - offset) % 8
+        elif row == 0:
+            changes[row] = True
+        if offset + 8 * bits.shape[1] > end:
+            return row
+        for k in range(bits.shape[1]):
+            bits[row, k] = _integer(data, offset + 8 * k, 8, little)
+        after[row] = end - offset - 8 * bits.shape[1]
+    return len(starts)
+
+
+@njit
+def find_transforms(data: Bytes, starts: Ints, sizes: Ints, is_list: bool, parent: Bytes,
+                    child: Bytes, rows: Ints, stamps: Ints, bits: Ints) -> tuple[int, int]:
+    """
+    Decode the transforms from one frame to another.
+
+    Parameters
+    ----------
+    data, starts, sizes, is_list
+        As for `decode`.
+    parent, child : uint8 (size,)
+        The frame_id and the child_frame_id, each followed by a zero.
+    rows, stamps, bits : int64 (m,), (m,), (m, doubles)
+        Outputs: the message of each transform, its stamp, ns, and the bits of its doubles.
+
+    Returns
+    -------
+    int, int
+        The number of transforms found, and the first invalid message or -1.
+
+    """
+    found = 0
+    for row in range(len(starts)):
+        start, end = starts[row], starts[row] + sizes[row]
+        if sizes[row] < 8 or data[start] != 0 or data[start + 1] > 1:
+            return found, row
+        little, body = data[start + 1] == 1, start + 4
+        offset, count = body, 1
+        if is_list:
+            offset, count = body + 4, _integer(data, body, 4, little)
+        for _ in range(count):
+            if offset + 8 > end:
+                return found, row
+            seconds = _integer(data, offset, 4, little)
+            rest = _integer(data, offset + 4, 4, little)
+            if seconds >= 2 ** 31 or rest >= 10 ** 9:
+                return found, row
+            offset, wanted = offset + 8, True
+            for number in range(2):
+                offset += (body - offset) % 4
+                size = _integer(data, offset, 4, little) if offset + 4 <= end else 0
+                if size < 1 or size > end - offset - 4:
+                    return found, row
+                name = parent if number == 0 else child
+                wanted = wanted and _is_name(data, offset + 4, size, name)
+                offset += 4 + size
+            offset += (body - offset) % 8
+            if offset + 8 * bits.shape[1] > end:
+                return found, row
+            if wanted:
+                rows[found], stamps[found] = row, seconds * 10 ** 9 + rest
+                for k in range(bits.shape[1]):
+                    bits[found, k] = _integer(data, offset + 8 * k, 8, little)
+                found += 1
+            offset += 8 * bits.shape[1]
+    return found, -1
+
+
+@njit
+def scan(data: Bytes, position: int, count: int, channels: Ints, log_ns: Ints, publish_ns: Ints,
+         starts: Ints, sizes: Ints) -> tuple[int, int]:
+    """
+    Find the messages in MCAP records, up to the first record that is not a message.
+
+    Parameters
+    ----------
+    data : array of uint8, shape (size,)
+        Consecutive records, as in a decompressed chunk.
+    position, count : int
+        Where to start in the data, and how many messages were found before.
+    channels, log_ns, publish_ns, starts, sizes : array of int64
+        Outputs, filled from index `count` on.
+
+    Returns
+    -------
+    position, count : int
+        Where the scan stopped, and how many messages have been found so far.
+
+    """
+    end = len(data)
+    while position + 31 <= end and data[position] == 5:  # a message with all its fields
+        length = _integer(data, position + 1, 8, True)
+        if length < 22 or length > end - position - 9:
+            break
+        channels[count] = _integer(data, position + 9, 2, True)
+        log_ns[count] = _integer(data, position + 15, 8, True)
+        publish_ns[count] = _integer(data, position + 23, 8, True)
+        starts[count], sizes[count] = position + 31, length - 22
+        position += 9 + length
+        count += 1
+    return position, count
+
+
+@inlined
+def _integer(data: Bytes, start: int, size: int, little: bool) -> Any:
+    # Return an integer, little or big endian; eight bytes are signed, fewer are unsigned.
+    value = np.int64(0)
+    for k in range(size):
+        place = size - 1 - k if little else k
+        value = value << np.int64(8) | np.int64(data[start + place])
+    return value
+
+
+@inlined
+def _same_text(data: Bytes, one: Ints, other: Ints) -> bool:
+    # Compare two texts, each given by its start and size.
+    if one[1] != other[1]:
+        return False
+    for k in range(one[1]):
+        if data[one[0] + k] != data[other[0] + k]:
+            return False
+    return True
+
+
+@inlined
+def _is_name(data: Bytes, start: int, size: int, name: Bytes) -> bool:
+    same = size == len(name)
+    for k in range(size if same else 0):
+        same = same and data[start + k] == name[k]
+    return same

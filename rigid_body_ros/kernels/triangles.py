@@ -1,0 +1,75 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""QR decomposition of tall matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels.jit import internal, njit
+
+
+@njit
+def reduced(columns: Floats) -> Floats:
+    """
+    Return the triangular factor of a matrix by Householder reflections.
+
+    Parameters
+    ----------
+    columns : float64 (n, m)
+        The columns of the matrix as rows; they are overwritten.
+
+    Returns
+    -------
+    float64 (n, n)
+        Row j is that of the factor.
+
+    """
+    count, length = columns.shape
+    result = np.zeros((count, count))
+    for j in range(min(count, length)):
+        column = columns[j]
+        norm = np.sqrt(_product(column, column, j))
+        if norm > 0.0:
+            if column[j] > 0.0:
+                norm = -norm
+            pivot = column[j] - norm
+            column[j] = pivot
+            for k in range(j + 1, count):
+                other = columns[k]
+                factor = _product(column, other, j) / (norm * pivot)
+                for i in range(j, length):
+                    other[i] += factor * column[i]
+        result[j, j] = norm
+        for k in range(j + 1, count):
+            result[j, k] = columns[k, j]
+    return result
+
+
+@internal
+def _product(one: Floats, other: Floats, first: int) -> float:
+    # Four sums at once, which a processor adds in parallel.
+    a = b = c = d = 0.0
+    i = first
+    while i + 3 < len(one):
+        a += one[i] * other[i]
+        b += one[i + 1] * other[i + 1]
+        c += one[i + 2] * other[i + 2]
+        d += one[i + 3] * other[i + 3]
+        i += 4
+    while i < len(one):
+        a += one[i] * other[i]
+        i += 1
+    return (a + b) + (c + d)
