@@ -26,8 +26,8 @@ import mpmath
 from mpmath import mp, mpf
 import numpy as np
 import pytest
+from rigid_body_ros.engine import elementary as arrays
 from rigid_body_ros.kernels import elementary
-from rigid_body_ros.kernels import elementary_arrays as arrays
 from rigid_body_ros.kernels import elementary_tables as tables
 
 pytestmark = pytest.mark.usefixtures('fifty_digits')
@@ -44,7 +44,7 @@ import hashlib
 import numpy as np
 from rigid_body_ros import propagate, RigidBody, State
 from rigid_body_ros.mechanics import euler, so3
-from rigid_body_ros.kernels import elementary_arrays as arrays
+from rigid_body_ros.engine import elementary as arrays
 integers = np.random.default_rng(1985).integers
 values = integers(-2 ** 53, 2 ** 53, (60, 4)) / 2.0 ** 53
 wide = values[:, 0] * 2.0 ** integers(-40, 1000, 60)
@@ -255,7 +255,7 @@ x86_64 = pytest.mark.skipif(platform.machine() != 'x86_64', reason='the processo
 @x86_64
 def test_elementary_functions_have_the_same_bits_on_an_old_processor(tmp_path):
     script = ('import numpy as np\n'
-              'from rigid_body_ros.kernels import elementary_arrays as arrays\n'
+              'from rigid_body_ros.engine import elementary as arrays\n'
               'x = np.random.default_rng(3).normal(size=60) * 2.0 ** np.linspace(-40, 1000, 60)\n'
               'for values in (*arrays.sines_cosines(x), arrays.arctangents(x, x[::-1]),\n'
               '               arrays.exponentials(x % 9.0)):\n'

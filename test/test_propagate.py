@@ -19,7 +19,7 @@ from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
-from rigid_body_ros.kernels import layout, loop
+from rigid_body_ros.engine import kernels, layout
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import timeline, warm_up
 import truth
@@ -284,7 +284,7 @@ def test_a_kernel_returns_after_a_bounded_number_of_steps_and_outputs(monkeypatc
            'zeros': TorqueLog(stamps, 0.0 * torques)}.get(case, TorqueLog(stamps, torques))
     at = EPOCH_NS + span_ns - np.arange(1 if case in ('stream', 'zeros') else 5000)[::-1] * 10
     whole = propagate(BODY, START, log, at=at)
-    progress, run = [], loop.run
+    progress, run = [], kernels.run
 
     def recorded(reached, *rest):
         before = reached.copy()
@@ -292,7 +292,7 @@ def test_a_kernel_returns_after_a_bounded_number_of_steps_and_outputs(monkeypatc
         progress.append([(reached[name] - before[name])[0] for name in ('row', 'done')])
         return result
     monkeypatch.setattr(layout, 'BUDGET', 1000)
-    monkeypatch.setattr(loop, 'run', recorded)
+    monkeypatch.setattr(kernels, 'run', recorded)
     cut = propagate(BODY, START, log, at=at)
     assert len(progress) > 1
     assert np.max(progress) <= 1000
@@ -410,14 +410,14 @@ class TestPropagator:
 
     def test_an_open_segment_costs_only_what_is_new(self, monkeypatch):
         # An hour of coast asked for at 10 Hz: each call goes on from the one before.
-        spans, run = [], loop.run
+        spans, run = [], kernels.run
 
         def recorded(progress, *rest):
             before_ns = int(progress['grid_ns'][0])
             result = run(progress, *rest)
             spans.append(int(progress['grid_ns'][0]) - before_ns)
             return result
-        monkeypatch.setattr(loop, 'run', recorded)
+        monkeypatch.setattr(kernels, 'run', recorded)
         propagator = Propagator(BODY, START, solver='taylor', history=1.0)
         for number in range(0, 36_000, 3):
             propagator.at(EPOCH_NS + number * SECOND // 10)
@@ -479,7 +479,7 @@ def test_a_time_as_far_from_the_start_as_no_int64_can_tell_is_refused():
 
 def test_nothing_is_left_to_compile_after_the_warm_up():
     warm_up()
-    before = [len(kernel.signatures) for kernel in (loop.run,)]
+    before = [len(kernel.signatures) for kernel in (kernels.run,)]
     stamps, torques, frames = random_log(9)
     for interpolation in ('hold', 'linear', 'cubic'):
         log = TorqueLog(stamps, np.asfortranarray(torques), interpolation=interpolation)
@@ -488,7 +488,7 @@ def test_nothing_is_left_to_compile_after_the_warm_up():
     for stamp, torque, frame in zip(stamps.tolist(), torques, frames):
         propagator.apply(np.int64(stamp), torque, frame)
         propagator.at(EPOCH_NS + 5 * SECOND)
-    assert [len(kernel.signatures) for kernel in (loop.run,)] == before
+    assert [len(kernel.signatures) for kernel in (kernels.run,)] == before
 
 
 @pytest.mark.parametrize('torque', [1e12, 1e100, 1e308])

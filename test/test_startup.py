@@ -107,7 +107,7 @@ def test_the_warm_up_leaves_nothing_to_compile_for_many_motions():
     script = """
 import numpy as np
 from rigid_body_ros import propagate_many, RigidBodies, States, TorqueLog
-from rigid_body_ros.kernels.jit import announced
+from rigid_body_ros.engine import announced
 held, cubic = (TorqueLog(range(4), np.eye(4, 3), interpolation=way) for way in ('hold', 'cubic'))
 there = TorqueLog(range(4), np.eye(4, 3), 'space')
 for logs in ([], [held], [held, cubic], [held, there], [cubic, there]):

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import ENTRIES, Floats
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.kernels.elementary_arrays import exponentials
+from rigid_body_ros.engine.elementary import exponentials
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.states import States

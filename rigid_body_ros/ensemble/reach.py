@@ -28,8 +28,8 @@ import math
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.engine import body_layout
 from rigid_body_ros.ensemble.applied import Applied
-from rigid_body_ros.kernels import body_layout
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.propagation.options import FASTEST

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import ENTRIES, Floats
 from rigid_body_ros.common.errors import InputError, reason
+from rigid_body_ros.engine.kernels import LANES
 from rigid_body_ros.ensemble.applied import (
     Applied,
     components,
@@ -45,7 +46,6 @@ from rigid_body_ros.ensemble.dispersions import (
 from rigid_body_ros.ensemble.fitted import Fitted
 from rigid_body_ros.ensemble.motions import COMPONENTS
 from rigid_body_ros.ensemble.reach import Reach
-from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.states import States

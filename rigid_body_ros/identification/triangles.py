@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels.triangles import reduced
+from rigid_body_ros.engine import kernels
 
 
 def triangle(columns: Floats) -> Floats:
@@ -36,4 +36,4 @@ def triangle(columns: Floats) -> Floats:
         Upper triangular, with rows of zeros if m is less than n.
 
     """
-    return np.triu(reduced(columns)[:, :len(columns)])
+    return np.triu(kernels.reduced(columns)[:, :len(columns)])

@@ -12,78 +12,31 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Elementary functions of arrays, with the same bits on every machine."""
+"""Elementary functions of the elements of arrays."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import elementary
 from rigid_body_ros.kernels.jit import njit
 
 
-def sines_cosines(angles: ArrayLike) -> tuple[Floats, Floats]:
-    """
-    Return sines and cosines, correctly rounded; NaN for infinities and NaN.
-
-    Parameters
-    ----------
-    angles : array, shape (...)
-        In rad.
-
-    Returns
-    -------
-    sines, cosines : array, shape (...)
-
-    """
-    flat = np.array(angles, float, order='C')
-    sines, cosines = np.empty(flat.shape), np.empty(flat.shape)
-    _fill_sines_cosines(flat.reshape(-1), sines.reshape(-1), cosines.reshape(-1))
-    return sines, cosines
-
-
-def arctangents(y: ArrayLike, x: ArrayLike) -> Floats:
-    """
-    Return the angles of the points (x, y), correctly rounded; see `elementary.arctangent`.
-
-    Parameters
-    ----------
-    y, x : array, shape (...)
-        Broadcast against each other.
-
-    Returns
-    -------
-    array, shape (...), rad
-
-    """
-    points = np.array(np.broadcast_arrays(y, x), float)
-    angles = np.empty(points.shape[1:])
-    _fill_arctangents(points.reshape(2, -1), angles.reshape(-1))
-    return angles
-
-
-def exponentials(x: ArrayLike) -> Floats:
-    """Return e^x of an array of any shape, correctly rounded; see `elementary.exponential`."""
-    flat = np.array(x, float, order='C')
-    results = np.empty(flat.shape)
-    _fill_exponentials(flat.reshape(-1), results.reshape(-1))
-    return results
-
-
 @njit
-def _fill_sines_cosines(angles: Floats, sines: Floats, cosines: Floats) -> None:
+def fill_sines_cosines(angles: Floats, sines: Floats, cosines: Floats) -> None:
+    """Compute sines and cosines; see `elementary.sine_cosine`."""
     for row in range(len(angles)):
         sines[row], cosines[row] = elementary.sine_cosine(float(angles[row]))
 
 
 @njit
-def _fill_arctangents(points: Floats, angles: Floats) -> None:
+def fill_arctangents(points: Floats, angles: Floats) -> None:
+    """Compute the angles of points, shape (2, n); see `elementary.arctangent`."""
     for row in range(len(angles)):
         angles[row] = elementary.arctangent(float(points[0, row]), float(points[1, row]))
 
 
 @njit
-def _fill_exponentials(x: Floats, results: Floats) -> None:
+def fill_exponentials(x: Floats, results: Floats) -> None:
+    """Compute e^x; see `elementary.exponential`."""
     for row in range(len(x)):
         results[row] = elementary.exponential(float(x[row]))

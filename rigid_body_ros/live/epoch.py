@@ -21,7 +21,7 @@ from dataclasses import asdict
 from functools import partial
 
 import numpy as np
-from rigid_body_ros.kernels.jit import announced
+from rigid_body_ros.engine import announced
 from rigid_body_ros.live.inputs import Torque
 from rigid_body_ros.mechanics import euler
 from rigid_body_ros.mechanics.state import State

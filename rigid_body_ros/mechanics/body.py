@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.common.errors import quoted
-from rigid_body_ros.kernels import body_layout
-from rigid_body_ros.kernels import tensor as tensor_constants
+from rigid_body_ros.engine import body_layout
+from rigid_body_ros.engine import tensor as tensor_constants
 from rigid_body_ros.mechanics import so3, urdf
 
 #: Accepted relative asymmetry of a tensor, and relative difference up to which moments count as

@@ -34,8 +34,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import euler_angles as kernels
-from rigid_body_ros.kernels.elementary_arrays import sines_cosines
+from rigid_body_ros.engine import kernels
+from rigid_body_ros.engine.elementary import sines_cosines
 
 #: sin(theta), or cos(theta) for three different axes, below which angles count as degenerate:
 #: only the sum or the difference of the first and third angle is determined.

@@ -30,7 +30,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels.elementary_arrays import arctangents, sines_cosines
+from rigid_body_ros.engine.elementary import arctangents, sines_cosines
 
 
 def multiply(p: ArrayLike, q: ArrayLike) -> Floats:

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.common.errors import quoted
 from rigid_body_ros.common.times import instant
-from rigid_body_ros.kernels import state_layout
+from rigid_body_ros.engine import state_layout
 from rigid_body_ros.mechanics import so3
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import instant, instants
-from rigid_body_ros.kernels import state_layout
+from rigid_body_ros.engine import state_layout
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import is_normalized, State
 

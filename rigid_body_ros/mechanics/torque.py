@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import instants, NEVER_NS
-from rigid_body_ros.kernels.interpolation import hermite, slopes
+from rigid_body_ros.engine import kernels
 
 FRAMES = ('body', 'space')
 INTERPOLATIONS = ('hold', 'linear', 'cubic')
@@ -119,7 +119,7 @@ class TorqueLog:
         """
         measured = cls(*_checked_samples(times_ns, momenta, 'momentum', 'momenta'))
         times, values = measured.times_ns, measured.torques
-        torques = slopes(times, values)
+        torques = kernels.slopes(times, values)
         if not np.isfinite(torques).all():
             row = int(np.flatnonzero(~np.isfinite(torques).all(axis=1))[0])
             raise ValueError(f'momentum {row} at {times[row]} ns: expected a finite torque up to '
@@ -244,7 +244,7 @@ class TorqueLog:
             rounded = slope - following
             low = (following - (slope - rounded)) - (here + rounded)  # Knuth's exact sum
             return np.stack([here, slope, low], axis=1)
-        return hermite(self.times_ns, self.torques, first, stop)
+        return kernels.hermite(self.times_ns, self.torques, first, stop)
 
     def at(self, times_ns: ArrayLike, timeout_ns: int = 0) -> tuple[Floats, NDArray[np.bool_]]:
         """

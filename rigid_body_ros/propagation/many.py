@@ -25,9 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import layout, many_loop, motion_layout
-from rigid_body_ros.kernels.lanes import LANES
-from rigid_body_ros.kernels.layout import Rows, Terms
+from rigid_body_ros.engine import kernels, layout, motion_layout, Rows, Terms
+from rigid_body_ros.engine.kernels import LANES
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
@@ -308,7 +307,7 @@ class _Runs:
         done, chunk = 0, LANES
         while done < len(which):
             began = time.monotonic()
-            done += many_loop.run_each(
+            done += kernels.run_each(
                 which[done:done + chunk], self._progress, self._times_ns, self._order,
                 self._motions, rows, self._bodies._constants, self._options.method, gains)
             if time.monotonic() - began < _PATIENCE:

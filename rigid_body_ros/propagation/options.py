@@ -25,9 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, LONGEST
-from rigid_body_ros.kernels import layout
-from rigid_body_ros.kernels.layout import FASTEST as FASTEST
-from rigid_body_ros.kernels.taylor import step_angle
+from rigid_body_ros.engine import FASTEST as FASTEST
+from rigid_body_ros.engine import kernels, layout
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.propagation.solvers import AUTO, Solver, solver_named
 
@@ -95,7 +94,7 @@ class Options:
         """Return the solver and its limits on a step for the kernels: METHOD, shape (1,)."""
         record = self.record
         return np.array([(record.code, record.fixed_step, record.closed_form_beyond,
-                          self.tolerance, step_angle(self.tolerance), self.max_step_ns)],
+                          self.tolerance, kernels.step_angle(self.tolerance), self.max_step_ns)],
                         layout.METHOD)
 
     def check_linear_terms(self, damping: bool, rotors: bool) -> None:

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import layout, loop, motion_layout, state_layout
+from rigid_body_ros.engine import kernels, layout, motion_layout, state_layout
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
@@ -331,8 +331,8 @@ class Integration:
                 progress['row'] -= first
                 progress['stop'] = end - first
             marks = closed[first:] if first else closed
-            while result := loop.run(progress, times_ns, order, motion, marks, rows,
-                                     problem.body._constants, problem.options.method):
+            while result := kernels.run(progress, times_ns, order, motion, marks, rows,
+                                        problem.body._constants, problem.options.method):
                 if result == layout.TOO_FAST:
                     raise problem.options.too_fast(int(progress['grid_ns'][0]))
             if first:

@@ -19,14 +19,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.times import instants, NEVER_NS
-from rigid_body_ros.kernels.extent import extent
+from rigid_body_ros.engine import kernels
 
 
 def checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], bool, int]:
     """Return times, whether they ascend, and the latest of them."""
     times = instants(at, 'at')
     if times.size > 1:
-        ascends, first_ns, last_ns = extent(times)
+        ascends, first_ns, last_ns = kernels.extent(times)
     else:  # calling a kernel takes as long as all the rest
         ascends, (first_ns, last_ns) = True, 2 * (times.tolist() or [start_ns])
     if first_ns < start_ns:

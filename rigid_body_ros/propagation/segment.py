@@ -25,9 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import layout, loop, motion_layout
-from rigid_body_ros.kernels.layout import Terms
-from rigid_body_ros.kernels.rotors import momentum_at
+from rigid_body_ros.engine import kernels, layout, motion_layout, Terms
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation.options import Options
@@ -127,7 +125,7 @@ class Segment:
         begin_ns, rotors = self._grid_ns[0], self._rotors
         terms = self._rows.terms
         if terms is not None and terms.motors is not None:
-            rotors = momentum_at(self._rows.times_ns, terms.momentum, terms.motors,
+            rotors = kernels.momentum_at(self._rows.times_ns, terms.momentum, terms.motors,
                                  np.array([time_ns]))[0]
             rotors.flags.writeable = False
         return State._as_computed(time_ns, packed, Origin(
@@ -137,7 +135,7 @@ class Segment:
         """Run the loop up to a time, or until the computing time is used up."""
         arguments = (progress, np.array([time_ns]), layout.IN_ORDER, *_UNUSED, self._rows,
                      self._constants, self._options.method)
-        while result := loop.run(*arguments):
+        while result := kernels.run(*arguments):
             if result == layout.TOO_FAST:
                 raise self._options.too_fast(
                     time_ns if progress['done'][0] else int(progress['grid_ns'][0]))

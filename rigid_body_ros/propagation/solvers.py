@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from rigid_body_ros.kernels import layout, steppers
+from rigid_body_ros.engine import CLASSICAL, layout
 
 #: rad; `auto` computes a coast in closed form if the body turns by more. Up to this angle the
 #: series is as exact, and cheaper.
@@ -48,7 +48,7 @@ AUTO = Solver('auto', layout.AUTO, closed_form_beyond=LONG_COAST)
 TAYLOR = Solver('taylor', layout.TAYLOR)
 EXACT = Solver('exact', layout.EXACT, takes_torque=False, takes_linear_terms=False,
                closed_form_beyond=-1.0)
-RK4 = Solver('rk4', layout.RK4, order=steppers.CLASSICAL.order, fixed_step=True)
+RK4 = Solver('rk4', layout.RK4, order=CLASSICAL.order, fixed_step=True)
 STRANG = Solver('strang', layout.STRANG, order=2, fixed_step=True, takes_linear_terms=False)
 EXPLICIT_EULER = Solver('explicit_euler', layout.EXPLICIT_EULER, order=1, fixed_step=True)
 RECORDS = (AUTO, TAYLOR, EXACT, RK4, STRANG, EXPLICIT_EULER)

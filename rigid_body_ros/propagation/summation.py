@@ -27,8 +27,7 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels.layout import Samples, Sums
-from rigid_body_ros.kernels.summation import sum_logs, sum_rows
+from rigid_body_ros.engine import kernels, Samples, Sums
 from rigid_body_ros.mechanics.torque import TorqueLog
 
 #: To add it changes no bit of a torque.
@@ -92,7 +91,7 @@ def _summed_together(logs: Sequence[TorqueLog], motors: Sequence[TorqueLog], sta
     for array in (body, space, on_rotors):  # one type for the kernels
         array.flags.writeable = False
     sums = _allocated(len(times_ns), 0)
-    return times_ns, sum_rows(times_ns, body, space, on_rotors, momentum, sums), sums
+    return times_ns, kernels.sum_rows(times_ns, body, space, on_rotors, momentum, sums), sums
 
 
 def _allocated(count: int, degree: int) -> Sums:
@@ -119,7 +118,7 @@ def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeo
                       np.cumsum([0, *map(len, sources)]))
     limit = 1 + len(samples.stamps_ns) * (2 if timeout_ns > 0 else 1)
     sums = _allocated(limit, degree)
-    times_ns, in_space = sum_logs(samples, timeout_ns, start_ns, momentum, sums)
+    times_ns, in_space = kernels.sum_logs(samples, timeout_ns, start_ns, momentum, sums)
     return times_ns, in_space, Sums(*(part[:len(times_ns)] for part in sums))
 
 

@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels.layout import Rows, Terms
-from rigid_body_ros.kernels.rotors import momentum_at
+from rigid_body_ros.engine import kernels, Rows, Terms
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import summation
 
@@ -223,7 +222,7 @@ class Timeline:
         if terms is None or terms.motors is None:
             constant = terms.momentum if terms else _NO_MOMENTUM[None]
             return np.broadcast_to(constant, (len(times_ns), 2, 3))
-        return momentum_at(self.times_ns, terms.momentum, terms.motors, times_ns)
+        return kernels.momentum_at(self.times_ns, terms.momentum, terms.motors, times_ns)
 
 
 def held_row(time_ns: int, torque: Floats, in_space: bool, terms: Terms | None = None) -> Rows:

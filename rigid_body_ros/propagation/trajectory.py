@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import motion_layout
+from rigid_body_ros.engine import motion_layout
 from rigid_body_ros.mechanics import euler, so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.propagation.models import Model, SolverUsage

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import messages as kernels
+from rigid_body_ros.engine import kernels
 from rigid_body_ros.messages import MessageType
 
 Bytes = NDArray[np.uint8]

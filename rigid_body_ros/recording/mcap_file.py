@@ -34,7 +34,7 @@ from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 import numpy as np
 from rigid_body_ros.common.errors import InputError, listed, quoted, reason
-from rigid_body_ros.kernels.messages import scan
+from rigid_body_ros.engine import kernels
 from rigid_body_ros.messages import MessageType
 from rigid_body_ros.recording import bulk
 from rigid_body_ros.recording.bulk import Ints, Raw
@@ -219,8 +219,8 @@ class McapFile(File):
         channels, starts, sizes, log_ns, publish_ns = columns
         position = count = 0
         while position < len(data):
-            position, count = scan(data, position, count, channels, log_ns, publish_ns,
-                                   starts, sizes)
+            position, count = kernels.scan(data, position, count, channels, log_ns, publish_ns,
+                                           starts, sizes)
             if position < len(data):
                 position = self._register(offset, data, position)
         channels, starts, sizes, log_ns, publish_ns = columns[:, :count]

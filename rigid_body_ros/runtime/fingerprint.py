@@ -19,7 +19,7 @@ from __future__ import annotations
 from importlib.metadata import PackageNotFoundError, version
 import platform
 
-from rigid_body_ros.kernels.jit import COMPILES
+from rigid_body_ros.engine import COMPILES
 
 NAME = 'rigid_body_ros'
 #: Packages that compile the kernels.

@@ -25,8 +25,7 @@ from fractions import Fraction
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import body_layout, state_layout, tensor
-from rigid_body_ros.kernels.principal_axes import components
+from rigid_body_ros.engine import body_layout, kernels, state_layout, tensor
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
@@ -76,4 +75,4 @@ class PrincipalAxes:
 
     def _components(self, vectors: Floats) -> Floats:
         high, low = self._axes
-        return components(high, low, vectors)
+        return kernels.components(high, low, vectors)

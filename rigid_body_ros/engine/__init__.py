@@ -1,0 +1,25 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The way to the compiled kernels, and the records and layouts that they share with Python."""
+
+from rigid_body_ros.engine import kernels
+from rigid_body_ros.kernels import body_layout, layout, motion_layout, state_layout, tensor
+from rigid_body_ros.kernels.jit import announced, COMPILES, sources_hash
+from rigid_body_ros.kernels.layout import FASTEST, Rows, Samples, Sums, Terms
+from rigid_body_ros.kernels.steppers import CLASSICAL
+
+__all__ = ['CLASSICAL', 'COMPILES', 'FASTEST', 'Rows', 'Samples', 'Sums', 'Terms', 'announced',
+           'body_layout', 'kernels', 'layout', 'motion_layout', 'sources_hash', 'state_layout',
+           'tensor']
