@@ -143,5 +143,6 @@ def test_one_damping_is_that_of_all():
 def test_exact_arithmetic_is_seldom_necessary(name):
     inertia = 0.5 * (BODIES[name] + BODIES[name].transpose(0, 2, 1))
     constants, certain = np.zeros((COUNT, body_layout.SIZE)), np.empty(COUNT, bool)
-    tensors.fill_constants(inertia, np.zeros_like(inertia), constants, certain)
+    tensors.fill_constants(inertia, np.zeros_like(inertia), constants, certain,
+                           tensors.workspace())
     assert certain.mean() >= 0.99

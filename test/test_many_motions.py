@@ -17,7 +17,6 @@
 from itertools import product
 
 from conftest import at_night
-from kernels import callable_
 import numba
 import numpy as np
 import pytest
@@ -209,7 +208,8 @@ def gathered(bodies, starts, polynomials, at):
     progress['stop'] = polynomials.shape[1]
     return Group(np.arange(LANES), progress,
                  np.empty((count, len(at) * motion_layout.SIZE)), bodies._constants,
-                 np.ones(count), polynomials, callable_(group.workspace)())
+                 np.ones(count), polynomials, group.workspace(), np.empty(LANES, bool),
+                 np.empty(LANES, np.int64))
 
 
 def advance(runs, count, waiting, at, order, rows, methods):

@@ -15,11 +15,20 @@
 """The way to the compiled kernels, and the records and layouts that they share with Python."""
 
 from rigid_body_ros.engine import kernels
-from rigid_body_ros.kernels import body_layout, layout, motion_layout, state_layout, tensor
+from rigid_body_ros.kernels import (
+    body_layout,
+    interpolation,
+    layout,
+    many_loop,
+    motion_layout,
+    state_layout,
+    tensor,
+    tensors,
+)
 from rigid_body_ros.kernels.jit import announced, COMPILES, sources_hash
 from rigid_body_ros.kernels.layout import FASTEST, Rows, Samples, Sums, Terms
 from rigid_body_ros.kernels.steppers import CLASSICAL
 
 __all__ = ['CLASSICAL', 'COMPILES', 'FASTEST', 'Rows', 'Samples', 'Sums', 'Terms', 'announced',
-           'body_layout', 'kernels', 'layout', 'motion_layout', 'sources_hash', 'state_layout',
-           'tensor']
+           'body_layout', 'interpolation', 'kernels', 'layout', 'many_loop', 'motion_layout',
+           'sources_hash', 'state_layout', 'tensor', 'tensors']

@@ -14,6 +14,7 @@
 
 """The kernels that Python calls."""
 
+from rigid_body_ros.kernels import jit, lanes
 from rigid_body_ros.kernels.elementary_arrays import (
     fill_arctangents,
     fill_exponentials,
@@ -21,19 +22,22 @@ from rigid_body_ros.kernels.elementary_arrays import (
 )
 from rigid_body_ros.kernels.euler_angles import fill_angles, fill_attitudes, make_rows_continuous
 from rigid_body_ros.kernels.extent import extent
-from rigid_body_ros.kernels.interpolation import hermite, slopes
-from rigid_body_ros.kernels.lanes import LANES
+from rigid_body_ros.kernels.interpolation import fill_cubics, fill_slopes
 from rigid_body_ros.kernels.loop import run
 from rigid_body_ros.kernels.many_loop import run_each
 from rigid_body_ros.kernels.messages import decode, find_transforms, scan
-from rigid_body_ros.kernels.principal_axes import components
+from rigid_body_ros.kernels.principal_axes import fill_components
 from rigid_body_ros.kernels.rotors import momentum_at
 from rigid_body_ros.kernels.summation import sum_logs, sum_rows
 from rigid_body_ros.kernels.taylor import step_angle
 from rigid_body_ros.kernels.tensors import fill_constants
-from rigid_body_ros.kernels.triangles import reduced
+from rigid_body_ros.kernels.triangles import fill_triangle
 
-__all__ = ['LANES', 'components', 'decode', 'extent', 'fill_angles', 'fill_arctangents',
-           'fill_attitudes', 'fill_constants', 'fill_exponentials', 'fill_sines_cosines',
-           'find_transforms', 'hermite', 'make_rows_continuous', 'momentum_at', 'reduced', 'run',
-           'run_each', 'scan', 'slopes', 'step_angle', 'sum_logs', 'sum_rows']
+__all__ = ['LANES', 'decode', 'extent', 'fill_angles', 'fill_arctangents', 'fill_attitudes',
+           'fill_components', 'fill_constants', 'fill_cubics', 'fill_exponentials',
+           'fill_sines_cosines', 'fill_slopes', 'fill_triangle', 'find_transforms',
+           'make_rows_continuous', 'momentum_at', 'run', 'run_each', 'scan', 'step_angle',
+           'sum_logs', 'sum_rows']
+
+#: Runs in a group: plain Python has no lanes.
+LANES = lanes.LANES if jit.COMPILES else 1

@@ -36,4 +36,6 @@ def triangle(columns: Floats) -> Floats:
         Upper triangular, with rows of zeros if m is less than n.
 
     """
-    return np.triu(kernels.reduced(columns)[:, :len(columns)])
+    result = np.zeros((len(columns), len(columns)))
+    kernels.fill_triangle(columns, result)
+    return result

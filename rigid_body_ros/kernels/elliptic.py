@@ -32,10 +32,13 @@ import math
 from rigid_body_ros.kernels import double_double as dd
 from rigid_body_ros.kernels import elementary
 from rigid_body_ros.kernels.double_double import DoubleDouble
-from rigid_body_ros.kernels.jit import internal
+from rigid_body_ros.kernels.jit import inlined, internal
 
 #: Limit of iterations. Landen's transformation converges quadratically: m_c = 1e-300 takes 13.
 _MOST = 16
+#: Room for a number of each iteration. Unlike a list, a tuple takes no memory from the heap.
+_NONE = (0.0,)
+_ROOM = _NONE * _MOST
 
 
 @internal
@@ -83,9 +86,9 @@ def jacobi(u: float, complement: float) -> tuple[float, float, float]:
     if abs(u) < 1e-9:
         return u, 1.0, 1.0
     a, kc, count = 1.0, math.sqrt(complement), 0
-    means, roots = [0.0] * _MOST, [0.0] * _MOST
+    means = roots = _ROOM
     for index in range(_MOST):
-        means[index], roots[index], count = a, kc, index
+        means, roots, count = _shifted(means, a), _shifted(roots, kc), index
         c = 0.5 * (a + kc)
         if abs(a - kc) <= 1e-8 * a:
             break
@@ -94,15 +97,21 @@ def jacobi(u: float, complement: float) -> tuple[float, float, float]:
     dn = 1.0
     a = cn / sn
     c = a * c
-    for index in range(count, -1, -1):
-        b = means[index]
+    for _ in range(count + 1):  # from the last iteration, which is the first in the tuples
         a = c * a
         c = dn * c
-        dn = (roots[index] + a) / (b + a)
-        a = c / b
+        dn = (roots[0] + a) / (means[0] + a)
+        a = c / means[0]
+        means, roots = means[1:] + _NONE, roots[1:] + _NONE
     a = 1.0 / math.sqrt(c * c + 1.0)
     sn = a if sn >= 0.0 else -a
     return sn, c * sn, dn
+
+
+@inlined
+def _shifted(numbers: tuple[float, ...], first: float) -> tuple[float, ...]:
+    # Return numbers of which the last one gives way to a new first one.
+    return (first, *numbers[:-1])
 
 
 @internal

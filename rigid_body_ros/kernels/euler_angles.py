@@ -93,7 +93,7 @@ def fill_angles(attitudes: Floats, angles: Floats, i: int, j: int, proper: bool,
         y, z = float(attitudes[row, j]), parity * float(attitudes[row, 3 - i - j])
         size = max(abs(w), abs(x), abs(y), abs(z))
         if size == 0.0 or 0.0 * w + 0.0 * x + 0.0 * y + 0.0 * z != 0.0:
-            angles[row] = np.nan
+            angles[row, 0] = angles[row, 1] = angles[row, 2] = math.nan
             continue
         scale = scale_of(size)
         first, middle, third, cosine = _angles(scale * w, scale * x, scale * y, scale * z, proper)

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import body_layout, four, lanes, state_layout, taylor, vector
-from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.kernels.jit import inlined
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.kernels.layout import Method
 
@@ -62,9 +62,11 @@ class Group(NamedTuple):
     torques: Floats
     #: See `workspace`.
     work: Floats
+    #: bool (LANES,), int64 (LANES,), ns: whether the run in a lane steps, and up to which time.
+    going: NDArray[np.bool_]
+    limits_ns: NDArray[np.int64]
 
 
-@internal
 def workspace() -> Floats:
     """Return an array, shape (n, LANES), with each row in one cache line."""
     line = 64 // 8
@@ -98,7 +100,8 @@ def begin_segment(group: Group, lane: int, time_ns: int, row: int, done: int) ->
     """Put the state on the grid back as the beginning of a segment."""
     store(group, lane)
     progress = group.progress[group.rows[lane]]
-    progress.begin[:] = progress.grid
+    for k in range(state_layout.SIZE):
+        progress.begin[k] = progress.grid[k]
     progress.grid_ns, progress.begin_ns, progress.row, progress.done = time_ns, time_ns, row, done
 
 

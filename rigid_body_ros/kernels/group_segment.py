@@ -94,18 +94,18 @@ def advance(group: Group, count: int, waiting: NDArray[np.intp], segment: Shared
     """
     if not _are_many(group, segment, body, method):
         return 0, 0
-    going, limits_ns = np.zeros(LANES, np.bool_), np.empty(LANES, np.int64)
+    going = group.going
     for lane in range(LANES):
-        going[lane] = lane < count and _enter(group, lane, limits_ns, segment, body.form, method)
+        going[lane] = lane < count and _enter(group, lane, segment, body.form, method)
         if not going[lane]:
             runs.load(group, lane)
             _idle(group.work, lane)
     taken, steps, replace_at = 0, 0, runs.BUDGET
     while steps < runs.BUDGET:
-        if steps >= replace_at or not going.any():
-            taken += _replace(group, going, waiting[taken:], limits_ns, segment, body.form, method)
+        if steps >= replace_at or _count(going) == 0:
+            taken += _replace(group, waiting[taken:], segment, body.form, method)
             replace_at = runs.BUDGET
-        if going.sum() < (1 if taken < len(waiting) else _FEWEST_RUNS):
+        if _count(going) < (1 if taken < len(waiting) else _FEWEST_RUNS):
             break
         more, is_slow = _step_together(group.work, body.form, method, replace_at - steps)
         steps += more
@@ -113,14 +113,22 @@ def advance(group: Group, count: int, waiting: NDArray[np.intp], segment: Shared
             break  # `loop.run` reports it
         for lane in range(LANES):
             if going[lane] and group.work[runs.MOVES, lane] == 0.0:
-                going[lane] = _arrive(group, lane, limits_ns, segment, body.form, method)
+                going[lane] = _arrive(group, lane, segment, body.form, method)
                 if not going[lane]:
                     _idle(group.work, lane)
                     replace_at = min(replace_at, steps + _PATIENCE)
     for lane in range(LANES):
         if going[lane]:
-            _leave(group, lane, limits_ns[lane])
+            _leave(group, lane, group.limits_ns[lane])
     return steps, taken
+
+
+@inlined
+def _count(going: NDArray[np.bool_]) -> int:
+    count = 0
+    for lane in range(LANES):
+        count += going[lane]
+    return count
 
 
 @inlined
@@ -155,8 +163,7 @@ def _torque(group: Group, lane: int, segment: Shared) -> vector.Vector:
 
 
 @internal
-def _enter(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Shared, form: int,
-           method: Method) -> bool:
+def _enter(group: Group, lane: int, segment: Shared, form: int, method: Method) -> bool:
     # Load a run that can step with the others into its lane, or return False.
     row = group.rows[lane]
     place, torque = layout.load_place(group.progress[row:row + 1]), _torque(group, lane, segment)
@@ -167,12 +174,11 @@ def _enter(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Share
     runs.load(group, lane)
     for k in range(3):
         group.work[runs.TORQUE + k, lane] = torque[k]
-    return _aim(group, lane, limits_ns, segment, form, method)
+    return _aim(group, lane, segment, form, method)
 
 
 @inlined
-def _aim(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Shared, form: int,
-         method: Method) -> bool:
+def _aim(group: Group, lane: int, segment: Shared, form: int, method: Method) -> bool:
     # Set the time up to which a run steps: that of its next output, or the end of the segment.
     # Return False if there is nothing left, or `loop.run` has to go on.
     row = group.rows[lane]
@@ -185,8 +191,8 @@ def _aim(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Shared,
     progress.done = done
     if done == len(segment.times_ns):
         return False
-    limits_ns[lane] = min(_output_ns(done, segment), segment.end_ns)
-    rest_ns = limits_ns[lane] - grid_ns
+    group.limits_ns[lane] = min(_output_ns(done, segment), segment.end_ns)
+    rest_ns = group.limits_ns[lane] - grid_ns
     group.work[runs.REST, lane] = rest_ns
     return rest_ns <= runs.FARTHEST and not (grid_ns == progress.begin_ns and _is_short(
         group, lane, rest_ns, segment, form, method))
@@ -251,11 +257,10 @@ def _choose(condition: bool, one: vector.KernelState,
 
 
 @inlined
-def _arrive(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Shared, form: int,
-            method: Method) -> bool:
+def _arrive(group: Group, lane: int, segment: Shared, form: int, method: Method) -> bool:
     # Fill the output of a run that has reached its limit. Return whether it goes on; otherwise its
     # state is put back.
-    row, limit_ns = group.rows[lane], limits_ns[lane]
+    row, limit_ns = group.rows[lane], group.limits_ns[lane]
     progress = group.progress[row]
     grid_ns, done = _grid_ns(group, lane, limit_ns), progress.done
     ends = limit_ns == segment.end_ns
@@ -269,7 +274,7 @@ def _arrive(group: Group, lane: int, limits_ns: NDArray[np.int64], segment: Shar
             group.work[runs.STATE + k, lane] = group.work[runs.LATEST + k, lane]
         runs.begin_segment(group, lane, limit_ns, segment.row + 1, done)
         return False
-    if not ends and _aim(group, lane, limits_ns, segment, form, method):
+    if not ends and _aim(group, lane, segment, form, method):
         return True
     if done < len(segment.times_ns):
         runs.store(group, lane)
@@ -290,18 +295,18 @@ def _leave(group: Group, lane: int, limit_ns: int) -> None:
 
 
 @internal
-def _replace(group: Group, going: NDArray[np.bool_], waiting: NDArray[np.intp],
-             limits_ns: NDArray[np.int64], segment: Shared, form: int, method: Method) -> int:
+def _replace(group: Group, waiting: NDArray[np.intp], segment: Shared, form: int,
+             method: Method) -> int:
     # Give the lanes of runs that have filled their outputs to the next that can step with the
     # others. Return how many runs no longer wait; those passed over are left to another group.
-    taken = 0
+    taken, going = 0, group.going
     for lane in range(LANES):
         row = group.rows[lane]
         if not going[lane] and _is_done(group, row, segment):
             while taken < len(waiting) and not going[lane]:
                 group.rows[lane] = waiting[taken]
                 taken += 1
-                going[lane] = _enter(group, lane, limits_ns, segment, form, method)
+                going[lane] = _enter(group, lane, segment, form, method)
             if not going[lane]:
                 group.rows[lane] = row
                 _idle(group.work, lane)

@@ -25,12 +25,15 @@ from rigid_body_ros.kernels.jit import internal, njit
 
 #: Number of samples that determine a slope of the cubic interpolation.
 _NEAREST = 5
+#: Workspace of `fill_cubics`: the weights of these samples, and from this row on the slopes at two
+#: nodes.
+_SLOPES, WORKSPACE = _NEAREST, (_NEAREST + 2 * 3, 2)
 
 
 @njit
-def slopes(times_ns: NDArray[np.int64], values: Floats) -> Floats:
+def fill_slopes(times_ns: NDArray[np.int64], values: Floats, slopes: Floats) -> None:
     """
-    Return the slopes of straight lines through samples, and zero for the last.
+    Compute the slopes of straight lines through samples, and zero for the last.
 
     Each line leads from where the rounded slopes before it end, not from the sample there.
 
@@ -40,27 +43,24 @@ def slopes(times_ns: NDArray[np.int64], values: Floats) -> Floats:
         When the samples were taken.
     values : float64 (n, 3)
         The samples.
-
-    Returns
-    -------
-    float64 (n, 3), 1/s
+    slopes : float64 (n, 3), 1/s
+        Output, zero before.
 
     """
-    result = np.zeros(values.shape)
     for axis in range(3 if len(values) else 0):
         reached = values[0, axis], 0.0
         for k in range(len(values) - 1):
             span = dd.seconds(times_ns[k + 1] - times_ns[k])
             rest = dd.subtract((values[k + 1, axis], 0.0), reached)
-            result[k, axis] = dd.divide(rest, span)[0]
-            reached = dd.add(reached, dd.multiply((result[k, axis], 0.0), span))
-    return result
+            slopes[k, axis] = dd.divide(rest, span)[0]
+            reached = dd.add(reached, dd.multiply((slopes[k, axis], 0.0), span))
 
 
 @njit
-def hermite(times_ns: NDArray[np.int64], values: Floats, first: int, stop: int) -> Floats:
+def fill_cubics(times_ns: NDArray[np.int64], values: Floats, first: int, stop: int,
+                work: Floats, cubics: Floats) -> None:
     """
-    Return cubics through samples.
+    Compute cubics through samples.
 
     At each sample, the slope is that of the polynomial through the nearest samples. The low-order
     parts matter for a thin rod, where torques may cancel.
@@ -68,59 +68,67 @@ def hermite(times_ns: NDArray[np.int64], values: Floats, first: int, stop: int) 
     Parameters
     ----------
     times_ns, values
-        As for `slopes`.
+        As for `fill_slopes`.
     first, stop : int
         The first sample, and the one after the last.
-
-    Returns
-    -------
-    float64 (stop - first, 7, 3)
-        See `TorqueLog.polynomials`.
+    work : float64, shape WORKSPACE
+        Workspace.
+    cubics : float64 (stop - first, 7, 3)
+        Output: for each sample four coefficients of a polynomial in the fraction of the time to
+        the next sample, then the low-order parts of all but the first.
 
     """
     last = len(times_ns) - 1
     count = min(_NEAREST, last + 1)
-    result = np.empty((stop - first, 7, 3))
-    weights, spacing = np.zeros((_NEAREST, 2)), np.zeros(_NEAREST, np.int64)
-    start, end = np.zeros((3, 2)), np.zeros((3, 2))
     for node in range(first, stop + 1):
-        start, end = end, start
-        at = min(node, last)
-        begin = min(max(at - count // 2, 0), last + 1 - count)
-        _update_weights(times_ns, at, begin, count, weights, spacing)
+        at, begin = min(node, last), _first_of(node, count, last)
+        if node == first or not _are_alike(times_ns, node, count, last):
+            _fill_weights(times_ns, at, begin, count, work)
         for axis in range(3):
             slope = (0.0, 0.0)
             for k in range(count):
                 delta = dd.two_sum(values[begin + k, axis], -values[at, axis])
-                slope = dd.add(slope, dd.multiply((weights[k, 0], weights[k, 1]), delta))
-            end[axis, 0], end[axis, 1] = slope
+                slope = dd.add(slope, dd.multiply((work[k, 0], work[k, 1]), delta))
+            here, before = _SLOPES + 3 * (node % 2) + axis, _SLOPES + 3 * ((node + 1) % 2) + axis
+            work[here, 0], work[here, 1] = slope
             if node > first:
-                _store_cubic(result[node - 1 - first, :, axis], values[node - 1, axis],
+                _store_cubic(cubics[node - 1 - first, :, axis], values[node - 1, axis],
                              values[at, axis], dd.from_int(times_ns[at] - times_ns[node - 1]),
-                             (start[axis, 0], start[axis, 1]), slope)
-    return result
+                             (work[before, 0], work[before, 1]), slope)
 
 
 @internal
-def _update_weights(times_ns: NDArray[np.int64], node: int, begin: int, count: int,
-                    weights: Floats, spacing: NDArray[np.int64]) -> None:
-    # Update the weights, 1/ns, with which the differences between the samples and a node add up to
+def _first_of(node: int, count: int, last: int) -> int:
+    # Return the first of the samples nearest to a node.
+    return min(max(min(node, last) - count // 2, 0), last + 1 - count)
+
+
+@internal
+def _are_alike(times_ns: NDArray[np.int64], node: int, count: int, last: int) -> bool:
+    # Return whether the samples nearest to a node and to the one before have the same spacing.
+    here, before = min(node, last), node - 1
+    begin, begin_before = _first_of(node, count, last), _first_of(before, count, last)
+    for k in range(count):
+        if times_ns[begin + k] - times_ns[here] != times_ns[begin_before + k] - times_ns[before]:
+            return False
+    return True
+
+
+@internal
+def _fill_weights(times_ns: NDArray[np.int64], node: int, begin: int, count: int,
+                  weights: Floats) -> None:
+    # Fill the weights, 1/ns, with which the differences between the samples and a node add up to
     # the slope at the node: the derivatives of the Lagrange polynomials there. They depend on the
-    # spacing only, and stay if it does.
-    same = True
+    # spacing only.
     for k in range(count):
-        span = times_ns[begin + k] - times_ns[node]
-        same = same and span == spacing[k]
-        spacing[k] = span
-    if same:
-        return
-    for k in range(count):
-        above, below = (1.0, 0.0), dd.from_int(spacing[k])
+        distance = times_ns[begin + k] - times_ns[node]
+        above, below = (1.0, 0.0), dd.from_int(distance)
         for m in range(count):
-            if spacing[m] != 0 and m != k:
-                above = dd.multiply(above, dd.from_int(-spacing[m]))
-                below = dd.multiply(below, dd.from_int(spacing[k] - spacing[m]))
-        weights[k, 0], weights[k, 1] = dd.divide(above, below) if spacing[k] != 0 else (0.0, 0.0)
+            other = times_ns[begin + m] - times_ns[node]
+            if other != 0 and m != k:
+                above = dd.multiply(above, dd.from_int(-other))
+                below = dd.multiply(below, dd.from_int(distance - other))
+        weights[k, 0], weights[k, 1] = dd.divide(above, below) if distance != 0 else (0.0, 0.0)
 
 
 @internal

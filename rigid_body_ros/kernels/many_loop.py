@@ -16,26 +16,48 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import group as runs
 from rigid_body_ros.kernels import groups, layout, loop
-from rigid_body_ros.kernels.group import BUDGET, Group, workspace
+from rigid_body_ros.kernels.group import BUDGET, Group
 from rigid_body_ros.kernels.groups import Advanced
-from rigid_body_ros.kernels.jit import COMPILES, inlined, internal, njit, optional
-from rigid_body_ros.kernels.lanes import LANES
+from rigid_body_ros.kernels.jit import inlined, internal, njit, optional
 from rigid_body_ros.kernels.layout import Rows, Terms
 
 #: Rows after which runs that could not step together are tried again.
 _PIECE = 64
 
 
+class RunsWorkspace(NamedTuple):
+    """The arrays that `run_each` needs besides its results."""
+
+    #: See `Group`: rows, going and limits_ns, an element for each lane, and the workspace.
+    lanes: NDArray[np.intp]
+    going: NDArray[np.bool_]
+    limits_ns: NDArray[np.int64]
+    table: Floats
+    #: See `loop.run`.
+    closed: NDArray[np.bool_]
+    #: Torques times the factor of a run.
+    torques: Floats
+
+
+def workspace(lanes: int, rows: Rows) -> RunsWorkspace:
+    """Return arrays, not yet filled, for rows of all runs; with one lane runs are not grouped."""
+    return RunsWorkspace(
+        np.empty(lanes, np.intp), np.empty(lanes, np.bool_), np.empty(lanes, np.int64),
+        runs.workspace(), np.empty(len(rows.times_ns) + 1, np.bool_),
+        np.empty(rows.torques.shape[1:]))
+
+
 @njit
 def run_each(which: NDArray[np.intp], progress: NDArray[Any], times_ns: NDArray[np.int64],
              order: NDArray[np.intp], motions: Floats, rows: Rows, constants: Floats,
-             methods: NDArray[Any], gains: Floats) -> int:
+             methods: NDArray[Any], gains: Floats, work: RunsWorkspace) -> int:
     """
     Run the loop for many runs, some of them in lanes.
 
@@ -52,6 +74,8 @@ def run_each(which: NDArray[np.intp], progress: NDArray[Any], times_ns: NDArray[
         Of all runs. Torques and momentum have one more axis: of run i the element i % k.
     gains : array, shape (n,)
         Factors of the torque; all 1 for a torque that is not held.
+    work : RunsWorkspace
+        Changed.
 
     Returns
     -------
@@ -60,9 +84,9 @@ def run_each(which: NDArray[np.intp], progress: NDArray[Any], times_ns: NDArray[
         the budget is used up, and another call continues.
 
     """
-    closed, method = np.empty(len(rows.times_ns) + 1, np.bool_), layout.load_method(methods)
-    group = Group(np.empty(LANES, np.intp), progress, motions, constants, gains, rows.torques,
-                  workspace())
+    method = layout.load_method(methods)
+    group = Group(work.lanes, progress, motions, constants, gains, rows.torques, work.table,
+                  work.going, work.limits_ns)
     outputs, k = len(times_ns), 0
     while True:
         k, count, ahead = _gather(group, which, k, outputs)
@@ -71,7 +95,7 @@ def run_each(which: NDArray[np.intp], progress: NDArray[Any], times_ns: NDArray[
         until, going, stop = -1, True, progress[group.rows[0]].stop
         while going:
             together = Advanced(0, 0, progress[group.rows[0]].row)
-            if COMPILES and rows.terms is None and count > 1:  # the compiler leaves it out
+            if rows.terms is None and count > 1:  # with terms the compiler leaves it out
                 together = groups.advance(
                     group, count, which[ahead:], times_ns, order,
                     Rows(rows.times_ns, rows.torques[0], rows.in_space, rows.spans),
@@ -90,10 +114,10 @@ def run_each(which: NDArray[np.intp], progress: NDArray[Any], times_ns: NDArray[
                     if gains[i] != 1.0:
                         first = max(0, progress[i].row)
                         row_times_ns, in_space = row_times_ns[first:until + 1], in_space[first:]
-                        torques = gains[i] * torques[first:until + 1]
+                        torques = _scaled(torques, first, until + 1, gains[i], work.torques)
                     progress[i].row, progress[i].stop = progress[i].row - first, until - first
                     result = loop.run(
-                        progress[i:i + 1], times_ns, order, motions[i], closed,
+                        progress[i:i + 1], times_ns, order, motions[i], work.closed,
                         Rows(row_times_ns, torques, in_space, rows.spans,
                              _of_run(rows.terms, i)),
                         constants[i], methods)
@@ -110,14 +134,26 @@ def _gather(group: Group, which: NDArray[np.intp], k: int, outputs: int) -> tupl
     # Fill the lanes with the next runs that are left. Return the position of the first of them, or
     # the number of runs, how many they are, and the position after the last.
     begin, count = len(which), 0
-    while k < len(which) and count < LANES:
+    while k < len(which) and count < len(group.rows):
         i = which[k]
         if _is_left(group.progress[i], outputs, group.progress[i].stop):
             begin = min(begin, k)
-            group.rows[count:] = i
+            for lane in range(count, len(group.rows)):
+                group.rows[lane] = i
             count += 1
         k += 1
     return begin, count, k
+
+
+@internal
+def _scaled(torques: Floats, first: int, stop: int, gain: float, results: Floats) -> Floats:
+    # Return some rows of torques times a factor, in the array for the results.
+    count = min(stop, len(torques)) - first
+    for row in range(count):
+        for k in range(torques.shape[1]):
+            for axis in range(3):
+                results[row, k, axis] = gain * torques[first + row, k, axis]
+    return results[:count]
 
 
 @inlined

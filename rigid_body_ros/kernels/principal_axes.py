@@ -30,6 +30,7 @@ on to convergence.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
@@ -59,22 +60,54 @@ _AMBIGUOUS = math.inf
 _ZERO = (0.0, 0.0, 0.0)
 
 
+class AxesWorkspace(NamedTuple):
+    """The arrays that principal moments and axes are computed in."""
+
+    #: float64 (3, 3): the tensor in the axes found so far, these as columns, and the shares of
+    #: `_refine`.
+    matrix: Floats
+    axes: Floats
+    shares: Floats
+    #: float64 (3, 3, 3): see `_fill_residuals`.
+    r: Floats
+    g: Floats
+    #: float64 (3,): the moments, and see `_iterate`.
+    moments: Floats
+    z: Floats
+    sums: Floats
+
+
+def workspace() -> AxesWorkspace:
+    """Return arrays, not yet filled."""
+    return AxesWorkspace(*(np.empty(dimensions * (3,)) for dimensions in (2, 2, 2, 3, 3, 1, 1, 1)))
+
+
 @njit
-def components(high: Floats, low: Floats, vectors: Floats) -> Floats:
-    """Return the components of vectors along axes (columns) as double-double numbers."""
-    result = np.empty((len(vectors), 3, 2))
+def fill_components(high: Floats, low: Floats, vectors: Floats, components: Floats) -> None:
+    """
+    Compute the components of vectors along axes.
+
+    Parameters
+    ----------
+    high, low : float64 (3, 3)
+        The axes as columns, and their low-order parts.
+    vectors : float64 (n, 3)
+        The vectors.
+    components : float64 (n, 3, 2)
+        Output: high-order and low-order part of each component.
+
+    """
     for row in range(len(vectors)):
         for axis in range(3):
             total = (0.0, 0.0)
             for k in range(3):
                 total = dd.add(total, dd.multiply((high[k, axis], low[k, axis]),
                                                   (vectors[row, k], 0.0)))
-            result[row, axis, 0], result[row, axis, 1] = total
-    return result
+            components[row, axis, 0], components[row, axis, 1] = total
 
 
 @internal
-def fill_principal(tensor: Floats, constants: Floats) -> bool:
+def fill_principal(tensor: Floats, constants: Floats, work: AxesWorkspace) -> bool:
     """
     Compute the principal moments and axes of a tensor that is not diagonal.
 
@@ -84,6 +117,8 @@ def fill_principal(tensor: Floats, constants: Floats) -> bool:
         Symmetric.
     constants : float64 (body_layout.SIZE,)
         Output: the moments and axes.
+    work : AxesWorkspace
+        Changed.
 
     Returns
     -------
@@ -91,7 +126,7 @@ def fill_principal(tensor: Floats, constants: Floats) -> bool:
         Whether all bits are certain to be those of `tensor.principal`.
 
     """
-    matrix, axes, moments = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    matrix, axes, moments = work.matrix, work.axes, work.moments
     size = 0.0
     for a in range(3):
         for b in range(3):
@@ -101,14 +136,14 @@ def fill_principal(tensor: Floats, constants: Floats) -> bool:
     _sort(matrix, axes, moments)
     if min(moments[1] - moments[0], moments[2] - moments[1]) <= _CLOSE * size:
         return False
-    if _refined(tensor, size, moments, axes, constants):
+    if _refined(tensor, size, work, constants):
         return True
     # Close moments leave the axes of Jacobi rotations inaccurate. The refined ones are not.
     for i in range(3):
         moments[i] = constants[body_layout.MOMENTS + i]
         for c in range(3):
             axes[c, i] = constants[body_layout.AXES + 4 * i + c]
-    return _refined(tensor, size, moments, axes, constants)
+    return _refined(tensor, size, work, constants)
 
 
 @internal
@@ -175,14 +210,13 @@ def _sort(matrix: Floats, axes: Floats, moments: Floats) -> None:
 
 
 @internal
-def _refined(tensor: Floats, size: float, moments: Floats, axes: Floats,
-             constants: Floats) -> bool:
+def _refined(tensor: Floats, size: float, work: AxesWorkspace, constants: Floats) -> bool:
     # Store refined moments and axes; return whether their bits are certain.
-    r, g, shares = np.empty((3, 3, 3)), np.empty((3, 3, 3)), np.empty((3, 3))
-    _fill_residuals(tensor, size, moments, axes, r, g)
+    axes, shares = work.axes, work.shares
+    _fill_residuals(tensor, size, work.moments, axes, work.r, work.g)
     certain = True
     for i in range(3):
-        moment, error = _refine(i, moments, r, g, shares)
+        moment, error = _refine(i, work)
         certain &= store(moment, error, constants, body_layout.MOMENTS + i,
                          body_layout.LOST_MOMENTS + i)
         for c in range(3):
@@ -261,11 +295,12 @@ def _product(axes: Floats, j: int, k: int) -> tuple[TripleDouble, float]:
 
 
 @internal
-def _refine(i: int, moments: Floats, r: Floats, g: Floats, shares: Floats) \
-        -> tuple[TripleDouble, float]:
+def _refine(i: int, work: AxesWorkspace) -> tuple[TripleDouble, float]:
     # Return moment i and its error bound. Fill the shares of the v_k in its axis of unit length,
     # less 1 for v_i: high-order part, low-order part and error bound.
-    z, sums = np.zeros(3), np.zeros(3)
+    _, _, shares, r, g, moments, z, sums = work
+    for k in range(3):
+        z[k] = sums[k] = 0.0
     d = _iterate(i, moments, r, g, z, sums)
     for k in ((i + 1) % 3, (i + 2) % 3):
         products, size = _products(k, i, d, moments, r, g, z)

@@ -59,9 +59,9 @@ def _seconds(span_ns: int) -> DoubleDouble:
 
 @njit
 def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Floats,
-                times_ns: NDArray[np.int64]) -> Floats:
+                times_ns: NDArray[np.int64], result: Floats) -> None:
     """
-    Return the momentum of the rotors and its low-order part.
+    Compute the momentum of the rotors and its low-order part.
 
     Parameters
     ----------
@@ -69,14 +69,11 @@ def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Float
         See `layout.Rows`.
     times_ns : int64 (m,), ns
         In any order, none before that of the first row.
-
-    Returns
-    -------
-    array, shape (m, 2, 3), N m s
+    result : float64 (m, 2, 3), N m s
+        Output.
 
     """
-    result, last = np.empty((len(times_ns), 2, 3)), len(row_times_ns) - 1
-    row = 0
+    row, last = 0, len(row_times_ns) - 1
     for k in range(len(times_ns)):
         if not (row_times_ns[row] <= times_ns[k]
                 and (row == last or times_ns[k] < row_times_ns[row + 1])):
@@ -88,4 +85,3 @@ def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Float
         high, low = after(before, torque, times_ns[k] - begin_ns, span_ns)
         intervals.store_coefficient(result, k, 0, high)
         intervals.store_coefficient(result, k, 1, low)
-    return result

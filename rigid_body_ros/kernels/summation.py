@@ -41,7 +41,7 @@ class _Total(NamedTuple):
 
 @njit
 def sum_rows(times_ns: NDArray[np.int64], body: Floats, space: Floats, on_rotors: Floats,
-             momentum: Floats, sums: Sums) -> NDArray[np.bool_]:
+             momentum: Floats, sums: Sums, in_space: NDArray[np.bool_]) -> None:
     """
     Sum held torques that change at the same times.
 
@@ -54,26 +54,19 @@ def sum_rows(times_ns: NDArray[np.int64], body: Floats, space: Floats, on_rotors
         same at all times.
     momentum : float64 (2, 3), N m s
         Momentum of the rotors at the start, and its low-order part.
-    sums : Sums
-        Output.
-
-    Returns
-    -------
-    bool (n,)
-        Whether each sum is in space axes.
+    sums, in_space : Sums, bool (n,)
+        Outputs; the latter states whether each sum is in space axes.
 
     """
-    count = len(times_ns)
-    spaces, rotors = np.empty(count, np.bool_), _loaded(momentum)
+    count, rotors = len(times_ns), _loaded(momentum)
     for row in range(count):
         turning = _row(on_rotors, row)
         total = _Total(_held(four.subtract(_row(body, row), turning)), _zero(),
                        _held(_row(space, row)), _held(turning))
-        spaces[row] = _store(total, rotors, row, sums)
+        in_space[row] = _store(total, rotors, row, sums)
         if row + 1 < count:
             length_ns = times_ns[row + 1] - times_ns[row]
             rotors = after(rotors, total.rotors, length_ns, length_ns)
-    return spaces
 
 
 @inlined
@@ -88,8 +81,9 @@ def _loaded(momentum: Floats) -> Rotor:
 
 
 @njit
-def sum_logs(samples: Samples, timeout_ns: int, start_ns: int, momentum: Floats,
-             sums: Sums) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def sum_logs(samples: Samples, in_force: NDArray[np.intp], timeout_ns: int, start_ns: int,
+             momentum: Floats, sums: Sums, times_ns: NDArray[np.int64],
+             spaces: NDArray[np.bool_]) -> int:
     """
     Sum torques of any sources, the last of which is the torque on the rotors.
 
@@ -97,25 +91,26 @@ def sum_logs(samples: Samples, timeout_ns: int, start_ns: int, momentum: Floats,
     ----------
     samples : Samples
         The torques.
+    in_force : int (sources,)
+        The sample before the first of each source. Changed.
     timeout_ns : int
         As for `TorqueLog.segments`.
     start_ns : int
         Start of the motion.
     momentum : float64 (2, 3), N m s
         As for `sum_rows`.
-    sums : Sums
-        Output, with rows for all changes.
+    sums, times_ns, spaces : Sums, int64 (n,), bool (n,)
+        Outputs, with rows for all changes: the sum, when it changes, ns, and whether it is in
+        space axes.
 
     Returns
     -------
-    int64 (n,), bool (n,)
-        When the sum changes, ns, and whether it is in space axes.
+    int
+        How many rows are filled.
 
     """
     coefficients, stamps_ns, in_space, offsets = samples
     count, degree = len(offsets) - 1, coefficients.shape[1] // 2
-    in_force = offsets[:-1] - 1  # of each source
-    times, spaces = np.empty(len(sums.torques), np.int64), np.empty(len(sums.torques), np.bool_)
     rotors = _loaded(momentum)
     at, time_ns = 0, start_ns
     while time_ns < NEVER_NS:
@@ -148,11 +143,11 @@ def sum_logs(samples: Samples, timeout_ns: int, start_ns: int, momentum: Floats,
                         else NEVER_NS
                     total = _add(total, _piece(coefficients, row, time_ns - stamps_ns[row],
                                                span_ns, length_ns), k == count - 1, in_space[row])
-        times[at], spaces[at] = time_ns, _store(total, rotors, at, sums)
+        times_ns[at], spaces[at] = time_ns, _store(total, rotors, at, sums)
         if next_ns < NEVER_NS:
             rotors = after(rotors, total.rotors, length_ns, length_ns)
         at, time_ns = at + 1, next_ns
-    return times[:at], spaces[:at]
+    return at
 
 
 @inlined

@@ -21,14 +21,15 @@ result, `tensor` must compute that body.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import body_layout
+from rigid_body_ros.kernels import body_layout, principal_axes
 from rigid_body_ros.kernels.double_double import DoubleDouble, two_sum
 from rigid_body_ros.kernels.jit import internal, njit
 from rigid_body_ros.kernels.lanes import fma
-from rigid_body_ros.kernels.principal_axes import fill_principal
 from rigid_body_ros.kernels.triple_double import (
     add_product,
     add_scaled,
@@ -47,9 +48,24 @@ _LEAST = 2.0 ** -100
 _ZERO = (0.0, 0.0, 0.0)
 
 
+class BodyWorkspace(NamedTuple):
+    """The arrays that the constants of a body are computed in."""
+
+    #: float64 (3, 3, 4)
+    cofactors: Floats
+    #: float64 (3, 12, 2)
+    right: Floats
+    axes: principal_axes.AxesWorkspace
+
+
+def workspace() -> BodyWorkspace:
+    """Return arrays, not yet filled."""
+    return BodyWorkspace(np.empty((3, 3, 4)), np.empty((3, 12, 2)), principal_axes.workspace())
+
+
 @njit
-def fill_constants(tensors: Floats, damping: Floats, constants: Floats,
-                   certain: NDArray[np.bool_]) -> None:
+def fill_constants(tensors: Floats, damping: Floats, constants: Floats, certain: NDArray[np.bool_],
+                   work: BodyWorkspace) -> None:
     """
     Compute the constants of bodies.
 
@@ -61,15 +77,16 @@ def fill_constants(tensors: Floats, damping: Floats, constants: Floats,
         Output, zero before.
     certain : bool (n,)
         Output: whether the tensor is positive definite and all bits are those of `tensor`.
+    work : BodyWorkspace
+        Changed.
 
     """
-    cofactors, right = np.empty((3, 3, 4)), np.empty((3, 12, 2))
     for row in range(len(tensors)):
         certain[row] = (_in_range(tensors[row], damping[row])
-                        and _fill_principal(tensors[row], constants[row])
+                        and _fill_principal(tensors[row], constants[row], work.axes)
                         and constants[row, body_layout.MOMENTS] > 0.0
-                        and _fill_coefficients(tensors[row], damping[row], cofactors, right,
-                                               constants[row]))
+                        and _fill_coefficients(tensors[row], damping[row], work.cofactors,
+                                               work.right, constants[row]))
 
 
 @internal
@@ -88,11 +105,11 @@ def _in_range(tensor: Floats, damping: Floats) -> bool:
 
 
 @internal
-def _fill_principal(tensor: Floats, constants: Floats) -> bool:
+def _fill_principal(tensor: Floats, constants: Floats, work: principal_axes.AxesWorkspace) -> bool:
     if _is_diagonal(tensor):
         _sort_diagonal(tensor, constants)
         return True
-    return fill_principal(tensor, constants)
+    return principal_axes.fill_principal(tensor, constants, work)
 
 
 @internal
@@ -151,7 +168,9 @@ def _fill_coefficients(tensor: Floats, damping: Floats, cofactors: Floats, right
 def _fill_right_hand_sides(j: Floats, damping: Floats, right: Floats) -> int:
     # The gyroscopic terms, in columns (w2 w3, w3 w1, w1 w2, w1^2, w2^2, w3^2), the torque and the
     # damping: high-order and low-order parts. Return how many columns are not zero.
-    right[:] = 0.0
+    for a in range(3):
+        for column in range(12):
+            right[a, column, 0] = right[a, column, 1] = 0.0
     columns = 9
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3

@@ -22,23 +22,19 @@ from rigid_body_ros.kernels.jit import internal, njit
 
 
 @njit
-def reduced(columns: Floats) -> Floats:
+def fill_triangle(columns: Floats, triangle: Floats) -> None:
     """
-    Return the triangular factor of a matrix by Householder reflections.
+    Compute the triangular factor of a matrix by Householder reflections.
 
     Parameters
     ----------
     columns : float64 (n, m)
         The columns of the matrix as rows; they are overwritten.
-
-    Returns
-    -------
-    float64 (n, n)
-        Row j is that of the factor.
+    triangle : float64 (n, n)
+        Output, zero before.
 
     """
     count, length = columns.shape
-    result = np.zeros((count, count))
     for j in range(min(count, length)):
         column = columns[j]
         norm = np.sqrt(_product(column, column, j))
@@ -52,10 +48,9 @@ def reduced(columns: Floats) -> Floats:
                 factor = _product(column, other, j) / (norm * pivot)
                 for i in range(j, length):
                     other[i] += factor * column[i]
-        result[j, j] = norm
+        triangle[j, j] = norm
         for k in range(j + 1, count):
-            result[j, k] = columns[k, j]
-    return result
+            triangle[j, k] = columns[k, j]
 
 
 @internal

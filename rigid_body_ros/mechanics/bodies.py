@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import body_layout, kernels
+from rigid_body_ros.engine import body_layout, kernels, tensors
 from rigid_body_ros.mechanics.body import FASTEST_DAMPING, RigidBody, ROUNDING, TRIANGLE_EXCESS
 
 
@@ -79,7 +79,7 @@ class RigidBodies:
         inertia, damping = _symmetric_part(self.inertia), _symmetric_part(self.damping)
         constants: Floats = np.zeros((len(self), body_layout.SIZE))
         certain = np.empty(len(self), np.bool_)
-        kernels.fill_constants(inertia, damping, constants, certain)
+        kernels.fill_constants(inertia, damping, constants, certain, tensors.workspace())
         certain &= _almost_symmetric(self.inertia) & _almost_symmetric(self.damping)
         certain[certain] = _is_possible(constants, certain)
         rows = np.flatnonzero(certain & self.is_damped)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import instants, NEVER_NS
-from rigid_body_ros.engine import kernels
+from rigid_body_ros.engine import interpolation, kernels
 
 FRAMES = ('body', 'space')
 INTERPOLATIONS = ('hold', 'linear', 'cubic')
@@ -119,7 +119,8 @@ class TorqueLog:
         """
         measured = cls(*_checked_samples(times_ns, momenta, 'momentum', 'momenta'))
         times, values = measured.times_ns, measured.torques
-        torques = kernels.slopes(times, values)
+        torques = np.zeros(values.shape)
+        kernels.fill_slopes(times, values, torques)
         if not np.isfinite(torques).all():
             row = int(np.flatnonzero(~np.isfinite(torques).all(axis=1))[0])
             raise ValueError(f'momentum {row} at {times[row]} ns: expected a finite torque up to '
@@ -244,7 +245,10 @@ class TorqueLog:
             rounded = slope - following
             low = (following - (slope - rounded)) - (here + rounded)  # Knuth's exact sum
             return np.stack([here, slope, low], axis=1)
-        return kernels.hermite(self.times_ns, self.torques, first, stop)
+        cubics = np.empty((stop - first, 7, 3))
+        kernels.fill_cubics(self.times_ns, self.torques, first, stop,
+                            np.empty(interpolation.WORKSPACE), cubics)
+        return cubics
 
     def at(self, times_ns: ArrayLike, timeout_ns: int = 0) -> tuple[Floats, NDArray[np.bool_]]:
         """

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import kernels, layout, motion_layout, Rows, Terms
+from rigid_body_ros.engine import kernels, layout, many_loop, motion_layout, Rows, Terms
 from rigid_body_ros.engine.kernels import LANES
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.body import RigidBody
@@ -304,12 +304,13 @@ class _Runs:
     def _run_alike(self, which: NDArray[np.intp], rows: Rows, gains: Floats | None) -> None:
         """Run the loop over some runs, in chunks."""
         gains = np.ones(len(self._progress)) if gains is None else gains
+        work = many_loop.workspace(LANES, rows)
         done, chunk = 0, LANES
         while done < len(which):
             began = time.monotonic()
             done += kernels.run_each(
                 which[done:done + chunk], self._progress, self._times_ns, self._order,
-                self._motions, rows, self._bodies._constants, self._options.method, gains)
+                self._motions, rows, self._bodies._constants, self._options.method, gains, work)
             if time.monotonic() - began < _PATIENCE:
                 chunk *= 2
 

@@ -31,7 +31,7 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import Origin, origin_of, without_origin
 from rigid_body_ros.propagation.summation import added
-from rigid_body_ros.propagation.timeline import held_row
+from rigid_body_ros.propagation.timeline import held_row, momentum_at
 
 #: The key of the torque on the rotors among the sources: the last one.
 WHEELS = sys.maxsize
@@ -125,7 +125,7 @@ class Segment:
         begin_ns, rotors = self._grid_ns[0], self._rotors
         terms = self._rows.terms
         if terms is not None and terms.motors is not None:
-            rotors = kernels.momentum_at(self._rows.times_ns, terms.momentum, terms.motors,
+            rotors = momentum_at(self._rows.times_ns, terms.momentum, terms.motors,
                                  np.array([time_ns]))[0]
             rotors.flags.writeable = False
         return State._as_computed(time_ns, packed, Origin(

@@ -90,8 +90,9 @@ def _summed_together(logs: Sequence[TorqueLog], motors: Sequence[TorqueLog], sta
         for group in (*in_axes, motors))
     for array in (body, space, on_rotors):  # one type for the kernels
         array.flags.writeable = False
-    sums = _allocated(len(times_ns), 0)
-    return times_ns, kernels.sum_rows(times_ns, body, space, on_rotors, momentum, sums), sums
+    sums, in_space = _allocated(len(times_ns), 0), np.empty(len(times_ns), np.bool_)
+    kernels.sum_rows(times_ns, body, space, on_rotors, momentum, sums, in_space)
+    return times_ns, in_space, sums
 
 
 def _allocated(count: int, degree: int) -> Sums:
@@ -118,8 +119,10 @@ def _merged(sources: Sequence[TorqueLog], start_ns: int, momentum: Floats, timeo
                       np.cumsum([0, *map(len, sources)]))
     limit = 1 + len(samples.stamps_ns) * (2 if timeout_ns > 0 else 1)
     sums = _allocated(limit, degree)
-    times_ns, in_space = kernels.sum_logs(samples, timeout_ns, start_ns, momentum, sums)
-    return times_ns, in_space, Sums(*(part[:len(times_ns)] for part in sums))
+    times_ns, in_space = np.empty(limit, np.int64), np.empty(limit, np.bool_)
+    count = kernels.sum_logs(samples, samples.offsets[:-1] - 1, timeout_ns, start_ns, momentum,
+                             sums, times_ns, in_space)
+    return times_ns[:count], in_space[:count], Sums(*(part[:count] for part in sums))
 
 
 def _pieces(log: TorqueLog) -> Floats:

@@ -222,7 +222,15 @@ class Timeline:
         if terms is None or terms.motors is None:
             constant = terms.momentum if terms else _NO_MOMENTUM[None]
             return np.broadcast_to(constant, (len(times_ns), 2, 3))
-        return kernels.momentum_at(self.times_ns, terms.momentum, terms.motors, times_ns)
+        return momentum_at(self.times_ns, terms.momentum, terms.motors, times_ns)
+
+
+def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Floats,
+                times_ns: NDArray[np.int64]) -> Floats:
+    """Return the momentum of rotors on which a torque acts; see `Timeline.momentum`."""
+    result = np.empty((len(times_ns), 2, 3))
+    kernels.momentum_at(row_times_ns, momentum, motors, times_ns, result)
+    return result
 
 
 def held_row(time_ns: int, torque: Floats, in_space: bool, terms: Terms | None = None) -> Rows:

@@ -75,4 +75,6 @@ class PrincipalAxes:
 
     def _components(self, vectors: Floats) -> Floats:
         high, low = self._axes
-        return kernels.components(high, low, vectors)
+        result = np.empty((len(vectors), 3, 2))
+        kernels.fill_components(high, low, vectors, result)
+        return result
