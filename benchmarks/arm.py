@@ -19,8 +19,8 @@ Compare the results of this machine with those of a 64-bit ARM machine, bit for 
 
 The same motions are computed here, here as on older x86-64 processors, and on ARM, which QEMU
 emulates (`arm_machine.py`): random ones through every solver, those of `test/scenes.py` and those
-of `test/recordings`. A recording that was replayed on ARM is verified here, too. The exit status
-is 1 if a bit differs.
+of `test/recordings`. A recording that was replayed on ARM is verified here, too, and ARM compares
+its results with the committed vectors (`vectors.py`). The exit status is 1 if a bit differs.
 """
 
 import argparse
@@ -187,6 +187,15 @@ def verified():
                           env=environment(HERE)).returncode == 0
 
 
+def has_committed_bits():
+    """Compare ARM with the committed vectors; return whether all bits agree."""
+    try:
+        arm_machine.run(ROOT / 'benchmarks' / 'vectors.py')
+    except subprocess.CalledProcessError:
+        return False
+    return True
+
+
 def main():
     """Compare the machines; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
@@ -210,7 +219,9 @@ def main():
     print(f'{ARM} against 50 digits: error at most {error:.2g} rad, {part:.2f} of the bound in '
           'test/test_reference.py')
     print(f'A recording replayed on {ARM}, verified here:', flush=True)
-    same = verified() and not any(count for found in others.values()
+    same = verified()
+    print(f'{ARM} against the committed vectors:', flush=True)
+    same = has_committed_bits() and same and not any(count for found in others.values()
                                   for count, *_ in found.values())
     return 0 if same and part <= 1.0 else 1
 

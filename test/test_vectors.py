@@ -1,0 +1,70 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The committed vectors: every bit of their motions, from compiled kernels and from Python."""
+
+import os
+import re
+import subprocess
+import sys
+
+from conftest import ROOT
+import pytest
+from rigid_body_ros.kernels.lanes import LANES
+from rigid_body_ros.propagation import SOLVERS
+import vectors
+
+
+def test_every_motion_has_the_committed_bits():
+    assert vectors.differences(vectors.read()) == []
+
+
+def test_a_changed_digit_is_reported_with_its_motion_and_number(tmp_path):
+    text = vectors.VECTORS.read_text(encoding='ascii')
+    name = 'group one log, auto, 4'
+    begin = text.index('\nstate ', text.index(f'\nmotion {name}\n'))
+    last = re.compile(r'.p[-+]\d+$', re.MULTILINE).search(text, begin)
+    digit = 'e' if last[0][0] != 'e' else 'f'
+    changed = tmp_path / 'vectors.txt'
+    changed.write_text(text[:last.start()] + digit + text[last.start() + 1:], encoding='ascii')
+    found = vectors.differences(
+        [motion for motion in vectors.read(changed) if motion.group == 'one log, auto'])
+    assert [line.split(': expected')[0] for line in found] == [
+        f'{name}: angular velocity z at 333333333 ns',
+        f'{name}, computed with its group: angular velocity z at 333333333 ns']
+
+
+def test_they_cover_all_solvers_terms_and_interpolations():
+    motions = vectors.read()
+    problems = [motion.problem for motion in motions]
+    assert {problem.options.solver for problem in problems} == set(SOLVERS)
+    assert {log.interpolation for problem in problems for log in problem.logs} == {
+        'hold', 'linear', 'cubic'}
+    assert {problem.body.symmetry for problem in problems} == {
+        'sphere', 'symmetric top', 'asymmetric top'}
+    for has_term in (lambda problem: problem.body.is_damped, lambda problem: problem.wheels,
+                     lambda problem: len(problem.logs) > 1, lambda problem: not problem.logs,
+                     lambda problem: problem.options.torque_timeout,
+                     lambda problem: any(0 < log.in_space.mean() < 1 for log in problem.logs)):
+        assert sum(map(bool, map(has_term, problems))) >= 10
+    groups = {motion.group for motion in motions if motion.group}
+    assert all(sum(motion.group == name for motion in motions) > LANES for name in groups)
+
+
+@pytest.mark.slow
+def test_plain_python_gives_the_same_bits():
+    result = subprocess.run(
+        [sys.executable, ROOT / 'benchmarks' / 'vectors.py', '--every', '20'],
+        env={**os.environ, 'NUMBA_DISABLE_JIT': '1'}, capture_output=True, text=True)
+    assert (result.stdout, result.returncode) == ('12 motions: the same bits\n', 0)
