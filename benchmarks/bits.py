@@ -178,11 +178,11 @@ def streamed(motion, solver, number):
     for front, cut in pairwise([0, *cuts, None]):
         piece = log.rows(slice(max(front - _BESIDE, 0),
                                None if cut is None else cut + 1 + _BESIDE))
+        problem = Problem(motion.body, motion.start, piece, **motion.solver_options(solver))
         if run:
-            run.extend([piece])
+            run.extend(problem)
         else:
-            run = Integration(Problem(motion.body, motion.start, piece,
-                                      **motion.solver_options(solver)))
+            run = Integration(problem)
         end = int(at[-1] if cut is None else log.times_ns[cut])
         trajectory = run.advance(at[(at > reached) & (at <= end)], None if cut is None else end)
         yield trajectory.attitude

@@ -71,7 +71,7 @@ def main():
     loaded = scene.load(config)
     log = read(recording)
     start = replace(loaded.start, time_ns=int(log.times_ns[0]))
-    motion = loaded.problem(log, start=start).propagate(at=log.times_ns)
+    motion = loaded.problem(start).replaced(log=log).propagate(at=log.times_ns)
     write(output, motion, loaded.values)
     print(time.perf_counter() - began)
 

@@ -35,7 +35,7 @@ from rigid_body_ros.mechanics import euler, urdf
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.frames import Frames
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import INTERPOLATIONS, TorqueLog
+from rigid_body_ros.mechanics.torque import INTERPOLATIONS
 from rigid_body_ros.propagation import LONGEST, Options, Problem, SOLVERS, TOLERANCES
 from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameter_file import node_parameters
@@ -180,25 +180,9 @@ class Scene:
         """Return the solver and its options."""
         return Options(self.solver, self.tolerance, self.max_step or None, self.torque_timeout)
 
-    def problem(self, log: TorqueLog | Sequence[TorqueLog] | None = None,
-                wheels: TorqueLog | None = None, start: State | None = None) -> Problem:
-        """
-        Return the problem of this scene under torques.
-
-        Parameters
-        ----------
-        log, wheels
-            As for `Problem`.
-        start : State, optional
-            By default that of the scene.
-
-        Raises
-        ------
-        ValueError
-            As for `Problem`.
-
-        """
-        return Problem(self.body, start or self.start, log, wheels=wheels, **asdict(self.options))
+    def problem(self, start: State | None = None) -> Problem:
+        """Return the problem of this scene without torques, from its start or another one."""
+        return Problem(self.body, start or self.start, **asdict(self.options))
 
     def starting_at(self, time_ns: int) -> State:
         """Return the initial state, at a time unless the scene has a start_time."""
@@ -222,7 +206,7 @@ class Scene:
     @property
     def timeout_ns(self) -> int:
         """Return the torque timeout, ns; 0 if a torque is held for ever."""
-        return duration_ns(self.torque_timeout, 'torque_timeout')
+        return self.options.timeout_ns
 
     @property
     def warnings(self) -> list[str]:

@@ -89,7 +89,7 @@ def replayed(tmp_path, live):
     # Of several states at the start time, the last is the start of the last epoch.
     begin = int(np.flatnonzero(committed.stamps_ns == run.start.time_ns)[-1])
     stamps_ns, values = committed.stamps_ns[begin:], live_values(committed)[begin:]
-    motion = run.problem(log).propagate(at=stamps_ns)
+    motion = run.problem().replaced(log=log).propagate(at=stamps_ns)
     return Run(stamps_ns, values, np.hstack([motion.attitude, motion.angular_velocity]),
                recorded.rows(is_torque))
 

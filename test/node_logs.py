@@ -55,8 +55,8 @@ def motion_of(run, start, torques, at=None):
     if at is None:
         stamps = np.concatenate([np.empty(0, int), *(log.times_ns for log in logs.values())])
         at = np.union1d([start.time_ns], stamps[stamps > start.time_ns])
-    return run.problem([log for topic, log in logs.items() if topic != WHEELS], logs.get(WHEELS),
-                       start).propagate(at=at)
+    body = [log for topic, log in logs.items() if topic != WHEELS]
+    return run.problem(start).replaced(log=body, wheels=logs.get(WHEELS)).propagate(at=at)
 
 
 def epoch(run, start, torques):

@@ -63,7 +63,7 @@ def test_a_run_in_pieces_has_the_bits_of_the_whole(interpolation, options):
         run.advance([])  # changes nothing
         for number, (piece, cut) in enumerate(zip(pieces, cuts)):
             if number:
-                run.extend([piece])
+                run.extend(Problem(BODY, start, piece, **options))
             end = None if cut is None else int(stamps[cut])
             asked = times[:np.searchsorted(times, stamps[-1] if end is None else end, 'right')]
             attitudes.append(run.advance(asked, end).attitude)
@@ -91,10 +91,11 @@ def test_several_sources_in_pieces_have_the_bits_of_the_whole(interpolation, opt
         for end in [*ends, None]:
             pieces = [log.between(begin, at[-1] if end is None else end) for log in logs]
             motors = wheels and wheels.between(begin, at[-1] if end is None else end)
+            problem = Problem(BODY, start, pieces, wheels=motors, **options)
             if run:
-                run.extend(pieces, motors)
+                run.extend(problem)
             else:
-                run = Integration(Problem(BODY, start, pieces, wheels=motors, **options))
+                run = Integration(problem)
             asked = at if end is None else at[(at <= end)]
             found.append(run.advance(asked, end))
             at, begin = at[len(asked):], end

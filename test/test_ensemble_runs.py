@@ -48,7 +48,7 @@ VARY = (Dispersion('inertia', 'relative', (0.05,)), TILT,
 
 def ensemble(*dispersions, logs=LOGS, wheels=None, **values):
     scene = Scene.from_values({**SCENE, **values})
-    return Ensemble(scene.problem(logs, wheels), 2 * SECOND, dispersions, 1)
+    return Ensemble(scene.problem().replaced(log=logs, wheels=wheels), 2 * SECOND, dispersions, 1)
 
 
 def rows(found, first, stop):

@@ -94,7 +94,8 @@ def expected(path, logs, wheels=None):
     begin = State(STARTED, loaded.start.attitude, loaded.start.angular_velocity,
                   loaded.start.rotor_momentum)
     stamps = [one.times_ns for one in (*logs, wheels) if one]
-    return loaded.problem(logs, wheels, begin).propagate(at=np.unique(np.hstack(stamps)))
+    return loaded.problem(begin).replaced(log=logs, wheels=wheels).propagate(
+        at=np.unique(np.hstack(stamps)))
 
 
 def check_written(path, motion, has_rotors=True):

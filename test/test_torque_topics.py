@@ -91,7 +91,7 @@ def replayed_sources(tmp_path, live):
     committed = recording.read(path, COMMITTED, messages.ODOMETRY)
     begin = int(np.flatnonzero(committed.stamps_ns == run.start.time_ns)[-1])
     stamps_ns = committed.stamps_ns[begin:]
-    motion = run.problem(logs[:-1], logs[-1]).propagate(at=stamps_ns)
+    motion = run.problem().replaced(log=logs[:-1], wheels=logs[-1]).propagate(at=stamps_ns)
     return (stamps_ns, live_values(committed)[begin:],
             np.hstack([motion.attitude, motion.angular_velocity]), logs, run)
 

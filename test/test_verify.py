@@ -150,7 +150,8 @@ def node_log(folder, *, torques_from=0, without=(), states_from=0, start_time=ST
     run = scene.load(SCENE)
     start = replace(run.start, time_ns=START_NS)
     values = 0.01 * np.random.default_rng(3).normal(size=(len(STAMPS), 3))
-    motion = run.problem(TorqueLog(STAMPS, values), start=start).propagate(at=[START_NS, *STAMPS])
+    motion = run.problem(start).replaced(log=TorqueLog(STAMPS, values)).propagate(
+        at=[START_NS, *STAMPS])
     with recording.Writer(folder / 'run.mcap') as writer:
         writer.add_topic(topic, messages.WRENCH)
         writer.add_topic('/committed', messages.ODOMETRY)

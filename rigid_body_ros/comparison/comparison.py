@@ -36,9 +36,8 @@ from rigid_body_ros.sensing.residual_torque import residual_torque
 
 
 def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None, *,
-            measured: Measured | Sequence[Measured], wheels: TorqueLog | None = None,
-            align: Collection[str] = (), horizons: Sequence[float] = (),
-            causes: bool = True, **options: Any) -> Comparison:
+            measured: Measured | Sequence[Measured], align: Collection[str] = (),
+            horizons: Sequence[float] = (), causes: bool = True, **others: Any) -> Comparison:
     """
     Compare a measured motion with the one that torques cause.
 
@@ -46,8 +45,8 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
 
     Parameters
     ----------
-    body, start, log, wheels
-        As for `propagate`.
+    body, start, log
+        As for `Problem`.
     measured : Measured or sequence of Measured
         What sensors measured; all share one clock and one mounting.
     align : collection of str
@@ -59,8 +58,8 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
         For each, restart from the measurement every so often, and return the error by then.
     causes : bool
         Whether to look for likely causes of the errors, which takes about ten further motions.
-    options
-        Further keyword arguments of `propagate`: solver, tolerance, max_step, torque_timeout.
+    others
+        The keyword arguments of `Problem`: the wheels, the solver and its options.
 
     Returns
     -------
@@ -77,7 +76,7 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
     sensors = [measured] if isinstance(measured, Measured) else measured
     for sensor in sensors:
         sensor.check()
-    problem = Problem(body, start, log, wheels=wheels, **options)
+    problem = Problem(body, start, log, **others)
     return compare_motion(problem, sensors, align, horizons, causes)
 
 

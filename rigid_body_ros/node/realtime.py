@@ -340,7 +340,7 @@ class Realtime(Mode):
             self._diagnostics.event(NOT_COMPUTABLE, 'on_time_jump: the current state cannot be '
                                     'computed; the motion starts again from the initial state')
             return False
-        # Shift the stamp, so that the torque keeps its age for torque_timeout.
+        # Shift the stamp, so that the torque keeps its age until it times out.
         torques = [torque._replace(stamp_ns=max(1, torque.stamp_ns + now_ns - latest_ns))
                    for torque in self.run.epoch.torques_since(latest_ns)
                    if torque.stamp_ns <= latest_ns]

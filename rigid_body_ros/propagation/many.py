@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 import math
 import time
@@ -31,13 +31,12 @@ from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import States
-from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
 from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.problem import Problem
 from rigid_body_ros.propagation.requested import checked_times
 from rigid_body_ros.propagation.timeline import Timeline
 
-_NO_LOG = TorqueLog([], [])
 #: s; a call of the kernel that takes less is followed by one for twice as many runs. In between
 #: Python handles signals.
 _PATIENCE = 0.05
@@ -109,7 +108,7 @@ def propagate_many(bodies: RigidBodies, starts: States, log: Logs = None, *, at:
     torque_gains : array, shape (n,), optional
         Each log of run i is `log.with_torques(torque_gains[i] * log.torques)`.
     solver, tolerance, max_step, torque_timeout
-        As for `propagate`.
+        As for `Problem`.
 
     Returns
     -------
@@ -124,32 +123,26 @@ def propagate_many(bodies: RigidBodies, starts: States, log: Logs = None, *, at:
         torques, rotors or damping.
 
     """
-    runs = _Runs(bodies, starts, at, validated(solver, tolerance, max_step, torque_timeout))
+    options = validated(solver, tolerance, max_step, torque_timeout)
+    runs = _Runs(bodies, starts, at, options)
     gains = None if torque_gains is None else np.array(torque_gains, float)
     if gains is not None and gains.shape != (len(bodies),):
         raise ValueError(f'torque_gains: expected shape ({len(bodies)},), found {gains.shape}')
-    for which, logs, motors in _alike(log, wheels, len(bodies)):
-        if gains is None or _can_scale(logs, motors, gains):
-            runs.advance(logs, motors, which, gains)
+    logs, motors = _of_each(log, len(bodies), 'log'), _of_each(wheels, len(bodies), 'wheels')
+    for which in _alike(logs, motors):
+        problem = _AT_REST.replaced(log=logs[which[0]], wheels=motors[which[0]], options=options)
+        if gains is None or _can_scale(problem, gains):
+            runs.advance(problem, which, gains)
             continue
         for row in which.tolist():
-            scaled = [one.with_torques(gains[row] * one.torques) for one in logs]
-            runs.advance(scaled, motors, np.array([row]))
+            scaled = [one.with_torques(gains[row] * one.torques) for one in problem.logs]
+            runs.advance(problem.replaced(log=scaled), np.array([row]))
     return runs.trajectories()
 
 
-def _alike(log: Logs, wheels: TorqueLog | Sequence[TorqueLog] | None,
-           count: int) -> Iterator[tuple[NDArray[np.intp], list[TorqueLog], TorqueLog]]:
-    """Generate the runs that have the same logs, those that are not empty, and their wheels."""
-    if ((log is None or isinstance(log, TorqueLog))
-            and (wheels is None or isinstance(wheels, TorqueLog))):
-        yield np.arange(count), [log] if log else [], wheels or _NO_LOG
-        return
-    each, motors = _of_each(log, count, 'log'), _of_each(wheels, count, 'wheels')
-    for which in _grouped([(*map(id, _listed(one)), id(motor))
-                           for one, motor in zip(each, motors)]):
-        yield (which, [one for one in _listed(each[which[0]]) if one],
-               motors[which[0]] or _NO_LOG)
+def _alike(logs: Sequence[Any], motors: Sequence[Any]) -> list[NDArray[np.intp]]:
+    """Return the runs that have the same logs and wheels."""
+    return _grouped([(*map(id, torque_logs(log)), id(motor)) for log, motor in zip(logs, motors)])
 
 
 def _of_each(given: Any, count: int, name: str) -> Sequence[Any]:
@@ -161,10 +154,6 @@ def _of_each(given: Any, count: int, name: str) -> Sequence[Any]:
     return list(given)
 
 
-def _listed(logs: TorqueLog | Sequence[TorqueLog] | None) -> Sequence[TorqueLog]:
-    return [logs] if isinstance(logs, TorqueLog) else logs or []
-
-
 def _grouped(keys: Iterable[Hashable]) -> list[NDArray[np.intp]]:
     """Return the rows of each key, in order."""
     found: dict[Hashable, list[int]] = {}
@@ -173,14 +162,15 @@ def _grouped(keys: Iterable[Hashable]) -> list[NDArray[np.intp]]:
     return [np.array(rows) for rows in found.values()]
 
 
-def _can_scale(logs: Sequence[TorqueLog], wheels: TorqueLog, gains: Floats) -> bool:
+def _can_scale(problem: Problem, gains: Floats) -> bool:
     """
     Return whether the kernels can multiply the torques of logs.
 
     They multiply the coefficients of the polynomials, which for a held log are the torques. If a
     product is not finite, `TorqueLog` reports it.
     """
-    if len(logs) != 1 or wheels:
+    logs = problem.logs
+    if len(problem.sources) != 1 or not logs:
         return not logs
     largest = float(np.abs(gains).max()) * float(np.abs(logs[0].torques).max(initial=0.0))
     return logs[0].interpolation == 'hold' and math.isfinite(largest)
@@ -226,14 +216,13 @@ class _Runs:
         #: the next, under torques that change at the same times.
         self._queued: list[tuple[int, Rows]] = []
 
-    def advance(self, logs: Sequence[TorqueLog], wheels: TorqueLog, which: NDArray[np.intp],
+    def advance(self, problem: Problem, which: NDArray[np.intp],
                 gains: Floats | None = None) -> None:
         """
-        Compute some of the runs, those that share logs and wheels.
+        Compute some of the runs, those under the torques of a problem.
 
         A single log is multiplied by a gain for each of all runs.
         """
-        problem = Problem(_SPHERE, _AT_REST, logs, wheels=wheels).replaced(options=self._options)
         which = which[self._progress['stop'][which] != layout.FAILED]
         if not (which.size and self._times_ns.size):
             return
@@ -328,4 +317,5 @@ class _Runs:
                             rates.reshape(count, size, 3), tuple(self._messages))
 
 
-_SPHERE, _AT_REST = RigidBody(np.eye(3)), State()
+#: What has the torques of runs, whatever their bodies and starts.
+_AT_REST = Problem(RigidBody(np.eye(3)), State())

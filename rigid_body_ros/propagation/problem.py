@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -88,11 +89,7 @@ class Problem:
                  tolerance: float = Options.tolerance,
                  max_step: float | None = Options.max_step,
                  torque_timeout: float = Options.torque_timeout) -> None:
-        self._set(body, start, log, wheels,
-                  validated(solver, tolerance, max_step, torque_timeout))
-
-    def _set(self, body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None,
-             wheels: TorqueLog | None, options: Options) -> None:
+        options = validated(solver, tolerance, max_step, torque_timeout)
         self.body, self.start, self.options = body, start, options
         self.logs = tuple([each for each in torque_logs(log) if len(each)])
         self.wheels = wheels if wheels else None
@@ -122,10 +119,14 @@ class Problem:
                  log: TorqueLog | Sequence[TorqueLog] | None = None,
                  wheels: TorqueLog | None = None, options: Options | None = None) -> Problem:
         """Return the same problem with some parts replaced; raise ValueError as `Problem` does."""
-        changed = Problem.__new__(Problem)
-        changed._set(body or self.body, start or self.start, self.logs if log is None else log,
-                     self.wheels if wheels is None else wheels, options or self.options)
-        return changed
+        return Problem(body or self.body, start or self.start, self.logs if log is None else log,
+                       wheels=self.wheels if wheels is None else wheels,
+                       **asdict(options or self.options))
+
+    def solved_by(self, **options: Any) -> Problem:
+        """Return the same problem with other `Options`, except for the timeout of the torques."""
+        timeout = self.options.torque_timeout
+        return self.replaced(options=Options(torque_timeout=timeout, **options))
 
     def between(self, start: State, end_ns: int) -> Problem:
         """Return the problem from another start on, with only the torques up to a time, ns."""
@@ -246,29 +247,22 @@ class Integration:
                      for log in problem.sources) and (acts or self._timeline.is_linear)
         return None if begins else problem.options.rule(problem.body, torque, in_space, *others)
 
-    def extend(self, logs: Sequence[TorqueLog], wheels: TorqueLog | None = None) -> None:
+    def extend(self, problem: Problem) -> None:
         """
         Continue under the next piece of each log.
 
         Parameters
         ----------
-        logs : sequence of TorqueLog
-            Each begins with the sample in force at the end of the motion so far, or earlier. For
-            cubic interpolation there are three samples before that one, and three after the end of
-            the piece.
-        wheels : TorqueLog, optional
-            The next piece of the torque on the rotors; None: it goes on as in the present piece.
-
-        Raises
-        ------
-        ValueError
-            As for `Problem`.
+        problem : Problem
+            The same problem with the next pieces. Each begins with the sample in force at the end
+            of the motion so far, or earlier. For cubic interpolation there are three samples
+            before that one, and three after the end of the piece.
 
         """
         end_ns = self._end_ns
         momentum = self._timeline.momentum(np.array([end_ns]))[0] \
             if self._timeline.has_rotors else None
-        self.problem = self.problem.replaced(log=logs, wheels=wheels)
+        self.problem = problem
         self._timeline = self._timeline_from(momentum)
         self._progress['row'], self._is_begun = self._timeline.in_force(end_ns), True
 

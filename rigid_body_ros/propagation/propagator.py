@@ -47,10 +47,10 @@ class Propagator:
 
     Parameters
     ----------
-    body, start, solver, tolerance, max_step, torque_timeout
-        As for `propagate`.
     history : float, s
         How much older than the newest stamp a torque may be. Older states are discarded.
+    others
+        As for `Problem`.
 
     Raises
     ------

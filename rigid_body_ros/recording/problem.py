@@ -181,7 +181,7 @@ def _logged(path: str | Path, scene: Scene, torques: Sequence[Messages],
     if measured is not None:
         start = _started(start, measured)
     try:
-        problem = scene.problem(logs, wheels, start)
+        problem = scene.problem(start).replaced(log=logs, wheels=wheels)
     except ValueError as error:
         raise InputError(f'{path}: {listed([one.topic for one in every])}: {error}') from error
     return Logged(problem, measured is not None, sum(len(one) for one in every),

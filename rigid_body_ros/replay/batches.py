@@ -209,13 +209,14 @@ class Batches:
         """Return a motion that continues under the next pieces of the torques."""
         body = [log for log, stream in zip(logs, self.streams) if not stream.on_rotors]
         wheels = [log for log, stream in zip(logs, self.streams) if stream.on_rotors]
+        problem = self._request.scene.problem(self.start).replaced(
+            log=body, wheels=next(iter(wheels), None))
         motion = self._motions.get(interpolation)
         if motion:
-            motion.extend(body, *wheels)
-            return motion
-        scene = self._request.scene
-        motion = Integration(scene.problem(body, next(iter(wheels), None), self.start))
-        return self._motions.setdefault(interpolation, motion)
+            motion.extend(problem)
+        else:
+            motion = self._motions[interpolation] = Integration(problem)
+        return motion
 
     def _wait(self) -> None:
         if self._thread:

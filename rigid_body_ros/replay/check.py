@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
-from rigid_body_ros.propagation.timeline import Timeline
 
 #: The energy balance covers at most this many intervals of at most this angle, rad.
 _MOST_INTERVALS = 200_000
@@ -136,8 +136,8 @@ def _momentum_balance(problem: Problem, trajectory: Trajectory) -> float:
         start.attitude, body.angular_momentum(start.angular_velocity) + start.rotor_momentum)
     for log in problem.logs:  # the momentum of a rotor is the integral of a torque, too
         driven = TorqueLog(log.times_ns, log.torques, interpolation=log.interpolation)
-        rotors = Timeline([], driven, problem.options.timeout_ns, False, start.time_ns, None)
-        momentum = momentum + rotors.momentum(trajectory.times_ns)[:, 0]
+        rotors = problem.solved_by().replaced(start=State(start.time_ns), log=(), wheels=driven)
+        momentum = momentum + rotors.rotor_momentum(trajectory.times_ns)
     scale = max(_norm(momentum), _norm(start_momentum[None]), _norm(trajectory.rotor_momentum))
     lost = _norm(trajectory.angular_momentum_space - momentum)
     return lost / scale if scale else lost

@@ -31,7 +31,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, instant, LONGEST
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.torque import stamps_of
-from rigid_body_ros.propagation import Options, Problem, Trajectory
+from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.tradeoff.axes import PrincipalAxes
 
@@ -95,9 +95,7 @@ class Case:
 
     def run(self, **options: Any) -> Trajectory:
         """Return the motion with some `Options`; raise ValueError as `propagate` does."""
-        timeout = self.problem.options.torque_timeout
-        problem = self.problem.replaced(options=Options(torque_timeout=timeout, **options))
-        return problem.propagate(at=self.times_ns)
+        return self.problem.solved_by(**options).propagate(at=self.times_ns)
 
     def in_principal_axes(self, max_step: float) -> Floats:
         """Return attitudes computed by the series in principal axes, without linear terms."""
