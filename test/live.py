@@ -85,7 +85,8 @@ def replayed(tmp_path, live):
     log = recording.torque_log(path, last, run.body_frame, run.space_frame)
     committed = recording.read(path, COMMITTED, messages.ODOMETRY)
     # --verify accepts every epoch.
-    assert verify(path, run, path, topic=ACCEPTED, motion_topic=COMMITTED).same.all()
+    accepted = recording.Topics((ACCEPTED,))
+    assert verify(path, run, path, accepted, motion_topic=COMMITTED).same.all()
     # Of several states at the start time, the last is the start of the last epoch.
     begin = int(np.flatnonzero(committed.stamps_ns == run.start.time_ns)[-1])
     stamps_ns, values = committed.stamps_ns[begin:], live_values(committed)[begin:]

@@ -99,7 +99,8 @@ def test_every_committed_state_of_both_lives_is_replayed(tmp_path, domain, mode,
         live.wait_until(lambda: len(epochs_of(live)) == 2, 'the marker of the second life')
         assert live.stop() == 0
         live.write(path)
-    result = verify(path, scene.load(TUMBLER), path, topic=ACCEPTED, motion_topic=COMMITTED)
+    result = verify(path, scene.load(TUMBLER), path,
+                    recording.Topics((ACCEPTED,)), motion_topic=COMMITTED)
     assert result.same.all()
     assert len(result.same) == len(live.received[COMMITTED])
     begin, again = epochs_of(live)

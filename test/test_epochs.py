@@ -307,7 +307,7 @@ def test_several_topics_have_the_same_epochs(wheeled, tmp_path, monkeypatch, blo
         np.testing.assert_array_equal(found.last.attitude, motion.attitude[-1])
         np.testing.assert_array_equal(found.last.rotor_momentum, motion.rotor_momentum[-1])
     for motion in (log, tmp_path / 'out.mcap'):
-        compared = verify(log, wheeled, motion, **TOPICS)
+        compared = verify(log, wheeled, motion, recording.Topics.given(**TOPICS))
         assert (compared.same.all(), compared.compared_epochs, compared.pending) == (True, 2, 0)
 
 
@@ -319,7 +319,7 @@ def test_a_process_may_be_killed_between_the_markers_of_two_topics(wheeled, tmp_
     result = replay(log, wheeled, **TOPICS)
     motion = node_logs.motion_of(wheeled, SECOND_START, {ACCEPTED: rows([21.0], (0.01, 0, 0))})
     np.testing.assert_array_equal(result.last.attitude, motion.attitude[-1])
-    compared = verify(log, wheeled, log, **TOPICS)
+    compared = verify(log, wheeled, log, recording.Topics.given(**TOPICS))
     assert (compared.same.all(), compared.compared_epochs, compared.pending) == (True, 1, 1)
 
 

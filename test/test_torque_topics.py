@@ -83,7 +83,7 @@ def replayed_sources(tmp_path, live):
     path, topics = tmp_path / 'live.mcap', list(LOGS.values())
     live.write(path)
     run = scene.load(tmp_path / 'live.yaml')
-    result = verify(path, run, path, topic=topics[:-1], wheel_torque=topics[-1])
+    result = verify(path, run, path, recording.Topics(tuple(topics[:-1]), topics[-1]))
     assert result.same.all()
     logs = [recording.torque_log(log, recording.epochs(path, recording.read(path, log))[-1],
                                  run.values['body_frame'], run.values['space_frame'])

@@ -108,7 +108,8 @@ def warn_of_frames(options: argparse.Namespace, path: str, measured: Iterable[Me
 def topics_of(options: argparse.Namespace) -> Topics:
     """Return the topics of the torques that are given."""
     from rigid_body_ros import recording
-    return recording.topics_of(options.topic, options.wheel_torque, options.wheel_momentum)
+    return recording.Topics.given(options.topic, options.wheel_torque,
+                                  options.wheel_momentum)
 
 
 def read_torques(options: argparse.Namespace, scene: Scene) -> Logged:
@@ -173,14 +174,10 @@ def add_scheduler(parser: argparse._ActionsContainer) -> None:
                         'wrote; it does not change the results')
 
 
-def add_report(parser: argparse.ArgumentParser, shows: str) -> None:
-    """Add the option for the page."""
+def add_outputs(parser: argparse.ArgumentParser, shows: str) -> None:
+    """Add the option for the page, and the one that allows outputs to replace files."""
     parser.add_argument('--report', metavar='HTML', help=f'write a page for any browser, without '
                         f'network, that shows {shows}')
-
-
-def add_overwrite(parser: argparse.ArgumentParser) -> None:
-    """Add the option that allows outputs to replace files."""
     parser.add_argument('--overwrite', action='store_true',
                         help='replace output files that exist; folders are never replaced')
 

@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import (
     add_measured,
-    add_overwrite,
-    add_report,
+    add_outputs,
     add_scene,
     load_scene,
     parsed,
@@ -105,8 +104,7 @@ def compare_parser() -> argparse.ArgumentParser:
     parser.add_argument('--json', metavar='OUT', help='write the result, with units, to this file')
     parser.add_argument('--plot', metavar='PNG', help='plot errors, torque, errors after the '
                         'horizons and residual torque over time')
-    add_report(parser, 'these plots, the moving body and the summary')
-    add_overwrite(parser)
+    add_outputs(parser, 'these plots, the moving body and the summary')
     return parser
 
 

@@ -28,8 +28,7 @@ from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import (
-    add_overwrite,
-    add_report,
+    add_outputs,
     add_scene,
     add_scheduler,
     add_torques,
@@ -210,9 +209,8 @@ def ensemble_parser() -> argparse.ArgumentParser:
     add_scheduler(pool)
     parser.add_argument('-o', '--output', required=True, metavar='FOLDER',
                         help='folder for the results: a new one, or that of the same ensemble')
-    add_report(parser, 'the summary, the histogram of the final angles, their percentiles over '
+    add_outputs(parser, 'the summary, the histogram of the final angles, their percentiles over '
                'time, and the rank correlations')
-    add_overwrite(parser)
     return parser
 
 

@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import (
     add_measured,
-    add_overwrite,
-    add_report,
+    add_outputs,
     add_scene,
     load_scene,
     parsed,
@@ -136,8 +135,7 @@ def identify_parser() -> argparse.ArgumentParser:
     parser.add_argument('--json', metavar='OUT', help='write the result to this file')
     parser.add_argument('--plot', metavar='PNG', help='plot the errors of the first recording '
                         'over time, with its torques')
-    add_report(parser, 'the estimates, these plots and the summary')
-    add_overwrite(parser)
+    add_outputs(parser, 'the estimates, these plots and the summary')
     return parser
 
 

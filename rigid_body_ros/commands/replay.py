@@ -24,8 +24,7 @@ from typing import Any, TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import (
     add_interpolation,
-    add_overwrite,
-    add_report,
+    add_outputs,
     add_scene,
     add_scheduler,
     add_torques,
@@ -34,6 +33,7 @@ from rigid_body_ros.commands.arguments import (
     parsed,
     Parser,
     positive,
+    topics_of,
 )
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError
@@ -85,14 +85,10 @@ def _replay_one(options: argparse.Namespace) -> int:
     return OK
 
 
-def _torque_options(options: argparse.Namespace) -> dict[str, Any]:
-    return {'topic': options.topic, 'wheel_torque': options.wheel_torque,
-            'wheel_momentum': options.wheel_momentum, 'interpolation': options.interpolation}
-
-
 def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
-    return {**_torque_options(options), 'rate': options.rate, 'until': options.until,
-            'start': options.start, 'time_source': options.time_source, 'also': options.also}
+    names = ('topic', 'wheel_torque', 'wheel_momentum', 'interpolation', 'rate', 'until', 'start',
+             'time_source', 'also')
+    return {name: getattr(options, name) for name in names}
 
 
 def _replay_many(options: argparse.Namespace) -> int:
@@ -138,7 +134,7 @@ def _verify(options: argparse.Namespace) -> int:
     if unused:
         raise InputError(f'--verify: cannot be combined with --{unused[0]}')
     result = verify(options.input[0], load_scene(options), options.verify,
-                    until=options.until, **_torque_options(options))
+                    topics_of(options), interpolation=options.interpolation, until=options.until)
     show(summary(result))
     return OK if result.same.all() else DIFFERENT
 
@@ -182,7 +178,6 @@ def replay_parser() -> argparse.ArgumentParser:
     parser.add_argument('--plot', metavar='PNG', help='plot Euler angles, quaternion, angular '
                         'velocity and torque over time')
     add_scheduler(parser)
-    add_report(parser, 'the moving body, these plots and the summary; of several recordings, '
+    add_outputs(parser, 'the moving body, these plots and the summary; of several recordings, '
                'a row and a small picture each')
-    add_overwrite(parser)
     return parser

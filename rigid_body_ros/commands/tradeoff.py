@@ -23,8 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import (
-    add_overwrite,
-    add_report,
+    add_outputs,
     add_scene,
     add_torques,
     load_scene,
@@ -135,6 +134,5 @@ def tradeoff_parser() -> argparse.ArgumentParser:
     parser.add_argument('--json', metavar='OUT',
                         help='write all results, with units, to this file')
     parser.add_argument('--plot', metavar='PNG', help='plot cost over error, one curve per solver')
-    add_report(parser, 'this plot, the recommended lines to copy, and the limits of accuracy')
-    add_overwrite(parser)
+    add_outputs(parser, 'this plot, the recommended lines to copy, and the limits of accuracy')
     return parser

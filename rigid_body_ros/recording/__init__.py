@@ -34,7 +34,7 @@ from rigid_body_ros.recording.problem import (
 from rigid_body_ros.recording.problem import (
     read as read_problem,
 )
-from rigid_body_ros.recording.selection import Topics, topics_of
+from rigid_body_ros.recording.selection import Topics
 from rigid_body_ros.recording.source import (
     joined,
     Messages,
@@ -58,5 +58,5 @@ from rigid_body_ros.recording.writer import ANGULAR_VELOCITY, ATTITUDE, Column, 
 __all__ = ['ANGULAR_VELOCITY', 'ATTITUDE', 'TIME_SOURCES', 'TORQUES', 'Column', 'FolderWriter',
            'Logged', 'Messages', 'NotInOrderError', 'Piece', 'Source', 'Stream', 'Streams',
            'Topics', 'Writer', 'chosen', 'epochs', 'first_epoch', 'joined', 'read',
-           'read_epochs', 'read_problem', 'suffix_of', 'topics', 'topics_of',
+           'read_epochs', 'read_problem', 'suffix_of', 'topics',
            'torque_log', 'torque_pieces', 'whole', 'writer_of']

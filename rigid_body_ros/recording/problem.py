@@ -30,7 +30,7 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import source
-from rigid_body_ros.recording.selection import Topics, topics_of
+from rigid_body_ros.recording.selection import Topics
 from rigid_body_ros.recording.source import Messages
 from rigid_body_ros.recording.torques import epochs, torque_log
 from rigid_body_ros.runtime.terminal import no_progress, Track
@@ -90,7 +90,7 @@ def read(path: str | Path, scene: str | Path | Scene, *,
 
     """
     loaded = scene if isinstance(scene, Scene) else load(scene)
-    topics = topics_of(topic, wheel_torque, wheel_momentum).found_in(path, loaded)
+    topics = Topics.given(topic, wheel_torque, wheel_momentum).found_in(path, loaded)
     return chosen(path, loaded, read_epochs(path, loaded, topics, interpolation,
                                             time_source=time_source)).problem
 

@@ -66,6 +66,13 @@ class Topics:
             if names.count(name) > 1:
                 raise InputError(f'expected each topic once, found {name!r} twice')
 
+    @classmethod
+    def given(cls, topic: str | Sequence[str] | None, wheel_torque: str | None = None,
+              wheel_momentum: str | None = None) -> Topics:
+        """Return the topics that a caller gave."""
+        names = (topic,) if isinstance(topic, str) else tuple(topic or ())
+        return cls(names, wheel_torque, wheel_momentum)
+
     @property
     def wheel_source(self) -> str:
         """Return where the torque on the rotors comes from, for a summary."""
@@ -110,13 +117,6 @@ class Topics:
         """Return the topics of torques, that on the rotors last; None for the only topic."""
         return [*([None] if self.preferred else self.torques),
                 *filter(None, [self.wheel_torque])]
-
-
-def topics_of(topic: str | Sequence[str] | None, wheel_torque: str | None = None,
-              wheel_momentum: str | None = None) -> Topics:
-    """Return the given topics; raise InputError if a topic is given twice."""
-    names = (topic,) if isinstance(topic, str) else tuple(topic or ())
-    return Topics(names, wheel_torque, wheel_momentum)
 
 
 def absolute(topic: str) -> str:

@@ -46,19 +46,19 @@ def check_names(also: Collection[str]) -> None:
             raise InputError(f'also: expected some of {", ".join(known)}, found {name!r}')
 
 
-def topics_of(request: Request) -> dict[str, MessageType]:
+def topics(request: Request) -> dict[str, MessageType]:
     """Return the topics of an output with their types."""
-    topics = dict(_TOPICS)
+    found = dict(_TOPICS)
     if request.scene.has_rotors:
-        topics[_ROTOR_MOMENTUM] = messages.VECTOR3
+        found[_ROTOR_MOMENTUM] = messages.VECTOR3
     for name in request.also:
-        topics.update(_ALSO.get(name, {}))  # 'input' copies the topics of the recording
-    return topics
+        found.update(_ALSO.get(name, {}))  # 'input' copies the topics of the recording
+    return found
 
 
 def add_topics(writer: recording.Writer, request: Request) -> None:
     """Add the topics and the metadata of the motion to a recording."""
-    for topic, kind in topics_of(request).items():
+    for topic, kind in topics(request).items():
         writer.add_topic(topic, kind)
     writer.add_metadata(NAME, {
         'fingerprint': json.dumps(fingerprint()), 'scene': json.dumps(dict(request.scene.values)),

@@ -41,7 +41,6 @@ from rigid_body_ros.recording import (
     Streams,
     suffix_of,
     Topics,
-    topics_of,
     whole,
 )
 from rigid_body_ros.replay import outputs
@@ -199,7 +198,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
 
     """
     outputs.check_names(also)
-    given = topics_of(topic, wheel_torque, wheel_momentum)
+    given = Topics.given(topic, wheel_torque, wheel_momentum)
     given.check(scene)
     keep = output is None if keep is None else keep
     request = Request(path, scene, interpolation or scene.interpolation, rate, until, also,
@@ -218,7 +217,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
             copied = stack.enter_context(Source(
                 path, next(iter(topics.wrenches), topics.wheel_momentum), _KINDS,
                 preferred=topics.preferred))
-            copied.check_copied(outputs.topics_of(request))
+            copied.check_copied(outputs.topics(request))
         if not keep and not topics.wheel_momentum:
             with suppress(NotInOrderError), Streams(
                     path, scene, topics, progress('replaying', size=len), time_source,

@@ -29,7 +29,7 @@ from rigid_body_ros.common.errors import InputError, shortened
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.recording import Logged, Source, topics_of
+from rigid_body_ros.recording import Logged, Source, Topics
 from rigid_body_ros.replay.epochs import groups
 from rigid_body_ros.report.text import lines
 from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, PROCESSOR, processor
@@ -76,10 +76,9 @@ class Verified:
     pending: int = 0
 
 
-def verify(path: str | Path, scene: Scene, motion_path: str | Path, *,
-           topic: str | Sequence[str] | None = None, motion_topic: str | None = None,
-           interpolation: str | None = None, wheel_torque: str | None = None,
-           wheel_momentum: str | None = None, until: float | None = None) -> Verified:
+def verify(path: str | Path, scene: Scene, motion_path: str | Path,
+           topics: Topics | None = None, *, motion_topic: str | None = None,
+           interpolation: str | None = None, until: float | None = None) -> Verified:
     """
     Compute a recorded motion again and compare the two; of a node, in every epoch.
 
@@ -92,11 +91,11 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *,
         the torques are the log of a node, which has its own.
     motion_path : str or Path
         Recording of the motion: the committed states of a node, or the attitude of a replay.
-    topic, wheel_torque, wheel_momentum
-        As for `replay`.
+    topics : Topics, optional
+        The topics of the torques; by default those of the scene.
     motion_topic : str, optional
-        By default the committed states of the node whose log `topic` is. Required if the recording
-        of the motion lacks these, and has several suitable topics.
+        By default the committed states of the node whose log `topics` are. Required if the
+        recording of the motion lacks these, and has several suitable topics.
     interpolation : str, optional
         Interpolation between samples; otherwise the scene's.
     until : float, optional, s
@@ -115,7 +114,7 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path, *,
         `until` is negative or longer than 1e9 s.
 
     """
-    topics = topics_of(topic, wheel_torque, wheel_momentum)
+    topics = topics or Topics()
     epochs = recording.read_epochs(path, scene, topics.found_in(path, scene), interpolation,
                                    progress('reading', size=len))
     # Beside the log of a node; a recording of all topics has its outputs, too.
