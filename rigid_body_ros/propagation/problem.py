@@ -17,7 +17,6 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -89,7 +88,11 @@ class Problem:
                  tolerance: float = Options.tolerance,
                  max_step: float | None = Options.max_step,
                  torque_timeout: float = Options.torque_timeout) -> None:
-        options = validated(solver, tolerance, max_step, torque_timeout)
+        self._set(body, start, log, wheels,
+                  validated(solver, tolerance, max_step, torque_timeout))
+
+    def _set(self, body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None,
+             wheels: TorqueLog | None, options: Options) -> None:
         self.body, self.start, self.options = body, start, options
         self.logs = tuple([each for each in torque_logs(log) if len(each)])
         self.wheels = wheels if wheels else None
@@ -119,9 +122,10 @@ class Problem:
                  log: TorqueLog | Sequence[TorqueLog] | None = None,
                  wheels: TorqueLog | None = None, options: Options | None = None) -> Problem:
         """Return the same problem with some parts replaced; raise ValueError as `Problem` does."""
-        return Problem(body or self.body, start or self.start, self.logs if log is None else log,
-                       wheels=self.wheels if wheels is None else wheels,
-                       **asdict(options or self.options))
+        changed = Problem.__new__(Problem)
+        changed._set(body or self.body, start or self.start, self.logs if log is None else log,
+                     self.wheels if wheels is None else wheels, options or self.options)
+        return changed
 
     def solved_by(self, **options: Any) -> Problem:
         """Return the same problem with other `Options`, except for the timeout of the torques."""
