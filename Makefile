@@ -17,43 +17,59 @@ SMOKE := test/test_node.py test/test_lockstep.py
 # These need the machine to themselves.
 ALONE := test/test_soak.py test/test_overload.py
 
-.PHONY: demo test check nightly arm docs clean
+.PHONY: demo test check nightly arm release docs clean
 
-demo: $(VENV)/done ## replay a recording, and run the node on one over DDS
+demo: $(VENV)/demo ## replay a recording, and run the node on one over DDS
 	$(BIN)/python examples/demo.py
 
-test: $(VENV)/done $(JAZZY)/done compile ## before a push: the tests of every behaviour, a few of the node on Jazzy
+test: $(VENV)/done $(JAZZY)/done lint ## before a push: the tests of every behaviour, a few of the node on Jazzy
 	$(BIN)/python -m pytest $(PARALLEL) -m "not nightly"
 	$(JAZZY)/bin/python -m pytest $(MORE) -m "ros and not nightly" $(SMOKE)
 
 check: $(VENV)/done lint ## while you work: the fast tests, without ROS
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m "not ros and not slow and not nightly"
 
-nightly: $(VENV)/done $(JAZZY)/done compile ## before a release: every test, on both ROS distributions
+nightly: $(VENV)/done $(JAZZY)/done lint ## before a release: every test, on both ROS distributions
 	$(BIN)/python -m pytest $(PARALLEL) $(ALONE:%=--ignore %)
 	$(JAZZY)/bin/python -m pytest $(PARALLEL) -m ros $(ALONE:%=--ignore %)
 	$(BIN)/python -m pytest $(ALONE)
 	$(JAZZY)/bin/python -m pytest $(ALONE)
 
-.PHONY: lint compile
-compile: lint # once, not in every test
-	$(BIN)/python -m rigid_body_ros.warm_up
-
+.PHONY: lint
 lint: $(VENV)/done
 	$(BIN)/ruff check
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
-$(VENV)/done: ROS := ros,docs
-$(JAZZY)/done: ROS := jazzy
-%/done: setup.py package.xml
-	@echo "Installing into $* (a minute or two, once)"
-	$(PYTHON) -m venv $*
-	$*/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[$(ROS),test]'
+# An installation compiles the kernels; the first generates their code, which takes a minute or two.
+INSTALL = -m pip install --quiet --disable-pip-version-check --editable
+KERNELS := $(wildcard rigid_body_ros/kernels/*.py rigid_body_ros/common/*.py build_kernels/*)
+
+$(VENV)/demo: setup.py package.xml pyproject.toml $(KERNELS)
+	@echo "Installing into $(VENV), and compiling the kernels (a few minutes, once)"
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python $(INSTALL) '.[ros]'
 	@touch $@
 
-arm: $(VENV)/done ## compare every bit with an emulated 64-bit ARM machine
+$(VENV)/done: $(VENV)/demo
+	@echo "Installing what the tests need"
+	$(BIN)/python $(INSTALL) '.[ros,docs,test]'
+	@touch $@
+
+# It finds the compiled kernels of the other environment, which has the same Python.
+$(JAZZY)/done: $(VENV)/done
+	@echo "Installing into $(JAZZY)"
+	$(PYTHON) -m venv $(JAZZY)
+	$(JAZZY)/bin/python $(INSTALL) '.[jazzy,test]'
+	@touch $@
+
+arm: $(VENV)/done release ## compare every bit with an emulated 64-bit ARM machine
 	$(BIN)/python benchmarks/arm.py
+
+release: ## a source archive with the generated code of the kernels
+	$(PYTHON) -m venv $(VENV)-release
+	$(VENV)-release/bin/python -m pip install --quiet --disable-pip-version-check setuptools 'numba>=0.61,<0.69'
+	$(VENV)-release/bin/python build_kernels/release.py
 
 docs: $(VENV)/done ## the documentation as HTML
 	$(BIN)/python docs/nodes.py > docs/nodes.md
@@ -61,5 +77,6 @@ docs: $(VENV)/done ## the documentation as HTML
 	@echo "Open docs/_build/index.html"
 
 clean: ## remove the environment, compiled files and the output of the demo
-	rm -rf $(VENV) $(JAZZY) .arm demo docs/_build build install log *.egg-info .*_cache .hypothesis
+	rm -rf $(VENV) $(VENV)-release $(JAZZY) .arm dist demo docs/_build build install log *.egg-info .*_cache .hypothesis
+	rm -f rigid_body_ros/engine/_compiled*.so
 	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -16,12 +16,16 @@
 
 from glob import glob
 from pathlib import Path
+import sys
 import xml.etree.ElementTree as ElementTree
 
 from setuptools import find_packages, setup
 
 HERE = Path(__file__).resolve().parent  # colcon --symlink-install runs this through a link
 PACKAGE = ElementTree.parse(HERE / 'package.xml').getroot()
+sys.path.insert(0, str(HERE / 'build_kernels'))
+from extension import BuildKernels, kernels  # noqa: E402, I100
+
 NAME = PACKAGE.findtext('name')
 ROS_PACKAGES = ('rclpy', 'rmw-fastrtps-cpp', 'geometry-msgs', 'sensor-msgs', 'nav-msgs',
                 'std-msgs', 'std-srvs', 'diagnostic-msgs', 'rcl-interfaces', 'rosgraph-msgs')
@@ -36,7 +40,9 @@ setup(
     maintainer_email=PACKAGE.find('maintainer').get('email'),
     license=PACKAGE.findtext('license'),
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed', 'report/web/*']},
+    package_data={NAME: ['py.typed', 'engine/*.pyi', 'report/web/*']},
+    ext_modules=[kernels()],
+    cmdclass={'build_ext': BuildKernels},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -57,11 +63,9 @@ setup(
         f'attitude_tradeoff = {NAME}.commands.main:attitude_tradeoff',
     ]},
     python_requires='>=3.10',
-    # The oldest versions that pass the tests, see test/lowest.txt. The kernels build on numba's
-    # internals: only the tested range.
+    # The oldest versions that pass the tests, see test/lowest.txt.
     install_requires=['PyYAML>=5.4', 'lz4>=3.1', 'matplotlib>=3.5', 'mcap>=1.1',
-                      'numba>=0.55,<0.69', 'numpy>=1.21', 'scipy>=1.8', 'tqdm>=4.57',
-                      'zstandard>=0.15'],
+                      'numpy>=1.21', 'scipy>=1.8', 'tqdm>=4.57', 'zstandard>=0.15'],
     extras_require={
         # ROS 2 with Fast DDS, as wheels: Kilted, or Jazzy in an environment of its own.
         'ros': [f'ros-{package}' for package in ROS_PACKAGES],

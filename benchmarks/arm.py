@@ -17,7 +17,7 @@ Compare the results of this machine with those of a 64-bit ARM machine, bit for 
 
     python benchmarks/arm.py [--count N]        (or: make arm)
 
-The same motions are computed here, here as on older x86-64 processors, and on ARM, which QEMU
+The same motions are computed here, here as on an older x86-64 processor, and on ARM, which QEMU
 emulates (`arm_machine.py`): random ones through every solver, those of `test/scenes.py` and those
 of `test/recordings`. A recording that was replayed on ARM is verified here, too, and ARM compares
 its results with the committed vectors (`vectors.py`). The exit status is 1 if a bit differs.
@@ -47,12 +47,12 @@ LONGEST = 1000.0
 MOTIONS = FOLDER / 'motions.json'
 ARM = 'arm64'
 HERE = 'here'
+OLD = 'x86-64-v2'
 #: Names of the columns, and the environment that makes of this processor an older one.
 MACHINES = {
     HERE: {},
-    'AVX2': {'NUMBA_CPU_NAME': 'haswell', 'NUMBA_CPU_FEATURES': ''},
-    # numba calls the C library for fused products; numpy and BLAS do without.
-    'SSE2': {'NUMBA_CPU_NAME': 'generic', 'OPENBLAS_CORETYPE': 'Prescott'},
+    # The kernels call the C library for fused products; numpy and BLAS do without.
+    OLD: {'RIGID_BODY_ROS_KERNELS': OLD, 'OPENBLAS_CORETYPE': 'Prescott'},
 }
 
 
@@ -90,9 +90,9 @@ def plain_reference(name, solvers):
 
 
 def environment(machine):
-    """Return the environment that makes numba compile for an older processor."""
+    """Return the environment that makes of this processor an older one."""
     found = {**os.environ, **MACHINES[machine], 'PYTHONPATH': str(ROOT)}
-    if machine == 'SSE2':
+    if machine == OLD:
         from numpy._core import _multiarray_umath as numpy_core
         found['NPY_DISABLE_CPU_FEATURES'] = ' '.join(
             name for name in numpy_core.__cpu_dispatch__ if numpy_core.__cpu_features__[name])
@@ -211,7 +211,7 @@ def main():
     results, seconds = {}, {}
     for machine in (*MACHINES, ARM):
         results[machine], seconds[machine] = computed(machine)
-        print(f'{machine}: {seconds[machine]:.0f} s, compilation included', flush=True)
+        print(f'{machine}: {seconds[machine]:.0f} s', flush=True)
     here = results.pop(HERE)
     others = {machine: compared(found, here) for machine, found in results.items()}
     print('', *table(here, others), '', sep='\n')
@@ -221,8 +221,8 @@ def main():
     print(f'A recording replayed on {ARM}, verified here:', flush=True)
     same = verified()
     print(f'{ARM} against the committed vectors:', flush=True)
-    same = has_committed_bits() and same and not any(count for found in others.values()
-                                  for count, *_ in found.values())
+    same = has_committed_bits() and same and not any(
+        count for found in others.values() for count, *_ in found.values())
     return 0 if same and part <= 1.0 else 1
 
 

@@ -16,7 +16,7 @@
 A 64-bit ARM machine in a folder, for `arm.py`.
 
 Python and its libraries come from Debian's arm64 packages, unpacked beside apt's own lists and
-cache. The system's packages do not change, and root is not needed. numpy, numba and the other
+cache. The system's packages do not change, and root is not needed. numpy and the other
 dependencies come as wheels, in the versions that are installed here. QEMU runs them.
 """
 
@@ -29,14 +29,18 @@ import subprocess
 import sys
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / 'build_kernels'))
+import extension  # noqa: E402
+
 FOLDER = ROOT / '.arm'
-SYSTEM, WHEELS, KERNELS = FOLDER / 'system', FOLDER / 'wheels', FOLDER / 'kernels'
+SYSTEM, WHEELS = FOLDER / 'system', FOLDER / 'wheels'
 PYTHON = f'python{sys.version_info.major}.{sys.version_info.minor}'
-QEMU = 'qemu-aarch64-static'
+QEMU, COMPILER = 'qemu-aarch64-static', 'aarch64-linux-gnu-gcc'
 #: Commands, and the Debian package of each.
-COMMANDS = {QEMU: 'qemu-user-static', 'apt-get': 'apt', 'dpkg-deb': 'dpkg'}
-#: What `install_requires` lists without matplotlib, which only draws, and what numba needs.
-REQUIRED = ('PyYAML', 'llvmlite', 'lz4', 'mcap', 'numba', 'numpy', 'tqdm', 'zstandard')
+COMMANDS = {QEMU: 'qemu-user-static', COMPILER: 'gcc-aarch64-linux-gnu', 'apt-get': 'apt',
+            'dpkg-deb': 'dpkg'}
+#: What `install_requires` lists without matplotlib and SciPy, which `arm.py` does not need there.
+REQUIRED = ('PyYAML', 'lz4', 'mcap', 'numpy', 'tqdm', 'zstandard')
 #: The C library of Debian 12 is 2.36.
 PLATFORMS = ('manylinux2014_aarch64', *(f'manylinux_2_{minor}_aarch64' for minor in range(17, 37)))
 
@@ -61,7 +65,8 @@ def install() -> None:
             f'expected the commands {", ".join(COMMANDS)}, did not find {", ".join(absent)}; '
             f'on Debian: apt-get install {" ".join(absent.values())}')
     pins = [f'{name}=={version(name)}' for name in REQUIRED]
-    for folder, content, install_into in ((SYSTEM, [PYTHON, 'libstdc++6'], _install_system),
+    for folder, content, install_into in ((SYSTEM, [PYTHON, f'lib{PYTHON}-dev', 'libstdc++6'],
+                                           _install_system),
                                           (WHEELS, pins, _install_wheels)):
         try:
             _once(folder, content, install_into)
@@ -69,6 +74,7 @@ def install() -> None:
             raise UnavailableError(
                 f'expected to install {", ".join(content)} for arm64, but {error.cmd[0]} ended '
                 f'with status {error.returncode}; its message is above') from error
+    _link_kernels()
 
 
 def run(program: Path, *arguments: object) -> None:
@@ -81,11 +87,23 @@ def run(program: Path, *arguments: object) -> None:
         Its exit status is not 0.
 
     """
-    # Compiled kernels are kept apart from those of this machine.
-    environment = {**os.environ, 'NUMBA_CACHE_DIR': str(KERNELS),
-                   'PYTHONPATH': os.pathsep.join([str(ROOT), str(WHEELS)])}
+    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join([str(ROOT), str(WHEELS)])}
     subprocess.run([QEMU, '-L', SYSTEM, SYSTEM / 'usr' / 'bin' / PYTHON, program, *arguments],
                    env=environment, check=True)
+
+
+def _link_kernels() -> None:
+    # Link the kernels for the machine, beside those for this one.
+    folder = extension.generated('aarch64')
+    if not folder.is_dir():
+        raise UnavailableError('expected the generated code for aarch64: make release')
+    suffix = f'cpython-{sys.version_info.major}{sys.version_info.minor}-aarch64-linux-gnu.so'
+    subprocess.run([
+        COMPILER, '-shared', '-fPIC', '-O2', *extension.FLAGS,
+        *(f'-D{name}={value}' for name, value in extension.macros()),
+        '-I', SYSTEM / 'usr/include' / PYTHON, '-I', WHEELS / 'numpy/_core/include', '-I', folder,
+        '-idirafter', SYSTEM / 'usr/include', extension.HERE / 'boundary.c', *folder.glob('*.o'),
+        '-lm', '-o', ROOT / 'rigid_body_ros/engine' / f'_compiled.{suffix}'], check=True)
 
 
 def _once(folder: Path, content: list[str], install_into) -> None:

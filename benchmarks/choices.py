@@ -17,10 +17,11 @@ Measure the cost of calls and of bodies, and compare elliptic functions and rota
 
     python benchmarks/choices.py [SECTION ...]
 
-The sections are `calls` (how arguments are passed from Python to a kernel), `bodies` (the
-constants of many bodies, and of one), `elliptic` and `so3` (this package and SciPy). Times are
-processor times, the shortest of several. Errors are the largest differences from mpmath: relative
-for `elliptic`, of components for `so3`.
+The sections are `calls` (from Python to a kernel), `bodies` (the constants of many bodies, and of
+one), `elliptic` and `so3` (this package and SciPy). Times are processor times, the shortest of
+several. Errors are the largest differences from mpmath: relative for `elliptic`, of components for
+`so3`. Only kernels call the functions of `elliptic`, so here they run as plain Python and have no
+times.
 """
 
 import argparse
@@ -29,7 +30,6 @@ import time
 import timeit
 
 from mpmath import mp
-import numba
 import numpy as np
 from scipy import special
 from scipy.spatial.transform import Rotation
@@ -48,24 +48,17 @@ def seconds(function):
 
 
 def calls():
-    """Print the time of a call from Python to a kernel that does nothing."""
-    from rigid_body_ros.kernels import layout
-    stamps, order, flags = np.zeros(2, np.int64), np.zeros(0, np.intp), np.zeros(2, bool)
-    values, method = np.zeros(48), layout.Method(1, False, 16.0, 1e-15, 1.0, 0)
+    """Print the time of a call from Python to a kernel that does next to nothing."""
+    from rigid_body_ros import RigidBody
+    from rigid_body_ros.engine import kernels, layout, state_layout
+    stamps, flags, state = np.zeros(1, np.int64), np.zeros(1, bool), np.zeros(state_layout.SIZE)
     rows = layout.Rows(stamps, np.zeros((1, 1, 3)), flags, np.zeros(0))
-    outputs = layout.Requested(stamps, order, values, flags)
-    vector = (1.0, 2.0, 3.0, 0.0)
-    axes, state = (vector, vector, vector), (vector, vector, vector, vector)
-    body = layout.Body(((vector,) * 9, (vector,) * 9, vector, vector), 0,
-                       (vector, vector, axes, axes))
-    records = (method, rows, outputs, layout.Place(0, 0, -1, 0), body,
-               layout.GridStates(state, state, state))
-    shared = np.zeros(1, layout.PROGRESS), *outputs, rows, values, np.zeros(1, layout.METHOD)
-    fields = [*shared[:-3], *rows, *shared[-2:]]
-    empty = numba.njit(lambda *arguments: None)
-    for name, arguments in (('6 records', records), ('as the loop is called', shared),
-                            ('with arrays only', fields)):
-        print(f'calls: {name:24} {1e6 * seconds(partial(empty, *arguments)):.1f} us')
+    loop = (layout.begun(state, 0, state, 0, 0, 0), stamps, np.zeros(0, np.intp), np.zeros(7),
+            np.zeros(2, bool), rows, RigidBody.from_moments(1.0, 2.0, 2.5)._constants,
+            np.zeros(1, layout.METHOD))
+    for name, kernel, arguments in (('one number', kernels.step_angle, (1e-15,)),
+                                    ('the loop', kernels.run, loop)):
+        print(f'calls: {name:10} {1e6 * seconds(partial(kernel, *arguments)):.2f} us')
 
 
 def bodies():
@@ -84,31 +77,25 @@ def bodies():
 
 
 def elliptic():
-    """Print the errors and times of elliptic functions and integrals, here and in SciPy."""
+    """Print the errors of elliptic functions and integrals, here and in SciPy."""
     from rigid_body_ros.kernels.elliptic import carlson_f, carlson_j, jacobi
-    functions = [numba.vectorize(lambda u, complement: jacobi(u, complement)[0]),
-                 numba.vectorize(lambda u, complement: jacobi(u, complement)[1]),
-                 numba.vectorize(lambda u, complement: jacobi(u, complement)[2])]
     for complement in (1e-3, 1e-9, 1e-15):
         u = np.linspace(0.05, 0.95, 7) * float(special.ellipkm1(complement))
         exact = [mapped(lambda x, m, name=name: mp.ellipfun(name, x, m=m), u,
                         1 - mp.mpf(complement)) for name in ('sn', 'cn', 'dn')]
-        ours = [function(u, complement) for function in functions]
+        ours = np.vectorize(jacobi)(u, complement)
         theirs = special.ellipj(u, 1.0 - complement)[:3]
         print(f'elliptic: sn, cn, dn at m_c = {complement:.0e}: error {largest(ours, exact):.1e}, '
               f'SciPy {largest(theirs, exact):.1e}')
     x, y = np.sort(10.0 ** RANDOM.uniform(-30, 0, (2, COUNT)), axis=0)
     p = 1.0 + 10.0 ** RANDOM.uniform(-20, 0, COUNT)
-    first = numba.vectorize(lambda x, y, z: carlson_f(x, y, z))
-    third = numba.vectorize(lambda x, y, z, p: carlson_j(x, y, z, p))
     for name, function, scipys, exact, given in (
-            ('R_F', first, special.elliprf, mp.elliprf, (x, y, 1.0)),
-            ('R_J', third, special.elliprj, mp.elliprj, (x, y, 1.0, p))):
+            ('R_F', carlson_f, special.elliprf, mp.elliprf, (x, y, 1.0)),
+            ('R_J', carlson_j, special.elliprj, mp.elliprj, (x, y, 1.0, p))):
         right = mapped(exact, *given)
         print(f'elliptic: {name}: ' + ', SciPy '.join(
-            f'error {largest(each(*given), right):.1e}, '
-            f'{1e9 * seconds(partial(each, *given)) / COUNT:.0f} ns'
-            for each in (function, scipys)))
+            f'error {largest(each(*given), right):.1e}'
+            for each in (np.vectorize(function), scipys)))
 
 
 def rotations():

@@ -15,12 +15,11 @@
 """
 Measure the start of the node, from its command to its first state, and its memory.
 
-    python benchmarks/node_start.py [--before FOLDER] [--count 10] [--first 10]
+    python benchmarks/node_start.py [--before FOLDER] [--count 10]
 
-Each start is a process of its own. A first start has an empty cache of kernels; later ones find
-them compiled. On a busy machine, compare the processor time. Memory is that of the process when
-its first state arrives: resident (VmRSS), and without what it shares with other processes (USS).
-`--before` alternates with another checkout.
+Each start is a process of its own. On a busy machine, compare the processor time. Memory is that
+of the process when its first state arrives: resident (VmRSS), and without what it shares with
+other processes (USS). `--before` alternates with another checkout.
 """
 
 import argparse
@@ -41,10 +40,9 @@ COMMAND = [sys.executable, '-c', 'from rigid_body_ros.commands import main; main
            '--ros-args', '--params-file', str(HERE / 'config' / 'tumbler.yaml')]
 
 
-def environment_of(checkout, cache, code):
-    """Return an environment with caches for the code of numba and of Python."""
-    environment = {**os.environ, 'PYTHONPATH': str(checkout), 'NUMBA_CACHE_DIR': str(cache),
-                   'PYTHONPYCACHEPREFIX': str(code)}
+def environment_of(checkout, code):
+    """Return an environment with a checkout, and a folder for the bytecode of Python."""
+    environment = {**os.environ, 'PYTHONPATH': str(checkout), 'PYTHONPYCACHEPREFIX': str(code)}
     environment.pop('PYTHONDONTWRITEBYTECODE', None)
     return environment
 
@@ -76,8 +74,7 @@ def main():
     """Print the medians."""
     parser = argparse.ArgumentParser(description=__doc__.split('\n\n')[0])
     parser.add_argument('--before', type=Path, help='another checkout to compare with')
-    parser.add_argument('--count', type=int, default=10, help='number of later starts')
-    parser.add_argument('--first', type=int, default=10, help='number of first starts')
+    parser.add_argument('--count', type=int, default=10, help='number of starts')
     arguments = parser.parse_args()
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
@@ -85,24 +82,18 @@ def main():
                                   else {})
     rclpy.init()
     node = rclpy.create_node('observer')
-    firsts, laters = ({name: [] for name in checkouts} for _ in range(2))
-    with TemporaryDirectory() as folder:
-        for name, checkout in checkouts.items():  # an installation has the code of Python
-            start(node, environment_of(checkout, f'{folder}/{name}', f'{folder}/code'))
-        for number in range(arguments.first):
-            for name, checkout in checkouts.items():
-                firsts[name].append(start(node, environment_of(
-                    checkout, f'{folder}/{name}{number}', f'{folder}/code')))
+    runs = {name: [] for name in checkouts}
+    with TemporaryDirectory() as code:
+        for checkout in checkouts.values():  # an installation has the bytecode
+            start(node, environment_of(checkout, code))
         for _ in range(arguments.count):
             for name, checkout in checkouts.items():
-                laters[name].append(start(node, environment_of(
-                    checkout, f'{folder}/{name}', f'{folder}/code')))
+                runs[name].append(start(node, environment_of(checkout, code)))
     rclpy.try_shutdown()
     print(f'{"median":16}{"s":>8}{"CPU s":>8}{"RSS MB":>8}{"USS MB":>8}{"of":>5}')
-    for label, runs in (('first', firsts), ('later', laters)):
-        for name, rows in runs.items() if runs['this'] else ():
-            print(f'{label + ", " + name:16}' + '{:8.2f}{:8.2f}{:8.0f}{:8.0f}{:5d}'.format(
-                *(statistics.median(column) for column in zip(*rows)), len(rows)))
+    for name, rows in runs.items():
+        print(f'{name:16}' + '{:8.2f}{:8.2f}{:8.0f}{:8.0f}{:5d}'.format(
+            *(statistics.median(column) for column in zip(*rows)), len(rows)))
 
 
 if __name__ == '__main__':

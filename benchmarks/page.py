@@ -62,7 +62,7 @@ def main():
                                              args=['--no-sandbox'])
         for hours in np.array(arguments.seconds) / 3600.0:
             path, page = recorded(folder, hours), folder / 'page.html'
-            replayed(path)  # compiles what is not yet
+            replayed(path)  # later runs find its files in memory
             rounds = [(*replayed(path)[:1], *replayed(path, '--report', page),
                        opened(browser, page)) for _ in range(arguments.rounds)]
             plain, with_page, memory, opens = np.median(rounds, axis=0)

@@ -17,7 +17,7 @@ Replay with the reader and writer of mcap-ros2-support and the engine of this pa
 
     python benchmarks/plain_replay.py INPUT SCENE OUTPUT
 
-The script prints the time, s, without loading and compiling.
+The script prints the time, s, without that of the imports.
 """
 
 from dataclasses import replace
@@ -28,7 +28,6 @@ from mcap_ros2.reader import read_ros2_messages
 from mcap_ros2.writer import Writer
 import numpy as np
 from rigid_body_ros import messages, scene, TorqueLog
-from rigid_body_ros.propagation import warm_up
 
 
 def read(path):
@@ -66,7 +65,6 @@ def write(path, motion, values):
 def main():
     """Replay."""
     recording, config, output = sys.argv[1:]
-    warm_up()
     began = time.perf_counter()
     loaded = scene.load(config)
     log = read(recording)

@@ -109,7 +109,7 @@ def measure(folder, hours, plain_hours, rounds):
              'plain': (plain, recorded(folder, plain_hours), plain_hours)}
     figures = {name: [] for name in cases}
     output = folder / 'motion.mcap'
-    ours(recorded(folder, 1 / 3600), output)  # compiles what is not yet
+    ours(recorded(folder, 1 / 3600), output)  # later runs find its files in memory
     for _, (name, (run_it, path, length)) in itertools.product(range(rounds), cases.items()):
         seconds, memory = run_it(path, output)
         figures[name].append((count(length) / seconds, memory))

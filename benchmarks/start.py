@@ -17,8 +17,7 @@ Measure the time from the first import to the first results, in a process of its
 
     python benchmarks/start.py
 
-The script computes one motion under torque and one without, and prints seconds. If
-NUMBA_CACHE_DIR is an empty folder, the time includes the compilation of all kernels.
+The script computes one motion under torque and one without, and prints seconds.
 """
 
 import time

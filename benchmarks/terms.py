@@ -127,8 +127,6 @@ def main():
     word = ' '.join(sys.argv[1:])
     for name, limit, plain, other in (*linear_rows(), *source_rows(), *strong_rows()):
         if word in name:
-            for run in (plain, other):
-                run.run()  # compiles
             times = compare(plain, other)
             ratio = times.ratio
             verdict = '' if limit == np.inf else \

@@ -196,16 +196,22 @@ def together(motions: list[Motion]) -> Iterator[list[Output]]:
         wheels=[problem.wheels or no_log for problem in problems], solver=options.solver,
         tolerance=options.tolerance, max_step=options.max_step,
         torque_timeout=options.torque_timeout)
-    for attitude, rates in zip(found.attitude.tolist(), found.angular_velocity.tolist()):
+    for attitude, rates in zip(found.attitude.tolist(), found.angular_velocity.tolist(),
+                               strict=True):
         yield [Output('state', time_ns, (*q, *w))
-               for time_ns, q, w in zip(times_ns, attitude, rates)]
+               for time_ns, q, w in zip(times_ns, attitude, rates, strict=True)]
 
 
-def difference(expected: Iterable[Output], found: Iterable[Output]) -> str:
-    """Return the first number that differs in a bit, or an empty text."""
-    for there, here in zip(expected, found):
+def difference(expected: list[Output], found: list[Output]) -> str:
+    """Return the first number that differs in a bit or is missing, or an empty text."""
+    if len(expected) != len(found):
+        return f'expected {len(expected)} outputs, found {len(found)}'
+    for there, here in zip(expected, found, strict=True):
         names = _NAMES[there.key.split()[0]]
-        for name, value, other in zip(names, there.numbers, here.numbers):
+        if len(there.numbers) != len(names):
+            return (f'{there.key} at {there.time_ns} ns: expected {len(there.numbers)} numbers, '
+                    f'found {len(names)}')
+        for name, value, other in zip(names, there.numbers, here.numbers, strict=True):
             if value.hex() != other.hex():
                 return (f'{name} at {there.time_ns} ns: expected {value.hex()} ({value}), found '
                         f'{other.hex()} ({other})')
@@ -220,7 +226,7 @@ def differences(motions: list[Motion]) -> list[str]:
         if motion.group:
             groups.setdefault(motion.group, []).append(motion)
     for group in groups.values():
-        for motion, found in zip(group, together(group)):
+        for motion, found in zip(group, together(group), strict=True):
             states = [output for output in motion.outputs if output.key == 'state']
             lines.append((f'{motion.name}, computed with its group', difference(states, found)))
     return [f'{name}: {line}' for name, line in lines if line]

@@ -401,7 +401,7 @@ The same node, with the same name, topics, services and parameters, but managed:
 manager or `ros2 lifecycle set /attitude_node configure` controls it. In a process of your own, use
 `from rigid_body_ros.node.lifecycle import AttitudeLifecycleNode`.
 
-- *configure* reads the scene, compiles, and creates the publishers. If the scene is not valid, the
+- *configure* reads the scene and creates the publishers. If the scene is not valid, the
   log has the reason, and the node stays unconfigured.
 - *activate* subscribes, publishes and offers the services. The first activation begins the motion.
 - *deactivate* unsubscribes and stops publishing, but keeps the motion: at the next *activate* the

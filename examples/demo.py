@@ -35,8 +35,7 @@ SPEED = 6.0
 
 def main() -> int:
     OUTPUT.mkdir(exist_ok=True)
-    print('1. Eight hours of the Space Station, offline '
-          '(the first run compiles its kernels)\n', flush=True)
+    print('1. Eight hours of the Space Station, offline\n', flush=True)
     replay(RECORDINGS / 'iss.mcap', CONFIG / 'iss.yaml', OUTPUT / 'iss.mcap')
     compare_with_nasa()
     print(f'\n2. A tumbling CubeSat, live: torques over DDS at {SPEED:g} times real time\n',

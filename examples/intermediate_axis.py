@@ -20,8 +20,6 @@ intermediate_axis.png or another file. Prints the time between flips, from the m
 textbook formula (Landau and Lifshitz, Mechanics, section 37), which needs scipy.
 
     python examples/intermediate_axis.py [PNG]
-
-The first run takes longer because it compiles the kernels of the package.
 """
 
 import argparse

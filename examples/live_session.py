@@ -52,8 +52,8 @@ _LOCAL = {'ROS_LOCALHOST_ONLY': '1'} if os.environ.get('ROS_DISTRO') == 'humble'
     {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 _PROGRAM = (sys.executable, '-c',
             'import sys; from rigid_body_ros.commands import main; sys.exit(main.attitude_node())')
-#: The first start on a machine compiles the kernels.
-_PATIENCE_S = 300.0
+#: A busy machine takes long to start a process.
+_PATIENCE_S = 60.0
 
 
 class LiveSession:

@@ -20,8 +20,6 @@ Prints how far their final attitudes are from that of the nominal body. Except f
 the numbers are the same in every run.
 
     python examples/monte_carlo.py
-
-The first run takes longer because it compiles the kernels of the package.
 """
 
 from dataclasses import asdict
@@ -64,9 +62,7 @@ def main():
     start, (log,), options = problem.start, problem.logs, asdict(problem.options)
     end_ns = log.times_ns[-1:]
     starts = States(np.full(BODIES, start.time_ns), start.attitude, start.angular_velocity)
-    # The first runs compile the kernels; they are not timed.
     nominal = problem.propagate(at=end_ns).attitude[0]
-    propagate_many(RigidBodies([problem.body.inertia]), States(start.time_ns), log, at=end_ns)
 
     began = time.perf_counter()
     bodies = draw(problem.body)

@@ -19,8 +19,6 @@ Reads the recording of a tumbling CubeSat that comes with the package, or your o
 rosbag2 or CSV; see docs/recordings.md) and scene.
 
     python examples/replay_log.py [RECORDING] [--scene FILE]
-
-The first run takes longer because it compiles the kernels of the package.
 """
 
 import argparse

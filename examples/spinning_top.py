@@ -21,8 +21,6 @@ computed motion. Gravity exerts no torque about the centre of mass: think of a t
 air.
 
     python examples/spinning_top.py
-
-The first run takes longer because it compiles the kernels of the package.
 """
 
 import numpy as np

@@ -12,12 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-The node alone: torques from a topic in, attitude out.
-
-The first start after an installation compiles the kernels, which takes up to a minute, unless
-`python3 -m rigid_body_ros.warm_up` has done so.
-"""
+"""The node alone: torques from a topic in, attitude out."""
 
 from launch import LaunchDescription
 from rigid_body_ros import launching

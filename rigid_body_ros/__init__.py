@@ -32,11 +32,12 @@ if TYPE_CHECKING:
         Propagator,
         Trajectories,
         Trajectory,
-        warm_up,
     )
     from rigid_body_ros.recording.problem import read
+    from rigid_body_ros.runtime.deprecated import warm_up
+    from rigid_body_ros.runtime.fingerprint import build_info
 else:
-    # Importing the engine takes most of a second, and commands must handle signals before.
+    # Importing the engine takes a while, and commands must handle signals before.
     #: The module of each public name; a module stands for itself.
     _HOMES = {'RigidBodies': 'mechanics.bodies', 'RigidBody': 'mechanics.body',
               'State': 'mechanics.state', 'States': 'mechanics.states',
@@ -44,7 +45,8 @@ else:
               'frames': 'mechanics.frames', 'so3': 'mechanics.so3', 'urdf': 'mechanics.urdf',
               'Propagator': 'propagation', 'Trajectories': 'propagation',
               'Trajectory': 'propagation', 'propagate': 'propagation',
-              'propagate_many': 'propagation', 'warm_up': 'propagation',
+              'propagate_many': 'propagation', 'build_info': 'runtime.fingerprint',
+              'warm_up': 'runtime.deprecated',
               'Problem': 'propagation', 'read': 'recording.problem',
               'Measured': 'comparison', 'compare': 'comparison', 'read_measured': 'comparison',
               'Experiment': 'identification', 'identify': 'identification',
@@ -64,5 +66,5 @@ else:
         return sorted({*globals(), *_HOMES})
 
 __all__ = ['Experiment', 'Measured', 'Problem', 'Propagator', 'RigidBodies', 'RigidBody', 'State',
-           'States', 'TorqueLog', 'Trajectories', 'Trajectory', 'compare', 'identify',
-           'propagate', 'propagate_many', 'read', 'read_measured', 'warm_up']
+           'States', 'TorqueLog', 'Trajectories', 'Trajectory', 'build_info', 'compare',
+           'identify', 'propagate', 'propagate_many', 'read', 'read_measured', 'warm_up']

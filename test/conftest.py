@@ -20,7 +20,6 @@ from importlib.util import find_spec
 import os
 from pathlib import Path
 import resource
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -61,7 +60,6 @@ NEEDS = {
     'mpmath': ['arm', 'elementary', 'elliptic', 'examples', 'extremes', 'free_motion', 'peers',
                'propagate', 'reference', 'rods', 'sources', 'steppers', 'tensor', 'terms',
                'truth', 'validation'],  # not known to rosdep
-    'numba': ['elementary', 'elliptic', 'four', 'packing'],
 }
 ABSENT = {module: [f'test_{name}.py' for name in names] for module, names in NEEDS.items()
           if find_spec(module) is None}
@@ -140,18 +138,6 @@ def short_trades(monkeypatch):
     monkeypatch.setattr('rigid_body_ros.tradeoff.trade._MOST_REPEATS', 3)
 
 
-@pytest.fixture
-def read_only_package(tmp_path):
-    """Return a folder with a copy of the package that cannot cache compiled kernels."""
-    folder = tmp_path / 'site'
-    package = folder / 'rigid_body_ros'
-    shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns('__pycache__'))
-    # Files in place of the cache folders: like a read-only install, even for root.
-    for module in [*package.rglob('__init__.py')]:
-        (module.parent / '__pycache__').touch()
-    return folder
-
-
 @pytest.fixture(scope='session')
 def installed(tmp_path_factory):
     """Install the package as `pip install .` does, into a prefix that all tests share."""
@@ -174,12 +160,6 @@ def _install(folder):
     # Without --ignore-installed, pip would uninstall the package from the test environment.
     subprocess.run([*pip, 'install', '--no-deps', '--ignore-installed', '--prefix',
                     folder / 'prefix', wheel], check=True)
-    # Equal sources have equal kernels, which take a minute to compile.
-    site, = folder.glob('prefix/lib/python*/site-packages')
-    for compiled in PACKAGE.rglob('__pycache__/*.nb[ic]'):
-        copy = site / compiled.relative_to(PACKAGE.parent)
-        copy.parent.mkdir(exist_ok=True)
-        shutil.copy(compiled, copy)
     (folder / 'installed').touch()
 
 

@@ -153,9 +153,9 @@ def test_what_kills_every_worker_ends(scheduler):
 @pytest.mark.slow
 def test_other_versions_are_rejected(inputs, scheduler, capsys, monkeypatch):
     versions = cluster._versions()
-    monkeypatch.setattr(cluster, '_versions', lambda: {**versions, 'numba': '0.1'})
-    assert (f'{socket.gethostname()}: expected the versions of this command, numba 0.1, found '
-            f'{versions["numba"]}') in error_of(capsys, inputs, scheduler)
+    monkeypatch.setattr(cluster, '_versions', lambda: {**versions, 'numpy': '0.1'})
+    assert (f'{socket.gethostname()}: expected the versions of this command, numpy 0.1, found '
+            f'{versions["numpy"]}') in error_of(capsys, inputs, scheduler)
 
 
 @pytest.mark.slow

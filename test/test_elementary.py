@@ -17,16 +17,15 @@
 from itertools import product
 import math
 import os
-import platform
 import subprocess
 import sys
 
-from kernels import callable_
 import mpmath
 from mpmath import mp, mpf
 import numpy as np
 import pytest
 from rigid_body_ros.engine import elementary as arrays
+from rigid_body_ros.engine._compiled import LEVELS
 from rigid_body_ros.kernels import elementary
 from rigid_body_ros.kernels import elementary_tables as tables
 
@@ -138,7 +137,7 @@ def test_sines_of_the_hardest_angles_are_right():
 
 @pytest.mark.slow
 def test_logarithm_is_correctly_rounded():
-    logarithm = callable_(elementary.log10)
+    logarithm = elementary.log10
     exact = [10.0 ** k for k in range(23)]
     assert [logarithm(x) for x in exact] == [*range(23)]
     for x in [*(10.0 ** RANDOM.uniform(0, 15, 500)), *RANDOM.uniform(0.5, 2.0, 500),
@@ -148,7 +147,7 @@ def test_logarithm_is_correctly_rounded():
 
 @pytest.mark.slow
 def test_hyperbolic_tangent_and_secant_are_correctly_rounded():
-    tanh_sech = callable_(elementary.tanh_sech)
+    tanh_sech = elementary.tanh_sech
     for x in [*RANDOM.uniform(-25, 25, 500), *(10.0 ** RANDOM.uniform(-9, 2.78, 500))]:
         assert tanh_sech(x) == (float(mpmath.tanh(mpf(x))), float(mpmath.sech(mpf(x))))
     assert [tanh_sech(x) for x in (-0.0, 1e-300, 800.0, -math.inf)] == [
@@ -167,15 +166,13 @@ def test_exponentials_are_correctly_rounded():
 
 @pytest.mark.slow
 def test_the_careful_evaluations_have_a_hundred_bits_and_the_quick_ones_their_bounds():
-    careful, quick = (callable_(part) for part in (elementary._careful_sine_cosine,
-                                                   elementary.sine_cosine_pairs))
+    careful, quick = elementary._careful_sine_cosine, elementary.sine_cosine_pairs
     for angle in angles(400):
         exact = mpmath.sin(mpf(angle)), mpmath.cos(mpf(angle))
         for function, error in ((careful, 1e-31), (quick, elementary._SINE_ERROR)):
             for pair, right in zip(function(angle), exact):
                 assert abs(joined(pair) / right - 1) < error
-    careful, quick = (callable_(part) for part in (elementary._careful_arctangent,
-                                                   elementary._quick_arctangent))
+    careful, quick = elementary._careful_arctangent, elementary._quick_arctangent
     for ratio in [*RANDOM.uniform(0, 1, 300), *(10.0 ** RANDOM.uniform(-9, 0, 100))]:
         right = mpmath.atan(mpf(ratio))
         for function, error in ((careful, 1e-31), (quick, elementary._ANGLE_ERROR)):
@@ -184,7 +181,7 @@ def test_the_careful_evaluations_have_a_hundred_bits_and_the_quick_ones_their_bo
 
 @pytest.mark.slow
 def test_arctangent_of_pairs_has_65_bits():
-    arctangent = callable_(elementary.arctangent_pair)
+    arctangent = elementary.arctangent_pair
     for y, x in points(400).T:
         pairs = [(value, value * ULP * RANDOM.uniform(-0.5, 0.5)) for value in (y, x)]
         right = mpmath.atan2(*map(joined, pairs))
@@ -246,36 +243,9 @@ def test_tables_hold_32_digits():
         assert 0 < 128 / mp.pi - found < mpf(2) ** (-24 * 51)
 
 
-#: One without wide registers and fused products, whose place a function of C takes.
-OLD = {'NUMBA_CPU_NAME': 'nocona', 'NUMBA_CPU_FEATURES': ''}
-x86_64 = pytest.mark.skipif(platform.machine() != 'x86_64', reason='the processor is an x86-64')
-
-
-@pytest.mark.slow
-@x86_64
-def test_elementary_functions_have_the_same_bits_on_an_old_processor(tmp_path):
-    script = ('import numpy as np\n'
-              'from rigid_body_ros.engine import elementary as arrays\n'
-              'x = np.random.default_rng(3).normal(size=60) * 2.0 ** np.linspace(-40, 1000, 60)\n'
-              'for values in (*arrays.sines_cosines(x), arrays.arctangents(x, x[::-1]),\n'
-              '               arrays.exponentials(x % 9.0)):\n'
-              '    print(values.tobytes().hex())')
-    here, there = (subprocess.run([sys.executable, '-c', script], check=True, text=True,
-                                  capture_output=True, env={**os.environ, **processor}).stdout
-                   for processor in ({}, {**OLD, 'NUMBA_CACHE_DIR': str(tmp_path)}))
-    assert here.split() == there.split()
-    assert len(here.split()) == 4
-
-
-@pytest.mark.parametrize(('before', 'environment'), [
-    pytest.param('', {}, id='compiled'),
-    pytest.param('', OLD, id='for an old processor', marks=[pytest.mark.nightly, x86_64]),
-    pytest.param('', {'NUMBA_DISABLE_JIT': '1'}, id='not compiled', marks=pytest.mark.slow),
-    pytest.param("import sys; sys.modules['numba'] = None", {}, id='without numba',
-                 marks=pytest.mark.nightly)])
-def test_results_have_the_same_bits_everywhere(before, environment, tmp_path):
-    if 'NUMBA_CPU_NAME' in environment:
-        environment = {**environment, 'NUMBA_CACHE_DIR': str(tmp_path)}
-    result = subprocess.run([sys.executable, '-c', before + SCRIPT], capture_output=True,
-                            text=True, check=True, env={**os.environ, **environment})
+@pytest.mark.parametrize('kernels', [
+    *LEVELS, pytest.param('python', marks=pytest.mark.slow)])
+def test_results_have_the_same_bits_everywhere(kernels):
+    result = subprocess.run([sys.executable, '-c', SCRIPT], capture_output=True, text=True,
+                            check=True, env={**os.environ, 'RIGID_BODY_ROS_KERNELS': kernels})
     assert result.stdout.strip() == DIGEST

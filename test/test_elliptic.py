@@ -14,7 +14,6 @@
 
 """Elliptic functions and integrals, and numbers of 32 digits, against mpmath."""
 
-from kernels import callable_
 import mpmath
 from mpmath import mpf
 import numpy as np
@@ -42,7 +41,7 @@ def joined(pair):
     ('add', lambda a, b: a + b), ('subtract', lambda a, b: a - b),
     ('multiply', lambda a, b: a * b), ('divide', lambda a, b: a / b)])
 def test_arithmetic_has_thirty_digits(name, exact):
-    operation = callable_(getattr(dd, name))
+    operation = getattr(dd, name)
     for _ in range(200):
         a, b = (mpf(float(x)) * (1 + mpf(float(y)) * mpf(2) ** -53)
                 for x, y in zip(RANDOM.normal(size=2) * 10.0 ** RANDOM.uniform(-20, 20, 2),
@@ -54,16 +53,15 @@ def test_arithmetic_has_thirty_digits(name, exact):
 
 
 def test_square_roots_and_seconds_have_thirty_digits():
-    root, seconds = callable_(dd.sqrt), callable_(dd.seconds)
     for x in 10.0 ** RANDOM.uniform(-30, 30, 100):
-        assert abs(joined(root((x, 0.0))) / mpmath.sqrt(mpf(x)) - 1) < 1e-31
+        assert abs(joined(dd.sqrt((x, 0.0))) / mpmath.sqrt(mpf(x)) - 1) < 1e-31
     for span_ns in [0, 1, 2 ** 62 + 12345, *RANDOM.integers(0, 2 ** 63, 50).tolist()]:
-        assert abs(joined(seconds(span_ns)) - mpf(span_ns) / 10 ** 9) <= 1e-31 * span_ns
+        assert abs(joined(dd.seconds(span_ns)) - mpf(span_ns) / 10 ** 9) <= 1e-31 * span_ns
 
 
 @pytest.mark.slow
 def test_complete_integrals_have_thirty_digits():
-    complete = callable_(elliptic.complete)
+    complete = elliptic.complete
     one, nought = (1.0, 0.0), (0.0, 0.0)
     for complement in COMPLEMENTS:
         m_c, n = mpf(complement), -mpf(10.0 ** RANDOM.uniform(-12, 12))
@@ -78,11 +76,10 @@ def test_complete_integrals_have_thirty_digits():
 
 @pytest.mark.slow
 def test_jacobis_functions_keep_their_digits_up_to_the_separatrix():
-    jacobi = callable_(elliptic.jacobi)
     for complement in COMPLEMENTS:
         quarter = float(mpmath.ellipk(1 - mpf(complement)))
         for u in quarter * np.array([0.0, 1e-9, 0.3, -0.7, 0.99, -1 + 1e-9, 1.0]):
-            sn, cn, dn = jacobi(u, complement)
+            sn, cn, dn = elliptic.jacobi(u, complement)
             exact = [mpmath.ellipfun(name, mpf(u), m=1 - mpf(complement))
                      for name in ('sn', 'cn', 'dn')]
             # What a rounding of u does to each, and one of its own; relative where it is small.
@@ -94,13 +91,13 @@ def test_jacobis_functions_keep_their_digits_up_to_the_separatrix():
 
 @pytest.mark.slow
 def test_jacobis_functions_on_the_separatrix_are_hyperbolic():
-    sn, cn, dn = callable_(elliptic.jacobi)(3.0, 0.0)
+    sn, cn, dn = elliptic.jacobi(3.0, 0.0)
     np.testing.assert_allclose([sn, cn, dn], [np.tanh(3.0), *[1 / np.cosh(3.0)] * 2], rtol=1e-15)
 
 
 @pytest.mark.slow
 def test_carlsons_integrals_are_scipys():
-    first, third = callable_(elliptic.carlson_f), callable_(elliptic.carlson_j)
+    first, third = elliptic.carlson_f, elliptic.carlson_j
     for _ in range(200):
         x = 10.0 ** RANDOM.uniform(-30, 0)
         y, p = min(1.0, x + 10.0 ** RANDOM.uniform(-30, 0)), 1.0 + 10.0 ** RANDOM.uniform(-20, 0)

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 import rigid_body_ros
 from rigid_body_ros import (
+    build_info,
     Experiment,
     identify,
     Problem,
@@ -59,6 +60,7 @@ SIGNATURES = [
     (Propagator, f'body, start, *, {OPTIONS}, history=1.0'),
     (Propagator.apply, "self, time_ns, torque, frame='body', source=0"),
     (Propagator.apply_wheels, 'self, time_ns, torque'),
+    (build_info, ''),
     (warm_up, ''),
     (Experiment, 'start, log, measured, wheels=None'),
     (identify, "body, experiments, *, estimate=('inertia', 'start'), attitude_noise=None, "
@@ -85,8 +87,8 @@ def test_parameters_and_defaults_are_those_documented(function, parameters):
 def test_the_top_level_has_these_names():
     assert sorted(rigid_body_ros.__all__) == [
         'Experiment', 'Measured', 'Problem', 'Propagator', 'RigidBodies', 'RigidBody', 'State',
-        'States', 'TorqueLog', 'Trajectories', 'Trajectory', 'compare', 'identify', 'propagate',
-        'propagate_many', 'read', 'read_measured', 'warm_up']
+        'States', 'TorqueLog', 'Trajectories', 'Trajectory', 'build_info', 'compare', 'identify',
+        'propagate', 'propagate_many', 'read', 'read_measured', 'warm_up']
     assert (rigid_body_ros.mechanics.so3, rigid_body_ros.mechanics.euler) == (so3, euler)
 
 

@@ -40,7 +40,7 @@ import yaml
 pytestmark = [pytest.mark.ros, pytest.mark.skipif(
     find_spec('launch_ros') is None, reason='launch_ros is not installed, and PyPI does not have '
     'it; CONTRIBUTING.md lists what to install from source')]
-#: s; the first start on a machine compiles the kernels.
+#: s.
 PATIENCE = 300
 ARGUMENTS = ('scene', 'namespace', 'name', 'torque', 'remappings', 'frame_prefix',
              'mode', 'publish_rate', 'checkpoint', 'lifecycle', 'autostart', 'use_sim_time',

@@ -17,7 +17,6 @@
 from itertools import product
 
 from conftest import at_night
-import numba
 import numpy as np
 import pytest
 from rigid_body_ros import (
@@ -29,11 +28,7 @@ from rigid_body_ros import (
     States,
     TorqueLog,
 )
-from rigid_body_ros.kernels import group, groups, layout, motion_layout
-from rigid_body_ros.kernels.group import Group
 from rigid_body_ros.kernels.lanes import LANES
-from rigid_body_ros.kernels.layout import Rows
-from rigid_body_ros.propagation.options import Options
 
 SECOND = 10 ** 9
 COUNT = 12
@@ -200,44 +195,6 @@ def test_a_run_that_becomes_too_fast_does_not_disturb_those_beside_it():
     assert found.attitude[1].tobytes() == alone.attitude.tobytes()
 
 
-def gathered(bodies, starts, polynomials, at):
-    """Return all runs at their beginning, of which the first fill the lanes."""
-    count = len(bodies)
-    progress = np.zeros(count, layout.PROGRESS)
-    progress['grid'] = progress['begin'] = starts._packed
-    progress['stop'] = polynomials.shape[1]
-    return Group(np.arange(LANES), progress,
-                 np.empty((count, len(at) * motion_layout.SIZE)), bodies._constants,
-                 np.ones(count), polynomials, group.workspace(), np.empty(LANES, bool),
-                 np.empty(LANES, np.int64))
-
-
-def advance(runs, count, waiting, at, order, rows, methods):
-    """Call `groups.advance`, which only kernels can call."""
-    @numba.njit
-    def called(runs, count, waiting, at, order, rows, methods):
-        return groups.advance(runs, count, waiting, at, order, rows, layout.load_method(methods))
-    return called(runs, count, waiting, at, order, rows, methods)
-
-
-@pytest.mark.nightly  # compiles for half a minute
-@pytest.mark.parametrize('own', [False, True], ids=['shared', 'own'])
-@pytest.mark.parametrize(('interval_ns', 'samples'), [(100 * SECOND, 2), (SECOND // 1000, 3000)])
-def test_runs_like_each_other_step_together(interval_ns, samples, own):
-    bodies, starts, log = together(interval_ns, samples)
-    end_ns = int(log.times_ns[-1])
-    alike = np.arange(3, 3 + LANES)
-    runs = gathered(RigidBodies(bodies.inertia[alike]),
-                    States(0, starts.attitude[alike], starts.angular_velocity[alike]),
-                    np.stack([log.torques[:, None]] * (LANES if own else 1)), [end_ns])
-    rows = Rows(log.times_ns, log.torques[:, None], log.in_space, np.empty(0))
-    found = advance(runs, LANES, np.arange(0), np.array([end_ns]), layout.IN_ORDER, rows,
-                    Options().method)
-    left = end_ns - runs.progress['grid_ns']
-    assert found.steps > 50
-    assert (left.min() >= 0) & (left.max() < 0.1 * end_ns)
-
-
 def unlike(count, turn=STRAIGHT):
     """Return bodies and starts for runs of which some take twenty times the steps of others."""
     random = np.random.default_rng(9)
@@ -246,21 +203,6 @@ def unlike(count, turn=STRAIGHT):
     rates = random.normal(size=(count, 3)) * 20.0 ** random.uniform(-1.0, 0.0, (count, 1))
     return (RigidBodies(0.5 * (tensors + tensors.transpose(0, 2, 1))),
             States(0, random.normal(size=(count, 4)), rates))
-
-
-@pytest.mark.nightly  # compiles for half a minute
-def test_a_run_that_ends_gives_its_lane_to_the_next():
-    (bodies, starts), at = unlike(5 * LANES), np.array([100 * SECOND])
-    log = TorqueLog([0], [[0.01, 0.02, -0.01]])
-    runs = gathered(bodies, starts, log.torques[None, :, None], at)
-    rows = Rows(log.times_ns, log.torques[:, None], log.in_space, np.empty(0))
-    waiting = np.arange(LANES, 5 * LANES)
-    found = advance(runs, LANES, waiting, at, layout.IN_ORDER, rows, Options().method)
-    done = runs.progress['done'] == 1
-    assert found.taken == len(waiting)
-    assert done.sum() >= len(bodies) - 2  # which are quicker one by one
-    expected = propagate_many(bodies, starts, log, at=at)
-    assert runs.motions[done, :4].tobytes() == expected.attitude[done, 0].tobytes()
 
 
 @pytest.mark.slow

@@ -273,19 +273,6 @@ def test_wrenches_of_links_act_live_as_in_a_replay(tmp_path, domain):
     assert verified.same.all()
 
 
-@pytest.mark.nightly
-def test_a_read_only_install_without_a_home_works(domain, read_only_package, monkeypatch):
-    monkeypatch.chdir('/')  # where python -c looks first
-    nowhere = str(read_only_package / 'rigid_body_ros' / '__pycache__' / 'nowhere')
-    live = LiveSession(TUMBLER, domain)
-    live.environment |= {'HOME': nowhere, 'XDG_CACHE_HOME': nowhere,
-                         'PYTHONPATH': str(read_only_package)}
-    with live:
-        assert decoded(live, ATTITUDE, messages.QUATERNION)
-        assert 'every start compiles the kernels again' in live.end()
-        assert live.process.returncode == 0
-
-
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 # `ros2 launch` sends it, and the terminal does, too.
 @pytest.mark.parametrize('count', [1, *at_night(1000)])

@@ -14,8 +14,6 @@
 
 """What Python packs, the kernels unpack: bodies, states, motions, options and progress."""
 
-from kernels import callable_
-import numba
 import numpy as np
 import pytest
 from rigid_body_ros import propagate, Propagator, RigidBody
@@ -26,7 +24,6 @@ from rigid_body_ros.propagation.solvers import RECORDS
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
 
 
-@numba.njit
 def coefficients(constants):
     high, low, products, torques = body_layout.coefficients(constants)
     found, diagonals = np.zeros((2, 3, 9)), np.zeros((2, 3))
@@ -37,7 +34,6 @@ def coefficients(constants):
     return found, diagonals
 
 
-@numba.njit
 def principal(constants):
     moments, lost_moments, axes, lost_axes = body_layout.principal_frame(constants)
     found, directions = np.zeros((2, 3)), np.zeros((2, 3, 3))
@@ -48,7 +44,6 @@ def principal(constants):
     return found, directions
 
 
-@pytest.mark.slow
 def test_a_kernel_reads_the_constants_of_a_body():
     constants = BODY._constants
     assert len(constants) == body_layout.SIZE
@@ -67,14 +62,12 @@ def test_what_rounding_took_from_the_inverse_is_where_its_name_says():
         BODY._coefficients[1, :, 6:])
 
 
-@numba.njit
 def copied(states, out, motion):
     state = state_layout.load(states, state_layout.SIZE)
     state_layout.store(state, out, 0)
     motion_layout.store(state, 1, motion)
 
 
-@pytest.mark.slow
 def test_a_kernel_reads_and_writes_states_and_motions():
     rates, attitude, lost = [1.0, 2.0, 3.0], [0.1, 0.2, 0.3, 0.9], [1e-17, 2e-17, 3e-17]
     packed = state_layout.pack(rates, attitude, lost)
@@ -90,12 +83,11 @@ def test_a_kernel_reads_and_writes_states_and_motions():
     assert motion_layout.angular_velocity(motion).shape == (3, 3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('solver', RECORDS, ids=lambda solver: solver.name)
 @pytest.mark.parametrize('max_step', [1e-9, 0.3, 1e6 + 1e-9, 1e300])
 def test_a_kernel_reads_the_options_exactly(solver, max_step):
     options = Options(solver.name, 1e-7, max_step, 1e9 - 1e-9)
-    method = callable_(layout.load_method)(options.method)
+    method = layout.load_method(options.method)
     assert method.solver == solver.code
     assert method.fixed_step == solver.fixed_step
     assert method.closed_form_beyond == solver.closed_form_beyond
@@ -103,16 +95,13 @@ def test_a_kernel_reads_the_options_exactly(solver, max_step):
     assert method.max_step_ns == options.max_step_ns
 
 
-@pytest.mark.slow
 def test_a_kernel_reads_and_writes_progress():
     states = np.random.default_rng(0).normal(size=(2, state_layout.SIZE))
     given = layout.begun(states[0], 2 ** 62 + 1, states[1], -5, -1, 7)
-    assert callable_(layout.load_place)(given) == (2 ** 62 + 1, -5, -1, 0)
+    assert layout.load_place(given) == (2 ** 62 + 1, -5, -1, 0)
     progress = np.zeros(1, layout.PROGRESS)
-    numba.njit(lambda given, progress: layout.store_place(
-        layout.load_place(given), progress))(given, progress)
-    numba.njit(lambda given, progress: layout.store_states(
-        layout.load_states(given), progress))(given, progress)
+    layout.store_place(layout.load_place(given), progress)
+    layout.store_states(layout.load_states(given), progress)
     for name in ('grid_ns', 'begin_ns', 'row', 'done', 'grid', 'begin', 'latest'):
         np.testing.assert_array_equal(progress[name], given[name])
     assert (given['stop'], given['budget']) == (7, layout.BUDGET)

@@ -21,7 +21,7 @@ import pytest
 from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
 from rigid_body_ros.engine import kernels, layout
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.propagation import timeline, warm_up
+from rigid_body_ros.propagation import timeline
 import truth
 
 BODY = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
@@ -475,20 +475,6 @@ def test_a_time_as_far_from_the_start_as_no_int64_can_tell_is_refused():
                  lambda: propagator.apply(late, [1, 2, 3])):
         with pytest.raises(ValueError, match='within 292 years of the start'):
             call()
-
-
-def test_nothing_is_left_to_compile_after_the_warm_up():
-    warm_up()
-    before = [len(kernel.signatures) for kernel in (kernels.run,)]
-    stamps, torques, frames = random_log(9)
-    for interpolation in ('hold', 'linear', 'cubic'):
-        log = TorqueLog(stamps, np.asfortranarray(torques), interpolation=interpolation)
-        propagate(BODY, START, log, at=EPOCH_NS + np.arange(5), torque_timeout=0.1)
-    propagator = Propagator(BODY, START, torque_timeout=0.1)
-    for stamp, torque, frame in zip(stamps.tolist(), torques, frames):
-        propagator.apply(np.int64(stamp), torque, frame)
-        propagator.at(EPOCH_NS + 5 * SECOND)
-    assert [len(kernel.signatures) for kernel in (kernels.run,)] == before
 
 
 @pytest.mark.parametrize('torque', [1e12, 1e100, 1e308])

@@ -35,7 +35,7 @@ BLOCKS = [[line.partition('   #')[0].strip() for line in block.splitlines()]
           for language, block in FENCED if not language]
 COMMANDS = [line for block in BLOCKS for line in block]
 SCENE, = (block for language, block in FENCED if language == 'yaml')
-#: s; the first start after an installation compiles the kernels.
+#: s.
 PATIENCE = 300
 
 

@@ -77,60 +77,11 @@ assert RigidBody is rigid_body_ros.RigidBody is vars(rigid_body_ros)['RigidBody'
     assert result.stderr == ''
 
 
-@pytest.fixture(scope='module')
-def warm():
-    words = subprocess.run([sys.executable, '-m', 'rigid_body_ros.warm_up'], text=True,
-                           capture_output=True, check=True)
-    assert words.stdout.endswith('all kernels are compiled\n')
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures('warm')
-def test_the_warm_up_leaves_nothing_to_compile_for_any_scene():
-    script = """
-from rigid_body_ros.live.epoch import warm_up_for
-from rigid_body_ros.scene import Scene
-moments = {'inertia.ixx': 1.0, 'inertia.iyy': 2.0, 'inertia.izz': 2.5}
-for more in ({}, {'wheels': True}, {'torque_topics': ['a', 'b']}, {'damping.dxx': 0.1},
-             {'initial_rotor_momentum.x': 1.0}, {'euler_sequence': 'xyz', 'solver': 'rk4',
-                                                 'max_step': 0.1}):
-    warm_up_for(Scene.from_values(moments | more), print)
-"""
-    result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
-                            check=False)
-    assert result.stderr == result.stdout == ''
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures('warm')
-def test_the_warm_up_leaves_nothing_to_compile_for_many_motions():
-    script = """
-import numpy as np
-from rigid_body_ros import propagate_many, RigidBodies, States, TorqueLog
-from rigid_body_ros.engine import announced
-held, cubic = (TorqueLog(range(4), np.eye(4, 3), interpolation=way) for way in ('hold', 'cubic'))
-there = TorqueLog(range(4), np.eye(4, 3), 'space')
-for logs in ([], [held], [held, cubic], [held, there], [cubic, there]):
-    for wheels in (None, held):
-        with announced(lambda: print('compiled for', logs, wheels)):
-            bodies = RigidBodies([np.eye(3)] * 2, [np.eye(3), np.zeros((3, 3))])
-            propagate_many(bodies, States(0, np.ones((2, 4))), [logs] * 2, at=[9], wheels=wheels)
-"""
-    result = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
-                            check=False)
-    assert result.stderr == result.stdout == ''
-
-
-def test_the_warm_up_module_does_not_hide_the_function():
-    script = 'import rigid_body_ros as r, rigid_body_ros.warm_up; assert callable(r.warm_up)'
-    subprocess.run([sys.executable, '-c', script], check=True)
-
-
 @pytest.mark.skipif(find_spec('rclpy') is None, reason='rclpy is not installed')
 @pytest.mark.parametrize(('module', 'unused'), [
     ('attitude_node', ['matplotlib', 'tqdm', 'mcap', 'zstandard', 'scipy.spatial', 'scipy.linalg',
                        'rigid_body_ros.recording', 'rigid_body_ros.replay']),
-    ('attitude_controller', ['numba', 'rigid_body_ros.propagation'])])
+    ('attitude_controller', ['rigid_body_ros.propagation'])])
 def test_a_node_does_not_import_what_it_does_not_use(module, unused):
     script = f"""
 import sys

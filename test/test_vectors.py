@@ -14,6 +14,7 @@
 
 """The committed vectors: every bit of their motions, from compiled kernels and from Python."""
 
+from collections import Counter
 import os
 import re
 import subprocess
@@ -21,6 +22,7 @@ import sys
 
 from conftest import ROOT
 import pytest
+from rigid_body_ros.engine._compiled import LEVELS
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.propagation import SOLVERS
 import vectors
@@ -45,6 +47,34 @@ def test_a_changed_digit_is_reported_with_its_motion_and_number(tmp_path):
         f'{name}, computed with its group: angular velocity z at 333333333 ns']
 
 
+@pytest.mark.parametrize(('line', 'without', 'reported'), [
+    ('state', ' [^ ]+$', [': state at 333333333 ns: expected 6 numbers, found 7',
+                          ', computed with its group: state at 333333333 ns: expected 6 numbers, '
+                          'found 7']),
+    ('euler', ' [^ ]+$', [': euler XZY at 3000000000 ns: expected 2 numbers, found 3']),
+    ('state', '^.*\n', [', computed with its group: expected 1 outputs, found 2'])],
+    ids=['a number', 'an angle', 'a state'])
+def test_what_the_file_lacks_is_a_difference(tmp_path, line, without, reported):
+    text = vectors.VECTORS.read_text(encoding='ascii')
+    name = 'group one log, auto, 4'
+    begin = text.index(f'\nmotion {name}\n')
+    place = text.index(f'\n{line} ', begin) + 1
+    changed = tmp_path / 'vectors.txt'
+    changed.write_text(text[:place] + re.sub(without, '', text[place:], count=1, flags=re.M),
+                       encoding='ascii')
+    found = vectors.differences(
+        [motion for motion in vectors.read(changed) if motion.group == 'one log, auto'])
+    assert found == [name + one for one in reported]
+
+
+def test_no_motion_and_no_output_is_lost():
+    motions = vectors.read()
+    assert len({motion.name for motion in motions}) == len(motions) == 226
+    assert sum(bool(motion.group) for motion in motions) == 63
+    assert Counter(output.key.split()[0] for motion in motions for output in motion.outputs) == {
+        'state': 665, 'euler': 226, 'rotor_momentum': 114}
+
+
 def test_they_cover_all_solvers_terms_and_interpolations():
     motions = vectors.read()
     problems = [motion.problem for motion in motions]
@@ -63,8 +93,10 @@ def test_they_cover_all_solvers_terms_and_interpolations():
 
 
 @pytest.mark.slow
-def test_plain_python_gives_the_same_bits():
+@pytest.mark.parametrize(('kernels', 'every', 'count'), [
+    *((level, 1, 226) for level in LEVELS[1:]), ('python', 20, 12)])
+def test_every_level_and_plain_python_give_the_same_bits(kernels, every, count):
     result = subprocess.run(
-        [sys.executable, ROOT / 'benchmarks' / 'vectors.py', '--every', '20'],
-        env={**os.environ, 'NUMBA_DISABLE_JIT': '1'}, capture_output=True, text=True)
-    assert (result.stdout, result.returncode) == ('12 motions: the same bits\n', 0)
+        [sys.executable, ROOT / 'benchmarks' / 'vectors.py', '--every', str(every)],
+        env={**os.environ, 'RIGID_BODY_ROS_KERNELS': kernels}, capture_output=True, text=True)
+    assert (result.stdout, result.returncode) == (f'{count} motions: the same bits\n', 0)

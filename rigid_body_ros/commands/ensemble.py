@@ -210,7 +210,7 @@ def ensemble_parser() -> argparse.ArgumentParser:
     parser.add_argument('-o', '--output', required=True, metavar='FOLDER',
                         help='folder for the results: a new one, or that of the same ensemble')
     add_outputs(parser, 'the summary, the histogram of the final angles, their percentiles over '
-               'time, and the rank correlations')
+                'time, and the rank correlations')
     return parser
 
 

@@ -179,5 +179,5 @@ def replay_parser() -> argparse.ArgumentParser:
                         'velocity and torque over time')
     add_scheduler(parser)
     add_outputs(parser, 'the moving body, these plots and the summary; of several recordings, '
-               'a row and a small picture each')
+                'a row and a small picture each')
     return parser

@@ -25,10 +25,9 @@ from rigid_body_ros.kernels import (
     tensor,
     tensors,
 )
-from rigid_body_ros.kernels.jit import announced, COMPILES, sources_hash
 from rigid_body_ros.kernels.layout import FASTEST, Rows, Samples, Sums, Terms
 from rigid_body_ros.kernels.steppers import CLASSICAL
 
-__all__ = ['CLASSICAL', 'COMPILES', 'FASTEST', 'Rows', 'Samples', 'Sums', 'Terms', 'announced',
+__all__ = ['CLASSICAL', 'FASTEST', 'Rows', 'Samples', 'Sums', 'Terms',
            'body_layout', 'interpolation', 'kernels', 'layout', 'many_loop', 'motion_layout',
-           'sources_hash', 'state_layout', 'tensor', 'tensors']
+           'state_layout', 'tensor', 'tensors']

@@ -14,30 +14,47 @@
 
 """The kernels that Python calls."""
 
-from rigid_body_ros.kernels import jit, lanes
-from rigid_body_ros.kernels.elementary_arrays import (
-    fill_arctangents,
-    fill_exponentials,
-    fill_sines_cosines,
+from rigid_body_ros.engine.binding import bind, LEVEL
+from rigid_body_ros.kernels import (
+    elementary_arrays,
+    euler_angles,
+    interpolation,
+    lanes,
+    loop,
+    many_loop,
+    messages,
+    principal_axes,
+    rotors,
+    summation,
+    taylor,
+    tensors,
+    triangles,
 )
-from rigid_body_ros.kernels.euler_angles import fill_angles, fill_attitudes, make_rows_continuous
-from rigid_body_ros.kernels.extent import extent
-from rigid_body_ros.kernels.interpolation import fill_cubics, fill_slopes
-from rigid_body_ros.kernels.loop import run
-from rigid_body_ros.kernels.many_loop import run_each
-from rigid_body_ros.kernels.messages import decode, find_transforms, scan
-from rigid_body_ros.kernels.principal_axes import fill_components
-from rigid_body_ros.kernels.rotors import momentum_at
-from rigid_body_ros.kernels.summation import sum_logs, sum_rows
-from rigid_body_ros.kernels.taylor import step_angle
-from rigid_body_ros.kernels.tensors import fill_constants
-from rigid_body_ros.kernels.triangles import fill_triangle
+from rigid_body_ros.kernels import (
+    extent as extents,
+)
 
-__all__ = ['LANES', 'decode', 'extent', 'fill_angles', 'fill_arctangents', 'fill_attitudes',
-           'fill_components', 'fill_constants', 'fill_cubics', 'fill_exponentials',
-           'fill_sines_cosines', 'fill_slopes', 'fill_triangle', 'find_transforms',
-           'make_rows_continuous', 'momentum_at', 'run', 'run_each', 'scan', 'step_angle',
-           'sum_logs', 'sum_rows']
+#: Bodies that `run_each` steps at once.
+LANES = 1 if LEVEL == 'python' else lanes.LANES
 
-#: Runs in a group: plain Python has no lanes.
-LANES = lanes.LANES if jit.COMPILES else 1
+decode = bind(messages.decode)
+extent = bind(extents.extent)
+fill_angles = bind(euler_angles.fill_angles)
+fill_arctangents = bind(elementary_arrays.fill_arctangents)
+fill_attitudes = bind(euler_angles.fill_attitudes)
+fill_components = bind(principal_axes.fill_components)
+fill_constants = bind(tensors.fill_constants)
+fill_cubics = bind(interpolation.fill_cubics)
+fill_exponentials = bind(elementary_arrays.fill_exponentials)
+fill_sines_cosines = bind(elementary_arrays.fill_sines_cosines)
+fill_slopes = bind(interpolation.fill_slopes)
+fill_triangle = bind(triangles.fill_triangle)
+find_transforms = bind(messages.find_transforms)
+make_rows_continuous = bind(euler_angles.make_rows_continuous)
+momentum_at = bind(rotors.momentum_at)
+run = bind(loop.run)
+run_each = bind(many_loop.run_each)
+scan = bind(messages.scan)
+step_angle = bind(taylor.step_angle)
+sum_logs = bind(summation.sum_logs)
+sum_rows = bind(summation.sum_rows)

@@ -16,27 +16,31 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import elementary
-from rigid_body_ros.kernels.jit import njit
+from rigid_body_ros.kernels.jit import njit, WRITTEN
 
 
 @njit
-def fill_sines_cosines(angles: Floats, sines: Floats, cosines: Floats) -> None:
+def fill_sines_cosines(angles: Annotated[Floats, 'n'], sines: Annotated[Floats, 'n', WRITTEN],
+                       cosines: Annotated[Floats, 'n', WRITTEN]) -> None:
     """Compute sines and cosines; see `elementary.sine_cosine`."""
     for row in range(len(angles)):
         sines[row], cosines[row] = elementary.sine_cosine(float(angles[row]))
 
 
 @njit
-def fill_arctangents(points: Floats, angles: Floats) -> None:
+def fill_arctangents(points: Annotated[Floats, '2 n'],
+                     angles: Annotated[Floats, 'n', WRITTEN]) -> None:
     """Compute the angles of points, shape (2, n); see `elementary.arctangent`."""
     for row in range(len(angles)):
         angles[row] = elementary.arctangent(float(points[0, row]), float(points[1, row]))
 
 
 @njit
-def fill_exponentials(x: Floats, results: Floats) -> None:
+def fill_exponentials(x: Annotated[Floats, 'n'], results: Annotated[Floats, 'n', WRITTEN]) -> None:
     """Compute e^x; see `elementary.exponential`."""
     for row in range(len(x)):
         results[row] = elementary.exponential(float(x[row]))

@@ -22,13 +22,14 @@ is proper (k = i), and the parity, which is 1 if i, j and the third axis are rig
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import double_double as dd
 from rigid_body_ros.kernels.double_double import DoubleDouble
 from rigid_body_ros.kernels.elementary import arctangent_pair, scale_of, sine_cosine_pairs
-from rigid_body_ros.kernels.jit import internal, njit
+from rigid_body_ros.kernels.jit import internal, njit, WRITTEN
 
 #: Smallest and largest double in the range of the first and third angle.
 _PROPER = 0.0, math.nextafter(2.0 * math.pi, 0.0)
@@ -37,8 +38,8 @@ _TURN = 2.0 * np.pi
 
 
 @njit
-def fill_attitudes(angles: Floats, attitudes: Floats, i: int, j: int, proper: bool,
-                   parity: float) -> None:
+def fill_attitudes(angles: Annotated[Floats, 'm 3'], attitudes: Annotated[Floats, 'm 4', WRITTEN],
+                   i: int, j: int, proper: bool, parity: float) -> None:
     """
     Compute the attitudes of Euler angles.
 
@@ -72,8 +73,8 @@ def fill_attitudes(angles: Floats, attitudes: Floats, i: int, j: int, proper: bo
 
 
 @njit
-def fill_angles(attitudes: Floats, angles: Floats, i: int, j: int, proper: bool,
-                parity: float) -> None:
+def fill_angles(attitudes: Annotated[Floats, 'm 4'], angles: Annotated[Floats, 'm 3', WRITTEN],
+                i: int, j: int, proper: bool, parity: float) -> None:
     """
     Compute the Euler angles of attitudes; NaN if an attitude is zero or not finite.
 
@@ -151,7 +152,8 @@ def _wrapped(angle: DoubleDouble, centre: float) -> DoubleDouble:
 
 
 @njit
-def make_rows_continuous(angles: Floats, anchor: int, poles: Floats, proper: bool) -> None:
+def make_rows_continuous(angles: Annotated[Floats, 'm 3', WRITTEN], anchor: int,
+                         poles: Annotated[Floats, 'm'], proper: bool) -> None:
     """
     Choose of the triples for each attitude that closest to its neighbour.
 

@@ -16,16 +16,18 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import Annotated
+
+from rigid_body_ros.common.arrays import Ints
+from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels.jit import njit
 
 
 @njit
-def extent(times_ns: NDArray[np.int64]) -> tuple[bool, int, int]:
+def extent(times_ns: Annotated[Ints, 'n']) -> tuple[bool, int, int]:
     """Return whether times ascend, the earliest and the latest of them."""
-    ascends, first, last = True, times_ns[0], times_ns[0]
-    for k in range(1, len(times_ns)):
-        ascends = ascends and times_ns[k] >= times_ns[k - 1]
+    ascends, first, last = True, NEVER_NS, -NEVER_NS
+    for k in range(len(times_ns)):
+        ascends = ascends and (k == 0 or times_ns[k] >= times_ns[k - 1])
         first, last = min(first, times_ns[k]), max(last, times_ns[k])
     return ascends, first, last

@@ -13,252 +13,116 @@
 # limitations under the License.
 
 """
-Four doubles in one SIMD register, for the compiled kernels: a quaternion, or a vector and a zero.
+Four doubles: a quaternion, or a vector and a zero.
 
-Operations act on each element and round as operations on single doubles do, so results do not
-depend on the size of a machine's registers. Kernels read the elements as a[0] to a[3]. Without
-numba, four doubles are a tuple.
+The compiled kernels hold them in one SIMD register. Operations act on each element and round as
+operations on single doubles do, so results do not depend on the size of a machine's registers.
+Kernels read the elements as a[0] to a[3]. In plain Python, four doubles are a tuple.
 
-All operations also take the quaternions or vectors of several bodies, four registers with a lane
-for each body, see `lanes`. If one argument has lanes, so has the result.
+The compiled operations also take the quaternions or vectors of several bodies, four registers with
+a lane for each body, see `lanes`. If one argument has lanes, so has the result.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-import operator
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.kernels import jit, lanes
-
-if jit.COMPILES:
-    from llvmlite import ir
-    from numba.core import types
-    from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-    from numba.extending import intrinsic, lower_builtin, models, register_model
-
-    class _Type(types.Type):
-
-        def __init__(self) -> None:
-            super().__init__('Four')
-
-    class _Lanes(types.Type):
-
-        def __init__(self) -> None:
-            super().__init__('FourLanes')
-
-    _REGISTER = ir.VectorType(ir.DoubleType(), 4)
-    _REGISTERS = ir.ArrayType(lanes.REGISTER, 4)
-    _BITS = ir.VectorType(ir.IntType(64), 4)
-    _FOUR, _LANES = _Type(), _Lanes()
-
-    @register_model(_Type)
-    class _Model(models.PrimitiveModel):
-
-        def __init__(self, manager: Any, kind: Any) -> None:
-            super().__init__(manager, kind, _REGISTER)
-
-    @register_model(_Lanes)
-    class _LanesModel(models.PrimitiveModel):
-
-        def __init__(self, manager: Any, kind: Any) -> None:
-            super().__init__(manager, kind, _REGISTERS)
-
-    @infer_global(operator.getitem)
-    class _Element(AbstractTemplate):
-
-        def generic(self, arguments: Any, _: Any) -> Any:
-            if isinstance(arguments[0], _Type):
-                return signature(types.float64, *arguments)
-            if isinstance(arguments[0], _Lanes) and isinstance(arguments[1], types.IntegerLiteral):
-                return signature(lanes.NUMBERS, *arguments)
-            return None
-
-    @lower_builtin(operator.getitem, _Type, types.Integer)
-    def _element(_: Any, builder: Any, __: Any, values: Any) -> Any:
-        return builder.extract_element(*values)
-
-    @lower_builtin(operator.getitem, _Lanes, types.IntegerLiteral)
-    def _lanes_of_element(_: Any, builder: Any, kinds: Any, values: Any) -> Any:
-        return builder.extract_value(values[0], kinds.args[1].literal_value)
+from rigid_body_ros.kernels import lanes
 
 Four = tuple[float, float, float, float]
 
 
-def _operation(plain: Callable[..., Any], count: int, generate: Callable[..., Any],
-               for_lanes: Callable[..., Any]) -> Callable[..., Any]:
-    # Return an operation for the kernels. It is given by its Python form, the number of its
-    # arguments, and functions that generate its LLVM instructions: for registers, and for lanes
-    # from the four registers of each argument.
-    if not jit.COMPILES:
-        return plain
-
-    def typed(*arguments: Any) -> Any:
-        if _LANES not in arguments and lanes.NUMBERS not in arguments:
-            return (_FOUR(*(kind if kind == _FOUR else types.float64 for kind in arguments)),
-                    lambda _, builder, __, values: generate(builder, *values))
-        return _LANES(*arguments), lambda _, builder, __, values: _collect(builder, for_lanes(
-            builder, *(_spread(builder, *each) for each in zip(arguments, values))))
-    by_count = (lambda _, a: typed(a), lambda _, a, b: typed(a, b),
-                lambda _, a, b, c: typed(a, b, c), lambda _, a, b, c, d: typed(a, b, c, d))
-    return intrinsic(by_count[count - 1])
+def of(a: float, b: float, c: float, d: float) -> Four:
+    """Return four doubles."""
+    return a, b, c, d
 
 
-def _spread(builder: Any, kind: Any, value: Any) -> list[Any]:
-    # Return the four registers of an argument. What has no lanes is the same in each lane.
-    if kind == _LANES:
-        return [builder.extract_value(value, place) for place in range(4)]
-    if kind == _FOUR:
-        return [lanes.splat(builder, builder.extract_element(value, ir.Constant(
-            ir.IntType(32), place))) for place in range(4)]
-    return [lanes.splat(builder, value)] * 4
+def broadcast(value: float) -> Four:
+    """Return the same double four times."""
+    return value, value, value, value
 
 
-def _collect(builder: Any, registers: list[Any]) -> Any:
-    result = ir.Constant(_REGISTERS, ir.Undefined)
-    for place, register in enumerate(registers):
-        result = builder.insert_value(result, register, place)
-    return result
+def add(a: Four, b: Four) -> Four:
+    """Return the sum of each element."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]
 
 
-def _elementwise(operation: Callable[..., float], count: int,
-                 generate: Callable[..., Any]) -> Callable[..., Any]:
-    # Return an operation on each element.
-    return _operation(
-        lambda *operands: tuple(map(operation, *operands)), count, generate,
-        lambda builder, *operands: [generate(builder, *values) for values in zip(*operands)])
+def subtract(a: Four, b: Four) -> Four:
+    """Return the difference of each element."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]
 
 
-def _build_register(builder: Any, *values: Any) -> Any:
-    register = ir.Constant(_REGISTER, ir.Undefined)
-    for place, value in enumerate(values):
-        register = builder.insert_element(register, value, ir.Constant(ir.IntType(32), place))
-    return register
+def multiply(a: Four, b: Four) -> Four:
+    """Return the product of each element."""
+    return a[0] * b[0], a[1] * b[1], a[2] * b[2], a[3] * b[3]
 
 
-def _permutation(order: str, signs: str = '++++') -> Callable[[Four], Four]:
-    # Return an operation that reorders the elements and applies these signs.
-    places = ['xyzw'.index(letter) for letter in order]
-    factors = [-1.0 if sign == '-' else 1.0 for sign in signs]
-
-    def generate(builder: Any, a: Any) -> Any:
-        mask = ir.Constant(ir.VectorType(ir.IntType(32), 4), places)
-        bits = builder.bitcast(builder.shuffle_vector(a, a, mask), _BITS)
-        flips = ir.Constant(_BITS, [int(factor < 0.0) << 63 for factor in factors])
-        return builder.bitcast(builder.xor(bits, flips), _REGISTER)
-    return _operation(
-        lambda a: tuple(factor * a[place] for factor, place in zip(factors, places)), 1, generate,
-        lambda builder, a: [builder.fneg(a[place]) if factor < 0.0 else a[place]
-                            for factor, place in zip(factors, places)])
+def negative(a: Four) -> Four:
+    """Return each element with the other sign."""
+    return -a[0], -a[1], -a[2], -a[3]
 
 
-#: Build four doubles from four floats, or from one float four times.
-of = _operation(lambda *values: values, 4, _build_register,
-                lambda builder, *values: [registers[0] for registers in values])
-broadcast = _operation(lambda value: (value,) * 4, 1,
-                       lambda builder, value: _build_register(builder, *[value] * 4),
-                       lambda builder, value: value)
-add = _elementwise(operator.add, 2, lambda builder, a, b: builder.fadd(a, b))
-subtract = _elementwise(operator.sub, 2, lambda builder, a, b: builder.fsub(a, b))
-multiply = _elementwise(operator.mul, 2, lambda builder, a, b: builder.fmul(a, b))
-negative = _elementwise(operator.neg, 1, lambda builder, a: builder.fneg(a))
-absolute = _elementwise(abs, 1, lambda builder, a: lanes.call(builder, 'llvm.fabs', a))
-#: a b + c of each element, rounded once.
-fma = _elementwise(lanes.fma, 3,
-                   lambda builder, *values: lanes.call(builder, 'llvm.fma', *values))
-#: The components of a vector in the order y, z, x and z, x, y.
-yzx, zxy = _permutation('yzxw'), _permutation('zxyw')
-#: Hamilton's product q i, q j and q k of a quaternion q.
-times_i, times_j, times_k = (_permutation('wzyx', '++--'), _permutation('zwxy', '-++-'),
-                             _permutation('yxwz', '+-+-'))
+def absolute(a: Four) -> Four:
+    """Return the magnitude of each element."""
+    return abs(a[0]), abs(a[1]), abs(a[2]), abs(a[3])
 
 
-if jit.COMPILES:
-    def _kind_in(array: Any) -> Any:
-        # Return the type of what is in an array.
-        return _FOUR if array.ndim == 1 else _LANES
+def fma(a: Four, b: Four, c: Four) -> Four:
+    """Return a b + c of each element, rounded once."""
+    return (lanes.fma(a[0], b[0], c[0]), lanes.fma(a[1], b[1], c[1]),
+            lanes.fma(a[2], b[2], c[2]), lanes.fma(a[3], b[3], c[3]))
 
-    def _pointer(context: Any, builder: Any, kind: Any, array: Any, start: Any) -> Any:
-        # A row of lanes has as many doubles as there are lanes.
-        width = 1 if kind.ndim == 1 else lanes.LANES
-        data = context.make_array(kind)(context, builder, array).data
-        place = builder.mul(start, ir.Constant(start.type, width))
-        register = _REGISTER if kind.ndim == 1 else _REGISTERS
-        return builder.bitcast(builder.gep(data, [place]), register.as_pointer())
 
-    def _read(builder: Any, pointer: Any) -> Any:
-        if pointer.type.pointee == _REGISTER:
-            return builder.load(pointer, align=8)
-        return _collect(builder, [
-            builder.load(_register_at(builder, pointer, place), align=8) for place in range(4)])
+def yzx(a: Four) -> Four:
+    """Return the components of a vector in the order y, z, x."""
+    return a[1], a[2], a[0], a[3]
 
-    def _write(builder: Any, value: Any, pointer: Any) -> None:
-        if pointer.type.pointee == _REGISTER:
-            builder.store(value, pointer, align=8)
-            return
-        for place in range(4):
-            builder.store(builder.extract_value(value, place),
-                          _register_at(builder, pointer, place), align=8)
 
-    def _register_at(builder: Any, pointer: Any, place: int) -> Any:
-        return builder.gep(pointer, [ir.Constant(ir.IntType(32), k) for k in (0, place)])
+def zxy(a: Four) -> Four:
+    """Return the components of a vector in the order z, x, y."""
+    return a[2], a[0], a[1], a[3]
 
-    @intrinsic
-    def load(_context: Any, values: Any, start: Any) -> Any:
-        """
-        Return four successive elements of a contiguous array, shape (n,), from an index on.
 
-        In lanes these are four rows of an array, shape (n, LANES).
-        """
-        def generate(context: Any, builder: Any, _: Any, operands: Any) -> Any:
-            return _read(builder, _pointer(context, builder, values, *operands))
-        return _kind_in(values)(values, types.intp), generate
+def times_i(q: Four) -> Four:
+    """Return Hamilton's product q i."""
+    return q[3], q[2], -q[1], -q[0]
 
-    @intrinsic
-    def store(_context: Any, values: Any, start: Any, four: Any) -> Any:
-        """Write the elements that `load` returns."""
-        def generate(context: Any, builder: Any, _: Any, operands: Any) -> Any:
-            array, start, value = operands
-            _write(builder, value, _pointer(context, builder, values, array, start))
-            return context.get_dummy_value()
-        return types.void(values, types.intp, four), generate
 
-    zero = lanes.zero
+def times_j(q: Four) -> Four:
+    """Return Hamilton's product q j."""
+    return -q[2], q[3], q[0], -q[1]
 
-    @intrinsic
-    def choose(_context: Any, condition: Any, one: Any, other: Any) -> Any:
-        """Return one of two fours, in each lane: the first where a condition holds."""
-        def generate(_: Any, builder: Any, __: Any, values: Any) -> Any:
-            if one == _FOUR:
-                return builder.select(*values)
-            return _collect(builder, [builder.select(values[0], *pair) for pair in zip(
-                _spread(builder, one, values[1]), _spread(builder, other, values[2]))])
-        return one(condition, one, other), generate
 
-    @intrinsic
-    def has_lanes(_context: Any, values: Any) -> Any:
-        """Return whether an array has lanes; the compiler leaves out code for the other case."""
-        return types.boolean(values), lambda *_: ir.Constant(ir.IntType(1), values.ndim == 2)
-else:
-    def load(values: NDArray[np.float64], start: int) -> Four:
-        """Return four successive elements of an array, shape (n,), from an index on."""
-        a, b, c, d = values[start:start + 4].tolist()
-        return a, b, c, d
+def times_k(q: Four) -> Four:
+    """Return Hamilton's product q k."""
+    return q[1], -q[0], q[3], -q[2]
 
-    def store(values: NDArray[np.float64], start: int, four: Four) -> None:
-        """Write the elements that `load` returns."""
-        values[start:start + 4] = four
 
-    def zero(like: Four) -> Four:
-        """Return four zeros."""
-        return 0.0, 0.0, 0.0, 0.0
+def load(values: NDArray[np.float64], start: int) -> Four:
+    """
+    Return four successive elements of an array, shape (n,), from an index on.
 
-    def choose(condition: bool, one: Four, other: Four) -> Four:
-        """Return one of two fours: the first if a condition holds."""
-        return one if condition else other
+    In lanes these are four rows of an array, shape (n, LANES).
+    """
+    a, b, c, d = values[start:start + 4].tolist()
+    return a, b, c, d
 
-    def has_lanes(values: NDArray[np.float64]) -> bool:
-        """Return whether an array has lanes."""
-        return values.ndim == 2
+
+def store(values: NDArray[np.float64], start: int, four: Four) -> None:
+    """Write the elements that `load` returns."""
+    values[start:start + 4] = four
+
+
+def zero(like: Four) -> Four:
+    """Return four zeros."""
+    return 0.0, 0.0, 0.0, 0.0
+
+
+def choose(condition: bool, one: Four, other: Four) -> Four:
+    """Return one of two fours: the first if a condition holds, with lanes in each of them."""
+    return one if condition else other
+
+
+def has_lanes(values: NDArray[np.float64]) -> bool:
+    """Return whether an array has lanes; the compiler leaves out code for the other case."""
+    return values.ndim == 2

@@ -44,7 +44,7 @@ STATE, LATEST, CONSTANTS = 0, state_layout.SIZE, 2 * state_layout.SIZE
 GAIN = CONSTANTS + body_layout.MOMENTS
 TORQUE = GAIN + 1
 REST, MOVES, TABLE = TORQUE + 3, TORQUE + 4, TORQUE + 5
-_ROWS = TABLE + taylor.WORKSPACE_OF_LANES
+ROWS = TABLE + taylor.WORKSPACE_OF_LANES
 
 
 class Group(NamedTuple):
@@ -70,9 +70,9 @@ class Group(NamedTuple):
 def workspace() -> Floats:
     """Return an array, shape (n, LANES), with each row in one cache line."""
     line = 64 // 8
-    buffer = np.empty(_ROWS * LANES + line)
+    buffer = np.empty(ROWS * LANES + line)
     start = -(buffer.ctypes.data // 8) % line
-    return buffer[start:start + _ROWS * LANES].reshape(_ROWS, LANES)
+    return buffer[start:start + ROWS * LANES].reshape(ROWS, LANES)
 
 
 @inlined

@@ -16,12 +16,14 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.kernels import double_double as dd
 from rigid_body_ros.kernels.double_double import DoubleDouble
-from rigid_body_ros.kernels.jit import internal, njit
+from rigid_body_ros.kernels.jit import internal, njit, WRITTEN
 
 #: Number of samples that determine a slope of the cubic interpolation.
 _NEAREST = 5
@@ -31,7 +33,8 @@ _SLOPES, WORKSPACE = _NEAREST, (_NEAREST + 2 * 3, 2)
 
 
 @njit
-def fill_slopes(times_ns: NDArray[np.int64], values: Floats, slopes: Floats) -> None:
+def fill_slopes(times_ns: Annotated[Ints, 'n'], values: Annotated[Floats, 'n 3'],
+                slopes: Annotated[Floats, 'n 3', WRITTEN]) -> None:
     """
     Compute the slopes of straight lines through samples, and zero for the last.
 
@@ -57,8 +60,9 @@ def fill_slopes(times_ns: NDArray[np.int64], values: Floats, slopes: Floats) -> 
 
 
 @njit
-def fill_cubics(times_ns: NDArray[np.int64], values: Floats, first: int, stop: int,
-                work: Floats, cubics: Floats) -> None:
+def fill_cubics(times_ns: Annotated[Ints, 'n'], values: Annotated[Floats, 'n 3'], first: int,
+                stop: int, work: Annotated[Floats, '11 2', WRITTEN],
+                cubics: Annotated[Floats, 'm 7 3', WRITTEN]) -> None:
     """
     Compute cubics through samples.
 

@@ -23,11 +23,11 @@ registers, the same records are named tuples.
 from __future__ import annotations
 
 import struct
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.kernels import (
     body_layout,
     euler_equations,
@@ -36,7 +36,7 @@ from rigid_body_ros.kernels import (
     state_layout,
     vector,
 )
-from rigid_body_ros.kernels.jit import inlined, internal, optional, record
+from rigid_body_ros.kernels.jit import inlined, internal, optional, record, WRITTEN
 
 #: Cost of a full step, or a state in closed form, in units of work; anything else costs 1.
 STEP_COST = 16
@@ -94,28 +94,27 @@ class Method(NamedTuple):
 class Terms(NamedTuple):
     """What acts on a body besides the torques of the rows."""
 
-    #: float64 (n, 2, 3), N m s: momentum of the rotors, and its low-order part; shape (1, 2, 3) if
-    #: it is constant.
-    momentum: Floats
-    #: float64 (n, degree + 1, 3), N m: coefficients of the torque on the rotors; None without.
-    motors: Floats | None
+    #: N m s: momentum of the rotors, and its low-order part; one row if it is constant.
+    momentum: Annotated[Floats, 'n|1 2 3']
+    #: N m: coefficients of the torque on the rotors, of degree d; None without.
+    motors: Annotated[Floats, 'n d+1 3'] | None
     #: The same of a torque in space axes beside one in body axes; None if none is.
-    space: Floats | None
+    space: Annotated[Floats, 'n d+1 3'] | None
 
 
 class Rows(NamedTuple):
     """What acts on a body: each row from its time to that of the next."""
 
-    #: int64 (n,), ns, strictly ascending. Before the first no torque acts.
-    times_ns: NDArray[np.int64]
-    #: float64 (n, 2 degree + 1, 3), N m, see `TorqueLog.polynomials`; on the body in the axes that
-    #: `in_space` states. The torque on the rotors is subtracted from one in body axes.
-    torques: Floats
-    #: bool (n,): whether these are in space axes.
-    in_space: NDArray[np.bool_]
-    #: float64 (n,), s: in this time the variable of the polynomials grows from 0 to 1. Shape (0,)
-    #: if they are constant.
-    spans: Floats
+    #: ns, strictly ascending. Before the first no torque acts.
+    times_ns: Annotated[Ints, 'n']
+    #: N m, of degree d, see `TorqueLog.polynomials`; on the body in the axes that `in_space`
+    #: states. The torque on the rotors is subtracted from one in body axes.
+    torques: Annotated[Floats, 'n 2d+1 3']
+    #: Whether these are in space axes.
+    in_space: Annotated[NDArray[np.bool_], 'n']
+    #: s: in this time the variable of the polynomials grows from 0 to 1. Empty if they are
+    #: constant.
+    spans: Annotated[Floats, 'n|0']
     #: None if there are neither rotors nor damping, nor torques in two frames.
     terms: Terms | None = None
 
@@ -123,21 +122,21 @@ class Rows(NamedTuple):
 class Sums(NamedTuple):
     """The sums of torques at the rows, and the momentum of the rotors; see `Rows`."""
 
-    torques: Floats
-    space: Floats
-    motors: Floats
-    momentum: Floats
+    torques: Annotated[Floats, 'n 2d+1 3', WRITTEN]
+    space: Annotated[Floats, 'n d+1 3', WRITTEN]
+    motors: Annotated[Floats, 'n d+1 3', WRITTEN]
+    momentum: Annotated[Floats, 'n 2 3', WRITTEN]
 
 
 class Samples(NamedTuple):
     """The samples of all sources, one source after the other."""
 
-    #: float64 (n, 2 degree + 1, 3), N m.
-    coefficients: Floats
-    stamps_ns: NDArray[np.int64]
-    in_space: NDArray[np.bool_]
-    #: int (sources + 1,): where each source begins.
-    offsets: NDArray[np.intp]
+    #: N m, of degree d, as in `Rows`.
+    coefficients: Annotated[Floats, 'p 2d+1 3']
+    stamps_ns: Annotated[Ints, 'p']
+    in_space: Annotated[NDArray[np.bool_], 'p']
+    #: Where each source begins, and the end.
+    offsets: Annotated[Ints, 's+1']
 
 
 class Requested(NamedTuple):

@@ -32,13 +32,14 @@ The contract of `run`, whatever the solver:
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels import (
+    body_layout,
     euler_equations,
     free_motion,
     intervals,
@@ -46,28 +47,32 @@ from rigid_body_ros.kernels import (
     motion_layout,
     short_step,
     stepping,
-    taylor,
     vector,
 )
-from rigid_body_ros.kernels.jit import inlined, internal, njit
+from rigid_body_ros.kernels.jit import inlined, internal, njit, scratch, WRITTEN
 from rigid_body_ros.kernels.layout import (
     Body,
     FINISHED,
     GridStates,
+    METHOD,
     Method,
     Place,
+    PROGRESS,
     Requested,
     Rows,
     TOO_FAST,
     UNFINISHED,
 )
 from rigid_body_ros.kernels.linear_terms import Constants
+from rigid_body_ros.kernels.taylor import WORKSPACE
 
 
 @njit
-def run(progress: NDArray[Any], times_ns: NDArray[np.int64], order: NDArray[np.intp],
-        motion: Floats, closed: NDArray[np.bool_], rows: Rows, constants: Floats,
-        methods: NDArray[Any]) -> int:
+def run(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN], times_ns: Annotated[Ints, 'm'],
+        order: Annotated[Ints, 'm|0'], motion: Annotated[Floats, '7m', WRITTEN],
+        closed: Annotated[NDArray[np.bool_], 'n+1', WRITTEN], rows: Rows,
+        constants: Annotated[Floats, f'{body_layout.SIZE}'],
+        methods: Annotated[NDArray[Any], '1', METHOD]) -> int:
     """
     Compute the motion from row to row, and store it at the requested times.
 
@@ -113,7 +118,7 @@ def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: 
     row_times_ns, torques, in_space, spans, terms = rows
     momentum, motors = layout.momentum_of(terms), layout.motors_of(terms)
     space = layout.space_of(terms)
-    table = np.empty(taylor.WORKSPACE)
+    table = scratch(WORKSPACE)
     coast, prepared = free_motion.start_only(begin, free_motion.NEAR_SEPARATRIX), False
     while row < stop and done < len(times_ns) and budget > 0:
         now = intervals.interval(row_times_ns, torques, spans, row)

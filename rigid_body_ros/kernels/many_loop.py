@@ -16,17 +16,18 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
+from rigid_body_ros.kernels import body_layout, groups, layout, loop
 from rigid_body_ros.kernels import group as runs
-from rigid_body_ros.kernels import groups, layout, loop
 from rigid_body_ros.kernels.group import BUDGET, Group
 from rigid_body_ros.kernels.groups import Advanced
-from rigid_body_ros.kernels.jit import inlined, internal, njit, optional
-from rigid_body_ros.kernels.layout import Rows, Terms
+from rigid_body_ros.kernels.jit import inlined, internal, njit, optional, WRITTEN
+from rigid_body_ros.kernels.lanes import LANES
+from rigid_body_ros.kernels.layout import METHOD, PROGRESS, Rows, Terms
 
 #: Rows after which runs that could not step together are tried again.
 _PIECE = 64
@@ -36,17 +37,37 @@ class RunsWorkspace(NamedTuple):
     """The arrays that `run_each` needs besides its results."""
 
     #: See `Group`: rows, going and limits_ns, an element for each lane, and the workspace.
-    lanes: NDArray[np.intp]
-    going: NDArray[np.bool_]
-    limits_ns: NDArray[np.int64]
-    table: Floats
+    lanes: Annotated[Ints, f'{LANES}', WRITTEN]
+    going: Annotated[NDArray[np.bool_], f'{LANES}', WRITTEN]
+    limits_ns: Annotated[Ints, f'{LANES}', WRITTEN]
+    table: Annotated[Floats, f'{runs.ROWS} {LANES}', WRITTEN]
     #: See `loop.run`.
-    closed: NDArray[np.bool_]
+    closed: Annotated[NDArray[np.bool_], 'n+1', WRITTEN]
     #: Torques times the factor of a run.
-    torques: Floats
+    torques: Annotated[Floats, 'n 2d+1 3', WRITTEN]
 
 
-def workspace(lanes: int, rows: Rows) -> RunsWorkspace:
+class ManyTerms(NamedTuple):
+    """What acts on the bodies of all runs besides the torques of the rows, see `Terms`."""
+
+    #: Of run i the element i % j.
+    momentum: Annotated[Floats, 'j n|1 2 3']
+    motors: Annotated[Floats, 'n d+1 3'] | None
+    space: Annotated[Floats, 'n d+1 3'] | None
+
+
+class ManyRows(NamedTuple):
+    """What acts on the bodies of all runs, see `Rows`."""
+
+    times_ns: Annotated[Ints, 'n']
+    #: Of run i the element i % k.
+    torques: Annotated[Floats, 'k n 2d+1 3']
+    in_space: Annotated[NDArray[np.bool_], 'n']
+    spans: Annotated[Floats, 'n|0']
+    terms: ManyTerms | None = None
+
+
+def workspace(lanes: int, rows: ManyRows) -> RunsWorkspace:
     """Return arrays, not yet filled, for rows of all runs; with one lane runs are not grouped."""
     return RunsWorkspace(
         np.empty(lanes, np.intp), np.empty(lanes, np.bool_), np.empty(lanes, np.int64),
@@ -55,9 +76,13 @@ def workspace(lanes: int, rows: Rows) -> RunsWorkspace:
 
 
 @njit
-def run_each(which: NDArray[np.intp], progress: NDArray[Any], times_ns: NDArray[np.int64],
-             order: NDArray[np.intp], motions: Floats, rows: Rows, constants: Floats,
-             methods: NDArray[Any], gains: Floats, work: RunsWorkspace) -> int:
+def run_each(which: Annotated[Ints, 'w'],
+             progress: Annotated[NDArray[Any], 'r', PROGRESS, WRITTEN],
+             times_ns: Annotated[Ints, 'm'], order: Annotated[Ints, 'm|0'],
+             motions: Annotated[Floats, 'r 7m', WRITTEN], rows: ManyRows,
+             constants: Annotated[Floats, f'r {body_layout.SIZE}'],
+             methods: Annotated[NDArray[Any], '1', METHOD], gains: Annotated[Floats, 'r'],
+             work: RunsWorkspace) -> int:
     """
     Run the loop for many runs, some of them in lanes.
 
@@ -70,8 +95,8 @@ def run_each(which: NDArray[np.intp], progress: NDArray[Any], times_ns: NDArray[
         whose body becomes too fast has then failed.
     times_ns, order, methods
         As for `loop.run`, of all runs.
-    rows : Rows
-        Of all runs. Torques and momentum have one more axis: of run i the element i % k.
+    rows : ManyRows
+        Of all runs.
     gains : array, shape (n,)
         Factors of the torque; all 1 for a torque that is not held.
     work : RunsWorkspace
@@ -163,5 +188,5 @@ def _is_left(progress: Any, outputs: int, stop: int) -> bool:
 
 
 @optional
-def _of_run(terms: Terms, run: int) -> Terms:
+def _of_run(terms: ManyTerms, run: int) -> Terms:
     return Terms(terms.momentum[run % len(terms.momentum)], terms.motors, terms.space)

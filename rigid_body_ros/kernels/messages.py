@@ -16,20 +16,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.kernels.jit import inlined, njit
+from rigid_body_ros.common.arrays import Ints
+from rigid_body_ros.kernels.jit import inlined, njit, WRITTEN
 
 Bytes = NDArray[np.uint8]
-Ints = NDArray[np.int64]
 
 
 @njit
-def decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: bool,
-           has_child_frame: bool, before_doubles: int, stamps: Ints, bits: Ints, texts: Ints,
-           changes: NDArray[np.bool_], after: Ints) -> int:
+def decode(data: Annotated[Bytes, 's'], starts: Annotated[Ints, 'n'], sizes: Annotated[Ints, 'n'],
+           has_header: bool, is_list: bool, has_child_frame: bool, before_doubles: int,
+           stamps: Annotated[Ints, 'n', WRITTEN], bits: Annotated[Ints, 'n d', WRITTEN],
+           texts: Annotated[Ints, 'n 2', WRITTEN],
+           changes: Annotated[NDArray[np.bool_], 'n', WRITTEN],
+           after: Annotated[Ints, 'n', WRITTEN]) -> int:
     """
     Decode messages in CDR.
 
@@ -99,8 +102,11 @@ def decode(data: Bytes, starts: Ints, sizes: Ints, has_header: bool, is_list: bo
 
 
 @njit
-def find_transforms(data: Bytes, starts: Ints, sizes: Ints, is_list: bool, parent: Bytes,
-                    child: Bytes, rows: Ints, stamps: Ints, bits: Ints) -> tuple[int, int]:
+def find_transforms(data: Annotated[Bytes, 's'], starts: Annotated[Ints, 'n'],
+                    sizes: Annotated[Ints, 'n'], is_list: bool, parent: Annotated[Bytes, 'p'],
+                    child: Annotated[Bytes, 'c'], rows: Annotated[Ints, 'm', WRITTEN],
+                    stamps: Annotated[Ints, 'm', WRITTEN],
+                    bits: Annotated[Ints, 'm d', WRITTEN]) -> tuple[int, int]:
     """
     Decode the transforms from one frame to another.
 
@@ -157,8 +163,10 @@ def find_transforms(data: Bytes, starts: Ints, sizes: Ints, is_list: bool, paren
 
 
 @njit
-def scan(data: Bytes, position: int, count: int, channels: Ints, log_ns: Ints, publish_ns: Ints,
-         starts: Ints, sizes: Ints) -> tuple[int, int]:
+def scan(data: Annotated[Bytes, 's'], position: int, count: int,
+         channels: Annotated[Ints, 'n', WRITTEN], log_ns: Annotated[Ints, 'n', WRITTEN],
+         publish_ns: Annotated[Ints, 'n', WRITTEN], starts: Annotated[Ints, 'n', WRITTEN],
+         sizes: Annotated[Ints, 'n', WRITTEN]) -> tuple[int, int]:
     """
     Find the messages in MCAP records, up to the first record that is not a message.
 

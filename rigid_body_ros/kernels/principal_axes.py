@@ -30,13 +30,13 @@ on to convergence.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import body_layout
 from rigid_body_ros.kernels import double_double as dd
-from rigid_body_ros.kernels.jit import internal, njit
+from rigid_body_ros.kernels.jit import internal, njit, WRITTEN
 from rigid_body_ros.kernels.triple_double import (
     add_product,
     add_scaled,
@@ -63,18 +63,17 @@ _ZERO = (0.0, 0.0, 0.0)
 class AxesWorkspace(NamedTuple):
     """The arrays that principal moments and axes are computed in."""
 
-    #: float64 (3, 3): the tensor in the axes found so far, these as columns, and the shares of
-    #: `_refine`.
-    matrix: Floats
-    axes: Floats
-    shares: Floats
-    #: float64 (3, 3, 3): see `_fill_residuals`.
-    r: Floats
-    g: Floats
-    #: float64 (3,): the moments, and see `_iterate`.
-    moments: Floats
-    z: Floats
-    sums: Floats
+    #: The tensor in the axes found so far, these as columns, and the shares of `_refine`.
+    matrix: Annotated[Floats, '3 3', WRITTEN]
+    axes: Annotated[Floats, '3 3', WRITTEN]
+    shares: Annotated[Floats, '3 3', WRITTEN]
+    #: See `_fill_residuals`.
+    r: Annotated[Floats, '3 3 3', WRITTEN]
+    g: Annotated[Floats, '3 3 3', WRITTEN]
+    #: The moments, and see `_iterate`.
+    moments: Annotated[Floats, '3', WRITTEN]
+    z: Annotated[Floats, '3', WRITTEN]
+    sums: Annotated[Floats, '3', WRITTEN]
 
 
 def workspace() -> AxesWorkspace:
@@ -83,7 +82,9 @@ def workspace() -> AxesWorkspace:
 
 
 @njit
-def fill_components(high: Floats, low: Floats, vectors: Floats, components: Floats) -> None:
+def fill_components(high: Annotated[Floats, '3 3'], low: Annotated[Floats, '3 3'],
+                    vectors: Annotated[Floats, 'n 3'],
+                    components: Annotated[Floats, 'n 3 2', WRITTEN]) -> None:
     """
     Compute the components of vectors along axes.
 

@@ -16,13 +16,14 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
-from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels import four, intervals, layout
 from rigid_body_ros.kernels.double_double import DoubleDouble
-from rigid_body_ros.kernels.jit import inlined, njit
+from rigid_body_ros.kernels.jit import inlined, njit, WRITTEN
 from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.vector import add, add_scaled, Polynomial, scale, two_sum, Vector
 
@@ -58,8 +59,9 @@ def _seconds(span_ns: int) -> DoubleDouble:
 
 
 @njit
-def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Floats,
-                times_ns: NDArray[np.int64], result: Floats) -> None:
+def momentum_at(row_times_ns: Annotated[Ints, 'n'], momentum: Annotated[Floats, 'n 2 3'],
+                motors: Annotated[Floats, 'n d+1 3'], times_ns: Annotated[Ints, 'm'],
+                result: Annotated[Floats, 'm 2 3', WRITTEN]) -> None:
     """
     Compute the momentum of the rotors and its low-order part.
 

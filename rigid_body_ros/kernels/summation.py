@@ -16,14 +16,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.kernels import four, intervals
-from rigid_body_ros.kernels.jit import inlined, njit
+from rigid_body_ros.kernels.jit import inlined, njit, WRITTEN
 from rigid_body_ros.kernels.layout import Samples, Sums
 from rigid_body_ros.kernels.rotors import after, Rotor
 from rigid_body_ros.kernels.vector import add, of, Polynomial, shifted, Vector
@@ -40,8 +40,10 @@ class _Total(NamedTuple):
 
 
 @njit
-def sum_rows(times_ns: NDArray[np.int64], body: Floats, space: Floats, on_rotors: Floats,
-             momentum: Floats, sums: Sums, in_space: NDArray[np.bool_]) -> None:
+def sum_rows(times_ns: Annotated[Ints, 'n'], body: Annotated[Floats, 'n|1 3'],
+             space: Annotated[Floats, 'n|1 3'], on_rotors: Annotated[Floats, 'n|1 3'],
+             momentum: Annotated[Floats, '2 3'], sums: Sums,
+             in_space: Annotated[NDArray[np.bool_], 'n', WRITTEN]) -> None:
     """
     Sum held torques that change at the same times.
 
@@ -81,9 +83,10 @@ def _loaded(momentum: Floats) -> Rotor:
 
 
 @njit
-def sum_logs(samples: Samples, in_force: NDArray[np.intp], timeout_ns: int, start_ns: int,
-             momentum: Floats, sums: Sums, times_ns: NDArray[np.int64],
-             spaces: NDArray[np.bool_]) -> int:
+def sum_logs(samples: Samples, in_force: Annotated[Ints, 's', WRITTEN], timeout_ns: int,
+             start_ns: int, momentum: Annotated[Floats, '2 3'], sums: Sums,
+             times_ns: Annotated[Ints, 'n', WRITTEN],
+             spaces: Annotated[NDArray[np.bool_], 'n', WRITTEN]) -> int:
     """
     Sum torques of any sources, the last of which is the torque on the rotors.
 

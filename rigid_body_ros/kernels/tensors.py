@@ -21,14 +21,14 @@ result, `tensor` must compute that body.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import body_layout, principal_axes
 from rigid_body_ros.kernels.double_double import DoubleDouble, two_sum
-from rigid_body_ros.kernels.jit import internal, njit
+from rigid_body_ros.kernels.jit import internal, njit, WRITTEN
 from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.triple_double import (
     add_product,
@@ -51,20 +51,21 @@ _ZERO = (0.0, 0.0, 0.0)
 class BodyWorkspace(NamedTuple):
     """The arrays that the constants of a body are computed in."""
 
-    #: float64 (3, 3, 4)
-    cofactors: Floats
-    #: float64 (3, 12, 2)
-    right: Floats
+    cofactors: Annotated[Floats, '3 3 4', WRITTEN]
+    right: Annotated[Floats, '3 12 2', WRITTEN]
     axes: principal_axes.AxesWorkspace
 
 
 def workspace() -> BodyWorkspace:
     """Return arrays, not yet filled."""
-    return BodyWorkspace(np.empty((3, 3, 4)), np.empty((3, 12, 2)), principal_axes.workspace())
+    return BodyWorkspace(np.empty((3, 3, 4)), np.empty((3, 12, 2)),
+                         principal_axes.workspace())
 
 
 @njit
-def fill_constants(tensors: Floats, damping: Floats, constants: Floats, certain: NDArray[np.bool_],
+def fill_constants(tensors: Annotated[Floats, 'n 3 3'], damping: Annotated[Floats, 'n 3 3'],
+                   constants: Annotated[Floats, f'n {body_layout.SIZE}', WRITTEN],
+                   certain: Annotated[NDArray[np.bool_], 'n', WRITTEN],
                    work: BodyWorkspace) -> None:
     """
     Compute the constants of bodies.

@@ -16,13 +16,16 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels.jit import internal, njit
+from rigid_body_ros.kernels.jit import internal, njit, WRITTEN
 
 
 @njit
-def fill_triangle(columns: Floats, triangle: Floats) -> None:
+def fill_triangle(columns: Annotated[Floats, 'n m', WRITTEN],
+                  triangle: Annotated[Floats, 'n n', WRITTEN]) -> None:
     """
     Compute the triangular factor of a matrix by Householder reflections.
 

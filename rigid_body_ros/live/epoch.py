@@ -16,44 +16,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from functools import partial
 
 import numpy as np
-from rigid_body_ros.engine import announced
 from rigid_body_ros.live.inputs import Torque
-from rigid_body_ros.mechanics import euler
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Propagator
 from rigid_body_ros.propagation.segment import Sample, WHEELS
 from rigid_body_ros.scene import Scene
-
-#: Logged before the compilation.
-_COMPILING = ('compiling the kernels, or waiting for a process that does: usually up to a minute, '
-              'once after each installation; python3 -m rigid_body_ros.warm_up does it in '
-              'advance')
-
-
-def warm_up_for(scene: Scene, log: Callable[[str], None]) -> None:
-    """
-    Compile the kernels that a scene needs, or load the code of an earlier process.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    log : callable
-        Receives a message before a kernel is compiled.
-
-    """
-    always_has_terms = scene.body.is_damped or scene.start.rotor_momentum.any()
-    with announced(partial(log, _COMPILING)):
-        if not always_has_terms:
-            start = Propagator(scene.body, State()).at(1)
-        if always_has_terms or scene.wheels or len(scene.torque_topics) > 1:
-            start = Propagator(scene.body, State(rotor_momentum=(1.0, 0.0, 0.0))).at(1)
-        euler.from_quaternion(start.attitude, scene.euler_sequence)
 
 
 class Epoch:

@@ -36,7 +36,6 @@ from rigid_body_ros import scene
 from rigid_body_ros.common.arrays import written
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.live.checkpoint import Checkpoint
-from rigid_body_ros.live.epoch import warm_up_for
 from rigid_body_ros.live.events import RECEIVED, RejectedError, UNSAVED
 from rigid_body_ros.live.inputs import Inputs, Torque
 from rigid_body_ros.live.torque_queue import Sender
@@ -106,7 +105,6 @@ class AttitudeComponent:
         path, name = self._scene.checkpoint, self._node.get_fully_qualified_name()
         self._checkpoint = Checkpoint(path, self._scene, name) if path else None
         self._announce()
-        warm_up_for(self._scene, self._node.get_logger().info)
         with _one_line_errors():
             self._diagnostics = Diagnostics(self._node, self._sources)
             self._inputs = Inputs(self._scene, self._diagnostics)

@@ -38,7 +38,7 @@ class AttitudeLifecycleNode(LifecycleNode):
     """
     An `AttitudeNode` whose life a manager controls.
 
-    *configure* reads the scene and compiles; *activate* subscribes and publishes; *deactivate*
+    *configure* reads the scene; *activate* subscribes and publishes; *deactivate*
     unsubscribes and keeps the motion, which continues under the last torques; *cleanup* publishes
     the end of the log and forgets the motion. If the parameter `autostart` is true, the node
     configures and activates itself.
@@ -83,7 +83,7 @@ class AttitudeLifecycleNode(LifecycleNode):
                 raise self._error
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Read the scene, compile, and create the publishers."""
+        """Read the scene, and create the publishers."""
         return super().on_configure(state) if self._attempt(self._configure) else _FAILURE
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:

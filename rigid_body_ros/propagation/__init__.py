@@ -24,7 +24,6 @@ for bit.
 """
 
 from rigid_body_ros.common.times import LONGEST
-from rigid_body_ros.propagation.compilation import warm_up
 from rigid_body_ros.propagation.many import propagate_many, Trajectories
 from rigid_body_ros.propagation.models import Model
 from rigid_body_ros.propagation.options import Options, TOLERANCES
@@ -34,5 +33,4 @@ from rigid_body_ros.propagation.solvers import Solver, SOLVERS
 from rigid_body_ros.propagation.trajectory import Trajectory
 
 __all__ = ['LONGEST', 'SOLVERS', 'TOLERANCES', 'Integration', 'Model', 'Options', 'Problem',
-           'Propagator', 'Solver', 'Trajectories', 'Trajectory', 'propagate', 'propagate_many',
-           'warm_up']
+           'Propagator', 'Solver', 'Trajectories', 'Trajectory', 'propagate', 'propagate_many']

@@ -20,7 +20,7 @@ from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 import math
 import time
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -293,13 +293,14 @@ class _Runs:
     def _run_alike(self, which: NDArray[np.intp], rows: Rows, gains: Floats | None) -> None:
         """Run the loop over some runs, in chunks."""
         gains = np.ones(len(self._progress)) if gains is None else gains
-        work = many_loop.workspace(LANES, rows)
+        of_all = cast(many_loop.ManyRows, rows)  # torques and momentum have one more axis
+        work = many_loop.workspace(LANES, of_all)
         done, chunk = 0, LANES
         while done < len(which):
             began = time.monotonic()
             done += kernels.run_each(
                 which[done:done + chunk], self._progress, self._times_ns, self._order,
-                self._motions, rows, self._bodies._constants, self._options.method, gains, work)
+                self._motions, of_all, self._bodies._constants, self._options.method, gains, work)
             if time.monotonic() - began < _PATIENCE:
                 chunk *= 2
 

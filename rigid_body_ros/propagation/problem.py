@@ -328,7 +328,7 @@ class Integration:
             if self._is_begun or end - first < len(closed) - 1:
                 progress['row'] -= first
                 progress['stop'] = end - first
-            marks = closed[first:] if first else closed
+            marks = closed[first:first + len(rows.times_ns) + 1]
             while result := kernels.run(progress, times_ns, order, motion, marks, rows,
                                         problem.body._constants, problem.options.method):
                 if result == layout.TOO_FAST:

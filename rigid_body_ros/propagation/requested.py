@@ -37,4 +37,4 @@ def checked_times(at: ArrayLike, start_ns: int) -> tuple[NDArray[np.int64], bool
     if last_ns - start_ns >= NEVER_NS:
         raise ValueError(f'at: expected times within 292 years of the start ({start_ns} ns), '
                          f'found {last_ns} ns')
-    return times, ascends, int(last_ns)  # a numpy integer if numba is absent
+    return times, ascends, int(last_ns)  # a numpy integer from plain Python

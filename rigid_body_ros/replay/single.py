@@ -33,7 +33,7 @@ from rigid_body_ros import recording
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.messages import VECTOR3
-from rigid_body_ros.propagation import Problem, Trajectory, warm_up
+from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.recording import (
     Logged,
     NotInOrderError,
@@ -206,8 +206,6 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     with files.reading(path), files.protected('scene', scene.path), ExitStack() as stack:
         if output is not None:
             files.check((output, suffix_of(output)))
-        for prepare in progress('loading kernels (compiled on first use)')([warm_up], 1):
-            prepare()
         topics = given.found_in(path, scene)
         if start and (len(topics.wrenches) > 1 or topics.wheel_torque or topics.wheel_momentum):
             raise InputError('--start: expected one topic of torques, found several, or rotors; '

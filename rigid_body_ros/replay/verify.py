@@ -32,7 +32,7 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.recording import Logged, Source, Topics
 from rigid_body_ros.replay.epochs import groups
 from rigid_body_ros.report.text import lines
-from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, PROCESSOR, processor
+from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
 from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
 
@@ -274,7 +274,5 @@ def _different_versions(made_by: dict[str, str]) -> dict[str, tuple[str, str]]:
         there = None
     if not isinstance(there, dict):
         return {name: ('unknown', version) for name, version in here.items()}
-    if PROCESSOR in there:
-        here[PROCESSOR] = processor()
     return {name: (shortened(str(there[name]), 100), version) for name, version in here.items()
             if name in there and there[name] != version}

@@ -33,8 +33,7 @@ from typing import Any, TYPE_CHECKING
 import warnings
 
 from rigid_body_ros.common.errors import InputError, quoted, reason
-from rigid_body_ros.engine import sources_hash
-from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
+from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, sources_hash
 from rigid_body_ros.runtime.pool import WorkerError, Workers
 
 if TYPE_CHECKING:  # takes a second to import, and only --scheduler needs it

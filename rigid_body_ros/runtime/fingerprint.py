@@ -12,40 +12,44 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Software versions that determine the last bits of a motion for a given scene and torques."""
+"""What determines the last bits of a motion for a given scene and torques."""
 
 from __future__ import annotations
 
+import hashlib
 from importlib.metadata import PackageNotFoundError, version
-import platform
+from pathlib import Path
 
-from rigid_body_ros.engine import COMPILES
+from rigid_body_ros.engine.binding import kernels_hash, LEVEL
 
 NAME = 'rigid_body_ros'
-#: Packages that compile the kernels.
-_COMPILERS = ('numba', 'llvmlite')
-#: Key in recordings of earlier versions, whose last bits also depended on the processor.
-PROCESSOR = 'processor'
 
 
 def fingerprint() -> dict[str, str]:
     """
-    Return package versions by name; equal versions give equal bits on any processor.
+    Return the versions of packages by name, and the hash of the kernels.
 
-    The version of a compiler that is not in use is 'none'.
+    Equal ones give equal bits, whatever the processor and the compiler.
     """
-    found = {package: _version(package) for package in (NAME, 'numpy')}
-    return {**found, **{package: _version(package) if COMPILES else 'none'
-                        for package in _COMPILERS}}
+    return {**{package: _version(package) for package in (NAME, 'numpy')},
+            'kernels': kernels_hash()[:12]}
 
 
-def processor() -> str:
-    """Return the processor name that earlier versions recorded under `PROCESSOR`."""
-    try:
-        from llvmlite import binding
-    except ImportError:
-        return platform.machine()
-    return f'{platform.machine()} {binding.get_host_cpu_name()}'
+def build_info() -> dict[str, str]:
+    """
+    Return the version of the package, the hash of its kernels, and the level that they run at.
+
+    The level is that of the processor that they are compiled for, such as x86-64-v3, or `python`.
+    """
+    return {'version': _version(NAME), 'kernels': kernels_hash()[:12], 'level': LEVEL}
+
+
+def sources_hash() -> str:
+    """Return a hash of the sources of the package."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).resolve().parents[1].rglob('*.py')):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def _version(package: str) -> str:

@@ -16,10 +16,9 @@
 Handle SIGINT and SIGTERM between two steps of a command's work.
 
 An exception raised by a signal handler can be lost: Python drops it in weak reference callbacks
-and finalizers, and numpy and the compiler drop it when they call back from C. It can also arrive
-in the middle of a cleanup. So the handlers only record the signal, and long-running work checks
-for it. Work that does not check, such as compilation, is interrupted after a second, but never
-inside llvmlite: there an exception can leave Python with an object that LLVM has freed.
+and finalizers, and numpy drops it when it calls back from C. It can also arrive in the middle of a
+cleanup. So the handlers only record the signal, and long-running work checks for it. Work that
+does not check is interrupted after a second.
 """
 
 from __future__ import annotations
@@ -38,8 +37,6 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _PATIENCE = 1.0
 #: s; it is raised again after this time, in case it was lost; a cleanup takes less time.
 _AGAIN = 5.0
-#: s; the wait for the end of a call into LLVM.
-_SOON = 0.01
 
 #: The number of the first signal.
 _received: list[int] = []
@@ -126,18 +123,7 @@ def _record(number: int, frame: FrameType | None) -> None:
 
 
 def _raise(number: int, frame: FrameType | None) -> None:
-    if _calls_llvm(frame):
-        _set_alarm(_SOON)
-    else:
-        raise KeyboardInterrupt(*_received)
-
-
-def _calls_llvm(frame: FrameType | None) -> bool:
-    while frame is not None:
-        if frame.f_globals.get('__name__', '').startswith('llvmlite.binding.'):
-            return True
-        frame = frame.f_back
-    return False
+    raise KeyboardInterrupt(*_received)
 
 
 def _set_alarm(seconds: float) -> None:

@@ -72,12 +72,12 @@ def as_data(result: Tradeoff) -> dict[str, Any]:
     return {
         'machine': platform.platform(), 'processor': platform.processor() or platform.machine(),
         'versions': {'python': platform.python_version(),
-                     **{name: metadata.version(name) for name in ('numpy', 'numba')}},
+                     **{name: metadata.version(name) for name in ('numpy',)}},
         'stretch_s': span, 'stretch_angle_rad': result.angle, 'whole_s': result.whole.seconds,
         'samples': result.stretch.samples, 'outputs': len(result.stretch.times_ns),
         'interpolation': result.stretch.interpolation,
         'torque_free': result.stretch.torque_free,
-        'load_or_compile_s': result.load_seconds, 'rounding_floor_rad': result.reference.floor,
+        'rounding_floor_rad': result.reference.floor,
         'rounding_floor_is': ' '.join(_FLOORS[result.stretch.has_linear_terms]),
         'last_digit_effect_rad': result.reference.last_digits,
         **targets[0], 'targets': targets, 'ensemble': _ensemble_data(result.ensemble),
@@ -184,7 +184,6 @@ def _facts(result: Tradeoff) -> list[tuple[str, str]]:
             ('drift', f'momentum and energy: {_drift(result)}'),
             ('cost', f'wall time per simulated second with {len(result.stretch.times_ns)} '
                      'outputs; fastest of several runs'),
-            ('first call', f'kernels loaded or compiled in {result.load_seconds:.3g} s'),
             ('rounding floor', f'{reference.floor:.1e} rad, {floor}'), ('', rest),
             ('last digits', _DIGITS.format(reference.last_digits)),
             *_interpolation(result)]

@@ -24,7 +24,7 @@ import time
 
 import numpy as np
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.propagation import Problem, Trajectory, warm_up
+from rigid_body_ros.propagation import Problem, Trajectory
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.tradeoff.choices import Advice, Choice, Error, Measurement, NO_ERROR, recommend
 from rigid_body_ros.tradeoff.interpolation import (
@@ -67,8 +67,6 @@ class Tradeoff:
         By target, rad, the recommended setting, or None if no setting meets the target.
     error_on_whole : callable
         Returns the attitude error of a measurement on the whole log; see `recommend`.
-    load_seconds : float
-        Time to load the kernels, or to compile them the first time.
     ensemble : Advice, optional
         For the ensemble that sets one of the targets.
 
@@ -83,7 +81,6 @@ class Tradeoff:
     interpolation_differences: Mapping[str, float | None]
     choices: Mapping[float, Choice | None]
     error_on_whole: Callable[[Measurement], float | None]
-    load_seconds: float
     ensemble: Advice | None = None
 
     @property
@@ -147,9 +144,6 @@ def measure(problem: Problem, *, end_ns: int | None = None,
         spin the body too fast to compute its motion.
 
     """
-    began = time.perf_counter()
-    warm_up()
-    load_seconds = time.perf_counter() - began
     case = whole(problem, end_ns)
     stretch = case.stretch()
     reference = Reference.of(stretch)
@@ -164,7 +158,7 @@ def measure(problem: Problem, *, end_ns: int | None = None,
                for target in targets}
     return Tradeoff(stretch, case, turned_angle(reference.trajectory), measurements, reference,
                     interpolation_errors(stretch), final_differences(case), choices,
-                    error_on_whole, load_seconds)
+                    error_on_whole)
 
 
 def _measure_all(case: Case, settings: Sequence[Setting], reference: Reference,

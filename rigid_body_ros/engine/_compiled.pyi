@@ -12,14 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the tests of single kernels share."""
+from collections.abc import Callable
+from typing import Any
 
-from functools import cache
+FILES: str
+SOURCES: str
+LEVELS: tuple[str, ...]
 
-import numba
-
-
-@cache
-def callable_(internal):
-    """Return an internal function of the kernels as one that Python can call."""
-    return numba.njit(error_model='numpy')(lambda *arguments: internal(*arguments))
+def kernels(level: str) -> dict[str, Callable[..., Any]]: ...

@@ -12,18 +12,17 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Compile the kernels before they are needed."""
+"""Public names that stay for one release."""
 
-import numpy as np
-from rigid_body_ros.mechanics.body import RigidBody
-from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import TorqueLog
-from rigid_body_ros.propagation.problem import propagate
-from rigid_body_ros.propagation.propagator import Propagator
+import warnings
 
 
 def warm_up() -> None:
-    """Compile every kernel, or load the code that an earlier process compiled."""
-    body, start = RigidBody(np.eye(3)), State()
-    propagate(body, start, TorqueLog([0], [[1.0, 0.0, 0.0]]), at=[1, 2]).euler_angles()
-    Propagator(body, start).at(1)
+    """
+    Do nothing: the kernels are compiled when the package is built.
+
+    .. deprecated:: 0.1.0
+        The next release does not have it.
+    """
+    warnings.warn('rigid_body_ros.warm_up does nothing: the kernels are compiled when the package '
+                  'is built; the next release does not have it', DeprecationWarning, stacklevel=2)

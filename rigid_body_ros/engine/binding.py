@@ -1,0 +1,72 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The compiled kernels, in place of their sources in Python.
+
+``RIGID_BODY_ROS_KERNELS`` chooses the processor level, of those that the processor has, or
+``python``: the sources themselves, which compute the same bits, hundreds of times slower.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import os
+from typing import Any, TypeVar
+
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.kernels.sources import files_hash, sources_hash
+
+Kernel = TypeVar('Kernel', bound=Callable[..., Any])
+
+_VARIABLE = 'RIGID_BODY_ROS_KERNELS'
+_BUILD = 'in the folder of its source, run pip install . or colcon build'
+
+
+class KernelsError(InputError, ImportError):
+    """The compiled kernels cannot be used: a command reports it in one line."""
+
+
+def _loaded() -> tuple[dict[str, Any], str, str]:
+    # Return the compiled kernels by name, their level, and the hash of their sources.
+    choice = os.environ.get(_VARIABLE, '')
+    if choice == 'python':
+        return {}, choice, ''
+    try:
+        from rigid_body_ros.engine import _compiled
+    except ImportError as error:
+        raise KernelsError(f'the kernels of rigid_body_ros are not compiled: {_BUILD} ({error})') \
+            from None
+    if files_hash() != _compiled.FILES and sources_hash() != _compiled.SOURCES:
+        raise KernelsError('the kernels of rigid_body_ros have changed since they were compiled: '
+                           f'{_BUILD}, or set {_VARIABLE}=python')
+    levels = _compiled.LEVELS
+    if choice and choice not in levels:
+        raise KernelsError(f"{_VARIABLE}: expected python or {' or '.join(levels)}, "
+                           f'found {choice!r}')
+    level = choice or levels[0]
+    return _compiled.kernels(level), level, _compiled.SOURCES
+
+
+_KERNELS, LEVEL, _HASH = _loaded()
+
+
+def kernels_hash() -> str:
+    """Return the hash of the kernels without comments and docstrings."""
+    return _HASH or sources_hash()
+
+
+def bind(source: Kernel) -> Kernel:
+    """Return a kernel as it is compiled; given is its source."""
+    return _KERNELS[source.__name__] if _KERNELS else source

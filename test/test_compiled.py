@@ -1,0 +1,381 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The compiled kernels: their bits, what they refuse, and what an installation takes of them."""
+
+from importlib import import_module
+from importlib.util import find_spec
+import os
+from pkgutil import iter_modules
+import random
+import re
+import shutil
+import subprocess
+import sys
+from threading import Event, Thread
+import time
+from types import BuiltinFunctionType, UnionType
+from typing import Annotated, get_args, get_origin, get_type_hints, Union
+
+from conftest import PACKAGE
+import numpy as np
+import pytest
+from rigid_body_ros import build_info, propagate, RigidBody, State, TorqueLog, warm_up
+from rigid_body_ros import kernels as package
+from rigid_body_ros.engine import _compiled, binding, kernels
+from rigid_body_ros.kernels.jit import WRITTEN
+
+SCRIPT = """
+from rigid_body_ros import RigidBody, State, TorqueLog, propagate
+log = TorqueLog([0, 10 ** 9], [[0.1, 0.2, -0.1], [0.0, 0.3, 0.0]], ['body', 'space'])
+body = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
+motion = propagate(body, State(0, angular_velocity=(0.5, -0.7, 0.9)), log, at=[3 * 10 ** 9])
+print(*(x.hex() for x in motion.attitude[0].tolist()))
+"""
+OFFLINE = ('replay', 'tradeoff', 'compare', 'identify', 'ensemble')
+NODES = ('node', 'lifecycle_node', 'controller')
+
+
+def run(script, cwd='/', **environment):
+    return subprocess.run([sys.executable, '-c', script], env={**os.environ, **environment},
+                          cwd=cwd, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize('level', [*_compiled.LEVELS, 'python'])
+def test_every_level_and_plain_python_give_the_same_bits(level):
+    log = TorqueLog([0, 10 ** 9], [[0.1, 0.2, -0.1], [0.0, 0.3, 0.0]], ['body', 'space'])
+    body = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
+    here = propagate(body, State(0, angular_velocity=(0.5, -0.7, 0.9)), log, at=[3 * 10 ** 9])
+    result = run(SCRIPT, RIGID_BODY_ROS_KERNELS=level)
+    assert result.stderr == ''
+    assert [*map(float.fromhex, result.stdout.split())] == here.attitude[0].tolist()
+
+
+@pytest.mark.parametrize('level', _compiled.LEVELS)
+def test_other_threads_run_while_a_kernel_does(level):
+    kernel = _compiled.kernels(level)['fill_exponentials']
+    numbers, results = np.linspace(-1.0, 1.0, 2_000_000), np.empty(2_000_000)
+    ticks, done = [], Event()
+
+    def tick():
+        while not done.is_set():
+            ticks.append(time.perf_counter())
+            time.sleep(1e-3)
+
+    def ticks_meanwhile():
+        begin = time.perf_counter()
+        kernel(numbers, results)
+        share = 0.25 * (time.perf_counter() - begin)
+        return any(begin + share < moment < begin + 3.0 * share for moment in ticks)
+    thread = Thread(target=tick)
+    thread.start()
+    try:  # on a busy machine the thread may have to wait for a processor
+        assert any(ticks_meanwhile() for _ in range(50))
+    finally:
+        done.set()
+        thread.join()
+
+
+@pytest.mark.parametrize('level', _compiled.LEVELS)
+def test_all_kernels_that_python_calls_are_compiled(level):
+    # Without `bind` a kernel would run as plain Python.
+    called = {name for name, value in vars(kernels).items()
+              if callable(value) and value is not binding.bind}
+    assert called == set(_compiled.kernels(level))
+    if binding.LEVEL != 'python':
+        assert {type(getattr(kernels, name)) for name in called} == {BuiltinFunctionType}
+
+
+def sources():
+    """Return the sources of the compiled kernels by name."""
+    modules = [import_module(f'{package.__name__}.{module.name}')
+               for module in iter_modules(package.__path__)]
+    return {name: getattr(module, name) for name in _compiled.kernels(_compiled.LEVELS[0])
+            for module in modules
+            if getattr(getattr(module, name, None), '__module__', '') == module.__name__}
+
+
+class Good:
+    """
+    Random arguments that a kernel takes, from its annotations.
+
+    `leaves` has the label of each argument, and of each part of a named tuple, with its kind: a
+    type, or the dimensions of an array as texts.
+    """
+
+    def __init__(self, hints, choose):
+        self._choose = choose
+        #: Each is at least 2, so that no dimension is the other one that '|' allows.
+        self.variables = {letter: choose.randint(2, 4) for letter in 'abcdefghijklmnopqrstuvwxyz'}
+        self.leaves, self.written, self.optional = {}, set(), set()
+        self.values = {name: self._value(hint, name) for name, hint in hints.items()}
+
+    def _value(self, hint, label):
+        if get_origin(hint) in (Union, UnionType):
+            self.optional.add(label)
+            hint = self._choose.choice(get_args(hint))
+        if get_origin(hint) is Annotated:
+            return self._array(label, *get_args(hint))
+        self.leaves[label] = hint
+        if hasattr(hint, '_fields'):
+            hints = get_type_hints(hint, include_extras=True)
+            return hint(*(self._value(part, f'{label}.{name}') for name, part in hints.items()))
+        return None if hint is type(None) else hint(0)
+
+    def _array(self, label, array, shape, *marks):
+        self.leaves[label] = shape.split()
+        if WRITTEN in marks:
+            self.written.add(label)
+        dtype, = [mark for mark in marks if isinstance(mark, np.dtype)] or [
+            get_args(get_args(array)[1])[0]]
+        return np.zeros([*map(self._size, shape.split())], dtype)
+
+    def _size(self, text):
+        factor, variable, offset = re.fullmatch(
+            r'(\d*)([a-z]?)([+-]\d+)?', text.partition('|')[0]).groups()
+        if not variable:
+            return int(factor)
+        return int(factor or 1) * self.variables[variable] + int(offset or 0)
+
+    def get(self, label):
+        name, *rest = label.split('.')
+        value = self.values[name]
+        for part in rest:
+            value = getattr(value, part)
+        return value
+
+    def having(self, label, value):
+        """Return all arguments, of which a part is another."""
+        outer, _, last = label.rpartition('.')
+        if outer:
+            return self.having(outer, self.get(outer)._replace(**{last: value}))
+        return [*{**self.values, label: value}.values()]
+
+    def sharing(self, text):
+        """Return the labels of the arrays that have a dimension with the variable of a text."""
+        variable = re.sub('[^a-z]', '', text)
+        return [label for label, kind in self.leaves.items() if isinstance(kind, list)
+                for other in kind if variable and variable in other]
+
+
+def other_type(array, good, label, choose):
+    other = choose.choice([kind for kind in TYPES if array.dtype != kind])
+    return TypeError, [label], np.zeros(array.shape, other)
+
+
+def other_dimensions(array, good, label, choose):
+    return TypeError, [label], choose.choice([array[None], array[0]])
+
+
+def other_shape(array, good, label, choose):
+    place = choose.randrange(array.ndim)
+    text = good.leaves[label][place]
+    shared = good.sharing(text) or 2 * [label]
+    if len(shared) == 1 and not text[0].isdigit():
+        return None  # any size is right
+    shape = [size + (k == place) for k, size in enumerate(array.shape)]
+    return ValueError, [*shared], np.zeros(shape, array.dtype)
+
+
+def other_strides(array, good, label, choose):
+    wide = np.zeros([2 * size for size in array.shape], array.dtype)
+    found = choose.choice([wide[tuple(slice(None, None, 2) for _ in array.shape)], array[::-1],
+                           np.asfortranarray(array)])
+    return None if found.flags.c_contiguous else (TypeError, [label], found)
+
+
+def misaligned(array, good, label, choose):
+    if array.dtype.alignment == 1:
+        return None
+    data = np.zeros(array.nbytes + 1, np.uint8)[1:]
+    return TypeError, [label], data.view(array.dtype).reshape(array.shape)
+
+
+def read_only(array, good, label, choose):
+    if label not in good.written:
+        return None
+    array.flags.writeable = False
+    return TypeError, [label], array
+
+
+def no_array(array, good, label, choose):
+    others = [1.0, 'text', (), array.tolist(), np.float64()]
+    return TypeError, [label], choose.choice(others + [None] * (label not in good.optional))
+
+
+TYPES = ('f4', 'f8', '>f8', 'i4', 'i8', '>i8', 'u8', 'u1', '?', 'c16', 'O', 'U1', 'V5')
+SPOILT = [other_type, other_dimensions, other_shape, other_strides, misaligned, read_only,
+          no_array]
+#: What is no number of a type.
+NUMBERS = {int: [1.5, None, '1', 2 ** 63, (), np.zeros(2)],
+           float: [None, '1.0', 1j, (), np.zeros(2)], bool: [1, None, 'yes', np.zeros(2, bool)],
+           type(None): [0, (), np.zeros(2)]}
+
+
+def spoilt(good, choose):
+    """Return the error, the labels of which it names one, and what replaces the first."""
+    label, kind = choose.choice([*good.leaves.items()])
+    value = good.get(label)
+    if isinstance(kind, list):
+        found = choose.choice(SPOILT)(value, good, label, choose)
+        return found and (*found[:2], good.having(label, found[2]))
+    options = NUMBERS.get(kind) or [[*value], value[:-1], (*value, None), 1.0]
+    return TypeError, [label], good.having(label, choose.choice(options))
+
+
+@pytest.mark.parametrize('level', _compiled.LEVELS)
+@pytest.mark.parametrize(('name', 'source'), sources().items(), ids=[*sources()])
+def test_an_argument_of_the_wrong_kind_is_named(name, source, level):
+    kernel, choose = _compiled.kernels(level)[name], random.Random(name)
+    hints = get_type_hints(source, include_extras=True)
+    del hints['return']
+    tried = set()
+    for _ in range(200):
+        if case := spoilt(Good(hints, choose), choose):
+            error, labels, arguments = case
+            with pytest.raises(error) as raised:
+                kernel(*arguments)
+            place, = re.findall(rf'^{name}: expected ([\w.]+): .+, found .+', str(raised.value))
+            assert place in labels
+            tried.add(labels[0].split('.')[0])
+    assert tried == set(hints)
+
+
+@pytest.mark.parametrize('level', _compiled.LEVELS)
+def test_another_number_of_arguments_is_refused(level):
+    for name, kernel in _compiled.kernels(level).items():
+        count = len(get_type_hints(sources()[name])) - 1
+        for wrong in {0, count - 1, count + 1, 99} - {count}:
+            with pytest.raises(TypeError, match=f'^{name}: expected {count} arguments, found '
+                                                f'{wrong}$'):
+                kernel(*wrong * [None])
+        with pytest.raises(TypeError, match='takes no keyword arguments'):
+            kernel(*count * [None], more=None)
+
+
+def test_an_unknown_level_is_an_error_that_names_those_that_exist():
+    result = run(SCRIPT, RIGID_BODY_ROS_KERNELS='x86-64-v9')
+    assert result.stderr.splitlines()[-1].endswith(
+        'RIGID_BODY_ROS_KERNELS: expected python or '
+        f"{' or '.join(_compiled.LEVELS)}, found 'x86-64-v9'")
+    assert result.returncode == 1
+
+
+def test_a_command_reports_an_unknown_level_in_one_line(tmp_path):
+    result = run('import sys; from rigid_body_ros.commands.main import attitude_replay; '
+                 "sys.exit(attitude_replay(['log.csv', '--scene', 'scene.yaml']))", tmp_path,
+                 RIGID_BODY_ROS_KERNELS='x86-64-v9', PYTHONPATH=str(PACKAGE.parent))
+    line, = result.stderr.splitlines()
+    assert line.startswith('attitude_replay: error: RIGID_BODY_ROS_KERNELS: expected python or ')
+    assert result.returncode == 2
+
+
+@pytest.fixture
+def copied(tmp_path):
+    """Return a copy of the package, in a folder of its own."""
+    return shutil.copytree(PACKAGE, tmp_path / 'site' / 'rigid_body_ros',
+                           ignore=shutil.ignore_patterns('__pycache__'))
+
+
+def change(file, before, after):
+    text = file.read_text()
+    assert text.count(before) == 1
+    file.write_text(text.replace(before, after))
+
+
+def test_kernels_that_changed_since_they_were_compiled_are_refused(copied):
+    change(copied / 'kernels' / 'elementary.py', '2.0 ** 20', '2.0 ** 19')
+    site = str(copied.parent)
+    result = run(SCRIPT, site, PYTHONPATH=site)
+    last = result.stderr.splitlines()[-1]
+    assert last.endswith(
+        'the kernels of rigid_body_ros have changed since they were compiled: in the folder of '
+        'its source, run pip install . or colcon build, or set RIGID_BODY_ROS_KERNELS=python')
+    assert result.returncode == 1
+    result = run(SCRIPT, site, PYTHONPATH=site, RIGID_BODY_ROS_KERNELS='python')
+    assert (result.stderr, result.returncode) == ('', 0)
+
+
+def test_kernels_of_which_comments_changed_are_those_that_were_compiled(copied):
+    change(copied / 'kernels' / 'elementary.py', '2.0 ** 20', '2.0 ** 20  # rad')
+    site = str(copied.parent)
+    script = 'import rigid_body_ros as r; print(r.__file__); print(r.build_info())'
+    result = run(script, site, PYTHONPATH=site)
+    path, info = result.stdout.splitlines()
+    assert path.startswith(site)
+    assert info == run(script).stdout.splitlines()[1]
+
+
+def test_an_installation_that_is_not_compiled_says_how_it_is(copied):
+    for module in (copied / 'engine').glob('_compiled*'):
+        module.unlink()
+    result = run(SCRIPT, str(copied.parent), PYTHONPATH=str(copied.parent))
+    assert ('the kernels of rigid_body_ros are not compiled: in the folder of its source, run '
+            'pip install . or colcon build (') in result.stderr.splitlines()[-1]
+    assert result.returncode == 1
+
+
+def imports(lines):
+    return run(f"""
+import sys
+from contextlib import suppress
+{lines}
+print([name for name in ('numba', 'llvmlite') if name in sys.modules], file=sys.stderr)
+""")
+
+
+def test_the_public_names_need_no_numba():
+    result = imports('from rigid_body_ros import *\nimport rigid_body_ros as package\n'
+                     'for name in dir(package): getattr(package, name)')
+    assert (result.stderr, result.returncode) == ('[]\n', 0)
+
+
+@pytest.mark.parametrize('command', [*OFFLINE, *(pytest.param(name, marks=pytest.mark.skipif(
+    find_spec('rclpy') is None, reason='rclpy is not installed')) for name in NODES)])
+def test_no_command_needs_numba(command):
+    result = imports(f"""
+from rigid_body_ros.commands.main import attitude_{command} as command
+with suppress(SystemExit):
+    command(['--help'])""")
+    assert f'usage: attitude_{command}' in result.stdout
+    assert (result.stderr, result.returncode) == ('[]\n', 0)
+
+
+def test_the_first_motion_of_a_user_writes_no_file(tmp_path):
+    result = run(SCRIPT, tmp_path, HOME=str(tmp_path), TMPDIR=str(tmp_path),
+                 XDG_CACHE_HOME=str(tmp_path), PYTHONPATH=str(PACKAGE.parent))
+    assert (result.stderr, result.returncode) == ('', 0)
+    assert [*tmp_path.iterdir()] == []
+
+
+@pytest.mark.parametrize('level', [*_compiled.LEVELS, 'python'])
+def test_the_build_is_named(level):
+    info = build_info()
+    assert [*info] == ['version', 'kernels', 'level']
+    assert re.fullmatch('[0-9a-f]{12}', info['kernels'])
+    printed = run('import rigid_body_ros; print(rigid_body_ros.build_info())',
+                  RIGID_BODY_ROS_KERNELS=level).stdout
+    assert printed == f"{ {**info, 'level': level} }\n"
+
+
+def test_the_best_level_of_the_processor_is_chosen():
+    result = run('import rigid_body_ros; print(rigid_body_ros.build_info()["level"])',
+                 RIGID_BODY_ROS_KERNELS='')
+    assert result.stdout == f'{_compiled.LEVELS[0]}\n'
+
+
+def test_the_warm_up_warns_that_it_goes():
+    with pytest.warns(DeprecationWarning, match='rigid_body_ros.warm_up does nothing') as caught:
+        warm_up()
+    assert caught[0].filename == __file__
