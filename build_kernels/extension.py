@@ -105,8 +105,9 @@ class BuildKernels(build_ext):
                                f'Python (apt install gcc python3-dev): {error}') from None
         # Tests run in the source folder, after `colcon build`, too.
         built, beside = Path(self.get_ext_fullpath(ext.name)), ROOT / 'rigid_body_ros' / 'engine'
-        with suppress(OSError, shutil.SameFileError):
-            shutil.copy2(built, beside / built.name)
+        with suppress(OSError), TemporaryDirectory(dir=beside) as folder:
+            # In one step: a process may run the code of the file that is replaced.
+            os.replace(shutil.copy2(built, folder), beside / built.name)
 
 
 def _sources():
