@@ -106,8 +106,7 @@ def run(progress: Annotated[NDArray[Any], '1', PROGRESS, WRITTEN], times_ns: Ann
     return UNFINISHED if place.row < stop and place.done < len(times_ns) else FINISHED
 
 
-# Arrays are taken out of the records before the loop: otherwise numba counts references in each
-# pass, which costs a third of a step.
+# Arrays are taken out of the records before the loop, not in each pass.
 @internal
 def _run_segments(progress: NDArray[Any], outputs: Requested, rows: Rows, body: Body,
                   method: Method, linear: Constants | None) -> tuple[Place, GridStates]:
