@@ -22,7 +22,7 @@ import platform
 
 from extension import generated, NUMBA
 from setuptools import build_meta
-from setuptools.build_meta import *  # noqa: F403
+from setuptools.build_meta import *  # noqa: F401, F403
 
 
 def get_requires_for_build_wheel(config_settings=None):

@@ -19,6 +19,7 @@ from __future__ import annotations
 from contextlib import suppress
 import hashlib
 from importlib import util
+from importlib.metadata import version
 import os
 from pathlib import Path
 import platform
@@ -41,8 +42,10 @@ CARRIED = HERE / 'generated'
 FLAGS = ['-std=c11', '-ffp-contract=off', '-fvisibility=hidden']
 #: What the generated code depends on, besides the kernels.
 _GENERATOR = ('four', 'generate', 'jit', 'lanes', 'machine_code', 'modules', 'signatures')
-#: What the build needs unless the code is there.
-NUMBA = 'numba>=0.61,<0.69'
+#: The versions of numba whose internals the build step knows, and what needs them unless the code
+#: is there.
+_TESTED = (0, 61), (0, 69)
+NUMBA = 'numba>={}.{},<{}.{}'.format(*_TESTED[0], *_TESTED[1])
 
 
 def kernels() -> Extension:
@@ -71,8 +74,10 @@ def generate(machine: str) -> Path:
         return folder
     if machine not in LEVELS:
         raise CompileError(f"expected a processor of {', '.join(LEVELS)}, found {machine}")
-    if util.find_spec('numba') is None:
-        raise CompileError(f"generating the kernels takes numba: pip install '{NUMBA}'")
+    found = version('numba') if util.find_spec('numba') else 'none'
+    if found == 'none' or not _TESTED[0] <= tuple(map(int, found.split('.')[:2])) < _TESTED[1]:
+        raise CompileError(f"generating the kernels takes numba, found {found}: "
+                           f"pip install '{NUMBA}'")
     print('Generating the kernels: about a minute, once for each state of their sources',
           flush=True)
     folder.parent.mkdir(parents=True, exist_ok=True)

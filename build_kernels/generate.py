@@ -108,7 +108,10 @@ def _table(rows: list[dict[str, Any]], levels: list[str]) -> str:
     lines += [f'  {{"{row["name"]}", "{row["results"]}", {row["arguments"]}, '
               f'{len(row["signatures"])}, {row["name"]}_signatures}},' for row in rows]
     names = ', '.join(f'"{level}"' for level in levels)
-    lines += ['};', f'enum {{ LEVEL_COUNT = {len(levels)} }};',
+    parts = [parts for row in rows for parts in row['signatures'].values()]
+    lines += ['};', f'_Static_assert(LEAVES >= {max(map(len, parts))} && '
+              f'RESULTS >= {max(len(row["results"]) for row in rows)}, "too small");',
+              f'enum {{ LEVEL_COUNT = {len(levels)} }};',
               f'static const char *const levels[] = {{{names}}};']
     return '\n'.join(lines) + '\n'
 

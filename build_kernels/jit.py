@@ -28,7 +28,6 @@ from numba.extending import intrinsic, overload
 from numba.np.arrayobj import populate_array
 import numpy as np
 
-COMPILES = True
 #: In an annotation: the kernel writes to the array.
 WRITTEN = 'written'
 #: All kernels that Python calls.

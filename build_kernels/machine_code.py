@@ -29,6 +29,7 @@ from typing import Any
 from llvmlite import ir
 import llvmlite.binding as llvm
 from numba.core import cgutils, codegen, types
+from numba.core.callconv import CPUCallConv
 from numba.core.registry import cpu_target
 from numba.core.runtime.context import NRTContext
 from numba.np.arrayobj import populate_array
@@ -54,8 +55,6 @@ _SLOT = ir.LiteralStructType([ir.IntType(8).as_pointer(), ir.ArrayType(_I64, DIM
 #: Results of numba's types, in the table of the boundary.
 _RESULTS = {types.int64: 'I', types.uint64: 'I', types.boolean: 'B', types.float64: 'F',
             types.none: '-'}
-
-
 #: numba's names of functions of C, which are exact.
 _IN_C = {'numba_frexp': 'frexp', 'numba_ldexp': 'ldexp'}
 #: What the code may leave to the linker.
@@ -77,6 +76,8 @@ def keep_raw() -> None:
     jit.set_env = lambda self, name, env: None  # it would write through that pointer
     # Kernels allocate nothing, so no array has a count.
     NRTContext.incref = NRTContext.decref = lambda self, builder, kind, value: None
+    # The boundary needs only the status. What describes an exception has paths of this machine.
+    CPUCallConv.set_static_user_exc = lambda self, builder, *rest, **more: None
 
 
 class Module:

@@ -24,6 +24,7 @@ from __future__ import annotations
 import io
 from pathlib import Path
 import subprocess
+import sys
 import tarfile
 import xml.etree.ElementTree as ElementTree
 
@@ -31,7 +32,9 @@ from extension import CARRIED, generate, LEVELS, ROOT
 
 
 def main() -> None:
-    """Write the archive."""
+    """Write the archive; exit with a message if files differ from what is committed."""
+    if subprocess.run(['git', 'diff', '--quiet', 'HEAD'], cwd=ROOT).returncode:
+        sys.exit('release: expected no changes since the last commit: git status lists them')
     folders = [generate(machine) for machine in LEVELS]
     version = ElementTree.parse(ROOT / 'package.xml').findtext('version')
     name = f'rigid_body_ros-{version}'

@@ -32,7 +32,7 @@ import numba
 from numba import types
 import numpy as np
 
-#: Most dimensions of an array, see boundary.c.
+#: Most dimensions of an array, as in boundary.c.
 DIMENSIONS = 4
 _NUMBERS = {int: (types.int64, 'i'), float: (types.float64, 'f'), bool: (types.boolean, 'b')}
 _TERM = re.compile(r'(\d*)([a-z]?)([+-]\d+)?')

@@ -23,7 +23,8 @@ import sys
 from conftest import at_night, ROOT
 import pytest
 
-PYTHON = ['benchmarks', 'docs', 'examples', 'launch', 'rigid_body_ros', 'setup.py', 'test']
+PYTHON = ['benchmarks', 'build_kernels', 'docs', 'examples', 'launch', 'rigid_body_ros',
+          'setup.py', 'test']
 
 
 @pytest.mark.slow

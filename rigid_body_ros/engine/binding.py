@@ -44,7 +44,7 @@ def _loaded() -> tuple[dict[str, Any], str, str]:
     if choice == 'python':
         return {}, choice, ''
     try:
-        from rigid_body_ros.engine import _compiled
+        import rigid_body_ros.engine._compiled as _compiled
     except ImportError as error:
         raise KernelsError(f'the kernels of rigid_body_ros are not compiled: {_BUILD} ({error})') \
             from None

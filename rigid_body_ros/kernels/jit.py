@@ -27,8 +27,6 @@ from typing import Any, TypeVar
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 
-#: Whether the kernels that run are compiled.
-COMPILES = False
 #: In an annotation: the kernel writes to the array.
 WRITTEN = 'written'
 
