@@ -106,7 +106,8 @@ def _alternatives(hint: Any, label: str) -> list[Part]:
 
 def _array(array: Any, shape: Any, *marks: Any, label: str) -> Part:
     records = [mark for mark in marks if isinstance(mark, np.dtype)]
-    dtype = records[0] if records else np.dtype(get_args(get_args(array)[1])[0])
+    element = get_args(array)[-1]  # a type or, before numpy 2.5, a dtype of it
+    dtype = records[0] if records else np.dtype((get_args(element) or (element,))[0])
     dimensions = tuple(map(Dimension.read, shape.split()))
     kind = types.Array(numba.from_dtype(dtype), len(dimensions), 'C')
     written = ', '.join(shape.split()) + (',' if len(dimensions) == 1 else '')

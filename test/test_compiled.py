@@ -137,8 +137,9 @@ class Good:
         self.leaves[label] = shape.split()
         if WRITTEN in marks:
             self.written.add(label)
+        element = get_args(array)[-1]  # a type or, before numpy 2.5, a dtype of it
         dtype, = [mark for mark in marks if isinstance(mark, np.dtype)] or [
-            get_args(get_args(array)[1])[0]]
+            (get_args(element) or (element,))[0]]
         return np.zeros([*map(self._size, shape.split())], dtype)
 
     def _size(self, text):

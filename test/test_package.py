@@ -94,7 +94,7 @@ def test_numba_is_a_requirement_of_the_build_only(monkeypatch):
     assert depend.tag == 'build_depend'
     wanted = f"numba>={depend.get('version_gte')},<{depend.get('version_lt')}"
     monkeypatch.syspath_prepend(ROOT / 'build_kernels')
-    assert import_module('extension').NUMBA == wanted
+    assert wanted == import_module('extension').NUMBA
     assert f"'{wanted}'" in (ROOT / 'Makefile').read_text()
     assert 'numba' not in (ROOT / 'setup.py').read_text()
 
