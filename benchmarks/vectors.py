@@ -86,7 +86,7 @@ class Reader:
         self._given = {'group': ''}
 
     def take(self, key: str, words: list[str]) -> None:
-        """Read a line; raise KeyError or ValueError if the format has no such line."""
+        """Read a line; raise ValueError if the format has no such line."""
         if key in ('motion', 'group', 'solver'):
             self._given[key] = ' '.join(words)
         elif key in OPTIONS:
@@ -95,12 +95,13 @@ class Reader:
             self._logs.append((key, *words, []))
         elif key == 'torque':
             self._logs[-1][-1].append((int(words[0]), words[1], numbers(words[2:])))
-        elif key == 'state' or self.outputs:
+        elif key == 'state' or (self.outputs and key in _NAMES):
             self._take_output(key, words)
-        elif key in ('inertia', 'damping', 'start', 'rotor_momentum'):
+        elif not self.outputs and key in ('inertia', 'damping', 'start', 'rotor_momentum'):
             self._given[key] = words
         else:
-            raise KeyError(key)
+            raise ValueError(f'{self._given["motion"]}: expected a line of docs/vectors.md, '
+                             f'found the key {key!r}')
 
     def _take_output(self, key: str, words: list[str]) -> None:
         if key == 'state':

@@ -15,6 +15,7 @@
 """The committed vectors: every bit of their motions, from compiled kernels and from Python."""
 
 from collections import Counter
+import math
 import os
 import re
 import subprocess
@@ -73,6 +74,28 @@ def test_no_motion_and_no_output_is_lost():
     assert sum(bool(motion.group) for motion in motions) == 63
     assert Counter(output.key.split()[0] for motion in motions for output in motion.outputs) == {
         'state': 665, 'euler': 226, 'rotor_momentum': 114}
+
+
+def test_a_key_that_the_format_does_not_have_is_an_error(tmp_path):
+    lines = vectors.VECTORS.read_text(encoding='ascii').splitlines()
+    first = next(row for row, line in enumerate(lines) if line.startswith('motion '))
+    for before in ('start ', 'euler '):  # among the inputs, and among the outputs
+        row = next(row for row in range(first, len(lines)) if lines[row].startswith(before))
+        file = tmp_path / 'vectors.txt'
+        file.write_text('\n'.join([*lines[:row], 'mass 0x1p+0', *lines[row:]]), encoding='ascii')
+        with pytest.raises(ValueError, match="found the key 'mass'"):
+            vectors.read(file)
+
+
+def test_outputs_are_finite_and_do_not_depend_on_each_other():
+    motions = vectors.read()
+    assert all(map(math.isfinite, (number for motion in motions for output in motion.outputs
+                                   for number in output.numbers)))
+    for motion in motions[::5]:
+        for output in motion.outputs:
+            if output.key == 'state':
+                alone = motion.problem.propagate(at=[output.time_ns])
+                assert vectors.output(alone, 0, 'state') == output.numbers
 
 
 def test_they_cover_all_solvers_terms_and_interpolations():
