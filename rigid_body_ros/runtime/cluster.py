@@ -33,7 +33,7 @@ from typing import Any, TYPE_CHECKING
 import warnings
 
 from rigid_body_ros.common.errors import InputError, quoted, reason
-from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, sources_hash
+from rigid_body_ros.runtime.fingerprint import fingerprint, NAME, package_hash
 from rigid_body_ros.runtime.pool import WorkerError, Workers
 
 if TYPE_CHECKING:  # takes a second to import, and only --scheduler needs it
@@ -200,7 +200,7 @@ def _quiet() -> Iterator[None]:
 def _versions() -> dict[str, str]:
     """Return what has to be the same in all processes, so that their bits are the same."""
     return {**fingerprint(), 'scipy': version('scipy'),
-            f'sources of {NAME}': sources_hash()[:12]}
+            f'sources of {NAME}': package_hash()[:12]}
 
 
 @dataclass(frozen=True)

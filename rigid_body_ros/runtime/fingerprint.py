@@ -44,7 +44,7 @@ def build_info() -> dict[str, str]:
     return {'version': _version(NAME), 'kernels': kernels_hash()[:12], 'level': LEVEL}
 
 
-def sources_hash() -> str:
+def package_hash() -> str:
     """Return a hash of the sources of the package."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).resolve().parents[1].rglob('*.py')):
