@@ -76,7 +76,7 @@ def generate(machine: str) -> Path:
         raise CompileError(f"expected a processor of {', '.join(LEVELS)}, found {machine}")
     found = version('numba') if util.find_spec('numba') else 'none'
     if found == 'none' or not _TESTED[0] <= tuple(map(int, found.split('.')[:2])) < _TESTED[1]:
-        raise CompileError(f"generating the kernels takes numba, found {found}: "
+        raise CompileError(f'generating the kernels takes numba, found {found}: '
                            f"pip install '{NUMBA}'")
     print('Generating the kernels: about a minute, once for each state of their sources',
           flush=True)
