@@ -23,7 +23,7 @@
 #include <stdint.h>
 #include <string.h>
 
-enum { DIMENSIONS = 4, LEAVES = 24, VARIABLES = 26, RESULTS = 4 };
+enum { DIMENSIONS = 4, LEAVES = 32, VARIABLES = 26, RESULTS = 4 };
 
 /* A leaf of the arguments, as a kernel takes it. A number is in shape[0]. */
 typedef struct { void *data; int64_t shape[DIMENSIONS]; } slot;

@@ -255,7 +255,7 @@ class Scene:
 
     def _check(self) -> None:
         """Raise ValueError if values contradict each other."""
-        self.options.check_linear_terms(self.body.is_damped, self.has_rotors)
+        self.options.check_terms(self.body.is_damped, self.has_rotors)
         _check_topics(self.torque_topics)
         euler.check_sequence(self.euler_sequence)
         for name in ('space_frame', 'body_frame', 'frame_prefix', 'checkpoint'):

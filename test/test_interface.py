@@ -22,6 +22,7 @@ import rigid_body_ros
 from rigid_body_ros import (
     build_info,
     Experiment,
+    GravityGradient,
     identify,
     Problem,
     propagate,
@@ -32,6 +33,7 @@ from rigid_body_ros import (
     State,
     States,
     TorqueLog,
+    UniformField,
     warm_up,
 )
 from rigid_body_ros.mechanics import euler, so3, urdf
@@ -47,17 +49,20 @@ SIGNATURES = [
     (State, 'time_ns=0, attitude=(0.0, 0.0, 0.0, 1.0), angular_velocity=(0.0, 0.0, 0.0), '
             'rotor_momentum=(0.0, 0.0, 0.0)'),
     (TorqueLog, "times_ns, torques, frame='body', interpolation='hold'"),
+    (UniformField, 'moment, field'),
+    (GravityGradient, 'mean_motion, position=(1.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0), '
+                      'time_ns=None'),
     (TorqueLog.from_momentum, 'times_ns, momenta'),
-    (Problem, f'body, start, log=None, *, wheels=None, {OPTIONS}'),
+    (Problem, f'body, start, log=None, *, wheels=None, fields=(), {OPTIONS}'),
     (Problem.propagate, 'self, *, at'),
     (read, 'path, scene, *, topic=None, wheel_torque=None, wheel_momentum=None, '
            "interpolation=None, time_source='header'"),
-    (propagate, f'body, start, log=None, *, at, wheels=None, {OPTIONS}'),
-    (propagate_many, 'bodies, starts, log=None, *, at, wheels=None, torque_gains=None, '
+    (propagate, f'body, start, log=None, *, at, wheels=None, fields=(), {OPTIONS}'),
+    (propagate_many, 'bodies, starts, log=None, *, at, wheels=None, fields=(), torque_gains=None, '
                      f'{OPTIONS}'),
     (States, 'time_ns=0, attitude=(0.0, 0.0, 0.0, 1.0), angular_velocity=(0.0, 0.0, 0.0), '
              'rotor_momentum=(0.0, 0.0, 0.0)'),
-    (Propagator, f'body, start, *, {OPTIONS}, history=1.0'),
+    (Propagator, f'body, start, *, fields=(), {OPTIONS}, history=1.0'),
     (Propagator.apply, "self, time_ns, torque, frame='body', source=0"),
     (Propagator.apply_wheels, 'self, time_ns, torque'),
     (build_info, ''),
@@ -86,8 +91,9 @@ def test_parameters_and_defaults_are_those_documented(function, parameters):
 
 def test_the_top_level_has_these_names():
     assert sorted(rigid_body_ros.__all__) == [
-        'Experiment', 'Measured', 'Problem', 'Propagator', 'RigidBodies', 'RigidBody', 'State',
-        'States', 'TorqueLog', 'Trajectories', 'Trajectory', 'build_info', 'compare', 'identify',
+        'Experiment', 'GravityGradient', 'Measured', 'Problem', 'Propagator', 'RigidBodies',
+        'RigidBody', 'State', 'States', 'TorqueLog', 'Trajectories', 'Trajectory',
+        'UniformField', 'build_info', 'compare', 'identify',
         'propagate', 'propagate_many', 'read', 'read_measured', 'warm_up']
     assert (rigid_body_ros.mechanics.so3, rigid_body_ros.mechanics.euler) == (so3, euler)
 

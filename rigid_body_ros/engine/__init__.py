@@ -25,9 +25,28 @@ from rigid_body_ros.kernels import (
     tensor,
     tensors,
 )
-from rigid_body_ros.kernels.layout import FASTEST, Rows, Samples, Sums, Terms
+from rigid_body_ros.kernels.fields import FIELDS
+from rigid_body_ros.kernels.fields import MOST as MOST_FIELDS
+from rigid_body_ros.kernels.layout import FASTEST, FieldTerms, Rows, Samples, Sums, Terms
 from rigid_body_ros.kernels.steppers import CLASSICAL
 
-__all__ = ['CLASSICAL', 'FASTEST', 'Rows', 'Samples', 'Sums', 'Terms',
-           'body_layout', 'interpolation', 'kernels', 'layout', 'many_loop', 'motion_layout',
-           'state_layout', 'tensor', 'tensors']
+__all__ = [
+    'CLASSICAL',
+    'FASTEST',
+    'FIELDS',
+    'MOST_FIELDS',
+    'FieldTerms',
+    'Rows',
+    'Samples',
+    'Sums',
+    'Terms',
+    'body_layout',
+    'interpolation',
+    'kernels',
+    'layout',
+    'many_loop',
+    'motion_layout',
+    'state_layout',
+    'tensor',
+    'tensors',
+]

@@ -26,7 +26,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import body_layout, four, lanes, state_layout, taylor, vector
+from rigid_body_ros.kernels import (
+    body_layout,
+    four,
+    lanes,
+    series_table,
+    state_layout,
+    taylor,
+    vector,
+)
 from rigid_body_ros.kernels.jit import inlined
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.kernels.layout import Method
@@ -44,7 +52,7 @@ STATE, LATEST, CONSTANTS = 0, state_layout.SIZE, 2 * state_layout.SIZE
 GAIN = CONSTANTS + body_layout.MOMENTS
 TORQUE = GAIN + 1
 REST, MOVES, TABLE = TORQUE + 3, TORQUE + 4, TORQUE + 5
-ROWS = TABLE + taylor.WORKSPACE_OF_LANES
+ROWS = TABLE + series_table.WORKSPACE_OF_LANES
 
 
 class Group(NamedTuple):

@@ -21,13 +21,21 @@ before the first. Consecutive intervals in which nothing acts are one *coast*.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.kernels import euler_equations, four, layout, linear_terms, short_step, vector
+from rigid_body_ros.kernels import (
+    euler_equations,
+    fields,
+    four,
+    layout,
+    linear_terms,
+    short_step,
+    vector,
+)
 from rigid_body_ros.kernels.jit import inlined, optional
 from rigid_body_ros.kernels.layout import Body
 
@@ -74,6 +82,8 @@ class Loads(NamedTuple):
     #: Torque in space axes, N m, beside a drive in body axes, and its degree; negative: none.
     space_torque: vector.Polynomial
     space_degree: int
+    #: The torques that depend on the attitude, see `fields.FIELDS`; None without.
+    fields: NDArray[Any] | None
 
 
 @inlined
@@ -162,7 +172,8 @@ def is_zero(torque: vector.Polynomial) -> bool:
 
 
 @optional
-def loads_of(momentum: Floats, motors: Floats | None, space: Floats | None, row: int, span: float,
+def loads_of(momentum: Floats, motors: Floats | None, space: Floats | None,
+             found: NDArray[Any] | None, row: int, span: float,
              constants: linear_terms.Constants) -> Loads:
     """Return what acts besides the drive; see `layout.Rows`."""
     first, low = coefficient(momentum, _row_of(momentum, row), 0), coefficient(
@@ -177,7 +188,7 @@ def loads_of(momentum: Floats, motors: Floats | None, space: Floats | None, row:
     return Loads((first, vector.scale(span, a), vector.scale(span / 2, b),
                   vector.scale(span / 3, c), vector.scale(span / 4, d)),
                  low, constants, (degree + 1 if varies else 0) if acts else -1,
-                 torque, -1 if is_zero(torque) else space_degree)
+                 torque, -1 if is_zero(torque) else space_degree, found)
 
 
 @inlined
@@ -202,7 +213,7 @@ def acts(loads: Loads | None) -> bool:
     """Return whether anything acts besides the drive."""
     if loads is None:
         return False
-    return loads.linear_degree >= 0 or loads.space_degree >= 0
+    return loads.linear_degree >= 0 or loads.space_degree >= 0 or fields.exist(loads.fields)
 
 
 @inlined
@@ -223,10 +234,11 @@ def vary(momentum: Floats | None, space: Floats | None) -> bool:
 
 @inlined
 def coasts(torques: Floats, momentum: Floats | None, motors: Floats | None,
-           space: Floats | None, row: int, constants: linear_terms.Constants | None) -> bool:
+           space: Floats | None, found: NDArray[Any] | None, row: int,
+           constants: linear_terms.Constants | None) -> bool:
     """Return whether nothing acts from a row to the next."""
     return (is_zero(torque_of(torques, row))
-            and not acts(loads_of(momentum, motors, space, row, 1.0, constants)))
+            and not acts(loads_of(momentum, motors, space, found, row, 1.0, constants)))
 
 
 @optional

@@ -36,6 +36,7 @@ from rigid_body_ros.kernels import (
     state_layout,
     vector,
 )
+from rigid_body_ros.kernels.fields import FIELDS
 from rigid_body_ros.kernels.jit import inlined, internal, optional, record, WRITTEN
 
 #: Cost of a full step, or a state in closed form, in units of work; anything else costs 1.
@@ -100,6 +101,18 @@ class Terms(NamedTuple):
     motors: Annotated[Floats, 'n d+1 3'] | None
     #: The same of a torque in space axes beside one in body axes; None if none is.
     space: Annotated[Floats, 'n d+1 3'] | None
+    #: None without; see `FieldTerms`.
+    fields: None = None
+
+
+class FieldTerms(NamedTuple):
+    """The same with fields; torques of all kinds have rows, so that it is compiled once."""
+
+    momentum: Annotated[Floats, 'n|1 2 3']
+    motors: Annotated[Floats, 'n d+1 3']
+    space: Annotated[Floats, 'n d+1 3']
+    #: The torques that depend on the attitude.
+    fields: Annotated[NDArray[Any], '1', FIELDS]
 
 
 class Rows(NamedTuple):
@@ -115,8 +128,8 @@ class Rows(NamedTuple):
     #: s: in this time the variable of the polynomials grows from 0 to 1. Empty if they are
     #: constant.
     spans: Annotated[Floats, 'n|0']
-    #: None if there are neither rotors nor damping, nor torques in two frames.
-    terms: Terms | None = None
+    #: None if there are neither rotors nor damping, nor fields, nor torques in two frames.
+    terms: Terms | FieldTerms | None = None
 
 
 class Sums(NamedTuple):
@@ -217,25 +230,31 @@ def load_body(constants: Floats) -> Body:
 
 
 @optional
-def momentum_of(terms: Terms) -> Floats:
+def fields_of(terms: Terms | FieldTerms) -> NDArray[Any] | None:
+    """Return the torques that depend on the attitude, None without."""
+    return terms.fields
+
+
+@optional
+def momentum_of(terms: Terms | FieldTerms) -> Floats:
     """Return the momentum of the rotors; None if there are no terms."""
     return terms.momentum
 
 
 @optional
-def motors_of(terms: Terms) -> Floats | None:
+def motors_of(terms: Terms | FieldTerms) -> Floats | None:
     """Return the torque on the rotors, None without."""
     return terms.motors
 
 
 @optional
-def space_of(terms: Terms) -> Floats | None:
+def space_of(terms: Terms | FieldTerms) -> Floats | None:
     """Return the torque in space axes beside one in body axes, None without."""
     return terms.space
 
 
 @optional
-def load_linear(_terms: Terms, constants: Floats) -> linear_terms.Constants:
+def load_linear(_terms: Terms | FieldTerms, constants: Floats) -> linear_terms.Constants:
     """Return the matrices of a body in a scene that has rotors or damping."""
     return body_layout.linear_constants(constants)
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats, Ints
 from rigid_body_ros.kernels import body_layout, groups, layout, loop
 from rigid_body_ros.kernels import group as runs
+from rigid_body_ros.kernels.fields import FIELDS
 from rigid_body_ros.kernels.group import BUDGET, Group
 from rigid_body_ros.kernels.groups import Advanced
 from rigid_body_ros.kernels.jit import inlined, internal, njit, optional, WRITTEN
@@ -54,6 +55,17 @@ class ManyTerms(NamedTuple):
     momentum: Annotated[Floats, 'j n|1 2 3']
     motors: Annotated[Floats, 'n d+1 3'] | None
     space: Annotated[Floats, 'n d+1 3'] | None
+    fields: None = None
+
+
+class ManyFieldTerms(NamedTuple):
+    """The same with fields, see `FieldTerms`."""
+
+    momentum: Annotated[Floats, 'j n|1 2 3']
+    motors: Annotated[Floats, 'n d+1 3']
+    space: Annotated[Floats, 'n d+1 3']
+    #: Of run i the element i % f.
+    fields: Annotated[NDArray[Any], 'f', FIELDS]
 
 
 class ManyRows(NamedTuple):
@@ -64,7 +76,7 @@ class ManyRows(NamedTuple):
     torques: Annotated[Floats, 'k n 2d+1 3']
     in_space: Annotated[NDArray[np.bool_], 'n']
     spans: Annotated[Floats, 'n|0']
-    terms: ManyTerms | None = None
+    terms: ManyTerms | ManyFieldTerms | None = None
 
 
 def workspace(lanes: int, rows: ManyRows) -> RunsWorkspace:
@@ -188,5 +200,12 @@ def _is_left(progress: Any, outputs: int, stop: int) -> bool:
 
 
 @optional
-def _of_run(terms: ManyTerms, run: int) -> Terms:
-    return Terms(terms.momentum[run % len(terms.momentum)], terms.motors, terms.space)
+def _of_run(terms: ManyTerms | ManyFieldTerms, run: int) -> Terms:
+    return Terms(terms.momentum[run % len(terms.momentum)], terms.motors, terms.space,
+                 _fields_of_run(terms.fields, run))
+
+
+@optional
+def _fields_of_run(fields: NDArray[Any], run: int) -> NDArray[Any]:
+    run %= len(fields)
+    return fields[run:run + 1]

@@ -23,10 +23,12 @@ from __future__ import annotations
 
 from fractions import Fraction
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from rigid_body_ros.kernels import elementary, four
-from rigid_body_ros.kernels.jit import internal
+from numpy.typing import NDArray
+from rigid_body_ros.kernels import elementary, fields, four
+from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.linear_terms import Matrix, Momentum, product
 from rigid_body_ros.kernels.tableau import Tableau
 from rigid_body_ros.kernels.vector import (
@@ -68,6 +70,11 @@ class StageLoads(NamedTuple):
     damping: Matrix
     #: N m, in the fraction of the step.
     space_torque: Polynomial
+    #: See `fields.FIELDS`; None without. The time of the step, see `fields.seconds_at`, and its
+    #: length, s.
+    fields: NDArray[Any] | None
+    field_seconds: float
+    seconds: float
 
 
 @internal
@@ -152,11 +159,24 @@ def _torque_acceleration(q: Quaternion, fraction: float, equations: Coefficients
                          drive: Polynomial, in_space: bool, loads: StageLoads | None) -> Vector:
     value = _at(drive, fraction)
     if in_space:
-        return combine(equations[0][6:], to_body(_unit(q), value))
+        value = combine(equations[0][6:], to_body(_unit(q), value))
+        if loads is None:
+            return value
+        return _add_fields(value, q, fraction, equations, loads, loads.fields)
     if loads is not None:
         torque = to_body(_unit(q), _at(loads.space_torque, fraction))
         value = add(value, combine(equations[0][6:], torque))
+        value = _add_fields(value, q, fraction, equations, loads, loads.fields)
     return value
+
+
+@inlined
+def _add_fields(value: Vector, q: Quaternion, fraction: float, equations: Coefficients,
+                loads: StageLoads, found: NDArray[Any] | None) -> Vector:
+    if found is None:
+        return value
+    seconds = fma(fraction, loads.seconds, loads.field_seconds)
+    return add(value, fields.acceleration(found, seconds, _unit(q), equations))
 
 
 @internal

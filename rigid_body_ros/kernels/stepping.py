@@ -37,7 +37,15 @@ import math
 from typing import NamedTuple
 
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import intervals, layout, linear_terms, steppers, taylor, vector
+from rigid_body_ros.kernels import (
+    fields,
+    intervals,
+    layout,
+    linear_terms,
+    steppers,
+    taylor,
+    vector,
+)
 from rigid_body_ros.kernels.intervals import Drive, Loads
 from rigid_body_ros.kernels.jit import inlined, internal, optional
 from rigid_body_ros.kernels.layout import Body, FASTEST, Method
@@ -60,14 +68,14 @@ class Reached(NamedTuple):
 
 
 class LocalLoads(NamedTuple):
-    """The linear terms from a grid point on."""
+    """The linear terms, and the limits on a step, from a grid point on."""
 
     #: N m s, in the fraction of the interval.
     momentum: linear_terms.Momentum
     linear: linear_terms.Linear
-    #: `linear_terms.square_rate` of the matrix, 1/s^2.
+    #: `linear_terms.square_rate` of the matrix, and the square of that of an orbit, 1/s^2.
     square_rate: float
-    #: Bound on the change of the rate, 1/s^2.
+    #: Bound on the change of the rate, by the rotors and by fields, 1/s^2.
     growth: float
 
 
@@ -85,7 +93,7 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
         Within the segment.
     drive, body, method : Drive, Body, Method
         The drive of the interval, the body and the method of a step.
-    table : float64 (taylor.WORKSPACE,)
+    table : float64 (series_table.WORKSPACE,)
         Workspace.
     budget : int
         Units of work after which to return; a step costs `layout.STEP_COST`.
@@ -97,7 +105,7 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
     Reached
 
     """
-    latest, now = grid, _local(loads, drive, grid_ns)
+    latest, now = grid, _local(loads, drive, grid_ns, body)
     while grid_ns < time_ns:
         if budget <= 0:
             return Reached(grid, grid_ns, latest, False, budget)
@@ -115,7 +123,7 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
         if is_too_fast(latest):
             return Reached(grid, grid_ns, latest, False, budget)
         if intervals.rotors_change(loads):
-            now = _local(loads, drive, grid_ns)
+            now = _local(loads, drive, grid_ns, body)
     return Reached(grid, grid_ns, latest, True, budget)
 
 
@@ -154,11 +162,14 @@ def full_step_ns(seconds: float, method: Method) -> int:
 
 
 @optional
-def _local(loads: Loads, drive: Drive, grid_ns: int) -> LocalLoads:
+def _local(loads: Loads, drive: Drive, grid_ns: int, body: Body) -> LocalLoads:
     # Return the linear terms from a grid point on.
+    orbit = fields.rate_bound(loads.fields)
+    by_fields = fields.acceleration_bound(loads.fields, body.coefficients)
     if loads.linear_degree <= 0:
         linear = linear_terms.at(loads.constants, loads.momentum[0], loads.low_momentum)
-        return LocalLoads(loads.momentum, linear, linear_terms.square_rate(linear.matrix), 0.0)
+        return LocalLoads(loads.momentum, linear,
+                          linear_terms.square_rate(linear.matrix) + orbit * orbit, by_fields)
     change, momentum = _rotors_from(loads.momentum,
                                     (grid_ns - drive.origin_ns) / 1e9 / drive.span)
     first, low = vector.two_sum(loads.momentum[0], change)
@@ -167,8 +178,9 @@ def _local(loads: Loads, drive: Drive, grid_ns: int) -> LocalLoads:
     for i in range(1, loads.linear_degree + 1):
         growth += i * math.sqrt(linear_terms.square_rate(
             linear_terms.rotor_matrix(loads.constants, momentum[i])))
-    return LocalLoads(momentum, linear, linear_terms.square_rate(linear.matrix),
-                      growth / drive.span)
+    return LocalLoads(momentum, linear,
+                      linear_terms.square_rate(linear.matrix) + orbit * orbit,
+                      growth / drive.span + by_fields)
 
 
 @inlined
@@ -198,7 +210,8 @@ def _stage_loads(loads: Loads, now: LocalLoads, drive: Drive, grid_ns: int,
     square = ratio * ratio
     return steppers.StageLoads(
         (a, vector.scale(ratio, b), vector.scale(square, c), vector.scale(square * ratio, d),
-         vector.scale(square * square, e)), loads.constants.damping.matrix, space)
+         vector.scale(square * square, e)), loads.constants.damping.matrix, space, loads.fields,
+        fields.seconds_at(loads.fields, grid_ns), seconds)
 
 
 @optional
@@ -213,7 +226,8 @@ def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
         three, four = _change(loads.constants, seconds, d), _change(loads.constants, seconds, e)
     changes = one, two, three, four
     return taylor.SeriesLoads(linear_terms.scaled(now.linear, seconds), changes,
-                              loads.linear_degree, stage.space_torque, loads.space_degree)
+                              loads.linear_degree, stage.space_torque, loads.space_degree,
+                              loads.fields, stage.field_seconds)
 
 
 @inlined

@@ -34,15 +34,38 @@ Only the increments are summed, and added to the state by compensated summation.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import numpy as np
+from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.kernels import elementary, euler_equations, four, lanes, linear_terms
+from rigid_body_ros.kernels import (
+    elementary,
+    euler_equations,
+    field_series,
+    four,
+    lanes,
+    linear_terms,
+)
 from rigid_body_ros.kernels.euler_equations import DIAGONAL, Products
-from rigid_body_ros.kernels.jit import inlined, internal, njit
+from rigid_body_ros.kernels.fields import exist
+from rigid_body_ros.kernels.jit import inlined, njit, optional
 from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.linear_terms import add_product, Matrix, product
+from rigid_body_ros.kernels.series_table import (
+    load_term,
+    MAX_ORDER,
+    PERMUTED,
+    RECIPROCALS,
+    rotation_of,
+    row_of,
+    store_permuted,
+    store_term,
+    Term,
+    TORQUES,
+    turned,
+    U,
+    without_fourth,
+)
 from rigid_body_ros.kernels.vector import (
     add,
     add_scaled,
@@ -50,7 +73,6 @@ from rigid_body_ros.kernels.vector import (
     Coefficients,
     dot,
     KernelState,
-    of,
     Polynomial,
     Quaternion,
     scale,
@@ -59,27 +81,8 @@ from rigid_body_ros.kernels.vector import (
     Vector,
 )
 
-#: The terms of one order: u, u as (y, z, x), u as (z, x, y), and the rotation.
-Term = tuple[Vector, Vector, Vector, Quaternion]
 #: Cauchy sums: products (y z, z x, x y) and squares of u, and the rotation times each of x, y, z.
 _Sums = tuple[Vector, Vector, Quaternion, Quaternion, Quaternion]
-
-MAX_ORDER = 40
-#: Layout of the terms of one order in the table: u in its three permutations; the rotation since
-#: the start of the step; the coefficients of a torque fixed in space, up to four, each in its
-#: three permutations.
-_U, _U_YZX, _U_ZXY, _ROTATION, _TORQUES = range(0, 20, 4)
-_TORQUE = 3 * 4
-_TERM = _TORQUES + 4 * _TORQUE
-#: The same in lanes, where a number takes a cache line: u and the rotation. Without gaps, no two
-#: terms compete for a place in the first cache.
-_ROTATION_IN_LANES, _TERM_IN_LANES = 4, 8
-#: Size of the table.
-WORKSPACE = _TERM * (MAX_ORDER + 1)
-#: Number of its rows with lanes.
-WORKSPACE_OF_LANES = _TERM_IN_LANES * (MAX_ORDER + 1)
-#: 1 / (k + 1), looked up because a division takes longer.
-_RECIPROCALS = 1.0 / np.arange(1.0, MAX_ORDER + 1.0)
 
 
 class SeriesDrive(NamedTuple):
@@ -106,6 +109,9 @@ class SeriesLoads(NamedTuple):
     #: Torque in space axes, N m, in the fraction of the step, and its degree; negative: none.
     space_torque: Polynomial
     space_degree: int
+    #: See `fields.FIELDS`; None without. And the time of the step, see `fields.seconds_at`.
+    fields: NDArray[Any] | None
+    field_seconds: float
 
 
 @njit
@@ -170,41 +176,59 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     KernelState
 
     """
-    angle = seconds * fma(0.5 * drive.bound, seconds, math.sqrt(dot(state[0], state[0])))
+    fields = _fields_of(loads)
+    vectors = field_series.workspace(fields)
+    acceleration = drive.bound + field_series.begin(fields, vectors, state, _field_seconds(loads),
+                                                    coefficients)
+    angle = seconds * fma(0.5 * acceleration, seconds, math.sqrt(dot(state[0], state[0])))
     error_bound = tolerance * angle
-    order = _expand(state, seconds, coefficients, form, drive, error_bound, table, loads)
+    order = _expand(state, seconds, coefficients, form, drive, error_bound, table, loads,
+                    fields, vectors)
     delta_u = delta_q = four.zero(state[0])
     for k in range(order, 0, -1):  # the small terms first
-        delta_u = add(delta_u, _without_fourth(table, four.load(table, _row(table, k) + _U)))
-        delta_q = add(delta_q, four.load(table, _row(table, k) + _rotation(table)))
+        delta_u = add(delta_u, without_fourth(table, four.load(table, row_of(table, k) + U)))
+        delta_q = add(delta_q, four.load(table, row_of(table, k) + rotation_of(table)))
     excess = fma(0.5, dot(delta_q, delta_q), delta_q[3])
     norm = math.sqrt(1.0 + 2.0 * excess)  # a truncated series is not of unit norm
     rest = four.of(0.0, 0.0, 0.0, -2.0 * excess / (1.0 + norm))
     return advance(state, scale(1.0 / seconds, delta_u), scale(1.0 / norm, add(delta_q, rest)))
 
 
+@optional
+def _fields_of(loads: SeriesLoads) -> NDArray[Any] | None:
+    return loads.fields
+
+
+@inlined
+def _field_seconds(loads: SeriesLoads | None) -> float:
+    if loads is None:
+        return 0.0
+    return loads.field_seconds
+
+
 @inlined
 def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
-            drive: SeriesDrive, error_bound: float, table: Floats,
-            loads: SeriesLoads | None) -> int:
+            drive: SeriesDrive, error_bound: float, table: Floats, loads: SeriesLoads | None,
+            fields: NDArray[Any] | None, vectors: Floats) -> int:
     # Fill the table with the terms of u and of the rotation, and return the order needed.
     polynomial, degree, in_space, _ = drive
     zero = four.zero(state[0])
     one = add(zero, four.of(0.0, 0.0, 0.0, 1.0))
-    first = latest = _store_term(
-        table, 0, _without_fourth(table, scale(seconds, state[0])), one)
+    first = latest = store_term(
+        table, 0, without_fourth(table, scale(seconds, state[0])), one)
     if in_space:
         for i in range(degree + 1):
-            _store_permuted(table, _TORQUES + _TORQUE * i, to_body(state[1], polynomial[i]))
+            store_permuted(table, TORQUES + PERMUTED * i, to_body(state[1], polynomial[i]))
     if loads is not None:
         for i in range(loads.space_degree + 1):
-            _store_permuted(table, _TORQUES + _TORQUE * i,
-                            to_body(state[1], loads.space_torque[i]))
+            store_permuted(table, TORQUES + PERMUTED * i,
+                           to_body(state[1], loads.space_torque[i]))
     # The series of a body at rest under a torque ~ t^degree has a non-zero term only every
     # degree + 2 orders, so the sum has converged only after that many small terms.
     small, powers = lanes.no_count(error_bound), degree
     if loads is not None:
-        powers = max(degree, loads.space_degree, loads.linear_degree)
+        powers = max(degree, loads.space_degree, loads.linear_degree,
+                     1 if exist(fields) else 0)
     past = (zero, zero, zero, zero)  # the terms of u before the latest
     for k in range(MAX_ORDER):
         products, rotation = _cauchy(table, k, first, latest, form)
@@ -224,15 +248,17 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
                 torque_acceleration = euler_equations.acceleration_from_torque(
                     coefficients, form, _torque_term(table, k, loads.space_degree))
                 u = add_scaled(u, seconds * seconds, torque_acceleration)
+            u = field_series.add_acceleration(u, fields, vectors, table, k, seconds,
+                                              coefficients, form)
             past = (latest[0], past[0], past[1], past[2])
-        reciprocal = float(_RECIPROCALS[k])
+        reciprocal = float(RECIPROCALS[k])
         u = scale(reciprocal, u)
         rotation = scale(0.5 * reciprocal, rotation)
-        u = _without_fourth(table, u)
+        u = without_fourth(table, u)
         if four.has_lanes(table) and lanes.some(small >= powers + 2):  # of bodies that converged
             u = four.choose(small >= powers + 2, zero, u)
             rotation = four.choose(small >= powers + 2, zero, rotation)
-        latest = _store_term(table, k + 1, u, rotation)
+        latest = store_term(table, k + 1, u, rotation)
         # The bound on errors of w is tighter, because the errors of attitude they cause add up.
         size = total(add_scaled(four.absolute(rotation), 4.0, four.absolute(u)))
         small = lanes.counted(size > error_bound, small)
@@ -242,62 +268,15 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
 
 
 @inlined
-def _without_fourth(table: Floats, u: Vector) -> Vector:
-    # In lanes, the fourth component of a vector has a register of its own. The compiler leaves
-    # out the products of a constant zero.
-    return of(u[0], u[1], u[2]) if four.has_lanes(table) else u
-
-
-@inlined
-def _row(table: Floats, k: int) -> int:
-    return k * (_TERM_IN_LANES if four.has_lanes(table) else _TERM)
-
-
-@inlined
-def _rotation(table: Floats) -> int:
-    return _ROTATION_IN_LANES if four.has_lanes(table) else _ROTATION
-
-
-@inlined
-def _store_term(table: Floats, k: int, u: Vector, rotation: Quaternion) -> Term:
-    row = _row(table, k)
-    _store_permuted(table, row + _U, u)
-    four.store(table, row + _rotation(table), rotation)
-    return u, four.yzx(u), four.zxy(u), rotation
-
-
-@inlined
-def _store_permuted(table: Floats, row: int, vector: Vector) -> None:
-    four.store(table, row, vector)
-    if not four.has_lanes(table):  # lanes are permuted for nothing
-        four.store(table, row + 4, four.yzx(vector))
-        four.store(table, row + 8, four.zxy(vector))
-
-
-@inlined
-def _load_term(table: Floats, row: int) -> Term:
-    u, yzx, zxy = _load_permuted(table, row + _U)
-    return u, yzx, zxy, four.load(table, row + _rotation(table))
-
-
-@inlined
-def _load_permuted(table: Floats, row: int) -> tuple[Vector, Vector, Vector]:
-    u = _without_fourth(table, four.load(table, row))
-    if four.has_lanes(table):
-        return u, four.yzx(u), four.zxy(u)
-    return u, four.load(table, row + 4), four.load(table, row + 8)
-
-
-@inlined
 def _cauchy(table: Floats, k: int, first: Term, latest: Term,
             form: int) -> tuple[Products, Quaternion]:
     # Return the terms of order k of the products of u, and of the rotation times (u, 0). Products
     # with the latest term come last, and from registers, so that the others do not wait for it.
     zero = four.zero(first[0])
     sums = (zero, zero, zero, zero, zero)
-    row = _row(table, k)
-    for j in range(_row(table, 1), row, _row(table, 1)):
-        sums = _add_term(sums, _load_term(table, row - j), _load_term(table, j), form)
+    row = row_of(table, k)
+    for j in range(row_of(table, 1), row, row_of(table, 1)):
+        sums = _add_term(sums, load_term(table, row - j), load_term(table, j), form)
     if k > 0:
         sums = _add_term(sums, first, latest, form)
     u = latest[0]
@@ -354,21 +333,11 @@ def _linear_term(k: int, latest: Term, past: tuple[Vector, Vector, Vector, Vecto
 @inlined
 def _torque_term(table: Floats, k: int, degree: int) -> Vector:
     # Return the term of order k, in body axes, of a torque in space axes.
-    term = four.zero(four.load(table, _U))
+    term = four.zero(four.load(table, U))
     for i in range(degree + 1):
         if i <= k:
-            term = add(term, four.load(table, _row(table, k - i) + _TORQUES + _TORQUE * i))
-        _expand_torque(table, k, _TORQUES + _TORQUE * i)
+            term = add(term, four.load(table, row_of(table, k - i) + TORQUES + PERMUTED * i))
+        place = TORQUES + PERMUTED * i
+        store_permuted(table, row_of(table, k + 1) + place,
+                       turned(table, place, row_of(table, 1), table, k))
     return term
-
-
-@internal
-def _expand_torque(table: Floats, k: int, place: int) -> None:
-    # dv/dt = v x w for the body components of a vector v that is fixed in space.
-    one = other = four.zero(four.load(table, _U))
-    for j in range(k + 1):
-        _, yzx, zxy = _load_permuted(table, _row(table, j) + place)
-        _, u_yzx, u_zxy = _load_permuted(table, _row(table, k - j) + _U)
-        one, other = four.fma(yzx, u_zxy, one), four.fma(zxy, u_yzx, other)
-    _store_permuted(table, _row(table, k + 1) + place,
-                    scale(float(_RECIPROCALS[k]), four.subtract(one, other)))

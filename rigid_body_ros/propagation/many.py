@@ -25,10 +25,25 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import kernels, layout, many_loop, motion_layout, Rows, Terms
+from rigid_body_ros.engine import (
+    FieldTerms,
+    kernels,
+    layout,
+    many_loop,
+    motion_layout,
+    Rows,
+    Terms,
+)
 from rigid_body_ros.engine.kernels import LANES
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.fields import (
+    beginning_at,
+    Field,
+    GravityGradient,
+    packed,
+    UniformField,
+)
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
@@ -81,6 +96,7 @@ class Trajectories:
 
 def propagate_many(bodies: RigidBodies, starts: States, log: Logs = None, *, at: ArrayLike,
                    wheels: TorqueLog | Sequence[TorqueLog] | None = None,
+                   fields: Sequence[Field] | Sequence[Sequence[Field]] = (),
                    torque_gains: ArrayLike | None = None, solver: str = Options.solver,
                    tolerance: float = Options.tolerance,
                    max_step: float | None = Options.max_step,
@@ -105,6 +121,8 @@ def propagate_many(bodies: RigidBodies, starts: States, log: Logs = None, *, at:
         As for `propagate`, the same for all runs.
     wheels : TorqueLog, or sequence of n TorqueLog, optional
         As for `propagate`: of all runs, or of each.
+    fields : sequence of UniformField or GravityGradient, or n such sequences, optional
+        As for `Problem`: of all runs, or of each. Runs with fields do not share a step.
     torque_gains : array, shape (n,), optional
         Each log of run i is `log.with_torques(torque_gains[i] * log.torques)`.
     solver, tolerance, max_step, torque_timeout
@@ -119,12 +137,12 @@ def propagate_many(bodies: RigidBodies, starts: States, log: Logs = None, *, at:
     ValueError
         There is no body, the numbers of bodies, starts, logs or gains differ, a time lies before a
         start or is not an integer that fits int64, an option is out of its range, a gain times a
-        torque is not finite, the torque of wheels is in space axes, or the solver does not handle
-        torques, rotors or damping.
+        torque is not finite, the torque of wheels is in space axes, some runs have fields and
+        others none, or the solver does not handle torques, rotors, damping or fields.
 
     """
     options = validated(solver, tolerance, max_step, torque_timeout)
-    runs = _Runs(bodies, starts, at, options)
+    runs = _Runs(bodies, starts, at, options, _of_runs(fields, starts))
     gains = None if torque_gains is None else np.array(torque_gains, float)
     if gains is not None and gains.shape != (len(bodies),):
         raise ValueError(f'torque_gains: expected shape ({len(bodies)},), found {gains.shape}')
@@ -138,6 +156,30 @@ def propagate_many(bodies: RigidBodies, starts: States, log: Logs = None, *, at:
             scaled = [one.with_torques(gains[row] * one.torques) for one in problem.logs]
             runs.advance(problem.replaced(log=scaled), np.array([row]))
     return runs.trajectories()
+
+
+def _of_runs(fields: Sequence[Any], starts: States) -> NDArray[Any] | None:
+    """Return fields for the kernels, a row for each run or, if they are alike, one; or None."""
+    if not fields:
+        return None
+    begins_ns = starts.time_ns.tolist()
+    if isinstance(fields[0], UniformField | GravityGradient):
+        of_each = [fields] * (len(begins_ns) if len(set(begins_ns)) > 1 else 1)
+    elif len(fields) != len(begins_ns):
+        raise ValueError(f'fields: expected {len(begins_ns)}, one for each body, '
+                         f'found {len(fields)}')
+    else:
+        of_each = list(fields)
+    rows = [packed(beginning_at(each, begin_ns)) for each, begin_ns in zip(of_each, begins_ns)]
+    if all(row is None for row in rows):
+        return None
+    found = [row for row in rows if row is not None]
+    if len(found) < len(rows):
+        raise ValueError('fields: expected fields for each run or for none, found '
+                         f'{len(rows) - len(found)} runs without')
+    result = np.concatenate(found)
+    result.flags.writeable = False
+    return result
 
 
 def _alike(logs: Sequence[Any], motors: Sequence[Any]) -> list[NDArray[np.intp]]:
@@ -187,7 +229,7 @@ class _Runs:
     """The states of all runs, and their motions at the requested times."""
 
     def __init__(self, bodies: RigidBodies, starts: States, at: ArrayLike,
-                 options: Options) -> None:
+                 options: Options, fields: NDArray[Any] | None) -> None:
         if len(starts) != len(bodies):
             raise ValueError(f'starts: expected {len(bodies)}, one for each body, '
                              f'found {len(starts)}')
@@ -196,8 +238,9 @@ class _Runs:
         begins_ns = starts.time_ns
         self._times_ns, ascends, _ = checked_times(at, int(begins_ns.max()))
         checked_times(self._times_ns, int(begins_ns.min()))
-        options.check_linear_terms(bool(bodies.is_damped.any()), bool(starts.has_rotors.any()))
-        self._bodies, self._options = bodies, options
+        options.check_terms(bool(bodies.is_damped.any()), bool(starts.has_rotors.any()),
+                            fields is not None)
+        self._bodies, self._options, self._fields = bodies, options, fields
         self._order = layout.IN_ORDER if ascends else np.argsort(self._times_ns, kind='stable')
         self._messages = [one or other for one, other in zip(bodies.messages, starts.messages)]
         count = len(bodies)
@@ -226,7 +269,7 @@ class _Runs:
         which = which[self._progress['stop'][which] != layout.FAILED]
         if not (which.size and self._times_ns.size):
             return
-        if len(problem.logs) < 2 and not problem.wheels:
+        if len(problem.logs) < 2 and not problem.wheels and self._fields is None:
             self._advance_alike(problem, which, gains)
             return
         # The rows of a sum begin with the start. Without motors, they do not depend on the
@@ -243,7 +286,7 @@ class _Runs:
         begins_ns = self._progress['grid_ns'][which]
         momentum = self._momentum[which[0]] if problem.has_rotors else None
         timeline = Timeline(problem.logs, problem.wheels, self._options.timeout_ns, False,
-                            int(begins_ns[0]), momentum)
+                            int(begins_ns[0]), momentum, self._fields)
         self._progress['row'][which] = timeline.times_ns.searchsorted(begins_ns, 'right') - 1
         for begin, end, rows in timeline.chunks(int(self._progress['row'][which].min()),
                                                 len(timeline.times_ns)):
@@ -256,6 +299,13 @@ class _Runs:
     def _run(self, which: NDArray[np.intp], rows: Rows, gains: Floats | None) -> None:
         """Run the loop over some runs, with rotors and damping for those that have them."""
         rows, terms = rows._replace(torques=rows.torques[None], terms=None), rows.terms
+        if self._fields is not None:
+            terms = cast(FieldTerms, terms)
+            momentum = terms.momentum[None] if len(terms.momentum) > 1 else self._momentum[:, None]
+            own_fields: Any = many_loop.ManyFieldTerms(
+                momentum, terms.motors, terms.space, self._fields)
+            self._run_alike(which, rows._replace(terms=own_fields), gains)
+            return
         if terms and terms.motors is not None:
             self._run_alike(which, rows._replace(
                 terms=terms._replace(momentum=terms.momentum[None])), gains)

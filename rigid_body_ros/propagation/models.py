@@ -58,7 +58,7 @@ class SolverUsage(NamedTuple):
         """Return when the torque changes, and whether the closed form was used from then on."""
         times_ns = self.timeline.times_ns
         first, stop = np.searchsorted(times_ns, [self.start_ns, self.end_ns], side='right')
-        coasts = np.append(not self.timeline.is_linear, ~self.timeline.acts())[first:stop + 1]
+        coasts = np.append(not self.timeline.has_terms, ~self.timeline.acts())[first:stop + 1]
         closed = coasts & self.closed[first:stop + 1]
         # The loop marks only the rows of a coast in which an output lies.
         coast = np.cumsum(np.append(False, ~(coasts[1:] & coasts[:-1])))
@@ -75,7 +75,8 @@ class SolverUsage(NamedTuple):
                              f'auto: coast of a body that is {_with_article(body.symmetry)}, '
                              'in closed form from its beginning')
             terms = [name for name, found in (('rotors', self.timeline.has_rotors),
-                                              ('damping', body.is_damped)) if found]
+                                              ('damping', body.is_damped),
+                                              ('fields', self.timeline.has_fields)) if found]
             if terms:
                 return Model(TAYLOR.name, start_ns, end_ns,
                              f'auto: no closed form with {" and ".join(terms)}, truncated below '

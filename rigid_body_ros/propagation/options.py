@@ -97,20 +97,24 @@ class Options:
                           self.tolerance, kernels.step_angle(self.tolerance), self.max_step_ns)],
                         layout.METHOD)
 
-    def check_linear_terms(self, damping: bool, rotors: bool) -> None:
-        """Raise ValueError if the scene has damping or rotors that the solver does not handle."""
+    def check_terms(self, damping: bool, rotors: bool, fields: bool = False) -> None:
+        """Raise ValueError if the scene has terms that the solver does not handle."""
+        if fields and not self.record.takes_torque:
+            raise ValueError(f'solver {self.solver!r} handles torque-free motion only, found '
+                             'fields')
         if (damping or rotors) and not self.record.takes_linear_terms:
             raise ValueError(f'solver {self.solver!r} handles neither rotors nor damping, found '
                              + ('damping' if damping else 'rotors'))
 
-    def rule(self, body: RigidBody, torque: Floats, in_space: bool,
+    def rule(self, body: RigidBody, fields: NDArray[Any] | None, torque: Floats, in_space: bool,
              *others: Floats) -> Hashable:
         """
-        Return what determines the motion under a held torque, apart from the start.
+        Return what determines the motion under fields and a held torque, apart from the start.
 
         The others are the torque in space axes beside one in body axes, and that on the rotors.
         """
-        return (body._constants.tobytes(), self.solver, float(self.tolerance), self.max_step_ns,
+        return (body._constants.tobytes(), None if fields is None else fields.tobytes(),
+                self.solver, float(self.tolerance), self.max_step_ns,
                 tuple(torque.ravel().tolist()), in_space and bool(torque.any()),
                 tuple(tuple(other.ravel().tolist()) for other in others)
                 if any(other.any() for other in others) else None)

@@ -25,6 +25,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.engine import kernels, layout, motion_layout, state_layout
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
 from rigid_body_ros.propagation.models import SolverUsage
@@ -51,6 +52,8 @@ class Problem:
         interpolation and timeout. Before the first sample a torque is zero.
     wheels : TorqueLog, optional
         Torque of the motors on the rotors, body axes. The body feels the opposite torque.
+    fields : sequence of UniformField or GravityGradient
+        Torques that depend on the attitude; at most one gravity gradient.
     solver : str
         'auto' uses the simplest model that the scene allows: closed form for a long coast, a
         Taylor series for anything else. 'taylor' always uses the series. 'exact' is the closed
@@ -72,22 +75,31 @@ class Problem:
         Those that have samples.
     wheels : TorqueLog, optional
         None if it has no samples.
+    fields : tuple of UniformField or GravityGradient
+        An orbit without a time has that of the start.
     options : Options
 
     Raises
     ------
     ValueError
-        An option is out of its range, the torque of wheels is in space axes, or the solver does
-        not handle torques, rotors or damping.
+        An option is out of its range, the torque of wheels is in space axes, there are two gravity
+        gradients, or the solver does not handle torques, rotors, damping or fields.
 
     """
 
     def __init__(self, body: RigidBody, start: State,
                  log: TorqueLog | Sequence[TorqueLog] | None = None, *,
-                 wheels: TorqueLog | None = None, solver: str = Options.solver,
+                 wheels: TorqueLog | None = None, fields: Sequence[Field] = (),
+                 solver: str = Options.solver,
                  tolerance: float = Options.tolerance,
                  max_step: float | None = Options.max_step,
                  torque_timeout: float = Options.torque_timeout) -> None:
+        #: The fields for the kernels; None without.
+        self._fields: NDArray[Any] | None = None
+        self.fields: tuple[Field, ...] = ()
+        if fields:
+            self.fields = beginning_at(fields, start.time_ns)
+            self._fields = packed(self.fields)
         self._set(body, start, log, wheels,
                   validated(solver, tolerance, max_step, torque_timeout))
 
@@ -98,7 +110,7 @@ class Problem:
         self.wheels = wheels if wheels else None
         if self.wheels and self.wheels.in_space.any():
             raise ValueError('wheels: expected torques in body axes, found torques in space axes')
-        options.check_linear_terms(body.is_damped, self.has_rotors)
+        options.check_terms(body.is_damped, self.has_rotors, bool(self.fields))
         if not options.record.takes_torque:
             for each in self.sources:
                 _check_torque_free(each, options)
@@ -120,9 +132,14 @@ class Problem:
 
     def replaced(self, *, body: RigidBody | None = None, start: State | None = None,
                  log: TorqueLog | Sequence[TorqueLog] | None = None,
-                 wheels: TorqueLog | None = None, options: Options | None = None) -> Problem:
+                 wheels: TorqueLog | None = None, fields: Sequence[Field] | None = None,
+                 options: Options | None = None) -> Problem:
         """Return the same problem with some parts replaced; raise ValueError as `Problem` does."""
         changed = Problem.__new__(Problem)
+        changed.fields, changed._fields = self.fields, self._fields
+        if fields is not None:
+            changed.fields = beginning_at(fields, self.start.time_ns)
+            changed._fields = packed(changed.fields)
         changed._set(body or self.body, start or self.start, self.logs if log is None else log,
                      self.wheels if wheels is None else wheels, options or self.options)
         return changed
@@ -153,7 +170,7 @@ class Problem:
         Returns
         -------
         array, shape (m, 3), N m, body axes
-            Without that on the rotors.
+            That of the fields included, without that on the rotors.
 
         """
         total = np.zeros((len(times_ns), 3))
@@ -161,6 +178,8 @@ class Problem:
             torque, in_space = log.at(times_ns, self.options.timeout_ns)
             total += np.where(in_space[:, None], so3.rotate(so3.conjugate(attitude), torque),
                               torque)
+        for one in self.fields:
+            total += one.torque(self.body, times_ns, attitude)
         return total
 
     def biased(self, torque: Floats, end_ns: int) -> Problem:
@@ -224,7 +243,7 @@ class Integration:
     def _timeline_from(self, momentum: Floats | None) -> Timeline:
         problem = self.problem
         return Timeline(problem.logs, problem.wheels, problem.options.timeout_ns,
-                        problem.body.is_damped, self._end_ns, momentum)
+                        problem.body.is_damped, self._end_ns, momentum, problem._fields)
 
     def _begin(self) -> NDArray[Any]:
         start, stop = self.problem.start, len(self._timeline.times_ns)
@@ -248,8 +267,9 @@ class Integration:
         acts = torque.any() or any(other.any() for other in others)
         # A torque at the start begins a segment there, even if it repeats the one before.
         begins = any((log.segments(problem.options.timeout_ns)[0] == start_ns).any()
-                     for log in problem.sources) and (acts or self._timeline.is_linear)
-        return None if begins else problem.options.rule(problem.body, torque, in_space, *others)
+                     for log in problem.sources) and (acts or self._timeline.has_terms)
+        return None if begins else problem.options.rule(
+            problem.body, problem._fields, torque, in_space, *others)
 
     def extend(self, problem: Problem) -> None:
         """
@@ -346,8 +366,8 @@ class Integration:
 
 
 def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None,
-              *, at: ArrayLike, wheels: TorqueLog | None = None, solver: str = Options.solver,
-              tolerance: float = Options.tolerance,
+              *, at: ArrayLike, wheels: TorqueLog | None = None, fields: Sequence[Field] = (),
+              solver: str = Options.solver, tolerance: float = Options.tolerance,
               max_step: float | None = Options.max_step,
               torque_timeout: float = Options.torque_timeout) -> Trajectory:
     """
@@ -355,7 +375,7 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog
 
     Parameters
     ----------
-    body, start, log, wheels, solver, tolerance, max_step, torque_timeout
+    body, start, log, wheels, fields, solver, tolerance, max_step, torque_timeout
         As for `Problem`.
     at : array of int, shape (m,), ns
         Times to return, in any order, none before the start.
@@ -374,4 +394,4 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog
     """
     return Integration(Problem(
         body, start, log, wheels=wheels, solver=solver, tolerance=tolerance, max_step=max_step,
-        torque_timeout=torque_timeout)).advance(at)
+        torque_timeout=torque_timeout, fields=fields)).advance(at)

@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 import operator
@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, instant, NEVER_NS
 from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import FRAMES
 from rigid_body_ros.propagation.options import Options
@@ -55,18 +56,20 @@ class Propagator:
     Raises
     ------
     ValueError
-        An option is out of its range.
+        An option is out of its range, or there are two gravity gradients.
 
     """
 
-    def __init__(self, body: RigidBody, start: State, *, solver: str = Options.solver,
-                 tolerance: float = Options.tolerance,
+    def __init__(self, body: RigidBody, start: State, *, fields: Sequence[Field] = (),
+                 solver: str = Options.solver, tolerance: float = Options.tolerance,
                  max_step: float | None = Options.max_step,
-                 torque_timeout: float = Options.torque_timeout, history: float = 1.0) -> None:
+                 torque_timeout: float = Options.torque_timeout,
+                 history: float = 1.0) -> None:
         self._options = Options(solver, tolerance, max_step, torque_timeout)
         #: ns, at least 1; a torque older than the newest stamp by this much or more is dropped.
         self.history_ns = max(1, duration_ns(history, 'history'))
-        self._options.check_linear_terms(body.is_damped, start._has_rotors)
+        self._options.check_terms(body.is_damped, start._has_rotors, bool(fields))
+        self._fields = packed(beginning_at(fields, start.time_ns))
         self._body, self._start = body, start
         self._changes = [_Change(start.time_ns, {})]
         self._begin()
@@ -170,7 +173,7 @@ class Propagator:
         """
         time_ns = self._checked_time(time_ns)
         values = self._checked_torque(time_ns, torque)
-        self._options.check_linear_terms(False, bool(values.any()))
+        self._options.check_terms(False, bool(values.any()))
         return self._apply(time_ns, WHEELS, values, False)
 
     def at(self, time_ns: int, within: float = math.inf) -> State:
@@ -257,7 +260,8 @@ class Propagator:
         # A torque at the start begins a segment there, even if it repeats the one before.
         begins = any(start.time_ns in (sample.stamp_ns, sample.stamp_ns + self._options.timeout_ns)
                      for sample in first.samples.values())
-        acts = not total.is_zero() or self._body.is_damped or start._has_rotors
+        acts = not total.is_zero() or self._fields is not None or (
+            self._body.is_damped or start._has_rotors)
         first.segment = self._segment(without_origin(start) if begins and acts else start, total)
 
     def _index_of(self, time_ns: int) -> int:
@@ -317,7 +321,7 @@ class Propagator:
         return self._segment(active.end_at(time_ns, until), total)
 
     def _segment(self, start: State, total: Sum) -> Segment:
-        return Segment(self._body, self._options, self.history_ns, start, total)
+        return Segment(self._body, self._options, self.history_ns, start, total, self._fields)
 
 
 @dataclass

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import kernels, layout, motion_layout, Terms
+from rigid_body_ros.engine import FieldTerms, kernels, layout, motion_layout, Terms
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation.options import Options
@@ -87,17 +87,20 @@ class Segment:
     """The motion under held torques, with the grid points reached so far."""
 
     def __init__(self, body: RigidBody, options: Options, history_ns: int, start: State,
-                 total: Sum) -> None:
+                 total: Sum, fields: NDArray[Any] | None = None) -> None:
         torque, in_space, *others = total
-        self.coasts = total.is_zero() and not (body.is_damped or start._has_rotors)
+        self.coasts = total.is_zero() and fields is None and not (
+            body.is_damped or start._has_rotors)
         self._options, self._history_ns = options, history_ns
-        self._rule = options.rule(body, torque, in_space, *others)
+        self._rule = options.rule(body, fields, torque, in_space, *others)
         origin = origin_of(start, self._rule)
         self._rotors = origin.rotors
         self._grid_ns = [*dict.fromkeys((origin.begin_ns, origin.grid_ns))]
         self._states = [origin.begin, origin.grid][:len(self._grid_ns)]
-        terms = None
-        if body.is_damped or origin.rotors.any() or any(other.any() for other in others):
+        terms: Terms | FieldTerms | None = None
+        if fields is not None:
+            terms = FieldTerms(origin.rotors[None], total.motors[None], total.space[None], fields)
+        elif body.is_damped or origin.rotors.any() or any(other.any() for other in others):
             terms = Terms(origin.rotors[None], total.motors[None], total.space[None])
         self._rows = held_row(origin.begin_ns, torque, in_space, terms)
         self._constants = body._constants

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.engine import kernels, Rows, Terms
+from rigid_body_ros.engine import FieldTerms, kernels, Rows, Terms
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import summation
 
@@ -51,30 +51,33 @@ class Timeline:
     start_ns : int
     momentum : array, shape (2, 3), N m s, or None
         Momentum of the rotors at that time, and its low-order part; None without rotors.
+    fields : array of FIELDS, shape (1,), or None
+        The torques that depend on the attitude.
 
     Attributes
     ----------
     times_ns : array of int64, shape (n,)
         When each row comes into force.
-    has_rotors, is_linear : bool
-        Whether there are rotors; and whether there are rotors or damping.
+    has_rotors, has_terms : bool
+        Whether there are rotors; and whether there are rotors, damping or fields.
 
     """
 
     def __init__(self, logs: Sequence[TorqueLog], wheels: TorqueLog | None, timeout_ns: int,
-                 is_damped: bool, start_ns: int, momentum: Floats | None) -> None:
-        self._timeout_ns = timeout_ns
-        has_motors = wheels is not None and bool(wheels.torques.any())
-        self.has_rotors = momentum is not None or has_motors
-        self.is_linear = self.has_rotors or is_damped
-        self._always_acts = momentum is not None or is_damped
+                 is_damped: bool, start_ns: int, momentum: Floats | None,
+                 fields: NDArray[Any] | None = None) -> None:
+        self._timeout_ns, self._fields = timeout_ns, fields
+        self._has_motors = wheels is not None and bool(wheels.torques.any())
+        self.has_rotors = momentum is not None or self._has_motors
+        self.has_terms = self.has_rotors or is_damped or fields is not None
+        self._always_acts = momentum is not None or is_damped or fields is not None
         #: Constant terms; those of summed rows are in these.
         self._terms = None
-        if self.is_linear:
+        if self.has_terms:
             self._terms = Terms((_NO_MOMENTUM if momentum is None else momentum)[None], None, None)
         self._summed: Rows | None = None
-        if len(logs) > 1 or wheels is not None:
-            self._summed = self._sum(logs, wheels or _NO_LOG, start_ns, has_motors)
+        if len(logs) > 1 or wheels is not None or fields is not None:
+            self._summed = self._sum(logs, wheels or _NO_LOG, start_ns)
             self.times_ns = self._summed.times_ns
             return
         self._log = logs[0] if logs else _NO_LOG
@@ -86,6 +89,11 @@ class Timeline:
             self.times_ns = np.insert(stamps_ns, self._silent + 1,
                                       stamps_ns[self._silent] + timeout_ns)
 
+    @property
+    def has_fields(self) -> bool:
+        """Return whether there are torques that depend on the attitude."""
+        return self._fields is not None
+
     @cached_property
     def _samples(self) -> NDArray[np.intp] | None:
         """Return the sample in force in each row, -1 after a timeout; None if it is the row."""
@@ -93,8 +101,7 @@ class Timeline:
             return None
         return np.insert(np.arange(len(self._log)), self._silent + 1, -1)
 
-    def _sum(self, logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int,
-             has_motors: bool) -> Rows:
+    def _sum(self, logs: Sequence[TorqueLog], wheels: TorqueLog, start_ns: int) -> Rows:
         momentum = self._terms.momentum[0] if self._terms else _NO_MOMENTUM
         times_ns, in_space, sums = summation.summed(
             logs, wheels, start_ns, momentum, self._timeout_ns)
@@ -103,10 +110,14 @@ class Timeline:
         spans = _NO_SPANS
         if sums.torques.shape[1] > 1:
             spans = np.append(np.diff(times_ns) / 1e9, 1.0)
-        terms = None
-        if self.is_linear or in_two:
-            terms = Terms(sums.momentum if has_motors else momentum[None],
-                          sums.motors if has_motors else None, sums.space if in_two else None)
+        has_motors = self._has_motors
+        terms: Terms | FieldTerms | None = None
+        momentum = sums.momentum if has_motors else momentum[None]
+        if self._fields is not None:
+            terms = FieldTerms(momentum, sums.motors, sums.space, self._fields)
+        elif self.has_terms or in_two:
+            terms = Terms(momentum, sums.motors if has_motors else None,
+                          sums.space if in_two else None)
         return _frozen(Rows(times_ns, sums.torques, in_space, spans, terms))
 
     def in_force(self, time_ns: int) -> int:
@@ -141,7 +152,7 @@ class Timeline:
         if self._summed is None:
             return
         self.times_ns, terms = np.append(begin_ns, self.times_ns[1:]), self._summed.terms
-        if terms and terms.motors is not None:
+        if terms and self._has_motors:
             terms = terms._replace(momentum=np.concatenate([momentum[None], terms.momentum[1:]]))
         self._summed = _frozen(self._summed._replace(times_ns=self.times_ns, terms=terms))
 
@@ -191,13 +202,13 @@ class Timeline:
                             self._terms))
 
     def acts(self) -> NDArray[np.bool_]:
-        """Return for each row whether torques, rotors or damping act on the body."""
+        """Return for each row whether torques, rotors, damping or fields act on it."""
         if self._always_acts:
             return np.ones(len(self.times_ns), np.bool_)
         if self._summed is not None:
             _, torques, _, _, terms = self._summed
             others = [] if terms is None else [terms.space, terms.motors]
-            if terms and terms.motors is not None:
+            if terms and self._has_motors:
                 others.append(terms.momentum)
             parts = [torques, *(other for other in others if other is not None)]
             return np.asarray(np.concatenate(parts, axis=1).any(axis=(1, 2)))
@@ -219,7 +230,7 @@ class Timeline:
 
         """
         terms = self._summed.terms if self._summed else self._terms
-        if terms is None or terms.motors is None:
+        if terms is None or terms.motors is None or not self._has_motors:
             constant = terms.momentum if terms else _NO_MOMENTUM[None]
             return np.broadcast_to(constant, (len(times_ns), 2, 3))
         return momentum_at(self.times_ns, terms.momentum, terms.motors, times_ns)
@@ -233,7 +244,8 @@ def momentum_at(row_times_ns: NDArray[np.int64], momentum: Floats, motors: Float
     return result
 
 
-def held_row(time_ns: int, torque: Floats, in_space: bool, terms: Terms | None = None) -> Rows:
+def held_row(time_ns: int, torque: Floats, in_space: bool,
+             terms: Terms | FieldTerms | None = None) -> Rows:
     """Return the row of a torque that is held from a time on, N m, shape (1, 3)."""
     return _frozen(Rows(np.array([time_ns]), torque[None], np.array([in_space]), _NO_SPANS, terms))
 

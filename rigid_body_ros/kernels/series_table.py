@@ -1,0 +1,116 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The table of a Taylor series: its terms, order by order.
+
+With lanes, see `four`, the table has a lane for each body.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.kernels import four
+from rigid_body_ros.kernels.jit import inlined, internal
+from rigid_body_ros.kernels.vector import of, Quaternion, scale, Vector
+
+#: The terms of one order: u, u as (y, z, x), u as (z, x, y), and the rotation.
+Term = tuple[Vector, Vector, Vector, Quaternion]
+
+MAX_ORDER = 40
+#: Layout of the terms of one order in the table: u in its three permutations; the rotation since
+#: the start of the step; the coefficients of a torque fixed in space, up to four, each in its
+#: three permutations.
+U, _U_YZX, _U_ZXY, _ROTATION, TORQUES = range(0, 20, 4)
+#: Size of a vector in its three permutations.
+PERMUTED = 3 * 4
+_TERM = TORQUES + 4 * PERMUTED
+#: The same in lanes, where a number takes a cache line: u and the rotation. Without gaps, no two
+#: terms compete for a place in the first cache.
+_ROTATION_IN_LANES, _TERM_IN_LANES = 4, 8
+#: Size of the table.
+WORKSPACE = _TERM * (MAX_ORDER + 1)
+#: Number of its rows with lanes.
+WORKSPACE_OF_LANES = _TERM_IN_LANES * (MAX_ORDER + 1)
+#: 1 / (k + 1), looked up because a division takes longer.
+RECIPROCALS = 1.0 / np.arange(1.0, MAX_ORDER + 1.0)
+
+
+@inlined
+def without_fourth(table: Floats, u: Vector) -> Vector:
+    """Return a vector; in lanes, its fourth component becomes a constant zero."""
+    # There it has a register of its own. The compiler leaves out the products of a constant zero.
+    return of(u[0], u[1], u[2]) if four.has_lanes(table) else u
+
+
+@inlined
+def row_of(table: Floats, k: int) -> int:
+    """Return where the terms of an order begin."""
+    return k * (_TERM_IN_LANES if four.has_lanes(table) else _TERM)
+
+
+@inlined
+def rotation_of(table: Floats) -> int:
+    """Return where the rotation is among the terms of an order."""
+    return _ROTATION_IN_LANES if four.has_lanes(table) else _ROTATION
+
+
+@inlined
+def store_term(table: Floats, k: int, u: Vector, rotation: Quaternion) -> Term:
+    """Store the terms of an order, and return them."""
+    row = row_of(table, k)
+    store_permuted(table, row + U, u)
+    four.store(table, row + rotation_of(table), rotation)
+    return u, four.yzx(u), four.zxy(u), rotation
+
+
+@inlined
+def store_permuted(table: Floats, row: int, vector: Vector) -> None:
+    """Store a vector in its three permutations."""
+    four.store(table, row, vector)
+    if not four.has_lanes(table):  # lanes are permuted for nothing
+        four.store(table, row + 4, four.yzx(vector))
+        four.store(table, row + 8, four.zxy(vector))
+
+
+@inlined
+def load_term(table: Floats, row: int) -> Term:
+    """Return the terms that begin at a place, see `row_of`."""
+    u, yzx, zxy = load_permuted(table, row + U)
+    return u, yzx, zxy, four.load(table, row + rotation_of(table))
+
+
+@inlined
+def load_permuted(table: Floats, row: int) -> tuple[Vector, Vector, Vector]:
+    """Return a vector in its three permutations."""
+    u = without_fourth(table, four.load(table, row))
+    if four.has_lanes(table):
+        return u, four.yzx(u), four.zxy(u)
+    return u, four.load(table, row + 4), four.load(table, row + 8)
+
+
+@internal
+def turned(vectors: Floats, place: int, size: int, table: Floats, k: int) -> Vector:
+    """
+    Return the term of order k + 1 of a vector that is fixed in space, in body axes.
+
+    It obeys dv/dt = v x w. Its terms up to order k are `size` doubles apart, from a place on.
+    """
+    one = other = four.zero(four.load(table, U))
+    for j in range(k + 1):
+        _, yzx, zxy = load_permuted(vectors, size * j + place)
+        _, u_yzx, u_zxy = load_permuted(table, row_of(table, k - j) + U)
+        one, other = four.fma(yzx, u_zxy, one), four.fma(zxy, u_yzx, other)
+    return scale(float(RECIPROCALS[k]), four.subtract(one, other))

@@ -1,0 +1,209 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Torques that depend on the attitude: uniform fields and the gravity gradient.
+
+The formulas are those of Goldstein, Classical Mechanics, chapter 5 (the heavy top), and of Hughes,
+Spacecraft Attitude Dynamics, chapters 8 and 9 (the gravity gradient).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import instant
+from rigid_body_ros.engine import FIELDS, MOST_FIELDS
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.body import RigidBody
+
+#: Largest accepted cosine of the angle between the position on an orbit and its normal.
+_SQUARE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class UniformField:
+    """
+    A uniform field, which turns a moment of the body into its direction.
+
+    The torque is m x R^T f. For the weight about a pivot, the moment is the mass times the centre
+    of mass as seen from the pivot, the field is gravity, and the inertia of the body is that about
+    the pivot. A magnetic dipole (A m^2) in a magnetic field (T), and buoyancy, are alike.
+
+    Parameters
+    ----------
+    moment : array, shape (3,), kg m, A m^2, ...
+        In body axes.
+    field : array, shape (3,), m/s^2, T, ...
+        In space axes. The product with the moment is in N m.
+
+    Raises
+    ------
+    ValueError
+        An array is not 3 finite numbers.
+
+    """
+
+    moment: ArrayLike
+    field: ArrayLike
+
+    def __post_init__(self) -> None:
+        for name in ('moment', 'field'):
+            object.__setattr__(self, name, _checked(getattr(self, name), f'{name} of a field'))
+
+    def torque(self, body: RigidBody, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
+        """Return the torque, N m, body axes, at times and attitudes, shape (m, 3)."""
+        return np.cross(np.asarray(self.moment), so3.rotate(so3.conjugate(attitude), self._rows(
+            attitude)))
+
+    def potential_energy(self, body: RigidBody, times_ns: NDArray[np.int64],
+                         attitude: Floats) -> Floats:
+        """Return the potential energy -m . R^T f, J, shape (m,)."""
+        turned = so3.rotate(so3.conjugate(attitude), self._rows(attitude))
+        return -(turned @ np.asarray(self.moment))
+
+    def _rows(self, attitude: Floats) -> Floats:
+        return np.broadcast_to(np.asarray(self.field), (len(attitude), 3))
+
+
+@dataclass(frozen=True, eq=False)
+class GravityGradient:
+    """
+    The gravity gradient on a circular orbit.
+
+    The torque is 3 n^2 r x J r, where r is the unit vector from the planet to the body.
+
+    Parameters
+    ----------
+    mean_motion : float, rad/s
+        The rate n of the orbit, positive.
+    position, normal : array, shape (3,), space axes
+        The direction from the planet to the body at `time_ns`, and the normal of the orbit, about
+        which the body revolves. Their lengths have no meaning.
+    time_ns : int, optional, ns
+        None: the start of the motion.
+
+    Raises
+    ------
+    ValueError
+        The mean motion is not positive and finite, a direction is zero or not finite, the two are
+        not at right angles, or the time does not fit int64.
+
+    """
+
+    mean_motion: float
+    position: ArrayLike = (1.0, 0.0, 0.0)
+    normal: ArrayLike = (0.0, 0.0, 1.0)
+    time_ns: int | None = None
+    #: The unit vector along the orbit at `time_ns`, space axes.
+    along: Floats = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        rate = float(self.mean_motion)
+        if not 0.0 < rate < np.inf:
+            raise ValueError('mean motion of an orbit: expected rad/s greater than zero, '
+                             f'found {self.mean_motion}')
+        position, normal = (_direction(getattr(self, name), f'{name} of an orbit')
+                            for name in ('position', 'normal'))
+        if not abs(position @ normal) <= _SQUARE:
+            raise ValueError('position and normal of an orbit: expected directions at right '
+                             f'angles, found a cosine of {position @ normal:.3g}')
+        along = _direction(np.cross(normal, position), 'direction along an orbit')
+        time_ns = None if self.time_ns is None else instant(self.time_ns)
+        for name, value in (('mean_motion', rate), ('position', position), ('normal', normal),
+                            ('along', along), ('time_ns', time_ns)):
+            object.__setattr__(self, name, value)
+
+    def directions(self, times_ns: NDArray[np.int64]) -> Floats:
+        """Return the unit vectors from the planet to the body, space axes, shape (m, 3)."""
+        assert self.time_ns is not None, 'the orbit has no time'
+        angle = self.mean_motion * ((times_ns - self.time_ns) / 1e9)[:, None]
+        return np.cos(angle) * np.asarray(self.position) + np.sin(angle) * self.along
+
+    def torque(self, body: RigidBody, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
+        """Return the torque, N m, body axes, at times and attitudes, shape (m, 3)."""
+        r = so3.rotate(so3.conjugate(attitude), self.directions(times_ns))
+        return 3.0 * self.mean_motion ** 2 * np.cross(r, r @ body.inertia)
+
+    def potential_energy(self, body: RigidBody, times_ns: NDArray[np.int64],
+                         attitude: Floats) -> Floats:
+        """Return the potential energy 3/2 n^2 r . J r, J, shape (m,), of the rotation alone."""
+        r = so3.rotate(so3.conjugate(attitude), self.directions(times_ns))
+        return 1.5 * self.mean_motion ** 2 * np.sum(r * (r @ body.inertia), axis=1)
+
+
+Field = UniformField | GravityGradient
+
+
+def beginning_at(fields: Sequence[Field], time_ns: int) -> tuple[Field, ...]:
+    """
+    Return fields whose orbit has a time: that of the start of the motion, unless it has one.
+
+    Raises
+    ------
+    ValueError
+        There are two orbits.
+
+    """
+    orbits = [one for one in fields if isinstance(one, GravityGradient)]
+    if len(orbits) > 1:
+        raise ValueError(f'fields: expected at most one gravity gradient, found {len(orbits)}')
+    return tuple(replace(one, time_ns=time_ns)
+                 if isinstance(one, GravityGradient) and one.time_ns is None else one
+                 for one in fields)
+
+
+def packed(fields: Sequence[Field]) -> NDArray[Any] | None:
+    """Return fields for the kernels: FIELDS, shape (1,), or None; an orbit has a time."""
+    if not fields:
+        return None
+    result = np.zeros(1, FIELDS)
+    uniform = [one for one in fields if isinstance(one, UniformField)]
+    moments = np.array([one.moment for one in uniform]).reshape(-1, 3)
+    directions = np.array([one.field for one in uniform]).reshape(-1, 3)
+    if len(uniform) > MOST_FIELDS:  # one along each axis of space
+        moments, directions = directions.T @ moments, np.eye(3)
+    result['count'] = len(moments)
+    result['moments'][0, :moments.size] = moments.ravel()
+    result['fields'][0, :moments.size] = directions.ravel()
+    for one in fields:
+        if isinstance(one, GravityGradient):
+            for name in ('mean_motion', 'position', 'along', 'time_ns'):
+                result[name] = getattr(one, name)
+    result.flags.writeable = False
+    return result
+
+
+def _checked(values: ArrayLike, what: str) -> Floats:
+    vector = np.array(values, float)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise ValueError(f'{what}: expected 3 finite numbers, found {vector.tolist()}')
+    vector.flags.writeable = False
+    return vector
+
+
+def _direction(values: ArrayLike, what: str) -> Floats:
+    vector = _checked(values, what)
+    largest = abs(vector).max()
+    if not largest:
+        raise ValueError(f'{what}: expected a direction, found zeros')
+    vector = vector / largest  # squares neither overflow nor underflow
+    vector = vector / np.sqrt(vector @ vector)
+    vector.flags.writeable = False
+    return vector
