@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.identification import Experiment, identify
     from rigid_body_ros.mechanics.bodies import RigidBodies
     from rigid_body_ros.mechanics.body import RigidBody
+    from rigid_body_ros.mechanics.changes import BodyLog
     from rigid_body_ros.mechanics.fields import GravityGradient, UniformField
     from rigid_body_ros.mechanics.state import State
     from rigid_body_ros.mechanics.states import States
@@ -41,6 +42,7 @@ else:
     # Importing the engine takes a while, and commands must handle signals before.
     #: The module of each public name; a module stands for itself.
     _HOMES = {'RigidBodies': 'mechanics.bodies', 'RigidBody': 'mechanics.body',
+              'BodyLog': 'mechanics.changes',
               'State': 'mechanics.state', 'States': 'mechanics.states',
               'GravityGradient': 'mechanics.fields', 'UniformField': 'mechanics.fields',
               'TorqueLog': 'mechanics.torque', 'euler': 'mechanics.euler',
@@ -67,7 +69,7 @@ else:
     def __dir__() -> list[str]:
         return sorted({*globals(), *_HOMES})
 
-__all__ = ['Experiment', 'GravityGradient', 'Measured', 'Problem', 'Propagator', 'RigidBodies',
-           'RigidBody', 'State', 'States', 'TorqueLog', 'Trajectories', 'Trajectory',
-           'UniformField', 'build_info', 'compare', 'identify', 'propagate', 'propagate_many',
-           'read', 'read_measured', 'warm_up']
+__all__ = ['BodyLog', 'Experiment', 'GravityGradient', 'Measured', 'Problem', 'Propagator',
+           'RigidBodies', 'RigidBody', 'State', 'States', 'TorqueLog', 'Trajectories',
+           'Trajectory', 'UniformField', 'build_info', 'compare', 'identify', 'propagate',
+           'propagate_many', 'read', 'read_measured', 'warm_up']

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 import rigid_body_ros
 from rigid_body_ros import (
+    BodyLog,
     build_info,
     Experiment,
     GravityGradient,
@@ -53,11 +54,12 @@ SIGNATURES = [
     (GravityGradient, 'mean_motion, position=(1.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0), '
                       'time_ns=None'),
     (TorqueLog.from_momentum, 'times_ns, momenta'),
-    (Problem, f'body, start, log=None, *, wheels=None, fields=(), {OPTIONS}'),
+    (Problem, f'body, start, log=None, *, wheels=None, fields=(), changes=None, {OPTIONS}'),
     (Problem.propagate, 'self, *, at'),
     (read, 'path, scene, *, topic=None, wheel_torque=None, wheel_momentum=None, '
            "interpolation=None, time_source='header'"),
-    (propagate, f'body, start, log=None, *, at, wheels=None, fields=(), {OPTIONS}'),
+    (propagate, 'body, start, log=None, *, at, wheels=None, fields=(), changes=None, '
+                f'{OPTIONS}'),
     (propagate_many, 'bodies, starts, log=None, *, at, wheels=None, fields=(), torque_gains=None, '
                      f'{OPTIONS}'),
     (States, 'time_ns=0, attitude=(0.0, 0.0, 0.0, 1.0), angular_velocity=(0.0, 0.0, 0.0), '
@@ -65,6 +67,8 @@ SIGNATURES = [
     (Propagator, f'body, start, *, fields=(), {OPTIONS}, history=1.0'),
     (Propagator.apply, "self, time_ns, torque, frame='body', source=0"),
     (Propagator.apply_wheels, 'self, time_ns, torque'),
+    (Propagator.apply_body, "self, time_ns, body, keep='rate'"),
+    (BodyLog, "times_ns, bodies, keep='rate'"),
     (build_info, ''),
     (warm_up, ''),
     (Experiment, 'start, log, measured, wheels=None'),
@@ -91,10 +95,10 @@ def test_parameters_and_defaults_are_those_documented(function, parameters):
 
 def test_the_top_level_has_these_names():
     assert sorted(rigid_body_ros.__all__) == [
-        'Experiment', 'GravityGradient', 'Measured', 'Problem', 'Propagator', 'RigidBodies',
-        'RigidBody', 'State', 'States', 'TorqueLog', 'Trajectories', 'Trajectory',
-        'UniformField', 'build_info', 'compare', 'identify',
-        'propagate', 'propagate_many', 'read', 'read_measured', 'warm_up']
+        'BodyLog', 'Experiment', 'GravityGradient', 'Measured', 'Problem', 'Propagator',
+        'RigidBodies', 'RigidBody', 'State', 'States', 'TorqueLog', 'Trajectories', 'Trajectory',
+        'UniformField', 'build_info', 'compare', 'identify', 'propagate', 'propagate_many', 'read',
+        'read_measured', 'warm_up']
     assert (rigid_body_ros.mechanics.so3, rigid_body_ros.mechanics.euler) == (so3, euler)
 
 

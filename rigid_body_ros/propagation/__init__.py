@@ -24,10 +24,11 @@ for bit.
 """
 
 from rigid_body_ros.common.times import LONGEST
+from rigid_body_ros.propagation.integration import Integration
 from rigid_body_ros.propagation.many import propagate_many, Trajectories
 from rigid_body_ros.propagation.models import Model
 from rigid_body_ros.propagation.options import Options, TOLERANCES
-from rigid_body_ros.propagation.problem import Integration, Problem, propagate
+from rigid_body_ros.propagation.problem import Problem, propagate
 from rigid_body_ros.propagation.propagator import Propagator
 from rigid_body_ros.propagation.solvers import Solver, SOLVERS
 from rigid_body_ros.propagation.trajectory import Trajectory

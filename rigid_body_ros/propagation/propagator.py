@@ -28,23 +28,33 @@ from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, instant, NEVER_NS
 from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.changes import changed, checked_keep, RATE
 from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import FRAMES
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import without_origin
-from rigid_body_ros.propagation.segment import Sample, Segment, Sum, summed, timed_out, WHEELS
+from rigid_body_ros.propagation.segment import (
+    NewBody,
+    Sample,
+    Segment,
+    Sum,
+    summed,
+    timed_out,
+    WHEELS,
+)
 
 
 class Propagator:
     """
     The motion under torques that arrive sample by sample.
 
-    A torque commits the state at its stamp, computed under the torque before it. A state between
-    stamps is a prediction: no later state depends on it. A torque that arrives late, by less than
-    `history`, is inserted, and the later torques are applied again; of torques with equal stamps
-    the last to arrive is used. So the states at the stamps are those of `propagate` with the whole
-    log, bit for bit, in whatever order the torques of each source arrive.
+    A torque commits the state at its stamp, computed under the torque before it, and so does a
+    change of the body. A state between stamps is a prediction: no later state depends on it. A
+    torque that arrives late, by less than `history`, is inserted, and the later torques are
+    applied again; of torques with equal stamps the last to arrive is used. So the states at the
+    stamps are those of `propagate` with the whole log, bit for bit, in whatever order the torques
+    of each source arrive.
 
     Parameters
     ----------
@@ -70,8 +80,8 @@ class Propagator:
         self.history_ns = max(1, duration_ns(history, 'history'))
         self._options.check_terms(body.is_damped, start._has_rotors, bool(fields))
         self._fields = packed(beginning_at(fields, start.time_ns))
-        self._body, self._start = body, start
-        self._changes = [_Change(start.time_ns, {})]
+        self._start = start
+        self._changes = [_Change(start.time_ns, {}, NewBody(start.time_ns, body, RATE))]
         self._begin()
         self._newest_ns: int | None = None
 
@@ -176,6 +186,39 @@ class Propagator:
         self._options.check_terms(False, bool(values.any()))
         return self._apply(time_ns, WHEELS, values, False)
 
+    def apply_body(self, time_ns: int, body: RigidBody, keep: str = RATE) -> bool:
+        """
+        Change the body from a stamp to the next one of a body.
+
+        Parameters
+        ----------
+        time_ns : int
+            As for `apply`. A body from before the start starts in place of the first one.
+        body : RigidBody
+        keep : str
+            'rate' or 'momentum': what goes on, see `BodyLog`.
+
+        Returns
+        -------
+        bool
+            As for `apply`.
+
+        Raises
+        ------
+        ValueError
+            As for `apply`, `keep` is neither, or the solver does not handle damping.
+        TypeError
+            The time is not an integer.
+
+        """
+        time_ns = self._checked_time(time_ns)
+        self._options.check_terms(body.is_damped, False)
+        index = self._inserted(time_ns)
+        if index is None:
+            return False
+        self._put(index, NewBody(time_ns, body, checked_keep(keep)))
+        return True
+
     def at(self, time_ns: int, within: float = math.inf) -> State:
         """
         Return the state at a time under the torques known so far.
@@ -229,26 +272,37 @@ class Propagator:
         return found
 
     def _apply(self, time_ns: int, source: int, torque: Floats, in_space: bool) -> bool:
-        if self._newest_ns is not None and self._newest_ns - time_ns >= self.history_ns:
+        index = self._inserted(time_ns)
+        if index is None:
             return False
+        self._put(index, Sample(time_ns, torque, in_space), source)
+        return True
+
+    def _inserted(self, time_ns: int) -> int | None:
+        """Return the index of the change at a stamp, or None if the stamp is too old."""
+        if self._newest_ns is not None and self._newest_ns - time_ns >= self.history_ns:
+            return None
         self._discard_before(time_ns - self.history_ns)
         self._newest_ns = time_ns if self._newest_ns is None else max(self._newest_ns, time_ns)
         index = max(self._index_of(time_ns), 0)
         if time_ns > self._changes[index].time_ns:
-            self._changes.insert(index + 1, _Change(time_ns, {**self._changes[index].samples}))
+            before = self._changes[index]
+            self._changes.insert(index + 1, _Change(time_ns, {**before.samples}, before.body))
             index += 1
-        self._put(index, source, Sample(time_ns, torque, in_space))
-        return True
+        return index
 
-    def _put(self, index: int, source: int, sample: Sample) -> None:
-        # A sample is in force up to the next one of its source. While a stamp may still come from
-        # before the start, the first change is the start: it is discarded only when a stamp is
-        # `history` after it, and then `_apply` drops every sample that is as old.
-        for k in range(index, len(self._changes)):
-            found = self._changes[k].samples.get(source)
-            if found is not None and found.stamp_ns > sample.stamp_ns:
+    def _put(self, index: int, new: Sample | NewBody, source: int = 0) -> None:
+        # A sample is in force up to the next one of its source, and so is a body. While a stamp
+        # may still come from before the start, the first change is the start: it is discarded only
+        # when a stamp is `history` after it, and then every stamp that is as old is dropped.
+        for change in self._changes[index:]:
+            found = change.body if isinstance(new, NewBody) else change.samples.get(source)
+            if found is not None and found.stamp_ns > new.stamp_ns:
                 break
-            self._changes[k].samples[source] = sample
+            if isinstance(new, NewBody):
+                change.body = new
+            else:
+                change.samples[source] = new
         self._discard_segments(index)
         if self._changes[0].segment is None:
             self._begin()
@@ -261,8 +315,9 @@ class Propagator:
         begins = any(start.time_ns in (sample.stamp_ns, sample.stamp_ns + self._options.timeout_ns)
                      for sample in first.samples.values())
         acts = not total.is_zero() or self._fields is not None or (
-            self._body.is_damped or start._has_rotors)
-        first.segment = self._segment(without_origin(start) if begins and acts else start, total)
+            first.body.body.is_damped or start._has_rotors)
+        first.segment = self._segment(without_origin(start) if begins and acts else start, total,
+                                      first.body.body)
 
     def _index_of(self, time_ns: int) -> int:
         """Return the index of the change in force at a time, or -1."""
@@ -316,20 +371,25 @@ class Propagator:
     def _next_segment(self, active: Segment, change: _Change, time_ns: int,
                       until: float) -> Segment:
         total = self._sum(change, time_ns)
+        body = change.body
+        if body.stamp_ns == time_ns:
+            start = changed(active.end_at(time_ns, until), active.body, body.body, body.keep)
+            return self._segment(start, total, body.body)
         if active.coasts and total.is_zero():
             return active
-        return self._segment(active.end_at(time_ns, until), total)
+        return self._segment(active.end_at(time_ns, until), total, body.body)
 
-    def _segment(self, start: State, total: Sum) -> Segment:
-        return Segment(self._body, self._options, self.history_ns, start, total, self._fields)
+    def _segment(self, start: State, total: Sum, body: RigidBody) -> Segment:
+        return Segment(body, self._options, self.history_ns, start, total, self._fields)
 
 
 @dataclass
 class _Change:
-    """The samples that are in force from a time on."""
+    """What is in force from a time on: the sample of each source, and the body."""
 
     time_ns: int
     samples: dict[int, Sample]
+    body: NewBody
     segment: Segment | None = None
     #: The segments that begin when samples time out, in order.
     after_timeouts: list[Segment] = field(default_factory=list)

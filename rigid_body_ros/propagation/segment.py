@@ -48,6 +48,14 @@ class Sample(NamedTuple):
     in_space: bool
 
 
+class NewBody(NamedTuple):
+    """A body from a stamp on, and what goes on there, see `BodyLog`."""
+
+    stamp_ns: int
+    body: RigidBody
+    keep: str
+
+
 class Sum(NamedTuple):
     """The sum of the torques of all sources, N m, each shape (1, 3); see `layout.Rows`."""
 
@@ -91,7 +99,7 @@ class Segment:
         torque, in_space, *others = total
         self.coasts = total.is_zero() and fields is None and not (
             body.is_damped or start._has_rotors)
-        self._options, self._history_ns = options, history_ns
+        self.body, self._options, self._history_ns = body, options, history_ns
         self._rule = options.rule(body, fields, torque, in_space, *others)
         origin = origin_of(start, self._rule)
         self._rotors = origin.rotors
@@ -103,7 +111,6 @@ class Segment:
         elif body.is_damped or origin.rotors.any() or any(other.any() for other in others):
             terms = Terms(origin.rotors[None], total.motors[None], total.space[None])
         self._rows = held_row(origin.begin_ns, torque, in_space, terms)
-        self._constants = body._constants
 
     def state_at(self, time_ns: int, until: float) -> State:
         """Return the state at a time, or raise TimeoutError or ValueError as `Propagator.at`."""
@@ -137,7 +144,7 @@ class Segment:
     def _run(self, progress: NDArray[Any], time_ns: int, until: float) -> None:
         """Run the loop up to a time, or until the computing time is used up."""
         arguments = (progress, np.array([time_ns]), layout.IN_ORDER, *_UNUSED, self._rows,
-                     self._constants, self._options.method)
+                     self.body._constants, self._options.method)
         while result := kernels.run(*arguments):
             if result == layout.TOO_FAST:
                 raise self._options.too_fast(

@@ -16,9 +16,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,16 +40,15 @@ class Trajectory:
 
     Attributes
     ----------
-    body : RigidBody
     times_ns : array of int64, shape (m,)
 
     """
 
-    body: RigidBody
     times_ns: NDArray[np.int64]
     #: See `motion_layout`; it may have rows after those of the times.
     _motion: Floats
-    _usage: SolverUsage
+    #: Of each part of the motion, in order; with each change of the body a part begins.
+    _parts: tuple[SolverUsage, ...]
 
     def __repr__(self) -> str:
         if not self.times_ns.size:
@@ -57,6 +57,11 @@ class Trajectory:
         states = '1 state' if self.times_ns.size == 1 else f'{self.times_ns.size} states'
         return (f'Trajectory({states} from {first_ns} ns on, '
                 f'over {(last_ns - first_ns) / 1e9:g} s)')
+
+    @property
+    def body(self) -> RigidBody:
+        """Return the body, the first one if it changes."""
+        return self._parts[0].body
 
     @cached_property
     def attitude(self) -> Floats:
@@ -114,24 +119,47 @@ class Trajectory:
     @cached_property
     def models(self) -> tuple[Model, ...]:
         """Which solver was used for each span, and why."""
-        return self._usage.models()
+        return tuple(model for part in self._parts for model in part.models())
 
     @cached_property
     def rotor_momentum(self) -> Floats:
         """Momentum of the rotors relative to the body, N m s, body axes, shape (m, 3)."""
-        if not self._usage.timeline.has_rotors:
-            return np.zeros((self.times_ns.size, 3))
-        return self._usage.timeline.momentum(self.times_ns)[:, 0]
+        return self._by_part(lambda part, rows: part.timeline.momentum(self.times_ns[rows])[:, 0])
 
     @cached_property
     def angular_momentum_space(self) -> Floats:
         """Angular momentum in space axes, N m s, shape (m, 3), that of the rotors included."""
-        momentum = self.body.angular_momentum(self.angular_velocity)
-        if self._usage.timeline.has_rotors:
+        momentum = self._by_part(
+            lambda part, rows: part.body.angular_momentum(self.angular_velocity[rows]))
+        if any(part.timeline.has_rotors for part in self._parts):
             momentum = momentum + self.rotor_momentum
         return so3.rotate(self.attitude, momentum)
 
     @cached_property
     def kinetic_energy(self) -> Floats:
         """Kinetic energy w . J w / 2, J, shape (m,); that of the rotors is not included."""
-        return self.body.kinetic_energy(self.angular_velocity)
+        return self._by_part(
+            lambda part, rows: part.body.kinetic_energy(self.angular_velocity[rows]))
+
+    def _by_part(self, value: Callable[[SolverUsage, Any], Floats]) -> Floats:
+        """Return a quantity of which a function returns the rows of a part."""
+        if len(self._parts) == 1:
+            return value(self._parts[0], slice(None))
+        begins_ns = [part.start_ns for part in self._parts[1:]]
+        of_row = np.searchsorted(begins_ns, self.times_ns, 'right')
+        found = [value(part, of_row == k) for k, part in enumerate(self._parts)]
+        result = np.empty((self.times_ns.size, *found[0].shape[1:]))
+        for k, rows in enumerate(found):
+            result[of_row == k] = rows
+        return result
+
+
+def joined(times_ns: NDArray[np.int64], parts: Sequence[Trajectory]) -> Trajectory:
+    """Return the motion at times, of which each part has those in its span, in their order."""
+    motion = motion_layout.allocate(times_ns.size)
+    begins_ns = [part._parts[0].start_ns for part in parts[1:]]
+    of_row = np.searchsorted(begins_ns, times_ns, 'right')
+    for k, part in enumerate(parts):
+        motion_layout.attitude(motion)[of_row == k] = part.attitude
+        motion_layout.angular_velocity(motion)[of_row == k] = part.angular_velocity
+    return Trajectory(times_ns, motion, tuple(use for part in parts for use in part._parts))

@@ -1,0 +1,229 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The integration of a problem: at once, or piece by piece."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.engine import kernels, layout, motion_layout, state_layout
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.changes import changed
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.propagation.models import SolverUsage
+from rigid_body_ros.propagation.origin import origin_of
+from rigid_body_ros.propagation.requested import checked_times
+from rigid_body_ros.propagation.timeline import Timeline
+from rigid_body_ros.propagation.trajectory import joined, Trajectory
+
+if TYPE_CHECKING:
+    from rigid_body_ros.propagation.problem import Problem
+
+
+class Integration:
+    """
+    A motion computed piece by piece, with the bits of `propagate` under the whole logs.
+
+    Parameters
+    ----------
+    problem : Problem
+        With all torques, or with a first piece of each log.
+
+    Attributes
+    ----------
+    problem : Problem
+        With the present piece of each log.
+
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        start = problem.start
+        self.problem, self._end_ns = problem, start.time_ns
+        self._body = problem.body_at(start.time_ns)
+        self._timeline = self._timeline_from(start._rotors if start._has_rotors else None)
+        self._progress, self._is_begun = self._begin(), False
+
+    def _timeline_from(self, momentum: Floats | None) -> Timeline:
+        problem = self.problem
+        logs, wheels = problem.logs, problem.wheels
+        if problem.changes:  # the torques of the other parts would be summed for nothing
+            later_ns = problem.changes.times_ns[problem.changes.in_force(self._end_ns) + 1:]
+            span = self._end_ns, int(later_ns[0]) if len(later_ns) else NEVER_NS
+            logs = tuple(log.between(*span) for log in logs)
+            wheels = wheels and wheels.between(*span)
+        return Timeline(logs, wheels, problem.options.timeout_ns,
+                        self._body.is_damped, self._end_ns, momentum, problem._fields)
+
+    def _begin(self) -> NDArray[Any]:
+        start, stop = self.problem.start, len(self._timeline.times_ns)
+        row = self._timeline.in_force(start.time_ns)
+        if start._origin is None:
+            return layout.begun(start._packed, start.time_ns, start._packed, start.time_ns, row,
+                                stop)
+        origin = origin_of(start, self._rule(row))
+        if origin.begin_ns != start.time_ns:
+            self._timeline.begin_earlier(origin.begin_ns, origin.rotors)
+        return layout.begun(origin.grid, origin.grid_ns, origin.begin, origin.begin_ns, row,
+                            stop)
+
+    def _rule(self, row: int) -> Hashable:
+        """Return the rule of a segment that may have begun before the start, or None."""
+        problem, start_ns = self.problem, self.problem.start.time_ns
+        found = self._timeline.held(row)
+        if found is None:
+            return None
+        torque, in_space, *others = found
+        acts = torque.any() or any(other.any() for other in others)
+        # A torque at the start begins a segment there, even if it repeats the one before.
+        begins = any((log.segments(problem.options.timeout_ns)[0] == start_ns).any()
+                     for log in problem.sources) and (acts or self._timeline.has_terms)
+        return None if begins else problem.options.rule(
+            self._body, problem._fields, torque, in_space, *others)
+
+    def extend(self, problem: Problem) -> None:
+        """
+        Continue under the next piece of each log.
+
+        Parameters
+        ----------
+        problem : Problem
+            The same problem with the next pieces. Each begins with the sample in force at the end
+            of the motion so far, or earlier. For cubic interpolation there are three samples
+            before that one, and three after the end of the piece.
+
+        """
+        momentum = self._momentum()
+        self.problem = problem
+        self._timeline = self._timeline_from(momentum)
+        self._progress['row'], self._is_begun = self._timeline.in_force(self._end_ns), True
+
+    def advance(self, at: ArrayLike, until_ns: int | None = None) -> Trajectory:
+        """
+        Return the motion at times, none of them before those of the previous call.
+
+        Parameters
+        ----------
+        at : array of int, shape (m,), ns
+            In any order.
+        until_ns : int, optional
+            The motion is computed up to this time, and no time of `at` is later; `extend` follows.
+            It is that of a sample. None if there are no more torques, or if the next call
+            continues within this piece.
+
+        Returns
+        -------
+        Trajectory
+
+        Raises
+        ------
+        ValueError
+            A time lies before the end of the motion so far or is not an integer that fits int64,
+            or the torques accelerate the body beyond 1e9 rad/s.
+
+        """
+        requested = checked_times(at, self._end_ns)
+        due = self._changes_until(max(requested[2], until_ns or self._end_ns))
+        if not due:
+            return self._advance(*requested, until_ns)
+        parts, later = list[Trajectory](), requested[0]
+        for change_ns, body in due:
+            before = later < change_ns
+            parts.append(self._advance(*checked_times(later[before], self._end_ns), change_ns))
+            self._change(body)
+            later = later[~before]
+        parts.append(self._advance(*checked_times(later, self._end_ns), until_ns))
+        return joined(requested[0], parts)
+
+    def _changes_until(self, end_ns: int) -> list[tuple[int, RigidBody]]:
+        """Return the changes of the body after the motion so far, up to a time, ns."""
+        changes = self.problem.changes
+        if not changes:
+            return []
+        due = slice(changes.in_force(self._end_ns) + 1, changes.in_force(end_ns) + 1)
+        return list(zip(changes.times_ns[due].tolist(), changes.bodies[due]))
+
+    def _change(self, body: RigidBody) -> None:
+        """Continue with another body from the end of the motion so far."""
+        assert self.problem.changes
+        time_ns, momentum = self._end_ns, self._momentum()
+        state = State._as_computed(time_ns, self._progress['latest'][0])
+        packed = changed(state, self._body, body, self.problem.changes.keep)._packed
+        self._body, self._timeline = body, self._timeline_from(momentum)
+        self._progress = layout.begun(packed, time_ns, packed, time_ns,
+                                      self._timeline.in_force(time_ns),
+                                      len(self._timeline.times_ns))
+
+    def _momentum(self) -> Floats | None:
+        """Return the momentum of the rotors at the end of the motion so far, None without."""
+        if not self._timeline.has_rotors:
+            return None
+        return self._timeline.momentum(np.array([self._end_ns]))[0]
+
+    def _advance(self, times_ns: NDArray[np.int64], ascends: bool, end_ns: int,
+                 until_ns: int | None) -> Trajectory:
+        """Return the motion at times, see `checked_times`, with the present body."""
+        begin_ns = self._end_ns
+        count, stop = times_ns.size, len(self._timeline.times_ns)
+        if until_ns is not None and until_ns > begin_ns:
+            stop = int(np.searchsorted(self._timeline.times_ns, until_ns))
+            if end_ns < until_ns:  # the end of the piece was not requested
+                times_ns, end_ns = np.append(times_ns, until_ns), until_ns
+        order = layout.IN_ORDER if ascends else np.argsort(times_ns, kind='stable')
+        motion = motion_layout.allocate(times_ns.size)
+        closed = self._fill(times_ns, order, motion, stop)
+        self._end_ns = end_ns
+        usage = SolverUsage(self._body, self.problem.options, self._timeline, begin_ns,
+                            end_ns, closed)
+        if times_ns.size > count:
+            times_ns = times_ns[:count]
+        return Trajectory(times_ns, motion, (usage,))
+
+    def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
+        """Return the momentum of the rotors in this piece at times, N m s, shape (m, 3)."""
+        return self._timeline.momentum(times_ns)[:, 0]
+
+    def _fill(self, times_ns: NDArray[np.int64], order: NDArray[np.intp], motion: Floats,
+              stop: int) -> NDArray[np.bool_]:
+        """Fill the motion up to a row, and return `SolverUsage.closed`."""
+        closed = np.zeros(len(self._timeline.times_ns) + 1, np.bool_)
+        progress, problem = self._progress, self.problem
+        if not times_ns.size:
+            return closed
+        if self._is_begun:
+            progress['done'] = 0
+        for first, end, rows in self._timeline.chunks(int(progress['row'][0]), stop):
+            if self._is_begun or end - first < len(closed) - 1:
+                progress['row'] -= first
+                progress['stop'] = end - first
+            marks = closed[first:first + len(rows.times_ns) + 1]
+            while result := kernels.run(progress, times_ns, order, motion, marks, rows,
+                                        self._body._constants, problem.options.method):
+                if result == layout.TOO_FAST:
+                    raise problem.options.too_fast(int(progress['grid_ns'][0]))
+            if first:
+                progress['row'] += first
+        self._is_begun = True
+        if stop < len(closed) - 1 and (done := int(progress['done'][0])) < times_ns.size:
+            # The end of the piece is requested again.
+            again = (order if len(order) else np.arange(times_ns.size))[done:]
+            grid = progress['grid'][0]
+            motion_layout.attitude(motion)[again] = state_layout.attitude(grid)
+            motion_layout.angular_velocity(motion)[again] = state_layout.angular_velocity(grid)
+        return closed

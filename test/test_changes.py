@@ -1,0 +1,233 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Bodies that change: what goes on, to rounding, and the same bits in any order of arrival."""
+
+import json
+from pathlib import Path
+import re
+
+import numpy as np
+import pytest
+from rigid_body_ros import (
+    BodyLog,
+    GravityGradient,
+    propagate,
+    Propagator,
+    RigidBody,
+    State,
+    TorqueLog,
+    UniformField,
+)
+from rigid_body_ros.mechanics.changes import changed
+from rigid_body_ros.propagation import Integration, Problem
+from terms import bound
+import truth
+
+TRUTH = Path(__file__).resolve().parent / 'truth_loop'
+SECOND = 10 ** 9
+BODY = RigidBody([[2.0, 0.1, -0.2], [0.1, 3.0, 0.05], [-0.2, 0.05, 4.0]])
+SMALLER = RigidBody.from_moments(1.5, 2.2, 2.6, 0.05, -0.1)
+LARGER = RigidBody.from_moments(3.0, 3.2, 5.0, 0.2, -0.3, 0.1)
+DAMPED = RigidBody(LARGER.inertia, damping=np.diag([0.01, 0.02, 0.03]))
+START = State(0, (0.1, -0.3, 0.2, 0.9), (0.3, 0.5, -0.2))
+ROTORS = (0.2, -0.1, 0.4)
+
+
+def same(one, other):
+    """Return whether two motions have the same bits."""
+    return (np.array_equal(one.attitude, other.attitude)
+            and np.array_equal(one.angular_velocity, other.angular_velocity)
+            and np.array_equal(one.rotor_momentum, other.rotor_momentum))
+
+
+def scene(rng, keep, count=4):
+    """Return logs, motor torques and changes at stamps of theirs and between them."""
+    stamps = np.arange(60) * 50_000_000
+    logs = [TorqueLog(stamps, rng.normal(size=(60, 3))),
+            TorqueLog(stamps[::3] + 12_345, rng.normal(size=(20, 3)), frame='space')]
+    wheels = TorqueLog(stamps[::2] + 777, 0.1 * rng.normal(size=(30, 3)))
+    when = [stamps[7], stamps[21] + 12_345, *rng.integers(0, 3 * SECOND, count - 2)]
+    bodies = [SMALLER, LARGER, DAMPED, BODY][:count]
+    return logs, wheels, BodyLog(when, bodies, keep)
+
+
+@pytest.mark.parametrize('name', ['payload_dropped', 'arm_deployed'])
+def test_motions_agree_with_fifty_digits(name):
+    values = json.loads((TRUTH / f'{name}.json').read_text())
+    rows = values['bodies_t_ns_six']
+    changes = BodyLog([row[0] for row in rows],
+                      [RigidBody.from_moments(*row[1:]) for row in rows], values['keep'])
+    body = RigidBody.from_moments(*values['inertia_ixx_iyy_izz_ixy_ixz_iyz'])
+    start = State(0, values['initial_attitude_xyzw'], values['initial_angular_velocity'],
+                  values.get('rotor_momentum', (0, 0, 0)))
+    times_ns = np.array([row['t_ns'] for row in values['truth']])
+    fine = np.union1d(times_ns, np.linspace(0, times_ns[-1], 20_001).astype(np.int64))
+    limits = bound(propagate(body, start, at=fine, changes=changes))[
+        np.searchsorted(fine, times_ns)] * values['magnification']
+    motion = propagate(body, start, at=times_ns, changes=changes)
+    for row, attitude, rates, limit in zip(values['truth'], motion.attitude,
+                                           motion.angular_velocity, limits):
+        assert truth.chord(truth.exact(row['q']), attitude) <= limit
+        assert np.max(abs(truth.exact(row['w']) - rates)) <= limit
+
+
+@pytest.mark.parametrize('solver', ['auto', 'taylor', 'rk4', 'explicit_euler'])
+@pytest.mark.parametrize('keep', ['rate', 'momentum'])
+def test_any_order_of_arrival_gives_the_same_bits(keep, solver):
+    rng = np.random.default_rng(36)
+    logs, wheels, changes = scene(rng, keep)
+    fields = [UniformField((0.0, 0.1, -0.4), (0.0, 0.0, -9.81)), GravityGradient(0.2)]
+    options = {'solver': solver, 'max_step': None if solver in ('auto', 'taylor') else 0.01,
+               'fields': fields, 'torque_timeout': 0.12}
+    start = State(0, START.attitude, START.angular_velocity, ROTORS)
+    at = np.sort(np.append(rng.integers(0, 3 * SECOND, 40), changes.times_ns))
+    expected = propagate(BODY, start, logs, at=at, wheels=wheels, changes=changes, **options)
+    events = [('apply', int(stamp), torque, 'space' if in_space else 'body', source)
+              for source, log in enumerate(logs)
+              for stamp, torque, in_space in zip(log.times_ns, log.torques, log.in_space)]
+    events += [('apply_wheels', int(stamp), torque)
+               for stamp, torque in zip(wheels.times_ns, wheels.torques)]
+    events += [('apply_body', int(stamp), body, keep)
+               for stamp, body in zip(changes.times_ns, changes.bodies)]
+    for _ in range(3):
+        propagator = Propagator(BODY, start, history=10.0, **options)
+        for number in rng.permutation(len(events)):
+            name, *values = events[number]
+            assert getattr(propagator, name)(*values)
+            if not number % 7:
+                propagator.at(int(rng.integers(0, 3 * SECOND)))  # a prediction changes no bit
+        for row, time_ns in enumerate(at.tolist()):
+            state = propagator.at(time_ns)
+            assert np.array_equal(state.attitude, expected.attitude[row])
+            assert np.array_equal(state.angular_velocity, expected.angular_velocity[row])
+            assert np.array_equal(state.rotor_momentum, expected.rotor_momentum[row])
+
+
+@pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
+def test_a_motion_in_pieces_has_the_same_bits(interpolation):
+    rng = np.random.default_rng(3)
+    stamps = np.arange(40) * 100_000_000
+    log = TorqueLog(stamps, rng.normal(size=(40, 3)), interpolation=interpolation)
+    changes = BodyLog([stamps[11], stamps[20], 2_345_678_901], [SMALLER, LARGER, BODY], 'momentum')
+    at = np.arange(0, 4 * SECOND, 12_345_678)
+    whole = propagate(BODY, START, log, at=at, changes=changes)
+    run, attitude = None, []
+    for begin, end in zip([0, 13, 20, 27], [13, 20, 27, None]):
+        piece = log.rows(slice(max(begin - 4, 0), None if end is None else end + 4))
+        problem = Problem(BODY, START, piece, changes=changes)
+        if run is None:
+            run = Integration(problem)
+        else:
+            run.extend(problem)
+        until_ns = None if end is None else int(stamps[end])
+        inside = (at >= stamps[begin]) & (at < (until_ns or 2 ** 62))
+        attitude.append(run.advance(at[inside], until_ns).attitude)
+    assert np.array_equal(np.concatenate(attitude), whole.attitude)
+
+
+def test_requested_times_change_no_bit():
+    rng = np.random.default_rng(4)
+    logs, wheels, changes = scene(rng, 'momentum')
+    at = rng.integers(0, 3 * SECOND, 50)
+    together = propagate(BODY, START, logs, at=at, wheels=wheels, changes=changes)
+    for row, time_ns in enumerate(at):
+        alone = propagate(BODY, START, logs, at=[time_ns], wheels=wheels, changes=changes)
+        assert np.array_equal(alone.attitude[0], together.attitude[row])
+        assert np.array_equal(alone.angular_velocity[0], together.angular_velocity[row])
+
+
+def test_a_state_between_changes_restarts_with_the_same_bits():
+    rng = np.random.default_rng(5)
+    logs, wheels, changes = scene(rng, 'momentum')
+    propagator = Propagator(BODY, START, history=10.0)
+    for stamp, body in zip(changes.times_ns.tolist(), changes.bodies):
+        propagator.apply_body(stamp, body, 'momentum')
+    at = np.arange(1_500_000_000, 3 * SECOND, 100_000_000)
+    whole = propagate(BODY, START, at=at, changes=changes)
+    middle = propagator.at(1_400_000_000)
+    rest = propagate(BODY, middle, at=at, changes=changes)
+    assert same(rest, whole)
+
+
+def test_kept_momentum_is_the_same_in_space_and_a_kept_rate_is_the_same():
+    start = State(0, START.attitude, START.angular_velocity, ROTORS)
+    at = [SECOND - 1, SECOND]
+    for keep in ('rate', 'momentum'):
+        motion = propagate(BODY, start, at=at, changes=BodyLog([SECOND], [LARGER], keep))
+        jump = motion.angular_velocity[1] - motion.angular_velocity[0]
+        change = motion.angular_momentum_space[1] - motion.angular_momentum_space[0]
+        if keep == 'rate':  # a nanosecond passes
+            assert np.linalg.norm(jump) < 1e-9
+            assert np.linalg.norm(change) > 0.1
+        else:
+            assert np.linalg.norm(jump) > 0.1
+            assert np.linalg.norm(change) < 1e-15
+
+
+def test_a_change_to_a_thin_rod_and_back_loses_no_digit():
+    # Its smallest moment is a millionth of the others, which costs a solver six digits.
+    rod = RigidBody([[0.5, 0.4999995, 0.0], [0.4999995, 0.5, 0.0], [0.0, 0.0, 1.0]])
+    spun = changed(START, BODY, rod, 'momentum')
+    momentum = truth.exact(rod.inertia) @ truth.exact(spun.angular_velocity)
+    assert np.linalg.norm(spun.angular_velocity) > 1e5
+    expected = truth.exact(BODY.inertia) @ truth.exact(START.angular_velocity)
+    assert np.max(abs(momentum - expected)) < 1e-15 * np.max(abs(expected)) * 1e6
+    back = changed(spun, rod, BODY, 'momentum')
+    assert np.array_equal(back.angular_velocity, START.angular_velocity)
+
+
+def test_a_body_from_before_the_start_starts():
+    changes = BodyLog([-5, 0], [LARGER, SMALLER], 'momentum')
+    at = np.arange(0, SECOND, 10 ** 8)
+    assert same(propagate(BODY, START, at=at, changes=changes), propagate(SMALLER, START, at=at))
+    propagator = Propagator(BODY, START)
+    propagator.apply_body(0, SMALLER, 'momentum')
+    propagator.apply_body(-5, LARGER, 'momentum')
+    assert np.array_equal(propagator.at(SECOND // 2).attitude,
+                          propagate(SMALLER, START, at=[SECOND // 2]).attitude[0])
+
+
+def test_the_later_of_two_bodies_with_one_stamp_is_used():
+    at = np.arange(0, 2 * SECOND, 10 ** 8)
+    twice = BodyLog([SECOND, SECOND], [LARGER, SMALLER])
+    once = BodyLog([SECOND], [SMALLER])
+    assert len(twice) == 1
+    assert same(propagate(BODY, START, at=at, changes=twice),
+                propagate(BODY, START, at=at, changes=once))
+
+
+def test_a_body_that_is_too_old_is_dropped():
+    propagator = Propagator(BODY, START, history=0.5)
+    propagator.apply(2 * SECOND, (0.0, 0.0, 0.1))
+    assert not propagator.apply_body(SECOND + SECOND // 2, SMALLER)
+    assert propagator.apply_body(SECOND + SECOND // 2 + 1, SMALLER)
+
+
+def test_a_body_without_change_changes_only_the_last_digits():
+    at = np.arange(0, 3 * SECOND, 10 ** 8)
+    changes = BodyLog([SECOND], [BODY], 'momentum')
+    one, other = propagate(BODY, START, at=at, changes=changes), propagate(BODY, START, at=at)
+    assert abs(one.attitude - other.attitude).max() < 1e-15
+    assert abs(one.angular_velocity - other.angular_velocity).max() < 1e-15
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    (([0, 1], [BODY]), 'bodies: expected 2, one for each stamp, found 1'),
+    (([0], [BODY], 'energy'), "keep: expected 'rate' or 'momentum', found 'energy'"),
+    (([0.5], [BODY]), 'times_ns: expected integer nanoseconds of shape (n,), found float64'),
+])
+def test_mistakes_are_reported(arguments, message):
+    with pytest.raises(ValueError, match=f'^{re.escape(message)}'):
+        BodyLog(*arguments)
