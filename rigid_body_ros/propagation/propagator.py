@@ -195,6 +195,7 @@ class Propagator:
         time_ns : int
             As for `apply`. A body from before the start starts in place of the first one.
         body : RigidBody
+            With its damping.
         keep : str
             'rate' or 'momentum': what goes on, see `BodyLog`.
 
