@@ -12,24 +12,33 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Motions under several sources, rotors and damping, with fifty digits, and random logs."""
+"""Motions under several sources, rotors, damping and fields, with fifty digits."""
 
 from functools import cached_property
 import json
 from pathlib import Path
 
 import numpy as np
-from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros import (
+    GravityGradient,
+    propagate,
+    RigidBody,
+    State,
+    TorqueLog,
+    UniformField,
+)
 import truth
 
-TRUTH = Path(__file__).resolve().parent / 'truth_terms'
-NAMES = sorted(path.stem for path in TRUTH.glob('*.json'))
+_HERE = Path(__file__).resolve().parent
+TRUTH, TRUTH_OF_FIELDS = _HERE / 'truth_terms', _HERE / 'truth_fields'
+NAMES, NAMES_OF_FIELDS = (sorted(path.stem for path in folder.glob('*.json'))
+                          for folder in (TRUTH, TRUTH_OF_FIELDS))
 SECOND = 10 ** 9
 
 
 class Reference:
     """
-    A scene and its motion with 24 digits, read from a file.
+    A scene and its motion with 24 digits, read from a file of a folder.
 
     Attributes
     ----------
@@ -37,12 +46,13 @@ class Reference:
     start : State
     logs : [TorqueLog]
     wheels : TorqueLog
+    fields : [UniformField or GravityGradient]
     times_ns : array of int, shape (m,)
 
     """
 
-    def __init__(self, name):
-        values = json.loads((TRUTH / f'{name}.json').read_text())
+    def __init__(self, name, folder=TRUTH):
+        values = json.loads((folder / f'{name}.json').read_text())
         damping = values.get('damping_xx_yy_zz_xy_xz_yz')
         self.body = RigidBody(_tensor(values['inertia_ixx_iyy_izz_ixy_ixz_iyz']),
                               None if damping is None else _tensor(damping))
@@ -55,9 +65,15 @@ class Reference:
         self.logs += [_log(rows, frame)
                       for frame, rows in values.get('other_torques_frame_rows', ())]
         self.wheels = _log(values.get('wheel_torque_t_ns_x_y_z', ()), 'body')
+        self.fields = [UniformField(*pair)
+                       for pair in values.get('fields_moment_body_field_space', ())]
+        if 'orbit_rate_direction_normal' in values:
+            self.fields.append(GravityGradient(*values['orbit_rate_direction_normal'],
+                                               self.start.time_ns))
 
-    def propagate(self, at, **options):
-        return propagate(self.body, self.start, self.logs, at=at, wheels=self.wheels, **options)
+    def propagate(self, at, start=None, **options):
+        return propagate(self.body, start or self.start, self.logs, at=at, wheels=self.wheels,
+                         fields=self.fields, **options)
 
     def truth(self, key):
         """Return the rows of a quantity, shape (m, n), in 24 digits."""
