@@ -31,7 +31,7 @@ import sys
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / 'test'))
-import fields  # noqa: E402
+import fields  # noqa: E402, I100
 
 ROWS = (('asymmetric top', fields.energy), ('asymmetric top', fields.momentum_along),
         ('Lagrange', fields.energy), ('Lagrange', fields.momentum_along),

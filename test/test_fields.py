@@ -461,14 +461,27 @@ def test_a_sphere_feels_no_gravity_gradient():
     assert_close(under([], body=body), under([ORBIT], body=body))
 
 
+#: Those of a difference of order eight.
+WEIGHTS = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
+
+
+@pytest.mark.parametrize('given', [WEIGHT, GravityGradient(
+    ORBIT.mean_motion, ORBIT.position, ORBIT.normal, 0)], ids=['uniform', 'gradient'])
+def test_a_torque_is_the_slope_of_its_potential(given):
+    at, attitude = np.full(9, SECOND), START.attitude
+    torque = given.torque(FULL, at[:1], attitude[None])[0]
+    slopes = [WEIGHTS @ given.potential_energy(FULL, at, so3.multiply(
+        attitude, so3.exp(0.01 * np.outer(np.arange(-4, 5), axis)))) / 0.01 for axis in np.eye(3)]
+    assert np.linalg.norm(torque + slopes) < 1e-12 * np.linalg.norm(torque)
+
+
 @pytest.mark.parametrize('given', [[WEIGHT], [ORBIT], FIELDS],
                          ids=['uniform', 'gradient', 'all'])
 def test_the_momentum_changes_at_the_rate_of_the_torque(given):
-    # d(R J w)/dt by a difference of order eight, against the torque that the problem returns.
+    # d(R J w)/dt, against the torque that the problem returns.
     problem = Problem(FULL, START, fields=given)
-    weights = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
     motion = problem.propagate(at=SECOND + SECOND // 100 * np.arange(-4, 5))
-    rate = weights @ motion.angular_momentum_space * 100
+    rate = WEIGHTS @ motion.angular_momentum_space * 100
     torque = so3.rotate(motion.attitude[4], problem.torque(
         motion.times_ns[4:5], motion.attitude[4:5])[0])
     assert np.linalg.norm(rate - torque) < 1e-11 * np.linalg.norm(torque)
@@ -490,6 +503,20 @@ def test_an_orbit_without_a_time_begins_with_the_motion(solver):
             bits.append(terms.numbers(problem.propagate(at=FINE + shift)))
     for other in bits[1:]:
         np.testing.assert_array_equal(other, bits[0])
+
+
+def test_an_orbit_made_of_the_directions_of_another_is_the_same():
+    random = np.random.default_rng(4)
+    for position, other in random.normal(size=(200, 2, 3)):
+        one = GravityGradient(0.4, position, np.cross(position, other), 0)
+        again = GravityGradient(0.4, one.position, one.normal, 0)
+        for name in ('position', 'normal', 'along'):
+            found, expected = getattr(again, name), getattr(one, name)
+            np.testing.assert_array_equal(found, expected)
+            assert abs(float(np.linalg.norm(found)) - 1.0) < 1e-15
+        # `Problem` copies an orbit to give it a time.
+        without = Problem(FULL, START, fields=[GravityGradient(0.4, position, one.normal)])
+        assert without._fields.tobytes() == Problem(FULL, START, fields=[one])._fields.tobytes()
 
 
 @pytest.mark.parametrize('time_ns', [-7 * SECOND, 7 * SECOND, 123_456_789])
@@ -567,7 +594,7 @@ def test_an_impossible_field_is_rejected(make, message):
 
 
 def test_directions_of_any_length_are_accepted():
-    for size in (5e-324, 1e-200, 1e200, 1.7e308):
+    for size in (5e-324, 1e-200, 1.0, 1e200, 1.7e308):
         orbit = GravityGradient(1.0, (size, 0.0, 0.0), (0.0, size, 0.0))
         np.testing.assert_array_equal(orbit.along, [0.0, 0.0, -1.0])
     # Directions with ten digits, as a user writes them, are at right angles.

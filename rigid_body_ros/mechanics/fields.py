@@ -37,6 +37,8 @@ from rigid_body_ros.mechanics.body import RigidBody
 
 #: Largest accepted cosine of the angle between the position on an orbit and its normal.
 _SQUARE = 1e-9
+#: Largest difference from 1 of the length of a direction that needs no normalization.
+_UNIT = 4.0 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,12 +207,19 @@ def _checked(values: ArrayLike, what: str) -> Floats:
 
 
 def _direction(values: ArrayLike, what: str) -> Floats:
+    # A vector that is of unit length within rounding is left untouched: what was read from a
+    # direction gives the same one, to the last bit.
     vector = _checked(values, what)
     largest = abs(vector).max()
     if not largest:
         raise ValueError(f'{what}: expected a direction, found zeros')
-    vector = vector / largest  # squares neither overflow nor underflow
-    x, y, z = vector.tolist()  # in BLAS the order of a sum depends on the processor
-    vector = vector / math.sqrt(x * x + y * y + z * z)
-    vector.flags.writeable = False
+    if not abs(_length(vector) - 1.0) <= _UNIT:
+        vector = vector / largest  # squares neither overflow nor underflow
+        vector = vector / _length(vector)
+        vector.flags.writeable = False
     return vector
+
+
+def _length(vector: Floats) -> float:
+    x, y, z = vector.tolist()  # in BLAS the order of a sum depends on the processor
+    return math.sqrt(x * x + y * y + z * z)
