@@ -18,9 +18,9 @@ Print a hash of what the engine computes, to show that a change leaves every bit
     python benchmarks/bits.py [--count N]
 
 Random motions with a fixed seed go through every solver, the Euler angles, the Propagator and the
-Integration. Each group has a SHA-256 of its own, so that a difference can be located; the last
-line is the hash of them all. Compare runs on one machine with the same versions of Python's
-packages.
+Integration, and again under fields. Each group has a SHA-256 of its own, so that a difference can
+be located; the last line is the hash of them all. Compare runs on one machine with the same
+versions of Python's packages.
 """
 
 import argparse
@@ -29,7 +29,15 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from rigid_body_ros import propagate, Propagator, RigidBody, State, TorqueLog
+from rigid_body_ros import (
+    GravityGradient,
+    propagate,
+    Propagator,
+    RigidBody,
+    State,
+    TorqueLog,
+    UniformField,
+)
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation import Integration, Problem
 
@@ -54,6 +62,8 @@ class Motion(NamedTuple):
     options: dict
     #: s, for the solvers that need it.
     max_step: float
+    #: Those of the last group; the others go without.
+    fields: tuple = ()
 
     def solver_options(self, solver):
         """Return the options for a solver."""
@@ -115,7 +125,23 @@ def random_motion(number):
     return Motion(body, start, log, np.sort(at) if random.random() < 0.7 else at, {
         'tolerance': 10.0 ** -random.uniform(3.0, 15.0) if random.random() < 0.6 else 1e-15,
         'torque_timeout': 10.0 ** random.uniform(-3.0, 1.0) if random.random() < 0.4 else 0.0},
-        random.uniform(0.02, 0.2) / speed)
+        random.uniform(0.02, 0.2) / speed, random_fields(number, body, start))
+
+
+def random_fields(number, body, start):
+    """Return up to five uniform fields, an orbit or both, about as strong as the body turns."""
+    random = np.random.default_rng((SEED, number, 3))
+    speed = 0.1 + np.linalg.norm(start.angular_velocity)
+    size = np.sqrt(0.1 * body.principal_moments[0]) * speed
+    uniform = [UniformField(*size * random.normal(size=(2, 3)))
+               for _ in range(random.integers(0, 6))]
+    if uniform and random.random() < 0.4:
+        return tuple(uniform)
+    position, other = random.normal(size=(2, 3))
+    time_ns = start.time_ns - int(random.integers(0, 10 * SECOND)) \
+        if random.random() < 0.5 else None
+    return (*uniform, GravityGradient(10.0 ** random.uniform(-2.0, 0.0) * speed, position,
+                                      np.cross(position, other), time_ns))
 
 
 def solved(motion, solver):
@@ -190,6 +216,17 @@ def streamed(motion, solver, number):
         reached = max(end, reached)
 
 
+def under_fields(motion):
+    """Return the motion under its fields."""
+    return motion._replace(options={**motion.options, 'fields': motion.fields})
+
+
+def solved_by_all(motion):
+    """Yield attitude and rates by every solver."""
+    for solver in SOLVERS:
+        yield from solved(motion, solver)
+
+
 def groups(motion, number):
     """Yield the name of each group and an iterator over its results for a motion."""
     for solver in SOLVERS:
@@ -200,6 +237,11 @@ def groups(motion, number):
     solver = SOLVERS[number % len(SOLVERS)]
     yield 'propagator', asked_in_any_order(motion, solver, number)
     yield 'streaming', streamed(motion, solver, number)
+    if motion.fields:
+        motion = under_fields(motion)
+        yield 'fields', solved_by_all(motion)
+        yield 'fields propagator', asked_in_any_order(motion, solver, number)
+        yield 'fields streaming', streamed(motion, solver, number)
 
 
 def add(digest, arrays):
@@ -223,8 +265,8 @@ def main():
             digest = digests.setdefault(name, hashlib.sha256())
             refused[name] = refused.get(name, 0) + add(digest, arrays)
     for name, digest in digests.items():
-        print(f'{name:16} {digest.hexdigest()}  ({refused[name]} refused)')
-    print(f'{"all":16} '
+        print(f'{name:17} {digest.hexdigest()}  ({refused[name]} refused)')
+    print(f'{"all":17} '
           f'{hashlib.sha256(b"".join(d.digest() for d in digests.values())).hexdigest()}')
 
 

@@ -27,7 +27,14 @@ import sys
 
 import bits
 import numpy as np
-from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros import (
+    GravityGradient,
+    propagate,
+    RigidBody,
+    State,
+    TorqueLog,
+    UniformField,
+)
 from rigid_body_ros.mechanics import euler, so3, urdf
 
 #: Which results to compute of a motion: those of `bits.groups`, or by each solver that it names.
@@ -45,7 +52,7 @@ def plain(motion: bits.Motion, kind: str, number: int = 0, solvers: dict | None 
     Parameters
     ----------
     motion : bits.Motion
-        Body, start, torques, times and options.
+        Body, start, torques, times, options and fields.
     kind : str
         RANDOM or SCENE.
     number : int
@@ -60,7 +67,15 @@ def plain(motion: bits.Motion, kind: str, number: int = 0, solvers: dict | None 
             'attitude': start.attitude.tolist(), 'rates': start.angular_velocity.tolist(),
             'times_ns': log.times_ns.tolist(), 'torques': log.torques.tolist(),
             'in_space': log.in_space.tolist(), 'interpolation': log.interpolation,
-            'at': motion.at.tolist(), 'options': motion.options, 'max_step': motion.max_step}
+            'at': motion.at.tolist(), 'options': motion.options, 'max_step': motion.max_step,
+            'fields': [plain_field(field) for field in motion.fields]}
+
+
+def plain_field(field: UniformField | GravityGradient) -> list:
+    """Return the arguments of a field."""
+    if isinstance(field, UniformField):
+        return [field.moment.tolist(), field.field.tolist()]
+    return [field.mean_motion, field.position.tolist(), field.normal.tolist(), field.time_ns]
 
 
 def motion_of(values: dict) -> bits.Motion:
@@ -71,7 +86,9 @@ def motion_of(values: dict) -> bits.Motion:
         RigidBody(values['inertia']),
         State(values['time_ns'], values['attitude'], values['rates']),
         TorqueLog(values['times_ns'], torques, in_space, values['interpolation']),
-        np.array(values['at'], np.int64), values['options'], values['max_step'])
+        np.array(values['at'], np.int64), values['options'], values['max_step'],
+        tuple(UniformField(*given) if len(given) == 2 else GravityGradient(*given)
+              for given in values['fields']))
 
 
 def groups(values: dict) -> Iterator[tuple[str, Iterator[np.ndarray]]]:

@@ -25,6 +25,7 @@ from conftest import ROOT
 import numpy as np
 import portable
 import pytest
+from rigid_body_ros import Problem
 
 
 def test_differences_are_counted_in_ulps():
@@ -53,7 +54,8 @@ def test_motions_are_written_without_rounding(number):
     read = portable.motion_of(json.loads(json.dumps(portable.plain(motion, portable.RANDOM))))
     pairs = [(motion.body.inertia, read.body.inertia), (motion.at, read.at),
              (motion.start._packed, read.start._packed), (motion.log.torques, read.log.torques),
-             (motion.log.times_ns, read.log.times_ns), (motion.log.in_space, read.log.in_space)]
+             (motion.log.times_ns, read.log.times_ns), (motion.log.in_space, read.log.in_space),
+             [Problem(one.body, one.start, fields=one.fields)._fields for one in (motion, read)]]
     assert all(a.tobytes() == b.tobytes() for a, b in pairs)
     assert (read.start.time_ns, read.log.interpolation, read.options, read.max_step) == (
         motion.start.time_ns, motion.log.interpolation, motion.options, motion.max_step)
