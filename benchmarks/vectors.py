@@ -29,6 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 from rigid_body_ros import (
+    GravityGradient,
     Problem,
     propagate_many,
     RigidBodies,
@@ -37,6 +38,7 @@ from rigid_body_ros import (
     States,
     TorqueLog,
     Trajectory,
+    UniformField,
 )
 
 VECTORS = Path(__file__).resolve().parent.parent / 'test' / 'vectors.txt'
@@ -82,7 +84,7 @@ class Reader:
     """
 
     def __init__(self, shared: dict) -> None:
-        self._shared, self._logs, self.outputs = shared, [], []
+        self._shared, self._logs, self._fields, self.outputs = shared, [], [], []
         self._given = {'group': ''}
 
     def take(self, key: str, words: list[str]) -> None:
@@ -94,7 +96,9 @@ class Reader:
         elif key in ('source', 'wheels'):
             self._logs.append((key, *words, []))
         elif key == 'torque':
-            self._logs[-1][-1].append((int(words[0]), words[1], numbers(words[2:])))
+            self._logs[-1][-1].append(tuple(words))
+        elif not self.outputs and key in ('uniform_field', 'orbit'):
+            self._fields.append(field(key, words))
         elif key == 'state' or (self.outputs and key in _NAMES):
             self._take_output(key, words)
         elif not self.outputs and key in ('inertia', 'damping', 'start', 'rotor_momentum'):
@@ -124,21 +128,32 @@ class Reader:
                 for name, interpolation, rows in self._logs]
         problem = Problem(body, start, [log for name, log in logs if name == 'source'],
                           wheels=next((log for name, log in logs if name == 'wheels'), None),
-                          solver=given['solver'],
+                          fields=self._fields, solver=given['solver'],
                           **{name: given[name] for name in OPTIONS if name in given})
         return Motion(given['motion'], given['group'], problem, self.outputs)
 
     def _log(self, interpolation: str, rows: tuple) -> TorqueLog:
         key = interpolation, rows
         if key not in self._shared:
-            times_ns, frames, torques = zip(*rows)
-            self._shared[key] = TorqueLog(times_ns, torques, frames, interpolation)
+            times_ns, frames, *torques = zip(*rows)
+            self._shared[key] = TorqueLog(list(map(int, times_ns)),
+                                          np.transpose(list(map(numbers, torques))), frames,
+                                          interpolation)
         return self._shared[key]
 
 
 def numbers(words: Iterable[str]) -> tuple[float, ...]:
     """Return hexadecimal numbers."""
     return tuple(map(float.fromhex, words))
+
+
+def field(key: str, words: list[str]) -> UniformField | GravityGradient:
+    """Return the field of a line."""
+    if key == 'uniform_field':
+        values = numbers(words)
+        return UniformField(values[:3], values[3:])
+    rate, *directions = numbers(words[1:])
+    return GravityGradient(rate, directions[:3], directions[3:], int(words[0]))
 
 
 def tensor(words: Iterable[str]) -> np.ndarray:
@@ -194,7 +209,8 @@ def together(motions: list[Motion]) -> Iterator[list[Output]]:
     options = problems[0].options
     found = propagate_many(
         bodies, states, [problem.logs for problem in problems], at=times_ns,
-        wheels=[problem.wheels or no_log for problem in problems], solver=options.solver,
+        wheels=[problem.wheels or no_log for problem in problems],
+        fields=[problem.fields for problem in problems], solver=options.solver,
         tolerance=options.tolerance, max_step=options.max_step,
         torque_timeout=options.torque_timeout)
     for attitude, rates in zip(found.attitude.tolist(), found.angular_velocity.tolist(),

@@ -22,7 +22,9 @@ import subprocess
 import sys
 
 from conftest import ROOT
+import numpy as np
 import pytest
+from rigid_body_ros import GravityGradient, UniformField
 from rigid_body_ros.engine._compiled import LEVELS
 from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.propagation import SOLVERS
@@ -70,10 +72,10 @@ def test_what_the_file_lacks_is_a_difference(tmp_path, line, without, reported):
 
 def test_no_motion_and_no_output_is_lost():
     motions = vectors.read()
-    assert len({motion.name for motion in motions}) == len(motions) == 226
-    assert sum(bool(motion.group) for motion in motions) == 63
+    assert len({motion.name for motion in motions}) == len(motions) == 250
+    assert sum(bool(motion.group) for motion in motions) == 72
     assert Counter(output.key.split()[0] for motion in motions for output in motion.outputs) == {
-        'state': 665, 'euler': 226, 'rotor_momentum': 114}
+        'state': 731, 'euler': 250, 'rotor_momentum': 133}
 
 
 def test_a_key_that_the_format_does_not_have_is_an_error(tmp_path):
@@ -109,15 +111,51 @@ def test_they_cover_all_solvers_terms_and_interpolations():
     for has_term in (lambda problem: problem.body.is_damped, lambda problem: problem.wheels,
                      lambda problem: len(problem.logs) > 1, lambda problem: not problem.logs,
                      lambda problem: problem.options.torque_timeout,
+                     lambda problem: problem.fields,
+                     lambda problem: problem.fields and problem.logs,
+                     lambda problem: any(isinstance(field, GravityGradient)
+                                         for field in problem.fields),
                      lambda problem: any(0 < log.in_space.mean() < 1 for log in problem.logs)):
         assert sum(map(bool, map(has_term, problems))) >= 10
     groups = {motion.group for motion in motions if motion.group}
     assert all(sum(motion.group == name for motion in motions) > LANES for name in groups)
 
 
+def test_directions_and_sums_of_fields_are_those_that_the_page_describes():
+    problems = [motion.problem for motion in vectors.read() if motion.problem.fields]
+    for problem in problems:
+        record, = problem._fields
+        uniform = [field for field in problem.fields if isinstance(field, UniformField)]
+        pairs = [(field.moment, field.field) for field in uniform]
+        if len(uniform) > 3:
+            pairs = [([sum(field.field[axis] * field.moment[k] for field in uniform)
+                       for k in range(3)], np.eye(3)[axis]) for axis in range(3)]
+        assert record['count'] == len(pairs)
+        for number, (moment, direction) in enumerate(pairs):
+            place = slice(3 * number, 3 * number + 3)
+            assert record['moments'][place].tolist() == list(moment)
+            assert record['fields'][place].tolist() == list(direction)
+        for orbit in problem.fields:
+            if not isinstance(orbit, GravityGradient):
+                continue
+            (x, y, z), (u, v, w) = orbit.position.tolist(), orbit.normal.tolist()
+            along = [v * z - w * y, w * x - u * z, u * y - v * x]
+            if abs(length(along) - 1.0) > 2.0 ** -50:
+                largest = max(map(abs, along))
+                along = [one / largest for one in along]
+                size = length(along)
+                along = [one / size for one in along]
+            assert record['along'].tolist() == along
+            assert record['position'].tolist() == [x, y, z]
+
+
+def length(vector):
+    return math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(('kernels', 'every', 'count'), [
-    *((level, 1, 226) for level in LEVELS[1:]), ('python', 20, 12)])
+    *((level, 1, 250) for level in LEVELS[1:]), ('python', 20, 13)])
 def test_every_level_and_plain_python_give_the_same_bits(kernels, every, count):
     result = subprocess.run(
         [sys.executable, ROOT / 'benchmarks' / 'vectors.py', '--every', str(every)],
