@@ -13,25 +13,38 @@
 # limitations under the License.
 
 """
-Measure what rotors, damping and several sources cost: the time of a run relative to one without.
+Measure what rotors, damping, several sources and fields cost, relative to a run without them.
 
     python benchmarks/terms.py [WORD]
     python benchmarks/terms.py --peer
 
 With WORD, only the rows whose names contain it. Both runs take turns. A ratio is that of the
 median times, with a 95 % confidence interval from the ratios of single rounds; its upper end must
-not exceed the limit. Strong damping has no limit: the steps must follow it.
+not exceed the limit. Strong damping has no limit: the steps must follow it. A top is compared with
+the same body under a constant torque, which takes as many steps, and with heyoka, if it is
+installed, which must be slower.
 
 With --peer, how many steps heyoka takes with rotors, relative to those without. Rotors make a free
 body nutate faster, so every integrator that follows the motion needs more of them.
 """
 
+from dataclasses import replace
 import sys
 
+from mpmath import mp
 import numpy as np
 from pairs import compare
-from problems import PROBLEMS, wave
-from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from problems import IDENTITY, PROBLEMS, truth, wave
+from rigid_body_ros import (
+    GravityGradient,
+    Problem,
+    propagate,
+    RigidBody,
+    State,
+    TorqueLog,
+    UniformField,
+)
+from rigid_body_ros.mechanics import so3
 
 SECOND = 10 ** 9
 MOMENTS, RATES = (1.0, 2.0, 3.0), (0.3, -0.2, 0.5)
@@ -41,7 +54,12 @@ STAMPS = np.arange(60_000) * (SECOND // 1000)
 STREAM = TorqueLog(STAMPS, wave())
 DAMPING = np.diag([0.01, 0.02, 0.03])
 #: Limits of the ratios.
-LINEAR, SOURCES = 1.25, 2.0
+LINEAR, SOURCES, TOP = 1.25, 2.0, 1.6
+#: A top over a minute, along its principal axes. The step, s, is shorter than what the bodies need
+#: under any of the torques, so all runs take as many.
+TOP_MOMENTS, TOP_ATTITUDE, TOP_RATES = (0.2, 0.2, 0.1), (0.3, 0.0, 0.0, 0.9), (0.5, 0.0, 20.0)
+WEIGHT = UniformField((0.0, 0.0, 0.3), (0.0, 0.0, -9.81))
+TOP_STEP, TOP_SECONDS = 0.02, 60
 
 
 class Run:
@@ -61,6 +79,32 @@ class Run:
     def run(self):
         """Propagate."""
         propagate(self._body, self._start, self._log, **self._options)
+
+
+class Top:
+    """The motion of a top, or of the same body under a constant torque, for `compare`."""
+
+    def __init__(self, torque=None, fields=(), axes=IDENTITY, max_step=TOP_STEP):
+        """Take a torque, N m, and fields, along principal axes, and how these lie in the body."""
+        turn = so3.matrix(axes)
+        start = State(0, so3.multiply(TOP_ATTITUDE, so3.conjugate(axes)), turn @ TOP_RATES)
+        log = None if torque is None else TorqueLog([0], [turn @ torque])
+        self.problem = Problem(
+            RigidBody(turn * TOP_MOMENTS @ turn.T), start, log, solver='taylor',
+            max_step=max_step, fields=[replace(one, moment=turn @ one.moment)
+                                       if isinstance(one, UniformField) else one
+                                       for one in fields])
+
+    def reset(self):
+        """Do nothing: a motion is a function of its scene."""
+
+    def run(self):
+        """Propagate."""
+        self._motion = self.problem.propagate(at=[TOP_SECONDS * SECOND])
+
+    def attitude(self):
+        """Return x y z w at the end."""
+        return self._motion.attitude[-1]
 
 
 def linear_rows():
@@ -94,6 +138,41 @@ def strong_rows():
                Run(HELD, damping=rate * np.diag(MOMENTS)))
 
 
+def top_rows():
+    """Yield the same for a top, relative to a constant torque; other fields have no limit."""
+    for name, axes in (('diagonal', IDENTITY), ('full', so3.normalize([0.1, 0.2, -0.3, 0.9]))):
+        plain = Top(torque=(0.2, -0.1, 0.0), axes=axes)
+        yield f'top, {name} tensor', TOP, plain, Top(fields=[WEIGHT], axes=axes)
+        for count in (2, 3):
+            yield (f'top, {name} tensor, {count} fields', np.inf, plain,
+                   Top(fields=[WEIGHT] * count, axes=axes))
+        yield (f'gravity gradient, {name} tensor', np.inf, plain,
+               Top(fields=[GravityGradient(3.0)], axes=axes))
+
+
+def print_duel():
+    """Print the times of a top and of heyoka's, and both errors, rad."""
+    try:
+        import fields  # of the tests, see problems.py
+        import heyoka_peer
+    except ImportError as problem:
+        print(f'skipped: {problem}')
+        return
+    ours = Top(fields=[WEIGHT], max_step=None)
+    with mp.workdps(30):
+        (expected, _), = fields.lagrange_top(ours.problem, [TOP_SECONDS * SECOND])
+        for carried in (False, True):
+            peer = heyoka_peer.Top(TOP_MOMENTS, ours.problem.start, WEIGHT.moment, WEIGHT.field,
+                                   TOP_SECONDS, carried)
+            times = compare(ours, peer)
+            errors = [truth.chord(expected, one.attitude()) for one in (ours, peer)]
+            print(f'{"top, heyoka, " + peer.label:50} {1e6 * np.median(times.ours):9.1f} us '
+                  f'{1e6 * np.median(times.peers):9.1f} us  '
+                  'ratio {:.3g} [{:.3g}, {:.3g}]'.format(*times.ratio)
+                  + f' at least 1  {"pass" if times.ratio[1] >= 1.0 else "MISS"}'
+                  + '  errors {:.1e}, {:.1e} rad'.format(*errors), flush=True)
+
+
 def steps_of_peer(torque, rotors):
     """Return how many steps heyoka takes for a minute under a held torque, with rotors."""
     import heyoka as hy
@@ -125,7 +204,8 @@ def main():
         print_peer()
         return
     word = ' '.join(sys.argv[1:])
-    for name, limit, plain, other in (*linear_rows(), *source_rows(), *strong_rows()):
+    for name, limit, plain, other in (*linear_rows(), *source_rows(), *strong_rows(),
+                                      *top_rows()):
         if word in name:
             times = compare(plain, other)
             ratio = times.ratio
@@ -134,6 +214,8 @@ def main():
             print(f'{name:50} {1e6 * np.median(times.ours):9.1f} us '
                   f'{1e6 * np.median(times.peers):9.1f} us  '
                   'ratio {:.3g} [{:.3g}, {:.3g}]'.format(*ratio) + verdict, flush=True)
+    if word in 'top, heyoka':
+        print_duel()
 
 
 if __name__ == '__main__':
