@@ -59,6 +59,8 @@ MODES = REALTIME, LOCKSTEP = 'realtime', 'lockstep'
 TIME_SOURCES = HEADER, ARRIVAL = 'header', 'arrival'
 #: A topic as ROS accepts it.
 _TOPIC = re.compile(r'(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*')
+#: What goes on when the inertia changes, see `BodyLog`.
+INERTIA_CHANGES = KEEP_RATE, KEEP_MOMENTUM = 'keep_rate', 'keep_momentum'
 TIME_JUMPS = RESET, REBASE, IGNORE = 'reset', 'rebase', 'ignore'
 
 PARAMETERS = {parameter.name: parameter for parameter in (
@@ -86,6 +88,11 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('torque_topics', ['torque'], '', 'topics of the torques; the torques of several '
               'topics add up'),
     Parameter('wheels', False, '', 'whether the body has rotors with motors'),
+    Parameter('inertia_topic', False, '', 'whether the topic inertia changes the inertia of the '
+              'body'),
+    Parameter('inertia_change', KEEP_RATE, '', 'what goes on when the inertia changes: keep_rate '
+              '(what leaves takes its momentum along) or keep_momentum (the rate jumps)',
+              choices=INERTIA_CHANGES),
     Parameter('mode', REALTIME, '', 'realtime: publish the motion at publish_rate; lockstep: '
               'reply to each torque, stamped t, with the state at t + step', choices=MODES),
     Parameter('step', 0.001, 's', 'lockstep: time from the stamp of a torque to the state that '
@@ -169,11 +176,17 @@ class Scene:
     checkpoint, stale_after = Value[str](), Value[float]()
     publish_clock, publish_tf, publish_rate = Value[bool](), Value[bool](), Value[float]()
     euler_sequence, space_frame, wheels = Value[str](), Value[str](), Value[bool]()
+    inertia_topic = Value[bool]()
     frame_prefix = Value[str]()
 
     def __repr__(self) -> str:
         source = self.path.name if self.path else 'no file'
         return f"Scene({source}: {self.body}, {self.start}, solver '{self.solver}')"
+
+    @property
+    def inertia_change(self) -> str:
+        """Return what goes on when the inertia changes, see `BodyLog`."""
+        return str(self.values['inertia_change']).removeprefix('keep_')
 
     @property
     def options(self) -> Options:
@@ -263,6 +276,9 @@ class Scene:
         if self.space_frame == self.body_frame:
             raise InputError('space_frame, body_frame: expected different names, found '
                              f'{quoted(self.space_frame)} twice')
+        if self.inertia_topic and self.checkpoint:
+            raise InputError('checkpoint: expected none with inertia_topic, because a checkpoint '
+                             f'does not keep the inertia, found {quoted(self.checkpoint)}')
         if self.mode == LOCKSTEP and self.time_source == ARRIVAL:
             raise InputError(f'time_source: expected {HEADER!r}, because lockstep replies to '
                              f'stamps, found {ARRIVAL!r}')

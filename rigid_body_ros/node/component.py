@@ -23,7 +23,6 @@ from functools import partial
 import time
 from typing import Any
 
-from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
@@ -46,7 +45,7 @@ from rigid_body_ros.node.lockstep import Lockstep
 from rigid_body_ros.node.outputs import Publishers
 from rigid_body_ros.node.parameters import check_qos_overrides, NodeParameters
 from rigid_body_ros.node.realtime import Realtime
-from rigid_body_ros.node.sources import check_topics, sources_of, TorqueTopic
+from rigid_body_ros.node.sources import BODY, check_topics, sources_of, TorqueTopic
 from rigid_body_ros.scene import LOCKSTEP
 from std_srvs.srv import Trigger
 
@@ -224,7 +223,9 @@ class AttitudeComponent:
             callback = DrainCallback(partial(self._on_torque, source.number), self._start_work,
                                      partial(self._diagnostics.count_missing, source.number))
             callback.subscription = subscription(
-                WrenchStamped, source.topic, callback, _TORQUE_QOS[self._scene.mode],
+                source.kind, source.topic, callback,
+                # An inertia comes once, so it must not be lost.
+                _TORQUE_QOS[LOCKSTEP if source.number == BODY else self._scene.mode],
                 SubscriptionEventCallbacks(message_lost=partial(self._on_lost, source.number),
                                            use_default_callbacks=False))
             return callback

@@ -27,7 +27,7 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import BodyLog
 from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
+from rigid_body_ros.mechanics.torque import stamps_of, torque_logs, TorqueLog
 from rigid_body_ros.propagation.integration import Integration
 from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.trajectory import Trajectory
@@ -135,13 +135,20 @@ class Problem:
         """Return the torques on the body, and then that on the rotors, if there is one."""
         return (*self.logs, self.wheels) if self.wheels else self.logs
 
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """Return the stamps of all torques and changes, each once, ascending."""
+        stamps_ns = stamps_of(self.sources)
+        return np.union1d(stamps_ns, self.changes.times_ns) if self.changes else stamps_ns
+
     def replaced(self, *, body: RigidBody | None = None, start: State | None = None,
                  log: TorqueLog | Sequence[TorqueLog] | None = None,
                  wheels: TorqueLog | None = None, fields: Sequence[Field] | None = None,
-                 options: Options | None = None) -> Problem:
+                 changes: BodyLog | None = None, options: Options | None = None) -> Problem:
         """Return the same problem with some parts replaced; raise ValueError as `Problem` does."""
         other = Problem.__new__(Problem)
-        other.fields, other._fields, other.changes = self.fields, self._fields, self.changes
+        other.fields, other._fields = self.fields, self._fields
+        other.changes = changes or self.changes
         if fields is not None:
             other.fields = beginning_at(fields, self.start.time_ns)
             other._fields = packed(other.fields)
