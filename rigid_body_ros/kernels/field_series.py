@@ -23,7 +23,7 @@ and s' = s x w - n r. All are linear, so the series need no products of the atti
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
@@ -56,28 +56,34 @@ _ORDER = PERMUTED * (fields.MOST + 2)
 _WORKSPACE = _ORDER * (MAX_ORDER + 1)
 
 
+class StepFields(NamedTuple):
+    """The fields of a step, and the series of their vectors."""
+
+    #: Of fields.FIELDS, shape (1,).
+    fields: NDArray[Any]
+    #: Time of the beginning of the step, see `fields.seconds_at`.
+    seconds: float
+    #: The terms of the vectors.
+    vectors: Floats
+
+
 @optional
-def workspace(_fields: NDArray[Any]) -> Floats:
-    """Return the table of the vectors of a step, not yet filled; None without fields."""
-    return scratch(_WORKSPACE)
+def of_step(found: NDArray[Any], seconds: float) -> StepFields:
+    """Return the fields of a step, with series that are not yet filled; None without fields."""
+    return StepFields(found, seconds, scratch(_WORKSPACE))
 
 
 @inlined
-def begin(found: NDArray[Any] | None, vectors: Floats, state: KernelState, seconds: float,
-          coefficients: Coefficients) -> float:
+def begin(step: StepFields | None, state: KernelState, coefficients: Coefficients) -> float:
     """
     Store the vectors at the beginning of a step.
 
     Parameters
     ----------
-    found : array of fields.FIELDS, shape (1,), or None
-        The fields of the scene.
-    vectors : array
-        See `workspace`. Changed.
+    step : StepFields or None
+        Its vectors are changed.
     state : KernelState
         At the beginning.
-    seconds : float
-        Its time, see `fields.seconds_at`.
     coefficients : Coefficients
         Of Euler's equations.
 
@@ -87,8 +93,9 @@ def begin(found: NDArray[Any] | None, vectors: Floats, state: KernelState, secon
         The acceleration by the fields there, rad/s^2.
 
     """
-    if found is None:
+    if step is None:
         return 0.0
+    found, seconds, vectors = step
     q = state[1]
     for i in range(found[0].count):
         store_permuted(vectors, PERMUTED * i, to_body(q, fields.field(found, i)))
@@ -101,8 +108,8 @@ def begin(found: NDArray[Any] | None, vectors: Floats, state: KernelState, secon
 
 
 @inlined
-def add_acceleration(u: Vector, found: NDArray[Any] | None, vectors: Floats, table: Floats, k: int,
-                     seconds: float, coefficients: Coefficients, form: int) -> Vector:
+def add_acceleration(u: Vector, step: StepFields | None, table: Floats, k: int, seconds: float,
+                     coefficients: Coefficients, form: int) -> Vector:
     """
     Return the sum of a vector and the term of order k of the acceleration.
 
@@ -110,8 +117,8 @@ def add_acceleration(u: Vector, found: NDArray[Any] | None, vectors: Floats, tab
     ----------
     u : Vector
         The sum of other terms, radians per step.
-    found, vectors
-        As for `begin`. The terms of order k + 1 are added to the vectors.
+    step : StepFields or None
+        The terms of order k + 1 are added to its vectors.
     table : array
         The terms of the step up to order k, see `series_table`.
     k : int
@@ -122,8 +129,9 @@ def add_acceleration(u: Vector, found: NDArray[Any] | None, vectors: Floats, tab
         Of Euler's equations, and the form of the inertia tensor.
 
     """
-    if found is None:
+    if step is None:
         return u
+    found, _, vectors = step
     torque = four.broadcast(0.0)
     for i in range(found[0].count):
         torque = add(torque, cross(fields.moment(found, i),

@@ -38,6 +38,7 @@ from typing import NamedTuple
 
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import (
+    field_series,
     fields,
     intervals,
     layout,
@@ -227,7 +228,7 @@ def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
     changes = one, two, three, four
     return taylor.SeriesLoads(linear_terms.scaled(now.linear, seconds), changes,
                               loads.linear_degree, stage.space_torque, loads.space_degree,
-                              loads.fields, stage.field_seconds)
+                              field_series.of_step(loads.fields, stage.field_seconds))
 
 
 @inlined

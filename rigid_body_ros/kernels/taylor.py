@@ -34,9 +34,8 @@ Only the increments are summed, and added to the state by compensated summation.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import (
     elementary,
@@ -109,9 +108,8 @@ class SeriesLoads(NamedTuple):
     #: Torque in space axes, N m, in the fraction of the step, and its degree; negative: none.
     space_torque: Polynomial
     space_degree: int
-    #: See `fields.FIELDS`; None without. And the time of the step, see `fields.seconds_at`.
-    fields: NDArray[Any] | None
-    field_seconds: float
+    #: None without fields.
+    fields: field_series.StepFields | None
 
 
 @njit
@@ -176,14 +174,10 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     KernelState
 
     """
-    fields = _fields_of(loads)
-    vectors = field_series.workspace(fields)
-    acceleration = drive.bound + field_series.begin(fields, vectors, state, _field_seconds(loads),
-                                                    coefficients)
+    acceleration = drive.bound + field_series.begin(_fields_of(loads), state, coefficients)
     angle = seconds * fma(0.5 * acceleration, seconds, math.sqrt(dot(state[0], state[0])))
     error_bound = tolerance * angle
-    order = _expand(state, seconds, coefficients, form, drive, error_bound, table, loads,
-                    fields, vectors)
+    order = _expand(state, seconds, coefficients, form, drive, error_bound, table, loads)
     delta_u = delta_q = four.zero(state[0])
     for k in range(order, 0, -1):  # the small terms first
         delta_u = add(delta_u, without_fourth(table, four.load(table, row_of(table, k) + U)))
@@ -195,21 +189,14 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
 
 
 @optional
-def _fields_of(loads: SeriesLoads) -> NDArray[Any] | None:
+def _fields_of(loads: SeriesLoads) -> field_series.StepFields | None:
     return loads.fields
 
 
 @inlined
-def _field_seconds(loads: SeriesLoads | None) -> float:
-    if loads is None:
-        return 0.0
-    return loads.field_seconds
-
-
-@inlined
 def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
-            drive: SeriesDrive, error_bound: float, table: Floats, loads: SeriesLoads | None,
-            fields: NDArray[Any] | None, vectors: Floats) -> int:
+            drive: SeriesDrive, error_bound: float, table: Floats,
+            loads: SeriesLoads | None) -> int:
     # Fill the table with the terms of u and of the rotation, and return the order needed.
     polynomial, degree, in_space, _ = drive
     zero = four.zero(state[0])
@@ -228,7 +215,7 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
     small, powers = lanes.no_count(error_bound), degree
     if loads is not None:
         powers = max(degree, loads.space_degree, loads.linear_degree,
-                     1 if exist(fields) else 0)
+                     1 if exist(loads.fields) else 0)
     past = (zero, zero, zero, zero)  # the terms of u before the latest
     for k in range(MAX_ORDER):
         products, rotation = _cauchy(table, k, first, latest, form)
@@ -248,8 +235,8 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
                 torque_acceleration = euler_equations.acceleration_from_torque(
                     coefficients, form, _torque_term(table, k, loads.space_degree))
                 u = add_scaled(u, seconds * seconds, torque_acceleration)
-            u = field_series.add_acceleration(u, fields, vectors, table, k, seconds,
-                                              coefficients, form)
+            u = field_series.add_acceleration(u, loads.fields, table, k, seconds, coefficients,
+                                              form)
             past = (latest[0], past[0], past[1], past[2])
         reciprocal = float(RECIPROCALS[k])
         u = scale(reciprocal, u)
