@@ -78,6 +78,8 @@ class LocalLoads(NamedTuple):
     square_rate: float
     #: Bound on the change of the rate, by the rotors and by fields, 1/s^2.
     growth: float
+    #: See `field_series.matrices`.
+    matrices: Floats | None
 
 
 @internal
@@ -167,10 +169,12 @@ def _local(loads: Loads, drive: Drive, grid_ns: int, body: Body) -> LocalLoads:
     # Return the linear terms from a grid point on.
     orbit = fields.rate_bound(loads.fields)
     by_fields = fields.acceleration_bound(loads.fields, body.coefficients)
+    matrices = field_series.matrices(loads.fields, body.coefficients)
     if loads.linear_degree <= 0:
         linear = linear_terms.at(loads.constants, loads.momentum[0], loads.low_momentum)
         return LocalLoads(loads.momentum, linear,
-                          linear_terms.square_rate(linear.matrix) + orbit * orbit, by_fields)
+                          linear_terms.square_rate(linear.matrix) + orbit * orbit, by_fields,
+                          matrices)
     change, momentum = _rotors_from(loads.momentum,
                                     (grid_ns - drive.origin_ns) / 1e9 / drive.span)
     first, low = vector.two_sum(loads.momentum[0], change)
@@ -181,7 +185,7 @@ def _local(loads: Loads, drive: Drive, grid_ns: int, body: Body) -> LocalLoads:
             linear_terms.rotor_matrix(loads.constants, momentum[i])))
     return LocalLoads(momentum, linear,
                       linear_terms.square_rate(linear.matrix) + orbit * orbit,
-                      growth / drive.span + by_fields)
+                      growth / drive.span + by_fields, matrices)
 
 
 @inlined
@@ -228,7 +232,8 @@ def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
     changes = one, two, three, four
     return taylor.SeriesLoads(linear_terms.scaled(now.linear, seconds), changes,
                               loads.linear_degree, stage.space_torque, loads.space_degree,
-                              field_series.of_step(loads.fields, stage.field_seconds))
+                              field_series.of_step(loads.fields, stage.field_seconds,
+                                                   now.matrices))
 
 
 @inlined
