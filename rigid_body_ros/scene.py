@@ -41,14 +41,16 @@ from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameter_file import node_parameters
 from rigid_body_ros.runtime.parameters import checked, is_foreign, Parameter, Value
-from rigid_body_ros.scene_parameters import ARRIVAL as ARRIVAL
-from rigid_body_ros.scene_parameters import checked_fields, HEADER, OF_ROS, parameters_with
-from rigid_body_ros.scene_parameters import LOCKSTEP as LOCKSTEP
-from rigid_body_ros.scene_parameters import PARAMETERS as PARAMETERS
-from rigid_body_ros.scene_parameters import QOS as QOS
-from rigid_body_ros.scene_parameters import REALTIME as REALTIME
-from rigid_body_ros.scene_parameters import REBASE as REBASE
-from rigid_body_ros.scene_parameters import RESET as RESET
+from rigid_body_ros.scene_parameters import (
+    ARRIVAL,
+    checked_fields,
+    HEADER,
+    LOCKSTEP,
+    OF_ROS,
+    parameters_with,
+    QOS,
+)
+from rigid_body_ros.scene_parameters import PARAMETERS as PARAMETERS  # part of the interface
 
 #: The name of the node whose parameters a scene file has.
 NODE = 'attitude_node'

@@ -38,8 +38,8 @@ from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.robot_description import with_robot_description
 from rigid_body_ros.propagation.solvers import solver_named
 from rigid_body_ros.runtime.parameters import resembled
-from rigid_body_ros.scene import QOS, Scene
-from rigid_body_ros.scene_parameters import checked_fields, parameters_with
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.scene_parameters import checked_fields, parameters_with, QOS
 
 _RATE = 'publish_rate'
 #: Topics of rclpy itself.
