@@ -25,6 +25,7 @@ import re
 from typing import Any
 
 import numpy as np
+from rigid_body_ros.common.arrays import written
 from rigid_body_ros.common.errors import InputError, listed, quoted
 from rigid_body_ros.mechanics.fields import Field, GravityGradient, UniformField
 from rigid_body_ros.runtime.parameters import BIG, Parameter
@@ -122,6 +123,18 @@ def fields(values: Mapping[str, Any]) -> tuple[Field, ...]:
     except ValueError as error:
         raise InputError(f'orbit: {error}'.replace(' of an orbit', '')) from error
     return (*found, orbit)
+
+
+def described(values: Mapping[str, Any]) -> list[str]:
+    """Return a line for each field of a scene."""
+    found = []
+    for name in values[FIELDS]:
+        moment, field = (written(np.array(_vector(values, f'{name}.{group}')))
+                         for group in (MOMENT, FIELD))
+        found.append(f'{name}: moment {moment} in body axes, field {field} in space axes')
+    if values[_RATE]:
+        found.append(f'gravity gradient: mean motion {values[_RATE]:.9g} rad/s')
+    return found
 
 
 def at_start(values: Mapping[str, Any], time_ns: int) -> dict[str, float]:

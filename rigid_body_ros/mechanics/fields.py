@@ -78,6 +78,20 @@ class UniformField:
         turned = so3.rotate(so3.conjugate(attitude), self._rows(attitude))
         return -(turned @ np.asarray(self.moment))
 
+    def speed(self, least: Floats, largest: Floats) -> Floats:
+        """
+        Return a bound on how much faster the field lets bodies turn, rad/s.
+
+        Parameters
+        ----------
+        least, largest : array, kg m^2
+            Their smallest and largest moments of inertia. The energy bounds the root of twice the
+            kinetic energy over the smallest one.
+
+        """
+        strength = np.linalg.norm(self.moment) * np.linalg.norm(self.field)
+        return 2.0 * np.sqrt(strength / least)
+
     def _rows(self, attitude: Floats) -> Floats:
         return np.broadcast_to(np.asarray(self.field), (len(attitude), 3))
 
@@ -146,6 +160,10 @@ class GravityGradient:
         """Return the potential energy 3/2 n^2 r . J r, J, shape (m,), of the rotation alone."""
         r = so3.rotate(so3.conjugate(attitude), self.directions(times_ns))
         return 1.5 * self.mean_motion ** 2 * np.sum(r * (r @ body.inertia), axis=1)
+
+    def speed(self, least: Floats, largest: Floats) -> Floats:
+        """Return a bound as `UniformField.speed` does, by the energy seen from the orbit."""
+        return self.mean_motion * (1.0 + 3.0 * np.sqrt(largest / least))
 
 
 Field = UniformField | GravityGradient
