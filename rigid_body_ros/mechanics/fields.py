@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+import math
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import instant
 from rigid_body_ros.engine import FIELDS, MOST_FIELDS
+from rigid_body_ros.engine.elementary import sines_cosines
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 
@@ -76,7 +78,7 @@ class UniformField:
                          attitude: Floats) -> Floats:
         """Return the potential energy -m . R^T f, J, shape (m,)."""
         turned = so3.rotate(so3.conjugate(attitude), self._rows(attitude))
-        return -(turned @ np.asarray(self.moment))
+        return -np.sum(turned * np.asarray(self.moment), axis=1)
 
     def speed(self, least: Floats, largest: Floats) -> Floats:
         """
@@ -147,19 +149,20 @@ class GravityGradient:
     def directions(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the unit vectors from the planet to the body, space axes, shape (m, 3)."""
         assert self.time_ns is not None, 'the orbit has no time'
-        angle = self.mean_motion * ((times_ns - self.time_ns) / 1e9)[:, None]
-        return np.cos(angle) * np.asarray(self.position) + np.sin(angle) * self.along
+        sines, cosines = sines_cosines(
+            self.mean_motion * ((times_ns - self.time_ns) / 1e9)[:, None])
+        return cosines * np.asarray(self.position) + sines * self.along
 
     def torque(self, body: RigidBody, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
         """Return the torque, N m, body axes, at times and attitudes, shape (m, 3)."""
         r = so3.rotate(so3.conjugate(attitude), self.directions(times_ns))
-        return 3.0 * self.mean_motion ** 2 * np.cross(r, r @ body.inertia)
+        return 3.0 * self.mean_motion ** 2 * np.cross(r, body.angular_momentum(r))
 
     def potential_energy(self, body: RigidBody, times_ns: NDArray[np.int64],
                          attitude: Floats) -> Floats:
         """Return the potential energy 3/2 n^2 r . J r, J, shape (m,), of the rotation alone."""
         r = so3.rotate(so3.conjugate(attitude), self.directions(times_ns))
-        return 1.5 * self.mean_motion ** 2 * np.sum(r * (r @ body.inertia), axis=1)
+        return 1.5 * self.mean_motion ** 2 * np.sum(r * body.angular_momentum(r), axis=1)
 
     def speed(self, least: Floats, largest: Floats) -> Floats:
         """Return a bound as `UniformField.speed` does, by the energy seen from the orbit."""
@@ -195,8 +198,11 @@ def packed(fields: Sequence[Field]) -> NDArray[Any] | None:
     uniform = [one for one in fields if isinstance(one, UniformField)]
     moments = np.array([one.moment for one in uniform]).reshape(-1, 3)
     directions = np.array([one.field for one in uniform]).reshape(-1, 3)
-    if len(uniform) > MOST_FIELDS:  # one along each axis of space
-        moments, directions = directions.T @ moments, np.eye(3)
+    if len(uniform) > MOST_FIELDS:  # one along each axis of space, summed in order
+        total = np.zeros((3, 3))
+        for moment, direction in zip(moments, directions):
+            total = total + direction[:, None] * moment
+        moments, directions = total, np.eye(3)
     result['count'] = len(moments)
     result['moments'][0, :moments.size] = moments.ravel()
     result['fields'][0, :moments.size] = directions.ravel()
@@ -222,6 +228,7 @@ def _direction(values: ArrayLike, what: str) -> Floats:
     if not largest:
         raise ValueError(f'{what}: expected a direction, found zeros')
     vector = vector / largest  # squares neither overflow nor underflow
-    vector = vector / np.sqrt(vector @ vector)
+    x, y, z = vector.tolist()  # in BLAS the order of a sum depends on the processor
+    vector = vector / math.sqrt(x * x + y * y + z * z)
     vector.flags.writeable = False
     return vector
