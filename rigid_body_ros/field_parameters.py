@@ -36,7 +36,8 @@ MOMENT, FIELD = 'moment', 'field'
 _UNIFORM = {MOMENT: ('kg m or A m^2', 'moment on which the field acts, body axes; of a weight: '
                      'mass times centre of mass as seen from the pivot'),
             FIELD: ('m/s^2 or T', 'the field, space axes')}
-_RATE, _POSITION, _NORMAL = 'orbit.mean_motion', 'orbit.position', 'orbit.normal'
+ORBIT = 'orbit'
+_RATE, _POSITION, _NORMAL = f'{ORBIT}.mean_motion', f'{ORBIT}.position', f'{ORBIT}.normal'
 PARAMETERS = (
     Parameter(FIELDS, [], '', 'names of uniform fields; each acts on a moment of the body by the '
               'torque moment x field, and has the parameters NAME.moment and NAME.field'),
@@ -112,7 +113,7 @@ def fields(values: Mapping[str, Any]) -> tuple[Field, ...]:
 
     """
     found: list[Field] = [UniformField(_vector(values, f'{name}.{MOMENT}'),
-                                       _vector(values, f'{name}.{FIELD}'))
+                                       _vector(values, f'{name}.{FIELD}'), name)
                           for name in values[FIELDS]]
     if not values[_RATE]:
         return tuple(found)
@@ -137,6 +138,27 @@ def described(values: Mapping[str, Any]) -> list[str]:
     return found
 
 
+def values_of(one: Field) -> dict[str, float]:
+    """Return the values of a field by key; none of a uniform field without a name."""
+    if isinstance(one, GravityGradient):
+        vectors = {_POSITION: one.position, _NORMAL: one.normal}
+        return {_RATE: one.mean_motion, **_components(vectors)}
+    return _components({f'{one.name}.{MOMENT}': one.moment, f'{one.name}.{FIELD}': one.field}) \
+        if one.name else {}
+
+
+def with_values(one: Field, values: Mapping[str, float]) -> Field:
+    """Return a field with other values, by key; raise ValueError if they are not possible."""
+    found = {**values_of(one), **values}
+    if isinstance(one, GravityGradient):
+        position, normal = ([found[f'{group}.{axis}'] for axis in 'xyz']
+                            for group in (_POSITION, _NORMAL))
+        return GravityGradient(found[_RATE], position, normal, one.time_ns)
+    moment, field = ([found[f'{one.name}.{group}.{axis}'] for axis in 'xyz']
+                     for group in (MOMENT, FIELD))
+    return UniformField(moment, field, one.name)
+
+
 def at_start(values: Mapping[str, Any], time_ns: int) -> dict[str, float]:
     """
     Return the position on the orbit, by key, of a motion that starts at another time.
@@ -149,6 +171,11 @@ def at_start(values: Mapping[str, Any], time_ns: int) -> dict[str, float]:
         return {}
     position, = orbits[0].directions(np.array([time_ns])).tolist()
     return {f'{_POSITION}.{axis}': value for axis, value in zip('xyz', position)}
+
+
+def _components(vectors: Mapping[str, Any]) -> dict[str, float]:
+    return {f'{group}.{axis}': float(value) for group, vector in vectors.items()
+            for axis, value in zip('xyz', vector)}
 
 
 def _vector(values: Mapping[str, Any], group: str) -> list[float]:

@@ -37,6 +37,8 @@ from rigid_body_ros.mechanics.body import RigidBody
 
 #: Largest accepted cosine of the angle between the position on an orbit and its normal.
 _SQUARE = 1e-9
+#: Largest difference from 1 of the length of a unit vector that is left as it is.
+_ROUNDED = 4.0 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +56,8 @@ class UniformField:
         In body axes.
     field : array, shape (3,), m/s^2, T, ...
         In space axes. The product with the moment is in N m.
+    name : str
+        What a scene calls it; empty if it has no name.
 
     Raises
     ------
@@ -64,6 +68,7 @@ class UniformField:
 
     moment: ArrayLike
     field: ArrayLike
+    name: str = ''
 
     def __post_init__(self) -> None:
         for name in ('moment', 'field'):
@@ -223,12 +228,19 @@ def _checked(values: ArrayLike, what: str) -> Floats:
 
 
 def _direction(values: ArrayLike, what: str) -> Floats:
+    """Return a unit vector; one that is given, to rounding, keeps its bits, as do quaternions."""
     vector = _checked(values, what)
+    if abs(_length(vector) - 1.0) <= _ROUNDED:
+        return vector
     largest = abs(vector).max()
     if not largest:
         raise ValueError(f'{what}: expected a direction, found zeros')
     vector = vector / largest  # squares neither overflow nor underflow
-    x, y, z = vector.tolist()  # in BLAS the order of a sum depends on the processor
-    vector = vector / math.sqrt(x * x + y * y + z * z)
+    vector = vector / _length(vector)
     vector.flags.writeable = False
     return vector
+
+
+def _length(vector: Floats) -> float:
+    x, y, z = vector.tolist()  # in BLAS the order of a sum depends on the processor
+    return math.sqrt(x * x + y * y + z * z)
