@@ -24,7 +24,7 @@ running node.
 import argparse
 from typing import NamedTuple
 
-from rigid_body_ros import scene
+from rigid_body_ros import field_parameters, scene
 from rigid_body_ros.commands.compare import compare_parser
 from rigid_body_ros.commands.ensemble import ensemble_parser
 from rigid_body_ros.commands.identify import identify_parser
@@ -540,13 +540,20 @@ def main():
                      [(f'`{cause}`', meaning) for cause, meaning in CAUSES.items()]),
         parameters=table(('parameter', 'unit', 'default', 'values', 'meaning'), [
             (f'`{parameter.name}`', parameter.unit, default(parameter), values(parameter),
-             parameter.description) for parameter in scene.PARAMETERS.values()]),
+             parameter.description) for parameter in parameters()]),
         replay=options(replay_parser()),
         compare=options(compare_parser()),
         tradeoff=options(tradeoff_parser()),
         identify=options(identify_parser()),
         ensemble=options(ensemble_parser()),
         exits=table(('status', 'meaning'), EXITS)), end='')
+
+
+def parameters():
+    """Return the parameters; those of a uniform field follow the one that names it."""
+    of_field = field_parameters.of_names(['NAME']).values()
+    return [one for parameter in scene.PARAMETERS.values() for one in (
+        parameter, *(of_field if parameter.name == field_parameters.FIELDS else ()))]
 
 
 def topics(listed):

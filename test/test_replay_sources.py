@@ -29,6 +29,7 @@ from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.replay import replay
+from rigid_body_ros.replay.check import drift
 from rigid_body_ros.replay.many import replay_many
 from rigid_body_ros.replay.summary import summary
 
@@ -43,6 +44,9 @@ FRAMES = {'/disturbance': 'world'}
 TWO = 'torque_topics: [control, disturbance]'
 WHEELS = 'wheels: true'
 DAMPING = 'damping: {dxx: 0.01, dyy: 0.02, dzz: 0.03, dxy: 0.001}'
+FIELDS = 'fields: [pivot]'
+PIVOT = [FIELDS, 'pivot: {moment: {x: 0.003, z: -0.02}, field: {z: -9.81}}']
+ORBIT = 'orbit: {mean_motion: 0.4, position: {x: 0.0, y: 0.6, z: 0.8}, normal: {x: 1.0, z: 0.0}}'
 ROTORS = 'initial_rotor_momentum: {x: 0.01, y: -0.02, z: 0.03}'
 
 
@@ -187,7 +191,11 @@ def test_damping_alone_has_no_rotors(tmp_path, written):
     (['/control'], ['damping: {dxx: 2.0, dyy: 3.0, dzz: 4.0}'], 'work and energy', 1e-7),
     (['/disturbance', '/wheel_torque'], [WHEELS, ROTORS], 'integral of the torque', 1e-14),
     (['/disturbance'], [], 'integral of the torque', 1e-14),
-    (['/wheel_torque'], [WHEELS, ROTORS], 'drift of the space angular momentum', 1e-14)])
+    (['/wheel_torque'], [WHEELS, ROTORS], 'drift of the space angular momentum', 1e-14),
+    (['/disturbance'], PIVOT, 'work and energy', 1e-9),
+    (['/wheel_torque'], [WHEELS, ROTORS, *PIVOT], 'work and energy', 1e-9),
+    (['/control', '/disturbance', '/wheel_torque'], [TWO, WHEELS, DAMPING, ROTORS, *PIVOT, ORBIT],
+     'work and energy', 1e-9)])
 @pytest.mark.parametrize('interpolation', ['hold', 'linear'])
 def test_the_check_is_the_conservation_law_of_the_scene(tmp_path, written, topics, lines, law,
                                                         bound, interpolation):
@@ -196,6 +204,44 @@ def test_the_check_is_the_conservation_law_of_the_scene(tmp_path, written, topic
     assert law in result.check.finding
     number, = re.findall(r'\d\.\de[+-]\d+', result.check.finding)
     assert float(number) < bound
+
+
+@pytest.mark.parametrize(('lines', 'laws'), [
+    (PIVOT, ['drift of the energy', 'of the momentum about the field']),
+    ([*PIVOT, ROTORS], ['drift of the energy', 'of the momentum about the field']),
+    ([FIELDS.replace('[pivot]', '[pivot, buoy]'), *PIVOT[1:],
+      'buoy: {moment: {x: 0.01}, field: {z: 3.0}}'],
+     ['drift of the energy', 'of the momentum about the field']),
+    ([FIELDS.replace('[pivot]', '[pivot, buoy]'), *PIVOT[1:],
+      'buoy: {moment: {x: 0.01}, field: {x: 3.0}}'], ['drift of the energy']),
+    ([ORBIT], ["drift of Jacobi's integral"]),
+    ([ORBIT, ROTORS, 'start_time: 1000000000'], ["drift of Jacobi's integral"]),
+    ([ORBIT, *PIVOT], ['work and energy']),
+    ([*PIVOT, 'damping: {dxx: 0.001}'], ['work and energy'])])
+def test_fields_alone_conserve_their_integrals(tmp_path, written, lines, laws, capsys):
+    path, output = tmp_path / 'still.csv', tmp_path / 'motion.mcap'
+    np.savetxt(path, [[1.0 + 0.1 * k, 0.0, 0.0, 0.0] for k in range(201)], delimiter=',',
+               header='time,tx,ty,tz', comments='')
+    config = written(*lines)
+    result = replay(path, scene.load(config))
+    numbers = re.findall(r'\d\.\de[+-]\d+', result.check.finding)
+    assert len(numbers) == len(laws)
+    assert all(law in result.check.finding for law in laws)
+    assert max(map(float, numbers)) < (1e-9 if laws == ['work and energy'] else 1e-14)
+    assert main.attitude_replay([str(path), '--scene', config, '-o', str(output)]) == 0
+    printed = capsys.readouterr().out
+    assert result.check.finding in printed
+    assert ('fields        pivot: moment (0.003, 0, -0.02) in body axes, field (0, 0, -9.81) in '
+            'space axes\n' in printed) == ('pivot' in ''.join(lines))
+    assert ('fields        gravity gradient: mean motion 0.4 rad/s' in printed) == (ORBIT in lines)
+    assert main.attitude_replay([str(path), '--scene', config, '--verify', str(output)]) == 0
+
+
+def test_a_check_of_fields_finds_a_motion_without_them(tmp_path, written):
+    without = scene.load(written()).problem().propagate(at=np.arange(0, 10 * SECOND, SECOND))
+    for lines in (PIVOT, [ORBIT]):
+        finding = drift(scene.load(written(*lines)).problem(), without).finding
+        assert float(re.findall(r'\d\.\de[+-]\d+', finding)[0]) > 0.1
 
 
 def test_the_last_digits_of_all_inputs_count(recorded, written):

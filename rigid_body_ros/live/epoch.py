@@ -44,8 +44,8 @@ class Epoch:
     def __init__(self, scene: Scene, start: State, torques: Sequence[Torque] = ()) -> None:
         self.start, self._timeout_ns = start, scene.timeout_ns
         self._damping, self._keep = scene.body.damping, scene.inertia_change
-        self._propagator = Propagator(scene.body, start, **asdict(scene.options),
-                                      history=scene.history)
+        self._propagator = Propagator(scene.body, start, fields=scene.fields_from(start.time_ns),
+                                      **asdict(scene.options), history=scene.history)
         self._committed_ns = start.time_ns
         #: Source and stamp of the torques of the earlier epoch.
         self._carried = {(torque.source, torque.stamp_ns) for torque in torques}

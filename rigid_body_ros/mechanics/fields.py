@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+import math
 from typing import Any
 
 import numpy as np
@@ -30,11 +31,14 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import instant
 from rigid_body_ros.engine import FIELDS, MOST_FIELDS
+from rigid_body_ros.engine.elementary import sines_cosines
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 
 #: Largest accepted cosine of the angle between the position on an orbit and its normal.
 _SQUARE = 1e-9
+#: Largest difference from 1 of the length of a unit vector that is left as it is.
+_ROUNDED = 4.0 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +56,8 @@ class UniformField:
         In body axes.
     field : array, shape (3,), m/s^2, T, ...
         In space axes. The product with the moment is in N m.
+    name : str
+        What a scene calls it; empty if it has no name.
 
     Raises
     ------
@@ -62,6 +68,7 @@ class UniformField:
 
     moment: ArrayLike
     field: ArrayLike
+    name: str = ''
 
     def __post_init__(self) -> None:
         for name in ('moment', 'field'):
@@ -76,7 +83,21 @@ class UniformField:
                          attitude: Floats) -> Floats:
         """Return the potential energy -m . R^T f, J, shape (m,)."""
         turned = so3.rotate(so3.conjugate(attitude), self._rows(attitude))
-        return -(turned @ np.asarray(self.moment))
+        return -np.sum(turned * np.asarray(self.moment), axis=1)
+
+    def speed(self, least: Floats, largest: Floats) -> Floats:
+        """
+        Return a bound on how much faster the field lets bodies turn, rad/s.
+
+        Parameters
+        ----------
+        least, largest : array, kg m^2
+            Their smallest and largest moments of inertia. The energy bounds the root of twice the
+            kinetic energy over the smallest one.
+
+        """
+        strength = np.linalg.norm(self.moment) * np.linalg.norm(self.field)
+        return 2.0 * np.sqrt(strength / least)
 
     def _rows(self, attitude: Floats) -> Floats:
         return np.broadcast_to(np.asarray(self.field), (len(attitude), 3))
@@ -133,19 +154,24 @@ class GravityGradient:
     def directions(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the unit vectors from the planet to the body, space axes, shape (m, 3)."""
         assert self.time_ns is not None, 'the orbit has no time'
-        angle = self.mean_motion * ((times_ns - self.time_ns) / 1e9)[:, None]
-        return np.cos(angle) * np.asarray(self.position) + np.sin(angle) * self.along
+        sines, cosines = sines_cosines(
+            self.mean_motion * ((times_ns - self.time_ns) / 1e9)[:, None])
+        return cosines * np.asarray(self.position) + sines * self.along
 
     def torque(self, body: RigidBody, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
         """Return the torque, N m, body axes, at times and attitudes, shape (m, 3)."""
         r = so3.rotate(so3.conjugate(attitude), self.directions(times_ns))
-        return 3.0 * self.mean_motion ** 2 * np.cross(r, r @ body.inertia)
+        return 3.0 * self.mean_motion ** 2 * np.cross(r, body.angular_momentum(r))
 
     def potential_energy(self, body: RigidBody, times_ns: NDArray[np.int64],
                          attitude: Floats) -> Floats:
         """Return the potential energy 3/2 n^2 r . J r, J, shape (m,), of the rotation alone."""
         r = so3.rotate(so3.conjugate(attitude), self.directions(times_ns))
-        return 1.5 * self.mean_motion ** 2 * np.sum(r * (r @ body.inertia), axis=1)
+        return 1.5 * self.mean_motion ** 2 * np.sum(r * body.angular_momentum(r), axis=1)
+
+    def speed(self, least: Floats, largest: Floats) -> Floats:
+        """Return a bound as `UniformField.speed` does, by the energy seen from the orbit."""
+        return self.mean_motion * (1.0 + 3.0 * np.sqrt(largest / least))
 
 
 Field = UniformField | GravityGradient
@@ -177,8 +203,11 @@ def packed(fields: Sequence[Field]) -> NDArray[Any] | None:
     uniform = [one for one in fields if isinstance(one, UniformField)]
     moments = np.array([one.moment for one in uniform]).reshape(-1, 3)
     directions = np.array([one.field for one in uniform]).reshape(-1, 3)
-    if len(uniform) > MOST_FIELDS:  # one along each axis of space
-        moments, directions = directions.T @ moments, np.eye(3)
+    if len(uniform) > MOST_FIELDS:  # one along each axis of space, summed in order
+        total = np.zeros((3, 3))
+        for moment, direction in zip(moments, directions):
+            total = total + direction[:, None] * moment
+        moments, directions = total, np.eye(3)
     result['count'] = len(moments)
     result['moments'][0, :moments.size] = moments.ravel()
     result['fields'][0, :moments.size] = directions.ravel()
@@ -199,11 +228,19 @@ def _checked(values: ArrayLike, what: str) -> Floats:
 
 
 def _direction(values: ArrayLike, what: str) -> Floats:
+    """Return a unit vector; one that is given, to rounding, keeps its bits, as do quaternions."""
     vector = _checked(values, what)
+    if abs(_length(vector) - 1.0) <= _ROUNDED:
+        return vector
     largest = abs(vector).max()
     if not largest:
         raise ValueError(f'{what}: expected a direction, found zeros')
     vector = vector / largest  # squares neither overflow nor underflow
-    vector = vector / np.sqrt(vector @ vector)
+    vector = vector / _length(vector)
     vector.flags.writeable = False
     return vector
+
+
+def _length(vector: Floats) -> float:
+    x, y, z = vector.tolist()  # in BLAS the order of a sum depends on the processor
+    return math.sqrt(x * x + y * y + z * z)

@@ -31,7 +31,6 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
-from rigid_body_ros import scene
 from rigid_body_ros.common.arrays import written
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.live.checkpoint import Checkpoint
@@ -46,7 +45,7 @@ from rigid_body_ros.node.outputs import Publishers
 from rigid_body_ros.node.parameters import check_qos_overrides, NodeParameters
 from rigid_body_ros.node.realtime import Realtime
 from rigid_body_ros.node.sources import BODY, check_topics, sources_of, TorqueTopic
-from rigid_body_ros.scene import LOCKSTEP
+from rigid_body_ros.scene_parameters import LOCKSTEP, REALTIME
 from std_srvs.srv import Trigger
 
 try:
@@ -55,7 +54,7 @@ except ModuleNotFoundError:  # Humble
     from rclpy.qos_event import SubscriptionEventCallbacks
 
 #: Best effort matches any publisher; in lockstep a lost torque stops the loop.
-_TORQUE_QOS = {scene.REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),
+_TORQUE_QOS = {REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),
                LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
 #: s; how long publishing the pending states may take.
 _END_TIME = 0.8

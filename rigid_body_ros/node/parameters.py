@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -32,11 +33,13 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rigid_body_ros import scene
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.field_parameters import at_start, FIELDS
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.robot_description import with_robot_description
 from rigid_body_ros.propagation.solvers import solver_named
 from rigid_body_ros.runtime.parameters import resembled
-from rigid_body_ros.scene import QOS, Scene
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.scene_parameters import checked_fields, parameters_with, QOS
 
 _RATE = 'publish_rate'
 #: Topics of rclpy itself.
@@ -92,7 +95,7 @@ class NodeParameters:
         """Set the parameters to the start state of an epoch, or raise RuntimeError."""
         values = [start.time_ns, *start.attitude.tolist(), *start.angular_velocity.tolist(),
                   *start.rotor_momentum.tolist()]
-        epoch = dict(zip(_EPOCH, values))
+        epoch = dict(zip(_EPOCH, values)) | at_start(self.scene.values, start.time_ns)
         self._fixed |= epoch
         # The descriptors are those that the node has stored: only users may not set the values.
         descriptors = self._node.describe_parameters(list(epoch))
@@ -108,10 +111,12 @@ class NodeParameters:
 
     def _declare(self) -> Scene:
         # Those of a managed node are declared, and may have changed since the start.
-        declared = {name: self._node.get_parameter(name).value for name in scene.PARAMETERS
+        given = given_parameters(self._node)
+        if self._node.has_parameter(FIELDS):
+            given[FIELDS] = self._node.get_parameter(FIELDS).value
+        declared = {name: self._node.get_parameter(name).value for name in _known(given)
                     if self._node.has_parameter(name)}
-        given = given_parameters(self._node) | {
-            name: value for name, value in declared.items() if value is not None}
+        given |= {name: value for name, value in declared.items() if value is not None}
         checked = Scene.from_values(with_robot_description(self._node, given))
         solver = solver_named(checked.solver)
         if not solver.takes_torque:
@@ -123,7 +128,7 @@ class NodeParameters:
         for name, value in checked.values.items():
             if name in declared:
                 self._node.undeclare_parameter(name)
-            descriptor = _descriptor(scene.PARAMETERS[name])
+            descriptor = _descriptor(checked.parameters[name])
             descriptor.read_only &= not self._is_managed  # which rclpy could not undeclare
             self._node.declare_parameter(name, value, descriptor, ignore_override=True)
         return checked
@@ -148,9 +153,16 @@ class NodeParameters:
 
 def declare(node: Node, given: Mapping[str, Any]) -> None:
     """Declare the parameters of a scene, so that they can be set; others than given have none."""
-    for name, parameter in scene.PARAMETERS.items():
+    for name, parameter in _known(given).items():
         node.declare_parameter(name, given.get(name), ParameterDescriptor(
             description=_described(parameter), dynamic_typing=True), ignore_override=True)
+
+
+def _known(given: Mapping[str, Any]) -> dict[str, scene.Parameter]:
+    """Return the parameters of a scene; those of its fields only if their names are valid."""
+    with suppress(InputError):
+        return parameters_with(checked_fields(given))
+    return scene.PARAMETERS
 
 
 def given_parameters(node: Node) -> dict[str, Any]:

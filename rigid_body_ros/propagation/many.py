@@ -149,7 +149,7 @@ def propagate_many(bodies: RigidBodies, starts: States, log: Logs = None, *, at:
     logs, motors = _of_each(log, len(bodies), 'log'), _of_each(wheels, len(bodies), 'wheels')
     for which in _alike(logs, motors):
         problem = _AT_REST.replaced(log=logs[which[0]], wheels=motors[which[0]], options=options)
-        if gains is None or _can_scale(problem, gains):
+        if gains is None or (not fields and _can_scale(problem, gains)):
             runs.advance(problem, which, gains)
             continue
         for row in which.tolist():
