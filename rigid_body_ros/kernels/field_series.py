@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import euler_equations, fields, four
 from rigid_body_ros.kernels.euler_equations import Products
-from rigid_body_ros.kernels.jit import inlined, internal, optional, scratch
+from rigid_body_ros.kernels.jit import inlined, internal, optional
 from rigid_body_ros.kernels.linear_terms import add_product, from_columns, times_cross
 from rigid_body_ros.kernels.series_table import (
     load_permuted,
@@ -53,7 +53,9 @@ from rigid_body_ros.kernels.vector import (
 #: Size of the vectors of one order: the uniform fields, then the unit vectors to the body and
 #: along the orbit, each in its three permutations.
 _ORDER = PERMUTED * (fields.MOST + 2)
-_WORKSPACE, _MATRICES = _ORDER * (MAX_ORDER + 1), PERMUTED * fields.MOST
+#: After the vectors of all orders, there is a matrix of each uniform field.
+_MATRICES = _ORDER * (MAX_ORDER + 1)
+WORKSPACE = _MATRICES + PERMUTED * fields.MOST
 #: The two sums of products in a vector product.
 Turn = tuple[Vector, Vector]
 
@@ -65,29 +67,44 @@ class StepFields(NamedTuple):
     fields: NDArray[Any]
     #: Time of the beginning of the step, see `fields.seconds_at`.
     seconds: float
-    #: See `matrices`.
-    matrices: Floats
-    #: The terms of the vectors.
+    #: The terms of the vectors, and the matrices.
     vectors: Floats
 
 
 @optional
-def matrices(found: NDArray[Any], coefficients: Coefficients) -> Floats:
-    """Return J^-1 [m]x of each uniform field, of which a step needs the product; or None."""
+def prepared(found: NDArray[Any], work: Floats, coefficients: Coefficients) -> Floats:
+    """
+    Store J^-1 [m]x of each uniform field, which each step needs.
+
+    Parameters
+    ----------
+    found : array of fields.FIELDS, shape (1,), or None
+        The fields of the scene.
+    work : float64 (WORKSPACE,)
+        Changed.
+    coefficients : Coefficients
+        Of Euler's equations.
+
+    Returns
+    -------
+    array or None
+        The workspace; None without fields.
+
+    """
     a, b, c = coefficients[0][6:]
-    inverse, result = from_columns(a, b, c), scratch(_MATRICES)
+    inverse = from_columns(a, b, c)
     for i in range(found[0].count):
         x, y, z = times_cross(inverse, fields.moment(found, i))
-        four.store(result, PERMUTED * i, x)
-        four.store(result, PERMUTED * i + 4, y)
-        four.store(result, PERMUTED * i + 8, z)
-    return result
+        four.store(work, _MATRICES + PERMUTED * i, x)
+        four.store(work, _MATRICES + PERMUTED * i + 4, y)
+        four.store(work, _MATRICES + PERMUTED * i + 8, z)
+    return work
 
 
 @optional
-def of_step(found: NDArray[Any], seconds: float, matrices: Floats) -> StepFields:
+def of_step(found: NDArray[Any], seconds: float, work: Floats) -> StepFields:
     """Return the fields of a step, with series that are not yet filled; None without fields."""
-    return StepFields(found, seconds, matrices, scratch(_WORKSPACE))
+    return StepFields(found, seconds, work)
 
 
 @inlined
@@ -113,7 +130,7 @@ def begin(step: StepFields | None, state: KernelState, coefficients: Coefficient
     """
     if step is None:
         return 0.0
-    found, seconds, _, vectors = step
+    found, seconds, vectors = step
     q, total = state[1], four.broadcast(0.0)
     for i in range(found[0].count):
         store_permuted(vectors, PERMUTED * i, to_body(q, fields.field(found, i)))
@@ -200,14 +217,14 @@ def add_acceleration(u: Vector, step: StepFields | None, table: Floats, k: int, 
 def _add_uniform(u: Vector, step: StepFields, k: int, i: int, square: float,
                  coefficients: Coefficients, form: int) -> Vector:
     # Add the acceleration by a uniform field, times the square of the step.
-    vectors, row, place = step.vectors, _ORDER * k + PERMUTED * i, PERMUTED * i
+    vectors, row, place = step.vectors, _ORDER * k + PERMUTED * i, _MATRICES + PERMUTED * i
     if form == euler_equations.THIN:  # see `acceleration_from_torque`
         torque = cross(fields.moment(step.fields, i), four.load(vectors, row))
         return add_scaled(u, square, euler_equations.acceleration_from_torque(
             coefficients, form, torque))
     v, yzx, zxy = load_permuted(vectors, row)
-    matrix = (four.load(step.matrices, place), four.load(step.matrices, place + 4),
-              four.load(step.matrices, place + 8))
+    matrix = (four.load(vectors, place), four.load(vectors, place + 4),
+              four.load(vectors, place + 8))
     return add_scaled(u, square, add_product(four.broadcast(0.0), matrix, v, yzx, zxy))
 
 
