@@ -126,6 +126,11 @@ def fields(values: Mapping[str, Any]) -> tuple[Field, ...]:
     return (*found, orbit)
 
 
+def moment_unit() -> str:
+    """Return the unit of the moment of a field."""
+    return _UNIFORM[MOMENT][0]
+
+
 def described(values: Mapping[str, Any]) -> list[str]:
     """Return a line for each field of a scene."""
     found = []

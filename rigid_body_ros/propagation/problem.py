@@ -195,8 +195,18 @@ class Problem:
             torque, in_space = log.at(times_ns, self.options.timeout_ns)
             total += np.where(in_space[:, None], so3.rotate(so3.conjugate(attitude), torque),
                               torque)
-        for one in self.fields:
-            total += one.torque(self.body, times_ns, attitude)
+        return total + self.field_torque(times_ns, attitude) if self.fields else total
+
+    def field_torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
+        """Return the torque of the fields, N m, body axes, shape (m, 3), as `torque` does."""
+        total = np.zeros((len(times_ns), 3))
+        bodies = (self.body, *(self.changes.bodies if self.changes else ()))
+        in_force = self.changes.times_ns.searchsorted(times_ns, 'right') if self.changes \
+            else np.zeros(len(times_ns), int)
+        for k, body in enumerate(bodies):
+            rows = np.flatnonzero(in_force == k)
+            for one in self.fields:
+                total[rows] += one.torque(body, times_ns[rows], attitude[rows])
         return total
 
     def biased(self, torque: Floats, end_ns: int) -> Problem:
