@@ -71,7 +71,7 @@ SIGNATURES = [
     (BodyLog, "times_ns, bodies, keep='rate'"),
     (build_info, ''),
     (warm_up, ''),
-    (Experiment, 'start, log, measured, wheels=None'),
+    (Experiment, 'start, log, measured, wheels=None, fields=()'),
     (identify, "body, experiments, *, estimate=('inertia', 'start'), attitude_noise=None, "
                'rate_noise=None, validate=0.0, torque_timeout=0.0'),
 ]
