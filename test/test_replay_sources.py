@@ -23,6 +23,7 @@ import sys
 
 from conftest import CONFIG, RECORDINGS, SECOND
 import numpy as np
+from pages import array, data_of
 import pytest
 from rigid_body_ros import messages, propagate, recording, scene, State, TorqueLog
 from rigid_body_ros.commands import main
@@ -32,6 +33,7 @@ from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.check import drift
 from rigid_body_ros.replay.many import replay_many
 from rigid_body_ros.replay.summary import summary
+from rigid_body_ros.report import figures
 
 MS = 10 ** 6
 STARTED = 1_700_000_000 * SECOND
@@ -235,6 +237,33 @@ def test_fields_alone_conserve_their_integrals(tmp_path, written, lines, laws, c
             'space axes\n' in printed) == ('pivot' in ''.join(lines))
     assert ('fields        gravity gradient: mean motion 0.4 rad/s' in printed) == (ORBIT in lines)
     assert main.attitude_replay([str(path), '--scene', config, '--verify', str(output)]) == 0
+
+
+def test_pages_and_plots_show_the_torque_of_fields(tmp_path, written, monkeypatch):
+    path, config = write(tmp_path / 'one.mcap', ['/control']), written(*PIVOT, ORBIT)
+    drawn, save = {}, figures.save
+    monkeypatch.setattr(figures, 'save', lambda figure, *given, **more: (
+        drawn.update(figure=figure), save(figure, *given, **more)))
+    assert main.attitude_replay([path, '--scene', config, '--report', str(tmp_path / 'p.html'),
+                                 '--plot', str(tmp_path / 'p.png')]) == 0
+    motion = expected(config, [log('/control')])
+    problem = scene.load(config).problem(State(STARTED))
+    torque = sum(one.torque(problem.body, motion.times_ns, motion.attitude)
+                 for one in problem.fields)
+    assert np.ptp(torque) > 0.1
+    data = data_of((tmp_path / 'p.html').read_text(encoding='utf-8'))
+    panels = {panel['label']: panel for panel in data['panels']}
+    shown, = panels['torque of the fields, body axes']['curves']
+    np.testing.assert_allclose(array(shown['low'], '<f4').reshape(3, -1), torque.T, atol=1e-7)
+    assert 'torque, body axes' in panels
+    # The moving body has all that acts.
+    np.testing.assert_allclose(array(data['body']['torque'], '<f4').reshape(-1, 3),
+                               torque + values('/control'), atol=1e-7)
+    line = next(axes for axes in drawn['figure'].axes
+                if 'torque of the fields' in axes.get_ylabel()).lines[1]
+    scale = np.abs(torque[:, 1]).max() / np.abs(line.get_ydata()).max()
+    np.testing.assert_allclose(line.get_ydata() * scale, torque[:, 1], rtol=1e-9, atol=1e-12)
+    assert 'pivot.moment.z: -0.02' in (tmp_path / 'p.html').read_text(encoding='utf-8')
 
 
 def test_a_check_of_fields_finds_a_motion_without_them(tmp_path, written):

@@ -256,9 +256,11 @@ def plot(path: str | Path, result: Replay, name: str) -> None:
     assert result.trajectory is not None
     assert result.problem is not None
     sequence = result.scene.euler_sequence
+    problem, motion = result.problem, result.trajectory
+    fields = problem.field_torque(motion.times_ns, motion.attitude) if problem.fields else None
     with files.atomic_output(path, '.png') as temporary:
-        figures.motion(temporary, result.trajectory, result.problem.logs, sequence,
-                       f'{name}: {result.topic}', result.scene.timeout_ns)
+        figures.motion(temporary, motion, problem.logs, sequence, f'{name}: {result.topic}',
+                       result.scene.timeout_ns, fields)
 
 
 def _pieces(request: Request, topics: Topics, streams: Streams) -> Sequence[Epoch]:
