@@ -290,3 +290,15 @@ def test_mistakes_with_bodies_are_reported_in_one_line(tmp_path, values, inertia
     with pytest.raises(InputError, match=re.escape(message)) as error:
         replay(tmp_path / 'in.mcap', scene_file.Scene.from_values({**SCENE, **values}), **options)
     assert '\n' not in str(error.value)
+
+
+def test_a_replay_is_checked_up_to_the_first_change(tmp_path):
+    coasting = [(SECOND, (0.0, 0.0, 0.0)), (4 * SECOND, (0.0, 0.0, 0.0))]
+    recorded(tmp_path / 'in.mcap', coasting, INERTIAS)
+    run = scene_file.Scene.from_values({**SCENE, 'damping.dxx': 0.0})
+    result = replay(tmp_path / 'in.mcap', run)
+    assert result.check.total == 3.0
+    assert result.check.covered == pytest.approx(0.75)
+    name, lost = result.check.finding.rsplit(' ', 1)
+    assert name == 'relative drift of the space angular momentum'
+    assert float(lost) < 1e-15

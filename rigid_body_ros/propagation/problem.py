@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import BodyLog
@@ -172,6 +173,20 @@ class Problem:
         """Return the body at a time; at a change, the one after it."""
         row = self.changes.in_force(time_ns) if self.changes else -1
         return self.changes.bodies[row] if self.changes and row >= 0 else self.body
+
+    @property
+    def next_change_ns(self) -> int:
+        """Return the time of the first change of the body after the start, NEVER_NS if none."""
+        if not self.changes:
+            return NEVER_NS
+        later_ns = self.changes.times_ns[self.changes.in_force(self.start.time_ns) + 1:]
+        return int(later_ns[0]) if len(later_ns) else NEVER_NS
+
+    def with_first_body(self) -> Problem:
+        """Return the same problem for the body of the start, which does not change."""
+        other = self.replaced(body=self.body_at(self.start.time_ns))
+        other.changes = None
+        return other
 
     def torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
         """

@@ -85,7 +85,8 @@ def last_digits(problem: Problem, trajectory: Trajectory) -> LastDigits | None:
     """
     begin_ns, end_ns = problem.start.time_ns, int(trajectory.times_ns[-1])
     speed = float(np.linalg.norm(trajectory.angular_velocity, axis=1).max())
-    covered_ns = end_ns - begin_ns
+    covered_ns = min(end_ns, problem.next_change_ns - 1) - begin_ns
+    problem = problem.with_first_body()
     stamps_ns = stamps_of(problem.sources)
     following = stamps_ns[stamps_ns > begin_ns][_SAMPLES - 1:_SAMPLES]
     if following.size:
@@ -112,12 +113,18 @@ def drift(problem: Problem, trajectory: Trajectory) -> Check:
     Without a torque from outside, the angular momentum in space axes is constant; under torques in
     space axes it follows their integral. Under fields alone the integrals of `_integrals` are
     constant. Under torques in body axes, damping, or fields and torques, work and energy are
-    compared.
+    compared. If the body changes, the motion up to the first change is checked.
     """
     seconds = float(trajectory.times_ns[-1] - problem.start.time_ns) * 1e-9
+    change_ns = problem.next_change_ns
+    if change_ns <= trajectory.times_ns[-1]:
+        times_ns = trajectory.times_ns[trajectory.times_ns < change_ns]
+        problem = problem.with_first_body()
+        part = problem.propagate(at=np.append(times_ns, change_ns - 1))
+        return drift(problem, part)._replace(total=seconds)
     acting, is_damped = [log for log in problem.logs if log.torques.any()], problem.body.is_damped
     if problem.fields:
-        if not (problem.has_torque or is_damped or problem.changes):
+        if not (problem.has_torque or is_damped):
             integrals = _integrals(problem, trajectory)
             if integrals:
                 return Check(f'relative drift of {integrals}', seconds, seconds)
