@@ -119,8 +119,9 @@ def check_written(path, motion, has_rotors=True):
 
 
 @pytest.mark.parametrize('interpolation', ['hold', 'linear'])
-@pytest.mark.parametrize('lines', [(TWO, WHEELS, DAMPING, ROTORS), (TWO, WHEELS)],
-                         ids=['all', 'wheels'])
+@pytest.mark.parametrize('lines', [
+    (TWO, WHEELS, DAMPING, ROTORS), (TWO, WHEELS), (TWO, WHEELS, ROTORS, *PIVOT, ORBIT)],
+    ids=['all', 'wheels', 'fields'])
 def test_two_torques_and_wheels_give_the_motion_of_the_library(recorded, written, tmp_path, lines,
                                                                interpolation):
     path, output = written(*lines), tmp_path / 'motion.mcap'
