@@ -34,6 +34,7 @@ from rigid_body_ros import (
     UniformField,
 )
 from rigid_body_ros import scene as scene_file
+from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics.changes import changed
 from rigid_body_ros.propagation import Integration, Problem
@@ -302,3 +303,23 @@ def test_a_replay_is_checked_up_to_the_first_change(tmp_path):
     name, lost = result.check.finding.rsplit(' ', 1)
     assert name == 'relative drift of the space angular momentum'
     assert float(lost) < 1e-15
+
+
+@pytest.mark.parametrize('command', ['compare', 'identify', 'tradeoff', 'ensemble'])
+def test_commands_that_compute_with_one_body_refuse_one_that_changes(tmp_path, capsys, command):
+    recorded(tmp_path / 'in.mcap', TORQUES, INERTIAS)
+    lines = [f'    {name}: {value}' for name, value in SCENE.items()]
+    (tmp_path / 'scene.yaml').write_text('/**:\n  ros__parameters:\n' + '\n'.join(lines))
+    replay(tmp_path / 'in.mcap', scene_file.load(tmp_path / 'scene.yaml'), tmp_path / 'out.mcap',
+           also=['input'])
+    (tmp_path / 'vary.yaml').write_text('torque_gain: {normal: 0.01}')
+    path = str(tmp_path / 'out.mcap')
+    options = {'compare': [path, '--measured', '/attitude'],
+               'identify': [path, '--measured', '/attitude', '-o', str(tmp_path / 'fit.yaml')],
+               'tradeoff': ['--recording', path],
+               'ensemble': ['--recording', path, '--runs', '2', '-o', str(tmp_path / 'runs'),
+                            '--vary', str(tmp_path / 'vary.yaml')]}[command]
+    run = getattr(main, f'attitude_{command}')
+    status = run([*options, '--scene', str(tmp_path / 'scene.yaml')])
+    assert status == 2
+    assert 'expected a body that does not change, found 2 changes' in capsys.readouterr().err

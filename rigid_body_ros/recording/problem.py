@@ -94,7 +94,7 @@ def read(path: str | Path, scene: str | Path | Scene, *,
     loaded = scene if isinstance(scene, Scene) else load(scene)
     topics = Topics.given(topic, wheel_torque, wheel_momentum, inertia).found_in(path, loaded)
     return chosen(path, loaded, read_epochs(path, loaded, topics, interpolation,
-                                            time_source=time_source)).problem
+                                            time_source=time_source), may_change=True).problem
 
 
 def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: str | None = None,
@@ -142,16 +142,18 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
             for parts in found]
 
 
-def chosen(path: str | Path, scene: Scene, found: Sequence[Logged]) -> Logged:
+def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
+           may_change: bool = False) -> Logged:
     """
     Return the epoch for a command that needs one motion.
 
-    Of several epochs, it is the last one that begins at the start_time of the scene.
+    Of several epochs, it is the last one that begins at the start_time of the scene. Only a
+    command that says so computes with a body that changes.
 
     Raises
     ------
     InputError
-        None begins there.
+        None begins there, or the body changes.
 
     """
     stamps_ns = [each.problem.start.time_ns for each in found]
@@ -161,7 +163,12 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged]) -> Logged:
                          f'{len(stamps_ns)} epochs, which begin at '
                          f'{listed([str(stamp) for stamp in stamps_ns])} ns, and start_time '
                          f'{start_ns}; set start_time in the scene')
-    return found[len(found) - 1 - stamps_ns[::-1].index(start_ns) if len(found) > 1 else 0]
+    one = found[len(found) - 1 - stamps_ns[::-1].index(start_ns) if len(found) > 1 else 0]
+    if one.problem.changes and not may_change:
+        raise InputError(f'{path}: {one.topics[-1]}: expected a body that does not change, found '
+                         f'{len(one.problem.changes)} changes of its inertia, which only '
+                         'attitude_replay computes; set inertia_topic: false in the scene')
+    return one
 
 
 def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Messages],
