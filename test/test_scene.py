@@ -191,9 +191,10 @@ def test_a_file_of_another_node_is_an_error_that_names_both(tmp_path):
         load(tmp_path, 'camera:\n  ros__parameters: {gain: 1}')
 
 
-@pytest.mark.parametrize('name', ['iss', 'tumbler'])
+@pytest.mark.parametrize('name', ['cubesat', 'gimbal', 'iss', 'top', 'tumbler'])
 def test_the_scenes_of_the_package_load(name):
-    assert scene.load(CONFIG / f'{name}.yaml').body.symmetry == 'asymmetric top'
+    symmetry = 'symmetric top' if name == 'top' else 'asymmetric top'
+    assert scene.load(CONFIG / f'{name}.yaml').body.symmetry == symmetry
 
 
 def test_a_scene_is_printed_with_units(tmp_path):
