@@ -24,14 +24,13 @@ running node.
 import argparse
 from typing import NamedTuple
 
-from rigid_body_ros import scene
+from rigid_body_ros import field_parameters, scene
 from rigid_body_ros.commands.compare import compare_parser
 from rigid_body_ros.commands.ensemble import ensemble_parser
 from rigid_body_ros.commands.identify import identify_parser
 from rigid_body_ros.commands.replay import replay_parser
 from rigid_body_ros.commands.tradeoff import tradeoff_parser
 from rigid_body_ros.runtime.parameters import limits
-from rigid_body_ros.scene import field_parameters
 
 WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
 INERTIA = 'geometry_msgs/msg/InertiaStamped'

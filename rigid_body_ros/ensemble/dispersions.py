@@ -22,13 +22,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from rigid_body_ros import field_parameters
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted
 from rigid_body_ros.ensemble.streams import normals, uniforms
 from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameter_file import described, entries, number
 from rigid_body_ros.runtime.parameters import BIG, resembled
-from rigid_body_ros.scene import field_parameters, PARAMETERS
+from rigid_body_ros.scene import PARAMETERS
 import yaml
 
 #: Groups of scene parameters of which each member can vary.

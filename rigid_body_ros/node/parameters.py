@@ -33,13 +33,13 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rigid_body_ros import scene
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.field_parameters import at_start, FIELDS
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.robot_description import with_robot_description
 from rigid_body_ros.propagation.solvers import solver_named
 from rigid_body_ros.runtime.parameters import resembled
 from rigid_body_ros.scene import Scene
-from rigid_body_ros.scene.field_parameters import at_start, FIELDS
-from rigid_body_ros.scene.parameters import checked_fields, parameters_with, QOS
+from rigid_body_ros.scene_parameters import checked_fields, parameters_with, QOS
 
 _RATE = 'publish_rate'
 #: Topics of rclpy itself.

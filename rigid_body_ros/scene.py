@@ -28,7 +28,9 @@ from pathlib import Path
 import re
 from typing import Any
 
-from rigid_body_ros.common.errors import InputError, listed, quoted
+from rigid_body_ros import field_parameters
+from rigid_body_ros.common.errors import InputError as InputError  # part of the interface
+from rigid_body_ros.common.errors import listed, quoted
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.mechanics import euler, urdf
 from rigid_body_ros.mechanics.body import RigidBody
@@ -39,17 +41,16 @@ from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameter_file import node_parameters
 from rigid_body_ros.runtime.parameters import checked, is_foreign, Parameter, Value
-from rigid_body_ros.scene import field_parameters
-from rigid_body_ros.scene.parameters import (
+from rigid_body_ros.scene_parameters import (
     ARRIVAL,
     checked_fields,
     HEADER,
     LOCKSTEP,
     OF_ROS,
-    PARAMETERS,
     parameters_with,
     QOS,
 )
+from rigid_body_ros.scene_parameters import PARAMETERS as PARAMETERS  # part of the interface
 
 #: The name of the node whose parameters a scene file has.
 NODE = 'attitude_node'
