@@ -24,13 +24,14 @@ running node.
 import argparse
 from typing import NamedTuple
 
-from rigid_body_ros import field_parameters, scene
+from rigid_body_ros import scene
 from rigid_body_ros.commands.compare import compare_parser
 from rigid_body_ros.commands.ensemble import ensemble_parser
 from rigid_body_ros.commands.identify import identify_parser
 from rigid_body_ros.commands.replay import replay_parser
 from rigid_body_ros.commands.tradeoff import tradeoff_parser
 from rigid_body_ros.runtime.parameters import limits
+from rigid_body_ros.scene.fields import FIELDS, of_names
 
 WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
 INERTIA = 'geometry_msgs/msg/InertiaStamped'
@@ -551,9 +552,9 @@ def main():
 
 def parameters():
     """Return the parameters; those of a uniform field follow the one that names it."""
-    of_field = field_parameters.of_names(['NAME']).values()
+    of_field = of_names(['NAME']).values()
     return [one for parameter in scene.PARAMETERS.values() for one in (
-        parameter, *(of_field if parameter.name == field_parameters.FIELDS else ()))]
+        parameter, *(of_field if parameter.name == FIELDS else ()))]
 
 
 def topics(listed):

@@ -21,8 +21,8 @@ from conftest import CONFIG, ROOT
 import numpy as np
 import pytest
 from rigid_body_ros import scene, State
-from rigid_body_ros.field_parameters import at_start
 from rigid_body_ros.scene import InputError, Scene
+from rigid_body_ros.scene.fields import at_start
 
 INERTIA = {'inertia.ixx': 1.0, 'inertia.iyy': 2.0, 'inertia.izz': 2.5}
 PIVOT = {'fields': ['pivot'], 'pivot.moment.z': -0.2, 'pivot.field.z': -9.81}

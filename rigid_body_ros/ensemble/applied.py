@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import ENTRIES, Floats
 from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.engine.elementary import exponentials
-from rigid_body_ros.field_parameters import values_of, with_values
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.scene.fields import values_of, with_values
 
 
 @dataclass(frozen=True, eq=False)

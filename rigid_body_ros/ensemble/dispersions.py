@@ -22,7 +22,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rigid_body_ros import field_parameters
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted
 from rigid_body_ros.ensemble.streams import normals, uniforms
@@ -30,11 +29,12 @@ from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameter_file import described, entries, number
 from rigid_body_ros.runtime.parameters import BIG, resembled
 from rigid_body_ros.scene import PARAMETERS
+from rigid_body_ros.scene.fields import of_names, ORBIT
 import yaml
 
 #: Groups of scene parameters of which each member can vary.
 _GROUPS = ('inertia', 'damping', 'initial_angular_velocity', 'initial_rotor_momentum',
-           field_parameters.ORBIT)
+           ORBIT)
 #: Units of all keys that vary by a normal or a uniform distribution, but for those of fields.
 UNITS = {**{name: parameter.unit for name, parameter in PARAMETERS.items()
             if name.split('.')[0] in _GROUPS},
@@ -101,7 +101,7 @@ def draws(dispersions: Sequence[Dispersion], seed: int,
 def units_with(fields: Iterable[str]) -> dict[str, str]:
     """Return `UNITS`, with the units of uniform fields with these names."""
     return {**UNITS, **{name: parameter.unit
-                        for name, parameter in field_parameters.of_names(fields).items()}}
+                        for name, parameter in of_names(fields).items()}}
 
 
 def load(path: str | Path, fields: Iterable[str] = ()) -> tuple[Dispersion, ...]:

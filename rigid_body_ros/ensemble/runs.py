@@ -47,7 +47,6 @@ from rigid_body_ros.ensemble.dispersions import (
 from rigid_body_ros.ensemble.fitted import Fitted
 from rigid_body_ros.ensemble.motions import COMPONENTS
 from rigid_body_ros.ensemble.reach import Reach
-from rigid_body_ros.field_parameters import ORBIT, values_of
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.fields import UniformField
@@ -56,6 +55,7 @@ from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem, propagate_many
 from rigid_body_ros.propagation.many import Logs
 from rigid_body_ros.runtime import interrupts
+from rigid_body_ros.scene.fields import ORBIT, values_of
 
 _START = {**{f'inertia.i{entry}': 'kg m^2' for entry in ENTRIES},
           **{f'initial_attitude.{axis}': '' for axis in 'xyzw'},

@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 from rigid_body_ros.common.arrays import COLUMNS, ENTRIES, entries, Floats, ROWS, symmetric
 from rigid_body_ros.common.errors import InputError, listed
-from rigid_body_ros.field_parameters import MOMENT, moment_unit
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field, UniformField
+from rigid_body_ros.scene.fields import MOMENT, moment_unit
 
 #: Component names by name of the parameter; for the moment of a field see `components_of`.
 COMPONENTS = {

@@ -45,7 +45,7 @@ from rigid_body_ros.node.outputs import Publishers
 from rigid_body_ros.node.parameters import check_qos_overrides, NodeParameters
 from rigid_body_ros.node.realtime import Realtime
 from rigid_body_ros.node.sources import BODY, check_topics, sources_of, TorqueTopic
-from rigid_body_ros.scene_parameters import LOCKSTEP, REALTIME
+from rigid_body_ros.scene.parameters import LOCKSTEP, REALTIME
 from std_srvs.srv import Trigger
 
 try:

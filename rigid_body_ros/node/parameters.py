@@ -31,15 +31,16 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
-from rigid_body_ros import scene
 from rigid_body_ros.common.errors import InputError
-from rigid_body_ros.field_parameters import at_start, FIELDS
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.robot_description import with_robot_description
 from rigid_body_ros.propagation.solvers import solver_named
+from rigid_body_ros.runtime.parameters import checked as checked_value
+from rigid_body_ros.runtime.parameters import Parameter as SceneParameter
 from rigid_body_ros.runtime.parameters import resembled
-from rigid_body_ros.scene import Scene
-from rigid_body_ros.scene_parameters import checked_fields, parameters_with, QOS
+from rigid_body_ros.scene import PARAMETERS, Scene
+from rigid_body_ros.scene.fields import at_start, FIELDS
+from rigid_body_ros.scene.parameters import checked_fields, parameters_with, QOS
 
 _RATE = 'publish_rate'
 #: Topics of rclpy itself.
@@ -145,7 +146,7 @@ class NodeParameters:
                                            'running node: it takes effect only at the start')
         if _RATE in values:
             try:
-                self._on_rate(scene.checked(scene.PARAMETERS[_RATE], values[_RATE]))
+                self._on_rate(checked_value(PARAMETERS[_RATE], values[_RATE]))
             except InputError as error:
                 return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -158,11 +159,11 @@ def declare(node: Node, given: Mapping[str, Any]) -> None:
             description=_described(parameter), dynamic_typing=True), ignore_override=True)
 
 
-def _known(given: Mapping[str, Any]) -> dict[str, scene.Parameter]:
+def _known(given: Mapping[str, Any]) -> dict[str, SceneParameter]:
     """Return the parameters of a scene; those of its fields only if their names are valid."""
     with suppress(InputError):
         return parameters_with(checked_fields(given))
-    return scene.PARAMETERS
+    return PARAMETERS
 
 
 def given_parameters(node: Node) -> dict[str, Any]:
@@ -206,11 +207,11 @@ def _with_float_rate(parameters: list[Parameter]) -> list[Parameter]:
             for one in parameters]
 
 
-def _described(parameter: scene.Parameter) -> str:
+def _described(parameter: SceneParameter) -> str:
     return parameter.description + (f' ({parameter.unit})' if parameter.unit else '')
 
 
-def _descriptor(parameter: scene.Parameter) -> ParameterDescriptor:
+def _descriptor(parameter: SceneParameter) -> ParameterDescriptor:
     fixed = parameter.name != _RATE
     limits = ', '.join(parameter.choices)
     descriptor = ParameterDescriptor(

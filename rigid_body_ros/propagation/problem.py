@@ -154,7 +154,7 @@ class Problem:
             other.fields = beginning_at(fields, self.start.time_ns)
             other._fields = packed(other.fields)
         other._set(body or self.body, start or self.start, self.logs if log is None else log,
-                     self.wheels if wheels is None else wheels, options or self.options)
+                   self.wheels if wheels is None else wheels, options or self.options)
         return other
 
     def solved_by(self, **options: Any) -> Problem:

@@ -17,11 +17,11 @@
 from __future__ import annotations
 
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.field_parameters import described
 from rigid_body_ros.mechanics import euler
 from rigid_body_ros.replay.check import LastDigits
 from rigid_body_ros.replay.single import Replay
 from rigid_body_ros.report.text import interpolation_row, lines
+from rigid_body_ros.scene.fields import described
 
 #: The effect of the last digits is reported if it exceeds the rounding error by this factor.
 _REPORTED = 10.0

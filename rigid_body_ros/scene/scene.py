@@ -12,12 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-Scenes: a body, its initial state and the options of a run, read from a ROS 2 parameter file.
-
-The node (declarations and descriptors) and the commands (scene files) share one table of
-parameters, so a file means the same to all of them.
-"""
+"""A scene: a body, its initial state and the options of a run, checked one by one and together."""
 
 from __future__ import annotations
 
@@ -28,7 +23,6 @@ from pathlib import Path
 import re
 from typing import Any
 
-from rigid_body_ros import field_parameters
 from rigid_body_ros.common.errors import InputError as InputError  # part of the interface
 from rigid_body_ros.common.errors import listed, quoted
 from rigid_body_ros.common.times import duration_ns
@@ -41,16 +35,17 @@ from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameter_file import node_parameters
 from rigid_body_ros.runtime.parameters import checked, is_foreign, Parameter, Value
-from rigid_body_ros.scene_parameters import (
+from rigid_body_ros.scene.fields import at_start, check_named, fields_of
+from rigid_body_ros.scene.parameters import (
     ARRIVAL,
     checked_fields,
     HEADER,
     LOCKSTEP,
     OF_ROS,
+    PARAMETERS,
     parameters_with,
     QOS,
 )
-from rigid_body_ros.scene_parameters import PARAMETERS as PARAMETERS  # part of the interface
 
 #: The name of the node whose parameters a scene file has.
 NODE = 'attitude_node'
@@ -122,12 +117,12 @@ class Scene:
     @property
     def fields(self) -> tuple[Field, ...]:
         """Return the torques that depend on the attitude; an orbit has the start_time."""
-        return field_parameters.fields(self.values)
+        return fields_of(self.values)
 
     def fields_from(self, start_ns: int) -> tuple[Field, ...]:
         """Return the same fields, with the position on the orbit at the start of a motion."""
-        moved = field_parameters.at_start(self.values, start_ns)
-        return field_parameters.fields({**self.values, **moved, 'start_time': start_ns}) \
+        moved = at_start(self.values, start_ns)
+        return fields_of({**self.values, **moved, 'start_time': start_ns}) \
             if moved else self.fields
 
     @property
@@ -200,7 +195,7 @@ class Scene:
         ignored = tuple(name for name, value in given.items()
                         if not name.startswith(QOS) and is_foreign(name, value, known))
         for name in ignored:
-            field_parameters.check_named(name, fields)
+            check_named(name, fields)
         given = {**given, **_inertia_of_robot(given)}
         values = {name: checked(parameter, given.get(name, parameter.default))
                   for name, parameter in table.items()}

@@ -100,7 +100,7 @@ def check_named(key: str, names: Collection[str]) -> None:
                          f'{listed(names)}')
 
 
-def fields(values: Mapping[str, Any]) -> tuple[Field, ...]:
+def fields_of(values: Mapping[str, Any]) -> tuple[Field, ...]:
     """
     Return what the parameters of a scene state.
 
@@ -171,7 +171,7 @@ def at_start(values: Mapping[str, Any], time_ns: int) -> dict[str, float]:
     Nothing is returned if there is no orbit, or if the position is that at the start anyway.
     """
     begin_ns = values['start_time']
-    orbits = [one for one in fields(values) if isinstance(one, GravityGradient)]
+    orbits = [one for one in fields_of(values) if isinstance(one, GravityGradient)]
     if not orbits or begin_ns in (0, time_ns):
         return {}
     position, = orbits[0].directions(np.array([time_ns])).tolist()

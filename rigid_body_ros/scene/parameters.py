@@ -19,10 +19,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from rigid_body_ros import field_parameters
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.runtime.parameters import BIG, checked, Parameter, TINY
+from rigid_body_ros.scene import fields
 
 _MOMENT = 'moment of inertia about the centre of mass, body axes'
 _PRODUCT = 'off-diagonal entry of the inertia tensor, with the sign of the matrix as in URDF'
@@ -61,7 +61,7 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('torque_topics', ['torque'], '', 'topics of the torques; the torques of several '
               'topics add up'),
     Parameter('wheels', False, '', 'whether the body has rotors with motors'),
-    *field_parameters.PARAMETERS,
+    *fields.PARAMETERS,
     Parameter('inertia_topic', False, '', 'whether the topic inertia changes the inertia of the '
               'body'),
     Parameter('inertia_change', KEEP_RATE, '', 'what goes on when the inertia changes: keep_rate '
@@ -110,13 +110,13 @@ PARAMETERS = {parameter.name: parameter for parameter in (
 OF_ROS, QOS = ('use_sim_time', 'start_type_description_service', 'autostart'), 'qos_overrides.'
 
 
-def parameters_with(fields: Iterable[str]) -> dict[str, Parameter]:
+def parameters_with(names: Iterable[str]) -> dict[str, Parameter]:
     """Return all parameters by full name, those of uniform fields with these names included."""
-    return {**PARAMETERS, **field_parameters.of_names(fields)}
+    return {**PARAMETERS, **fields.of_names(names)}
 
 
 def checked_fields(given: Mapping[str, Any]) -> list[str]:
     """Return the names of the uniform fields among given values; raise InputError as `checked`."""
     names: list[str] = checked(PARAMETERS['fields'], given.get('fields'))
-    field_parameters.check_names(names, (*PARAMETERS, *OF_ROS, QOS))
+    fields.check_names(names, (*PARAMETERS, *OF_ROS, QOS))
     return names
