@@ -103,6 +103,8 @@ class BuildKernels(build_ext):
         ext.extra_objects = sorted(map(str, folder.glob('*.o')))
         ext.depends += ext.extra_objects
         ext.define_macros = macros()
+        # The times of files do not tell: the code of an earlier state may be used again.
+        self.force = True
         try:
             super().build_extension(ext)
         except CompileError as error:

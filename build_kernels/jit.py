@@ -83,6 +83,7 @@ def scratch(_context: Any, count: Any) -> Any:
 
     def generate(context: Any, builder: Any, _: Any, __: Any) -> Any:
         place = alloca_once(builder, ir.ArrayType(ir.DoubleType(), size))
+        place.align = 64  # a vector that lies in two cache lines takes longer
         array = context.make_array(kind)(context, builder)
         populate_array(array, builder.bitcast(place, ir.DoubleType().as_pointer()),
                        *([ir.Constant(ir.IntType(64), number)] for number in (size, 8)),

@@ -31,8 +31,10 @@ from rigid_body_ros.commands.identify import identify_parser
 from rigid_body_ros.commands.replay import replay_parser
 from rigid_body_ros.commands.tradeoff import tradeoff_parser
 from rigid_body_ros.runtime.parameters import limits
+from rigid_body_ros.scene.fields import FIELDS, of_names
 
 WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
+INERTIA = 'geometry_msgs/msg/InertiaStamped'
 VECTOR3 = 'geometry_msgs/msg/Vector3Stamped'
 TORQUE = 'best effort, keep last 1000; in lockstep reliable'
 STATE, LOG = 'reliable, keep last 10', 'reliable, transient local, keep last 10 000'
@@ -67,6 +69,11 @@ SUBSCRIBED_IF_ENABLED = [
           'from its stamp on; the body feels the opposite torque. `header.frame_id` empty or the '
           'body frame; any other is rejected. If `wheels` is false, the node does not subscribe '
           'to it.'),
+    Topic('inertia', INERTIA, 'reliable, keep last 1000',
+          'If `inertia_topic` is true: inertia about the centre of mass, kg m^2, body axes, of '
+          'the body from its stamp on. The mass and `com` are ignored, logged once. '
+          '`header.frame_id` empty or the body frame; any other is rejected. The damping stays '
+          'that of the scene. `inertia_change` says what goes on.'),
 ]
 PUBLISHED = [
     Topic('attitude', 'geometry_msgs/msg/QuaternionStamped', STATE,
@@ -110,6 +117,8 @@ OPTIONAL = [
           'and so on.'),
     Topic('~/accepted_wheel_torque', WRENCH, LOG,
           'If `wheels` is true: every accepted torque on the rotors.'),
+    Topic('~/accepted_inertia', INERTIA, LOG,
+          'If `inertia_topic` is true: every accepted inertia, with the markers of epochs.'),
     Topic('/tf', 'tf2_msgs/msg/TFMessage', STATE,
           'Space frame to body frame, if `publish_tf` is true (needs tf2_msgs).'),
     Topic('/clock', 'rosgraph_msgs/msg/Clock', STATE,
@@ -135,6 +144,7 @@ CAUSES = {
     'duplicate, differs (same stamp)': 'In lockstep: a different torque was accepted before for '
                                        'the same state.',
     'before the reset': 'In lockstep: the torque responds to a state from before the reset.',
+    'no body has this inertia': 'The tensor on `inertia` is not finite or not that of a body.',
 }
 PAGE = """\
 <!-- printed by docs/nodes.py: edit that file instead -->
@@ -314,7 +324,7 @@ To replay such a run, record all logs of accepted torques, and pass them in the 
 ```
 attitude_replay RECORDING --scene DUMP --topic /attitude_node/accepted_torque \\
     --topic /attitude_node/accepted_torque_1 \\
-    --wheel-torque /attitude_node/accepted_wheel_torque
+    --wheel-torque /attitude_node/accepted_wheel_torque --inertia /attitude_node/accepted_inertia
 ```
 
 `/diagnostics` has a status for each source: `torques` for the first topic, `torques_1`,
@@ -375,6 +385,8 @@ one torque for each state.
   publisher is not waited for. Each publisher must therefore respond to every state; diagnostics
   name a topic that does not. Start all publishers before the first torque, because the loop waits
   for a publisher only from when it is connected.
+- A message on `inertia` gets no response, and no response waits for it. For the same bits every
+  time, publish it before the torque of its stamp, and wait until it is on `~/accepted_inertia`.
 - While no node publishes torques, the latest state is published again at 10 Hz. A controller that
   starts or restarts receives it once, half a second after it connects.
 - A controller may be slow. The state is published again only after 4 s without a torque, then
@@ -529,13 +541,20 @@ def main():
                      [(f'`{cause}`', meaning) for cause, meaning in CAUSES.items()]),
         parameters=table(('parameter', 'unit', 'default', 'values', 'meaning'), [
             (f'`{parameter.name}`', parameter.unit, default(parameter), values(parameter),
-             parameter.description) for parameter in scene.PARAMETERS.values()]),
+             parameter.description) for parameter in parameters()]),
         replay=options(replay_parser()),
         compare=options(compare_parser()),
         tradeoff=options(tradeoff_parser()),
         identify=options(identify_parser()),
         ensemble=options(ensemble_parser()),
         exits=table(('status', 'meaning'), EXITS)), end='')
+
+
+def parameters():
+    """Return the parameters; those of a uniform field follow the one that names it."""
+    of_field = of_names(['NAME']).values()
+    return [one for parameter in scene.PARAMETERS.values() for one in (
+        parameter, *(of_field if parameter.name == FIELDS else ()))]
 
 
 def topics(listed):

@@ -39,7 +39,7 @@ MOST = 100
 def generate_launch_description():
     return LaunchDescription([GroupAction([
         DeclareLaunchArgument('scene', description='parameter file, or the name of an example: '
-                              'tumbler or iss'),
+                              'such as tumbler'),
         DeclareLaunchArgument('bodies', default_value='8', description='number of bodies'),
         OpaqueFunction(function=_fleet)])])
 

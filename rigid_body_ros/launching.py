@@ -154,7 +154,7 @@ def _arguments(defaults: Mapping[str, str]) -> list[DeclareLaunchArgument]:
                                      description=description, choices=choices)
     return [
         argument('scene', None, 'parameter file with inertia, initial state and frames, or the '
-                 'name of an example: tumbler or iss'),
+                 'name of an example, such as tumbler'),
         argument('namespace', '', 'namespace of the node and its topics'),
         argument('name', 'attitude_node', 'name of the node'),
         argument('torque', 'torque', 'topic of the torques (geometry_msgs/WrenchStamped)'),

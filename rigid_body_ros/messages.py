@@ -67,6 +67,9 @@ _FIELDS = {
     'geometry_msgs/WrenchStamped': 'std_msgs/Header header\nWrench wrench\n',
     'geometry_msgs/QuaternionStamped': 'std_msgs/Header header\nQuaternion quaternion\n',
     'geometry_msgs/Vector3Stamped': 'std_msgs/Header header\nVector3 vector\n',
+    'geometry_msgs/Inertia': 'float64 m\ngeometry_msgs/Vector3 com\nfloat64 ixx\nfloat64 ixy\n'
+                             'float64 ixz\nfloat64 iyy\nfloat64 iyz\nfloat64 izz\n',
+    'geometry_msgs/InertiaStamped': 'std_msgs/Header header\nInertia inertia\n',
     'sensor_msgs/Imu': 'std_msgs/Header header\n'
                        'geometry_msgs/Quaternion orientation\n'
                        'float64[9] orientation_covariance\n'
@@ -104,6 +107,8 @@ _HASHES = {name: f'RIHS01_{digits}' for name, digits in {
         '381add86c6c3160644d228ca342182c7fd6c7fab11c7a85ad817a9cc22dbac6e',
     'geometry_msgs/msg/Vector3Stamped':
         'd4829622288cbb443886e7ea94ea5671a3b1be6bab4ad04224432a65f7d7887a',
+    'geometry_msgs/msg/InertiaStamped':
+        '766be45976252babf7f9d8ac4ae7c912a7ceccf71035622529f27518b695aa09',
     'sensor_msgs/msg/Imu': '7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b',
     'nav_msgs/msg/Odometry': '3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0',
     'tf2_msgs/msg/TFMessage': 'e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087',
@@ -248,6 +253,8 @@ BARE_WRENCH = MessageType('geometry_msgs/msg/Wrench', 6, has_header=False)
 QUATERNION = MessageType('geometry_msgs/msg/QuaternionStamped', 4)
 #: geometry_msgs/msg/Vector3Stamped; doubles: x y z.
 VECTOR3 = MessageType('geometry_msgs/msg/Vector3Stamped', 3)
+#: geometry_msgs/msg/InertiaStamped; doubles: mass, centre of mass x y z, ixx ixy ixz iyy iyz izz.
+INERTIA = MessageType('geometry_msgs/msg/InertiaStamped', 10)
 #: sensor_msgs/msg/Imu; 37 doubles: orientation, angular velocity, acceleration, each followed by
 #: its 9 covariances.
 IMU = MessageType('sensor_msgs/msg/Imu', 37)
@@ -263,12 +270,17 @@ TRANSFORM_STAMPED = MessageType('geometry_msgs/msg/TransformStamped', 7, has_chi
 #: The arrows also differ in lightness, for colour-blind readers.
 BOX = _marker(1, 0.70, 0.75, 0.80, 0.8)
 ORANGE_ARROW, BLUE_ARROW = _marker(0, 0.90, 0.62, 0.0, 1.0), _marker(0, 0.0, 0.27, 0.70, 1.0)
-TYPES = {kind.name: kind for kind in (WRENCH, QUATERNION, VECTOR3, IMU, ODOMETRY, TRANSFORM, BOX)}
+TYPES = {kind.name: kind for kind in (
+    WRENCH, QUATERNION, VECTOR3, INERTIA, IMU, ODOMETRY, TRANSFORM, BOX)}
 
 #: Position of the orientation in the doubles of an Odometry.
 ORIENTATION = slice(3, 7)
 #: Position of the angular velocity in the doubles of an Odometry. `odometry` sets all others to 0.
 ANGULAR_VELOCITY = slice(46, 49)
+#: Position of the mass and the centre of mass in the doubles of an InertiaStamped.
+MASS_AND_CENTRE = slice(0, 4)
+#: Positions of ixx, iyy, izz, ixy, ixz, iyz.
+_ENTRIES = [4, 7, 9, 5, 6, 8]
 
 
 def torque(wrench: Stamped) -> Floats:
@@ -281,9 +293,21 @@ def wrench(stamp_ns: int, frame_id: str, torque: Iterable[float]) -> bytes:
     return WRENCH.encode(stamp_ns, frame_id, [0.0, 0.0, 0.0, *torque])
 
 
-def epoch_marker(start: State) -> bytes:
+def inertia_entries(values: Floats) -> Floats:
+    """Return ixx, iyy, izz, ixy, ixz, iyz, shape (..., 6), of the doubles of an InertiaStamped."""
+    return values[..., _ENTRIES]
+
+
+def inertia(stamp_ns: int, frame_id: str, entries: ArrayLike) -> bytes:
+    """Return an InertiaStamped with these entries, kg m^2, shape (6,), see `inertia_entries`."""
+    values = np.zeros(INERTIA.doubles)
+    values[_ENTRIES] = entries
+    return INERTIA.encode(stamp_ns, frame_id, values)
+
+
+def epoch_marker(start: State, kind: MessageType = WRENCH) -> bytes:
     """
-    Return the marker that begins an epoch in the log of a node: a WrenchStamped of zeros.
+    Return the marker that begins an epoch in the log of a node: a message of zeros.
 
     Its stamp is that of the start state, whose numbers its frame_id contains with all digits. No
     frame of tf2 has a name like that, because of the leading slash.
@@ -291,7 +315,7 @@ def epoch_marker(start: State) -> bytes:
     groups = {'attitude': start.attitude, 'rates': start.angular_velocity,
               'rotors': start.rotor_momentum}
     words = [f'{name} {" ".join(map(repr, values.tolist()))}' for name, values in groups.items()]
-    return wrench(start.time_ns, f'{_EPOCH} {" ".join(words)}', np.zeros(3))
+    return kind.encode(start.time_ns, f'{_EPOCH} {" ".join(words)}', np.zeros(kind.doubles))
 
 
 def is_epoch_marker(frame_id: str) -> bool:

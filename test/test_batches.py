@@ -124,9 +124,14 @@ def test_the_end_of_a_piece_may_be_asked_for_more_than_once(zero):
 @pytest.mark.parametrize('interpolation', ['hold', 'linear', 'cubic'])
 @pytest.mark.parametrize('options', [{}, {'rate': 37.0}, {'until': 7.3}, {'until': 900.0}],
                          ids=str)
+@pytest.mark.parametrize('fields', [{}, {
+    'fields': ['pivot'], 'pivot.moment.z': -0.02, 'pivot.field.z': -9.81,
+    'orbit.mean_motion': 0.4}], ids=['plain', 'fields'])
 def test_a_recording_in_pieces_gives_the_bits_of_the_whole(tmp_path, monkeypatch, interpolation,
-                                                           options):
+                                                           options, fields):
     loaded = scene.load(CONFIG / 'tumbler.yaml')
+    if fields:
+        loaded = scene.Scene.from_values({**loaded.values, **fields})
     whole = replay(RECORDINGS / 'tumbler.mcap', loaded, interpolation=interpolation, **options)
     monkeypatch.setattr(torques, '_SAMPLES', 100)
     monkeypatch.setattr(batches, '_LARGEST', 70)

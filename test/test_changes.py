@@ -23,15 +23,22 @@ import pytest
 from rigid_body_ros import (
     BodyLog,
     GravityGradient,
+    messages,
     propagate,
     Propagator,
+    read,
+    recording,
     RigidBody,
     State,
     TorqueLog,
     UniformField,
 )
+from rigid_body_ros import scene as scene_file
+from rigid_body_ros.commands import main
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics.changes import changed
 from rigid_body_ros.propagation import Integration, Problem
+from rigid_body_ros.replay import replay
 from terms import bound
 import truth
 
@@ -230,3 +237,89 @@ def test_a_body_without_change_changes_only_the_last_digits():
 def test_mistakes_are_reported(arguments, message):
     with pytest.raises(ValueError, match=f'^{re.escape(message)}'):
         BodyLog(*arguments)
+
+
+def recorded(path, torques, inertias):
+    """Write a recording with torques (stamp, torque) and inertias (stamp, entries)."""
+    with recording.Writer(path) as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        writer.add_topic('/inertia', messages.INERTIA)
+        for stamp_ns, torque in torques:
+            writer.write('/torque', stamp_ns, messages.wrench(stamp_ns, '', torque))
+        for stamp_ns, entries in inertias:
+            writer.write('/inertia', stamp_ns, messages.inertia(stamp_ns, 'base_link', entries))
+
+
+SCENE = {'inertia.ixx': 2.0, 'inertia.iyy': 3.0, 'inertia.izz': 4.0, 'damping.dxx': 0.01,
+         'initial_angular_velocity.x': 0.3, 'initial_angular_velocity.y': 0.5,
+         'inertia_topic': True, 'inertia_change': 'keep_momentum'}
+TORQUES = [(SECOND + k * 10 ** 8, (0.1 * k, 0.0, -0.2)) for k in range(20)]
+INERTIAS = [(SECOND + 750_000_001, SMALLER.entries), (2 * SECOND, LARGER.entries)]
+
+
+def test_a_replay_has_the_bodies_of_the_recording(tmp_path):
+    path, run = tmp_path / 'in.mcap', scene_file.Scene.from_values(SCENE)
+    recorded(path, TORQUES, INERTIAS[::-1])
+    problem = read(path, run)
+    damping = run.body.damping
+    changes = BodyLog([stamp for stamp, _ in INERTIAS],
+                      [RigidBody(body.inertia, damping) for body in (SMALLER, LARGER)], 'momentum')
+    log = TorqueLog([stamp for stamp, _ in TORQUES], [torque for _, torque in TORQUES])
+    # Outputs at the stamps of torques and bodies.
+    at = np.union1d(log.times_ns, changes.times_ns)
+    expected = propagate(run.body, State(SECOND, angular_velocity=(0.3, 0.5, 0.0)), log, at=at,
+                         changes=changes)
+    assert same(problem.propagate(at=at), expected)
+    result = replay(path, run, tmp_path / 'out.mcap', keep=True)
+    assert np.array_equal(result.trajectory.times_ns, at)
+    assert same(result.trajectory, expected)
+    written = recording.read(tmp_path / 'out.mcap', '/attitude', messages.QUATERNION)
+    assert np.array_equal(written.values, expected.attitude)
+
+
+@pytest.mark.parametrize(('values', 'inertias', 'options', 'message'), [
+    ({'inertia_topic': False}, INERTIAS, {'inertia': '/inertia'},
+     '--inertia: expected a scene with inertia_topic: true, found inertia_topic: false'),
+    ({}, [*INERTIAS, (3 * SECOND, (1.0, 1.0, 3.0, 0.0, 0.0, 0.0))], {},
+     '/inertia: message 3 at 3000000000 ns: '),
+    ({'checkpoint': '/tmp/state.json'}, INERTIAS, {}, 'checkpoint: expected none with'),
+    ({'solver': 'exact', 'damping.dxx': 0.0}, [], {}, "solver 'exact' handles torque-free"),
+])
+def test_mistakes_with_bodies_are_reported_in_one_line(tmp_path, values, inertias, options,
+                                                       message):
+    recorded(tmp_path / 'in.mcap', TORQUES, inertias)
+    with pytest.raises(InputError, match=re.escape(message)) as error:
+        replay(tmp_path / 'in.mcap', scene_file.Scene.from_values({**SCENE, **values}), **options)
+    assert '\n' not in str(error.value)
+
+
+def test_a_replay_is_checked_up_to_the_first_change(tmp_path):
+    coasting = [(SECOND, (0.0, 0.0, 0.0)), (4 * SECOND, (0.0, 0.0, 0.0))]
+    recorded(tmp_path / 'in.mcap', coasting, INERTIAS)
+    run = scene_file.Scene.from_values({**SCENE, 'damping.dxx': 0.0})
+    result = replay(tmp_path / 'in.mcap', run)
+    assert result.check.total == 3.0
+    assert result.check.covered == pytest.approx(0.75)
+    name, lost = result.check.finding.rsplit(' ', 1)
+    assert name == 'relative drift of the space angular momentum'
+    assert float(lost) < 1e-15
+
+
+@pytest.mark.parametrize('command', ['compare', 'identify', 'tradeoff', 'ensemble'])
+def test_commands_that_compute_with_one_body_refuse_one_that_changes(tmp_path, capsys, command):
+    recorded(tmp_path / 'in.mcap', TORQUES, INERTIAS)
+    lines = [f'    {name}: {value}' for name, value in SCENE.items()]
+    (tmp_path / 'scene.yaml').write_text('/**:\n  ros__parameters:\n' + '\n'.join(lines))
+    replay(tmp_path / 'in.mcap', scene_file.load(tmp_path / 'scene.yaml'), tmp_path / 'out.mcap',
+           also=['input'])
+    (tmp_path / 'vary.yaml').write_text('torque_gain: {normal: 0.01}')
+    path = str(tmp_path / 'out.mcap')
+    options = {'compare': [path, '--measured', '/attitude'],
+               'identify': [path, '--measured', '/attitude', '-o', str(tmp_path / 'fit.yaml')],
+               'tradeoff': ['--recording', path],
+               'ensemble': ['--recording', path, '--runs', '2', '-o', str(tmp_path / 'runs'),
+                            '--vary', str(tmp_path / 'vary.yaml')]}[command]
+    run = getattr(main, f'attitude_{command}')
+    status = run([*options, '--scene', str(tmp_path / 'scene.yaml')])
+    assert status == 2
+    assert 'expected a body that does not change, found 2 changes' in capsys.readouterr().err

@@ -15,12 +15,21 @@
 """The comparison of measured motion with the propagated one."""
 
 from dataclasses import replace
+from functools import cache
 
 from conftest import at_night, memory_limit
 from measurements import free, INERTIA, truth
 import numpy as np
 import pytest
-from rigid_body_ros import compare, Measured, RigidBody, State, TorqueLog
+from rigid_body_ros import (
+    compare,
+    GravityGradient,
+    Measured,
+    RigidBody,
+    State,
+    TorqueLog,
+    UniformField,
+)
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.comparison.horizons import horizon
 from rigid_body_ros.comparison.motion import Recorded
@@ -215,6 +224,61 @@ def test_rotors_damping_and_torques_in_space_axes_are_known():
     assert found['horizons'][0]['attitude_p95_rad'] < 1e-8
     assert found['residual_torque_N_m']['max'] < 1e-5
     assert found['likely_causes'] == []
+
+
+@cache
+def under(*fields, log=None):
+    """Return measurements, at 100 Hz for 20 s, and the arguments of `compare`, without torque."""
+    problem = Problem(RigidBody(INERTIA), State(0, (0.1, -0.2, 0.3, 0.9), (0.3, 0.5, -0.2)), log,
+                      fields=fields)
+    motion = problem.propagate(at=np.arange(2000) * 10 ** 7)
+    sensor = Measured('/imu', motion.times_ns, motion.attitude, motion.angular_velocity)
+    return sensor, (problem.body, problem.start, log)
+
+
+WEIGHT = UniformField((0.002, -0.003, -0.02), (0.0, 0.0, -9.81), 'pivot')
+WAVES = TorqueLog(np.arange(200) * 10 ** 8,
+                  0.02 * np.sin(np.outer(np.arange(200), [0.07, 0.11, 0.17]) + np.arange(3.0)))
+ORBIT = GravityGradient(0.4, (0.0, 0.6, 0.8), (1.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize('fields', [(WEIGHT,), (ORBIT,), (WEIGHT, ORBIT)])
+@pytest.mark.parametrize('gyro', [False, True])
+def test_the_torque_of_fields_is_no_residual(fields, gyro):
+    sensor, given = under(*fields)
+    torques = Problem(*given, fields=fields).torque(sensor.stamps_ns, sensor.attitude)
+    if gyro:
+        sensor = replace(sensor, attitude=None)
+    found = compare(*given, measured=sensor, fields=fields, horizons=() if gyro else [1.0])
+    assert not found.causes
+    assert np.abs(found.residual_torque.torques).max() < 1e-4 * np.abs(torques).max()
+    if not gyro:
+        assert found.as_dict()['attitude_error_rad']['max'] < 1e-14
+        assert found.as_dict()['horizons'][0]['attitude_p95_rad'] < 1e-8
+    # Without the fields in the model, all of their torque is.
+    residual = compare(*given, measured=sensor, causes=False).residual_torque
+    rows = np.searchsorted(sensor.stamps_ns, residual.times_ns)
+    np.testing.assert_allclose(residual.torques, torques[rows],
+                               atol=0.05 * np.abs(torques).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('fields', 'inertia'), [
+    ((WEIGHT,), 1.2 * INERTIA), ((ORBIT,), INERTIA + np.diag([0.002, -0.001, -0.001]))])
+def test_a_wrong_inertia_is_named_under_fields(fields, inertia):
+    sensor, (_, start, log) = under(*fields)
+    cause, = compare(RigidBody(inertia), start, log, measured=sensor, fields=fields).causes
+    assert cause.name == 'inertia'
+    assert cause.after < 1e-2 * cause.before
+
+
+@pytest.mark.slow
+def test_a_wrong_torque_is_named_under_fields():
+    sensor, (body, start, log) = under(WEIGHT, ORBIT, log=WAVES)
+    half = log.with_torques(0.5 * log.torques)
+    cause, = compare(body, start, half, measured=sensor, fields=(WEIGHT, ORBIT)).causes
+    assert cause.name == 'torque_scale'
+    assert 'the torque is 2 times the logged one' in cause.text
 
 
 @pytest.mark.parametrize(('change', 'message'), [

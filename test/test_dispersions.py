@@ -106,6 +106,18 @@ def test_a_file_is_read(tmp_path):
                           Dispersion('inertia', 'relative', (0.05,)))
 
 
+def test_values_of_the_fields_of_a_scene_vary(tmp_path):
+    path = tmp_path / 'vary.yaml'
+    path.write_text('pivot.moment.z: {normal: 0.1}\norbit.mean_motion: {uniform: [1, 2]}\n')
+    assert load(path, ['pivot']) == (Dispersion('pivot.moment.z', 'normal', (0.1,)),
+                                     Dispersion('orbit.mean_motion', 'uniform', (1.0, 2.0)))
+    with pytest.raises(InputError, match='pivot.moment.z: unknown key; did you mean pivto.moment'):
+        load(path, ['pivto'])
+    path.write_text('pivot.field.z: {normal: -1}\n')
+    with pytest.raises(InputError, match=r'pivot.field.z: normal: .* 0 \(m/s\^2 or T\), found'):
+        load(path, ['pivot'])
+
+
 @pytest.mark.parametrize(('text', 'message'), [
     ('', 'the file: expected keys and values'),
     ('torque_gian: {normal: 1}', 'torque_gian: unknown key; did you mean torque_gain?'),

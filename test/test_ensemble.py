@@ -25,7 +25,7 @@ from conftest import at_night, nearest_rank, ROOT
 import numpy as np
 from pyarrow import parquet
 import pytest
-from rigid_body_ros import propagate, RigidBody, scene, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, scene, State, TorqueLog, UniformField
 from rigid_body_ros.commands import main
 from rigid_body_ros.ensemble import folder
 
@@ -95,6 +95,25 @@ def test_every_row_has_the_bits_of_propagate(inputs):
         assert [row[f'attitude.{axis}'] for axis in 'xyzw'] == motion.attitude[0].tolist()
         assert [row[f'angular_velocity.{axis}'] for axis in 'xyz'] \
             == motion.angular_velocity[0].tolist()
+
+
+def test_fields_vary_by_the_keys_of_the_scene(inputs):
+    (inputs / 'scene.yaml').write_text(
+        SCENE + '    fields: [pivot]\n    pivot: {moment: {z: -0.01}, field: {z: -9.81}}\n')
+    (inputs / 'vary.yaml').write_text('pivot.moment.x: {normal: 0.002}\n'
+                                      'pivot.moment.z: {normal: 0.1, relative: true}\n')
+    run(inputs, 'out', 30)
+    rows = parquet.read_table(inputs / 'out' / 'runs.parquet')
+    units = {field.name: (field.metadata or {}).get(b'unit') for field in rows.schema}
+    assert units['pivot.moment.x'] == units['pivot.moment.z'] == b'kg m or A m^2'
+    assert 'pivot.moment.y' not in units
+    loaded, stamps = scene.load(inputs / 'scene.yaml'), np.round(TIMES * 1e9).astype(np.int64)
+    for row in rows.to_pylist():
+        problem = loaded.problem().replaced(log=TorqueLog(stamps, TORQUES), fields=[UniformField(
+            (row['pivot.moment.x'], 0.0, row['pivot.moment.z']), (0.0, 0.0, -9.81))])
+        motion = problem.propagate(at=stamps[-1:])
+        assert [row[f'attitude.{axis}'] for axis in 'xyzw'] == motion.attitude[0].tolist()
+    assert np.std(rows['pivot.moment.x'].to_numpy()) > 0.001
 
 
 def test_units_and_summary(inputs, capsys):

@@ -116,6 +116,62 @@ def test_runs_with_rotors_and_sources_have_the_bits_of_propagate(monkeypatch, wh
         assert row['angle_from_nominal'] == so3.angle_between(motion.attitude[0], expected)
 
 
+FIELDS = {'fields': ['pivot', 'magnet'], 'pivot.moment.z': -0.002, 'pivot.field.z': -9.81,
+          'magnet.moment.x': 2.0, 'magnet.field.y': 0.003, 'orbit.mean_motion': 0.2}
+OF_FIELDS = (Dispersion('pivot.moment.z', 'normal', (0.1,), relative=True),
+             Dispersion('pivot.field.x', 'normal', (0.1,)),
+             Dispersion('magnet.moment.y', 'uniform', (-1.0, 1.0)),
+             Dispersion('orbit.mean_motion', 'uniform', (0.1, 0.3)),
+             Dispersion('orbit.position.y', 'uniform', (-1.0, 1.0)))
+
+
+@pytest.mark.parametrize('vary', [VARY, VARY[:3], (), (TILT, NOISE)],
+                         ids=['all', 'start', 'fields', 'noise'])
+@pytest.mark.parametrize('of_fields', [OF_FIELDS, OF_FIELDS[:1], ()],
+                         ids=['fields', 'moment', 'none'])
+def test_runs_with_fields_have_the_bits_of_propagate(monkeypatch, vary, of_fields):
+    found = ensemble(*vary, *of_fields, logs=(*LOGS, OTHER), wheels=WHEELS, **FIELDS)
+    monkeypatch.setattr(Ensemble, '_one_by_one', None)  # all runs are computed at once
+    columns = found.rows(40, 60)
+    assert set(columns['status']) == {'ok'}
+    for row, run in enumerate(columns['run']):
+        values = {**SCENE, **FIELDS, **{name: float(columns[name][row]) for name in (
+            *found.columns, *[one.key for one in of_fields]) if name.split('.')[0] in (
+            'inertia', 'pivot', 'magnet', 'orbit', 'damping', 'initial_attitude',
+            'initial_angular_velocity', 'initial_rotor_momentum')}}
+        applied = found.applied(np.array([run]))
+        logs, wheels = found.torques(applied, 0)
+        problem = Scene.from_values(values).problem()
+        motion = problem.replaced(start=applied.starts[0], log=logs, wheels=wheels).propagate(
+            at=[2 * SECOND])
+        assert numbers({name: column[row] for name, column in columns.items()}, 'attitude.',
+                       'xyzw') == motion.attitude[0].tolist()
+    if OF_FIELDS[0] in of_fields:
+        assert len({*columns['pivot.moment.z'].tolist()}) == 20
+        np.testing.assert_allclose(columns['pivot.moment.z'], -0.002, rtol=0.5)
+
+
+@pytest.mark.parametrize(('one', 'scene', 'message'), [
+    (Dispersion('orbit.mean_motion', 'uniform', (0.1, 0.3)), {},
+     'orbit.mean_motion: expected a scene with an orbit, found none'),
+    (Dispersion('pivot.moment.x', 'normal', (0.1,), relative=True), FIELDS,
+     'pivot.moment.x: relative: expected a nominal value other than 0')])
+def test_a_dispersion_of_no_field_is_a_mistake(one, scene, message):
+    with pytest.raises(InputError, match=message):
+        ensemble(one, **scene)
+
+
+def test_a_run_whose_orbit_is_not_possible_is_a_row_with_its_reason():
+    found = ensemble(Dispersion('orbit.mean_motion', 'uniform', (-0.1, 0.1)), **FIELDS).rows(0, 50)
+    drawn = ensemble(Dispersion('orbit.mean_motion', 'uniform', (-0.1, 0.1)), **FIELDS).applied(
+        np.arange(50)).columns()['orbit.mean_motion']
+    np.testing.assert_array_equal(found['status'] == 'failed', drawn <= 0.0)
+    assert {message.partition(':')[0] for message in found['message']} == {
+        '', 'mean motion of an orbit'}
+    assert np.isnan(found['attitude.x'][drawn <= 0.0]).all()
+    assert np.isfinite(found['attitude.x'][drawn > 0.0]).all()
+
+
 def states(motion):
     return np.concatenate([motion.attitude, motion.angular_velocity], axis=-1)
 

@@ -21,7 +21,7 @@ import json
 from conftest import at_night
 import numpy as np
 import pytest
-from rigid_body_ros import propagate, RigidBody, State, TorqueLog
+from rigid_body_ros import propagate, RigidBody, State, TorqueLog, UniformField
 from rigid_body_ros.identification import Experiment, identify
 from rigid_body_ros.identification.summary import summary
 from rigid_body_ros.identification.triangles import triangle
@@ -357,6 +357,55 @@ def test_the_result_as_json():
         'samples', 'outliers', 'attitude_rms_rad', 'rate_rms_rad_s', 'chi2_per_dof'}
 
 
+#: A weight about a pivot, and what a fit starts from.
+WEIGHT = {'moment': (0.002, -0.003, -0.02), 'field': (0.0, 0.0, -9.81)}
+NEAR = UniformField((0.0, 0.0, -0.01), WEIGHT['field'], 'pivot')
+MOMENT = [f'pivot.moment.{axis}' for axis in 'xyz']
+
+
+@cache
+def swinging(amplitude=0.02):
+    return Truth(amplitude=amplitude, **WEIGHT)
+
+
+def with_field(experiment, field=NEAR):
+    return replace(experiment, fields=[field])
+
+
+def test_the_moment_of_a_field_is_exact_without_noise():
+    experiment = with_field(swinging().experiment(swinging().measured()))
+    result = identify(GUESS, experiment, estimate=['inertia', 'start', 'pivot.moment'])
+    assert result.converged
+    assert inertia_error(result) < 1e-9
+    found = [result.estimates[name] for name in MOMENT]
+    np.testing.assert_allclose([one.value for one in found], WEIGHT['moment'], atol=1e-11)
+    assert [one.start for one in found] == [0.0, 0.0, -0.01]
+    assert {one.unit for one in found} == {'kg m or A m^2'}
+
+
+@pytest.mark.parametrize('sensors', [(ATTITUDE, RATE), (ATTITUDE, None)])
+def test_noisy_moments_are_covered(sensors):
+    experiment = with_field(swinging().experiment(swinging().measured(*sensors, seed=5)))
+    result = identify(GUESS, experiment, estimate=['pivot.moment', 'inertia', 'start'])
+    assert_covered(result, {**inertia_truth(), **dict(zip(MOMENT, WEIGHT['moment']))})
+    assert [*result.estimates][:9] == [*INERTIA_NAMES, *MOMENT]
+
+
+def test_a_known_weight_gives_the_scale_of_the_inertia_without_torque():
+    known = UniformField(*WEIGHT.values(), 'pivot')
+    experiment = with_field(swinging(0.0).experiment(swinging(0.0).measured()), known)
+    result = identify(GUESS, experiment)
+    assert inertia_error(result) < 1e-9
+
+
+def test_moment_and_inertia_are_not_known_together_without_torque():
+    experiment = with_field(swinging(0.0).experiment(swinging(0.0).measured(ATTITUDE, RATE)))
+    result = identify(GUESS, experiment, estimate=['inertia', 'start', 'pivot.moment'])
+    direction, = result.unidentifiable
+    assert direction.reason == 'only the ratio of torque to inertia enters the motion'
+    assert {name.split('.')[0] for name in direction.components} == {'inertia', 'pivot'}
+
+
 def bad(**changes):
     measured = tumble().measured()
     fields = {'topic': '/pose', 'stamps_ns': measured.stamps_ns, 'attitude': measured.attitude,
@@ -373,6 +422,9 @@ def bad(**changes):
     (lambda: tumble().experiment(), {}, 'expected at least one measured topic'),
     (bad, {'estimate': ['mass']}, "estimate: expected names among inertia.*found 'mass'"),
     (bad, {'estimate': ['inertia', 'inertia_diagonal']}, 'expected one of'),
+    (bad, {'estimate': ['pivot.moment']},
+     r"expected moments of the fields of the scene \(none\), found 'pivot'"),
+    (bad, {'estimate': ['pivot.field']}, "NAME.moment of a field, found 'pivot.field'"),
     (bad, {'estimate': []}, 'at least one name'),
     (bad, {'estimate': ['start', 'start']}, 'each name once'),
     (bad, {'attitude_noise': 0.0}, 'attitude_noise: expected a number greater than zero'),

@@ -23,9 +23,11 @@ import measurements
 from measurements import header, INERTIA, messages_of, torque_messages, Vector3, Vector3Stamped
 import numpy as np
 from pages import array, data_of
+from pyarrow import parquet
 import pytest
 from rigid_body_ros import scene
 from rigid_body_ros.commands import main
+from scipy.spatial.transform import Rotation
 from tumbling import mounted, shifted, Truth
 
 GUESS = np.diag([0.03, 0.03, 0.03])
@@ -183,6 +185,57 @@ def test_a_flywheel_weighs_a_thrown_drone(tmp_path):
     assert status == 0
     np.testing.assert_allclose(scene.load(tmp_path / 'fitted.yaml').body.inertia, truth.inertia,
                                atol=3e-4)
+
+
+def weighed(folder, moment):
+    """Record a drone on a gimbal, whose weight hangs from the pivot, and return a guess of it."""
+    truth = Truth(seconds=10.0, moment=moment, attitude=(0.5, 0.1, 0.0, 0.9))
+    later = measurements.Truth(truth.stamps_ns + 10 ** 9, Rotation.from_quat(truth.q), truth.w,
+                               truth.times + 10 ** 9, truth.torques, truth.inertia)
+    record(folder / 'in.mcap', later, later.measured(2e-3, 5e-3))
+    (folder / 'guess.yaml').write_text(
+        '/**:\n  ros__parameters:\n    inertia: {ixx: 0.03, iyy: 0.03, izz: 0.03}\n'
+        '    start_time: 1000000000\n    fields: [pivot]\n'
+        '    pivot: {moment: {z: -0.01}, field: {z: -9.81}}\n')
+    return truth
+
+
+def test_the_moment_of_a_weight_from_a_recording_to_an_ensemble(tmp_path, capsys):
+    moment = (0.002, 0.0, -0.02)
+    truth = weighed(tmp_path, moment)
+    fitted, out = tmp_path / 'fitted.yaml', tmp_path / 'out.json'
+    assert identify(tmp_path, '--estimate', 'inertia,start,pivot.moment', '-o', fitted, '--json',
+                    out) == 0
+    found, data = scene.load(fitted), json.loads(out.read_text())
+    np.testing.assert_allclose(found.body.inertia, truth.inertia, atol=1e-3)
+    pivot, = found.fields
+    np.testing.assert_allclose(pivot.moment, moment, atol=5e-4)
+    assert pivot.field.tolist() == [0.0, 0.0, -9.81]
+    assert found.values['pivot.moment.x'] == data['estimates']['pivot.moment.x']['value']
+    recording = str(tmp_path / 'in.mcap')
+    capsys.readouterr()
+    # The fitted scene explains the measurement; the guess does not.
+    for path, explained in ((fitted, True), (tmp_path / 'guess.yaml', False)):
+        assert main.attitude_compare([recording, '--scene', str(path), '--json',
+                                      str(tmp_path / 'c.json'), '--overwrite', '--report',
+                                      str(tmp_path / 'c.html'), '--plot',
+                                      str(tmp_path / 'c.png')]) == 0
+        error = json.loads((tmp_path / 'c.json').read_text())['attitude_error_rad']['rms']
+        assert (error < 2e-3 * 3 ** 0.5 * 1.1) == explained
+    labels = [panel['label'] for panel in data_of((tmp_path / 'c.html').read_text())['panels']]
+    assert 'torque of the fields, body axes' in labels
+    assert main.attitude_ensemble([
+        '--scene', str(fitted), '--vary', str(out), '--recording', recording, '--runs', '20',
+        '-o', str(tmp_path / 'runs')]) == 0
+    rows = parquet.read_table(tmp_path / 'runs' / 'runs.parquet')
+    sigma = data['estimates']['pivot.moment.z']['sigma']
+    assert np.std(rows['pivot.moment.z'].to_numpy()) == pytest.approx(sigma, rel=0.6)
+
+
+def test_a_moment_of_no_field_is_one_line(tumble, capsys):
+    assert identify(tumble, '--estimate', 'pivot.moment') == 2
+    assert "expected moments of the fields of the scene (none), found 'pivot'" \
+        in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [

@@ -50,13 +50,13 @@ SIGNATURES = [
     (State, 'time_ns=0, attitude=(0.0, 0.0, 0.0, 1.0), angular_velocity=(0.0, 0.0, 0.0), '
             'rotor_momentum=(0.0, 0.0, 0.0)'),
     (TorqueLog, "times_ns, torques, frame='body', interpolation='hold'"),
-    (UniformField, 'moment, field'),
+    (UniformField, "moment, field, name=''"),
     (GravityGradient, 'mean_motion, position=(1.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0), '
                       'time_ns=None'),
     (TorqueLog.from_momentum, 'times_ns, momenta'),
     (Problem, f'body, start, log=None, *, wheels=None, fields=(), changes=None, {OPTIONS}'),
     (Problem.propagate, 'self, *, at'),
-    (read, 'path, scene, *, topic=None, wheel_torque=None, wheel_momentum=None, '
+    (read, 'path, scene, *, topic=None, wheel_torque=None, wheel_momentum=None, inertia=None, '
            "interpolation=None, time_source='header'"),
     (propagate, 'body, start, log=None, *, at, wheels=None, fields=(), changes=None, '
                 f'{OPTIONS}'),
@@ -71,7 +71,7 @@ SIGNATURES = [
     (BodyLog, "times_ns, bodies, keep='rate'"),
     (build_info, ''),
     (warm_up, ''),
-    (Experiment, 'start, log, measured, wheels=None'),
+    (Experiment, 'start, log, measured, wheels=None, fields=()'),
     (identify, "body, experiments, *, estimate=('inertia', 'start'), attitude_noise=None, "
                'rate_noise=None, validate=0.0, torque_timeout=0.0'),
 ]

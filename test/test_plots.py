@@ -129,7 +129,7 @@ def test_any_name_is_drawn_as_it_is_and_powers_of_ten_as_formulas(tmp_path, monk
             figure := Figure(*arguments, **options)) or figure)
     times = np.arange(5) * SECOND
     panel = figures.Series(name, 'rad', times, np.geomspace(1e-6, 1.0, 15).reshape(5, 3))
-    figures.errors(tmp_path / 'a.png', [panel], panel, [], {}, name)
+    figures.errors(tmp_path / 'a.png', [panel], [panel], [], {}, name)
     figures.work_precision(tmp_path / 'b.png', {name: ([1e-9], [1e-3])}, name, {name: 1e-6})
     found = {'runs': 2, 'failed': 0, 'histogram': {'edges_rad': [0.0, 1.0], 'runs': [2]},
              'angle_from_nominal_rad': dict.fromkeys(('p5', 'p50', 'p95'), 0.5)}

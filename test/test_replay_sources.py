@@ -23,14 +23,17 @@ import sys
 
 from conftest import CONFIG, RECORDINGS, SECOND
 import numpy as np
+from pages import array, data_of
 import pytest
 from rigid_body_ros import messages, propagate, recording, scene, State, TorqueLog
 from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.replay import replay
+from rigid_body_ros.replay.check import drift
 from rigid_body_ros.replay.many import replay_many
 from rigid_body_ros.replay.summary import summary
+from rigid_body_ros.report import figures
 
 MS = 10 ** 6
 STARTED = 1_700_000_000 * SECOND
@@ -43,6 +46,9 @@ FRAMES = {'/disturbance': 'world'}
 TWO = 'torque_topics: [control, disturbance]'
 WHEELS = 'wheels: true'
 DAMPING = 'damping: {dxx: 0.01, dyy: 0.02, dzz: 0.03, dxy: 0.001}'
+FIELDS = 'fields: [pivot]'
+PIVOT = [FIELDS, 'pivot: {moment: {x: 0.003, z: -0.02}, field: {z: -9.81}}']
+ORBIT = 'orbit: {mean_motion: 0.4, position: {x: 0.0, y: 0.6, z: 0.8}, normal: {x: 1.0, z: 0.0}}'
 ROTORS = 'initial_rotor_momentum: {x: 0.01, y: -0.02, z: 0.03}'
 
 
@@ -113,8 +119,9 @@ def check_written(path, motion, has_rotors=True):
 
 
 @pytest.mark.parametrize('interpolation', ['hold', 'linear'])
-@pytest.mark.parametrize('lines', [(TWO, WHEELS, DAMPING, ROTORS), (TWO, WHEELS)],
-                         ids=['all', 'wheels'])
+@pytest.mark.parametrize('lines', [
+    (TWO, WHEELS, DAMPING, ROTORS), (TWO, WHEELS), (TWO, WHEELS, ROTORS, *PIVOT, ORBIT)],
+    ids=['all', 'wheels', 'fields'])
 def test_two_torques_and_wheels_give_the_motion_of_the_library(recorded, written, tmp_path, lines,
                                                                interpolation):
     path, output = written(*lines), tmp_path / 'motion.mcap'
@@ -187,7 +194,11 @@ def test_damping_alone_has_no_rotors(tmp_path, written):
     (['/control'], ['damping: {dxx: 2.0, dyy: 3.0, dzz: 4.0}'], 'work and energy', 1e-7),
     (['/disturbance', '/wheel_torque'], [WHEELS, ROTORS], 'integral of the torque', 1e-14),
     (['/disturbance'], [], 'integral of the torque', 1e-14),
-    (['/wheel_torque'], [WHEELS, ROTORS], 'drift of the space angular momentum', 1e-14)])
+    (['/wheel_torque'], [WHEELS, ROTORS], 'drift of the space angular momentum', 1e-14),
+    (['/disturbance'], PIVOT, 'work and energy', 1e-9),
+    (['/wheel_torque'], [WHEELS, ROTORS, *PIVOT], 'work and energy', 1e-9),
+    (['/control', '/disturbance', '/wheel_torque'], [TWO, WHEELS, DAMPING, ROTORS, *PIVOT, ORBIT],
+     'work and energy', 1e-9)])
 @pytest.mark.parametrize('interpolation', ['hold', 'linear'])
 def test_the_check_is_the_conservation_law_of_the_scene(tmp_path, written, topics, lines, law,
                                                         bound, interpolation):
@@ -196,6 +207,71 @@ def test_the_check_is_the_conservation_law_of_the_scene(tmp_path, written, topic
     assert law in result.check.finding
     number, = re.findall(r'\d\.\de[+-]\d+', result.check.finding)
     assert float(number) < bound
+
+
+@pytest.mark.parametrize(('lines', 'laws'), [
+    (PIVOT, ['drift of the energy', 'of the momentum about the field']),
+    ([*PIVOT, ROTORS], ['drift of the energy', 'of the momentum about the field']),
+    ([FIELDS.replace('[pivot]', '[pivot, buoy]'), *PIVOT[1:],
+      'buoy: {moment: {x: 0.01}, field: {z: 3.0}}'],
+     ['drift of the energy', 'of the momentum about the field']),
+    ([FIELDS.replace('[pivot]', '[pivot, buoy]'), *PIVOT[1:],
+      'buoy: {moment: {x: 0.01}, field: {x: 3.0}}'], ['drift of the energy']),
+    ([ORBIT], ["drift of Jacobi's integral"]),
+    ([ORBIT, ROTORS, 'start_time: 1000000000'], ["drift of Jacobi's integral"]),
+    ([ORBIT, *PIVOT], ['work and energy']),
+    ([*PIVOT, 'damping: {dxx: 0.001}'], ['work and energy'])])
+def test_fields_alone_conserve_their_integrals(tmp_path, written, lines, laws, capsys):
+    path, output = tmp_path / 'still.csv', tmp_path / 'motion.mcap'
+    np.savetxt(path, [[1.0 + 0.1 * k, 0.0, 0.0, 0.0] for k in range(201)], delimiter=',',
+               header='time,tx,ty,tz', comments='')
+    config = written(*lines)
+    result = replay(path, scene.load(config))
+    numbers = re.findall(r'\d\.\de[+-]\d+', result.check.finding)
+    assert len(numbers) == len(laws)
+    assert all(law in result.check.finding for law in laws)
+    assert max(map(float, numbers)) < (1e-9 if laws == ['work and energy'] else 1e-14)
+    assert main.attitude_replay([str(path), '--scene', config, '-o', str(output)]) == 0
+    printed = capsys.readouterr().out
+    assert result.check.finding in printed
+    assert ('fields        pivot: moment (0.003, 0, -0.02) in body axes, field (0, 0, -9.81) in '
+            'space axes\n' in printed) == ('pivot' in ''.join(lines))
+    assert ('fields        gravity gradient: mean motion 0.4 rad/s' in printed) == (ORBIT in lines)
+    assert main.attitude_replay([str(path), '--scene', config, '--verify', str(output)]) == 0
+
+
+def test_pages_and_plots_show_the_torque_of_fields(tmp_path, written, monkeypatch):
+    path, config = write(tmp_path / 'one.mcap', ['/control']), written(*PIVOT, ORBIT)
+    drawn, save = {}, figures.save
+    monkeypatch.setattr(figures, 'save', lambda figure, *given, **more: (
+        drawn.update(figure=figure), save(figure, *given, **more)))
+    assert main.attitude_replay([path, '--scene', config, '--report', str(tmp_path / 'p.html'),
+                                 '--plot', str(tmp_path / 'p.png')]) == 0
+    motion = expected(config, [log('/control')])
+    problem = scene.load(config).problem(State(STARTED))
+    torque = sum(one.torque(problem.body, motion.times_ns, motion.attitude)
+                 for one in problem.fields)
+    assert np.ptp(torque) > 0.1
+    data = data_of((tmp_path / 'p.html').read_text(encoding='utf-8'))
+    panels = {panel['label']: panel for panel in data['panels']}
+    shown, = panels['torque of the fields, body axes']['curves']
+    np.testing.assert_allclose(array(shown['low'], '<f4').reshape(3, -1), torque.T, atol=1e-7)
+    assert 'torque, body axes' in panels
+    # The moving body has all that acts.
+    np.testing.assert_allclose(array(data['body']['torque'], '<f4').reshape(-1, 3),
+                               torque + values('/control'), atol=1e-7)
+    line = next(axes for axes in drawn['figure'].axes
+                if 'torque of the fields' in axes.get_ylabel()).lines[1]
+    scale = np.abs(torque[:, 1]).max() / np.abs(line.get_ydata()).max()
+    np.testing.assert_allclose(line.get_ydata() * scale, torque[:, 1], rtol=1e-9, atol=1e-12)
+    assert 'pivot.moment.z: -0.02' in (tmp_path / 'p.html').read_text(encoding='utf-8')
+
+
+def test_a_check_of_fields_finds_a_motion_without_them(tmp_path, written):
+    without = scene.load(written()).problem().propagate(at=np.arange(0, 10 * SECOND, SECOND))
+    for lines in (PIVOT, [ORBIT]):
+        finding = drift(scene.load(written(*lines)).problem(), without).finding
+        assert float(re.findall(r'\d\.\de[+-]\d+', finding)[0]) > 0.1
 
 
 def test_the_last_digits_of_all_inputs_count(recorded, written):
@@ -305,7 +381,7 @@ def test_a_plain_scene_takes_the_topic_that_it_names(tmp_path, written):
      'initial_rotor_momentum: expected [0.0'),
     ([TWO, WHEELS, 'torque_timeout: 0.09'], ['--wheel-momentum', '/wheel_momentum'],
      'expected samples at most torque_timeout (0.09 s) apart, found a gap of 0.1 s'),
-    ([TWO, WHEELS], ['--start', '1'], '--start: expected one topic of torques'),
+    ([TWO, WHEELS], ['--start', '1'], '--start: expected one topic, of torques'),
     ([TWO, 'solver: exact'], [], 'handles torque-free motion only'),
     ([WHEELS, 'solver: exact'], ['--topic', '/control'], "solver 'exact' handles neither rotors"),
     (['damping: {dxx: 1.0, dxy: 2.0}'], [], 'expected a tensor without negative eigenvalues')])

@@ -18,11 +18,14 @@ import subprocess
 import sys
 
 from conftest import CONFIG, ROOT
+import numpy as np
 import pytest
-from rigid_body_ros import scene
+from rigid_body_ros import scene, State
 from rigid_body_ros.scene import InputError, Scene
+from rigid_body_ros.scene.fields import at_start
 
 INERTIA = {'inertia.ixx': 1.0, 'inertia.iyy': 2.0, 'inertia.izz': 2.5}
+PIVOT = {'fields': ['pivot'], 'pivot.moment.z': -0.2, 'pivot.field.z': -9.81}
 
 
 def load(tmp_path, text):
@@ -90,6 +93,51 @@ def test_a_plain_scene_has_one_source_and_no_wheels(tmp_path):
     assert not found.start.rotor_momentum.any()
 
 
+def test_fields_are_read_by_name(tmp_path):
+    found = load(tmp_path, parameters(
+        '    fields: [magnet, pivot]\n    pivot: {moment: {z: -0.2}, field.z: -9.81}\n'
+        '    magnet:\n      moment: {x: 0.1, y: -1}\n      field: {y: 3e-5}'))
+    magnet, pivot = found.fields
+    assert magnet.moment.tolist() == [0.1, -1.0, 0.0]
+    assert magnet.field.tolist() == [0.0, 3e-5, 0.0]
+    assert pivot.moment.tolist() == [0.0, 0.0, -0.2]
+    assert pivot.field.tolist() == [0.0, 0.0, -9.81]
+    times_ns, attitude = np.array([0]), np.array([[0.5, 0.5, 0.5, 0.5]])
+    np.testing.assert_allclose(  # y of space is x of the body, and z of space is its y
+        found.problem().torque(times_ns, attitude),
+        [np.cross([0.1, -1.0, 0.0], [3e-5, 0.0, 0.0])
+         + np.cross([0.0, 0.0, -0.2], [0.0, -9.81, 0.0])], rtol=1e-14)
+
+
+def test_an_empty_list_of_fields_is_none_as_rclpy_has_it():
+    assert not Scene.from_values({**INERTIA, 'fields': None}).fields
+    assert not Scene.from_values({**INERTIA, 'fields': []}).fields
+
+
+ORBIT = {'orbit.mean_motion': 1.1e-3, 'orbit.position.x': 0.0, 'orbit.position.y': 0.6,
+         'orbit.position.z': 0.8, 'orbit.normal.x': -1.0, 'orbit.normal.z': 0.0}
+
+
+def test_the_position_on_the_orbit_is_that_at_the_start():
+    epoch = State(7_000_000_000)
+    orbit, = Scene.from_values({**INERTIA, **ORBIT}).problem(epoch).fields
+    assert orbit.time_ns == epoch.time_ns
+    np.testing.assert_allclose(orbit.position, [0.0, 0.6, 0.8], rtol=1e-15)
+
+
+def test_a_later_epoch_has_the_position_since_start_time_with_the_bits_of_its_dump():
+    begin_ns, quarter_ns = 10 ** 9, round(0.5 * np.pi / 1.1e-3 * 1e9)
+    run = Scene.from_values({**INERTIA, **ORBIT, 'start_time': begin_ns})
+    epoch = State(begin_ns + quarter_ns)
+    orbit, = run.problem(epoch).fields
+    np.testing.assert_allclose(orbit.position, [0.0, 0.8, -0.6], atol=1e-12)
+    dumped = {**run.values, **at_start(run.values, epoch.time_ns), 'start_time': epoch.time_ns}
+    again, = Scene.from_values(dumped).problem(epoch).fields
+    assert again.time_ns == orbit.time_ns == epoch.time_ns
+    np.testing.assert_array_equal(again.position, orbit.position)
+    np.testing.assert_array_equal(again.along, orbit.along)
+
+
 def test_a_group_that_stands_twice_is_merged_as_by_rcl(tmp_path):
     found = load(tmp_path, parameters('    inertia: {ixy: 0.25}'))
     assert found.body.inertia[0].tolist() == [1.0, 0.25, 0.0]
@@ -143,9 +191,10 @@ def test_a_file_of_another_node_is_an_error_that_names_both(tmp_path):
         load(tmp_path, 'camera:\n  ros__parameters: {gain: 1}')
 
 
-@pytest.mark.parametrize('name', ['iss', 'tumbler'])
+@pytest.mark.parametrize('name', ['cubesat', 'gimbal', 'iss', 'top', 'tumbler'])
 def test_the_scenes_of_the_package_load(name):
-    assert scene.load(CONFIG / f'{name}.yaml').body.symmetry == 'asymmetric top'
+    symmetry = 'symmetric top' if name == 'top' else 'asymmetric top'
+    assert scene.load(CONFIG / f'{name}.yaml').body.symmetry == symmetry
 
 
 def test_a_scene_is_printed_with_units(tmp_path):
@@ -211,6 +260,34 @@ def test_a_scene_is_printed_with_units(tmp_path):
     ({'frame_prefix': 'a\0'}, r"frame_prefix: expected text .*, found 'a\\x00'"),
     ({'frame_prefix': 'one/', 'space_frame': 'one/base_link'}, 'expected different names'),
     ({'body_frame': 'world'}, "space_frame, body_frame: expected different names,.*'world' twice"),
+    ({'fields': 'pivot'}, "fields: expected a list of text, found 'pivot'"),
+    ({'fields': [1]}, 'fields: expected names of letters, digits and _, found 1'),
+    ({'fields': ['a.b']}, "fields: expected names of letters, digits and _, found 'a.b'"),
+    ({'fields': ['a', 'a']}, "fields: expected each name once, found 'a' twice"),
+    ({'fields': ['orbit']}, 'fields: expected a name with which no other .* begins, found .orbit'),
+    ({'fields': ['use_sim_time']}, 'fields: expected a name with which no other parameter begins'),
+    ({'feilds': ['pivot']}, 'feilds: unknown key; did you mean fields?'),
+    ({'fields': ['pivot'], 'pivto.moment.z': 1.0},
+     'pivto.moment.z: unknown key; did you mean pivot.moment.z?'),
+    ({'fields': ['pivot'], 'pivot.mass': 1.0},
+     'pivot.mass: unknown key; expected a member of pivot: moment.x, '),
+    ({'fields': ['magnet'], 'pivot.moment.z': 1.0},
+     "pivot.moment.z: expected 'pivot' among the names in fields, found magnet"),
+    ({'pivot.field.x': 1.0}, "pivot.field.x: expected 'pivot' among the names in fields, found "
+                             'none'),
+    ({'fields': ['pivot'], 'pivot.field.z': -9.81},
+     'pivot.moment: expected pivot.moment.x, .y or .z other than 0, found zeros'),
+    ({'fields': ['pivot'], 'pivot.moment.z': 0.2}, 'pivot.field: expected .* found zeros'),
+    ({**PIVOT, 'pivot.moment.x': 'one'}, r'pivot.moment.x: expected a number \(kg m or A m\^2\)'),
+    ({**PIVOT, 'solver': 'exact'}, "solver 'exact' handles torque-free motion only, found fields"),
+    ({'orbit.mean_motion': -1.0}, r'orbit.mean_motion: expected .* not less than 0 \(rad/s\)'),
+    ({'orbit.mean_motoin': 1.0}, 'orbit.mean_motoin: unknown key; did you mean orbit.mean_'),
+    ({'orbit.mean_motion': 1e-3, 'orbit.position.z': 1.0},
+     'orbit: position and normal: expected directions at right angles'),
+    ({'orbit.mean_motion': 1e-3, 'orbit.position.x': 0.0},
+     'orbit: position: expected a direction, found zeros'),
+    ({'orbit.mean_motion': 1e-3, 'checkpoint': 'state.json'},
+     'start_time: expected the time of orbit.position, ns, because a checkpoint does not keep it'),
     ({'max_future': 2.0}, r'max_future: expected less than history \(1.0 s\), found 2.0 s')])
 def test_invalid_values_are_rejected_with_name_and_value(change, message):
     with pytest.raises(InputError, match=message):

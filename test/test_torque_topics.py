@@ -14,17 +14,29 @@
 
 """attitude_node with several topics of torques, and with torques on rotors."""
 
+from dataclasses import replace
 import re
 import subprocess
 
 from conftest import at_night, SECOND
 from geometry_msgs.msg import Vector3Stamped, WrenchStamped
-from live import commit, decoded, live_values, PATIENT, replayed, run_clock, TUMBLER
+from live import (
+    commit,
+    decoded,
+    live_values,
+    PATIENT,
+    replayed,
+    run_clock,
+    set_parameter,
+    TUMBLER,
+)
 from live_session import ACCEPTED, ATTITUDE, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 import pytest
+from rcl_interfaces.srv import DescribeParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rigid_body_ros import messages, recording, scene, State
+from rigid_body_ros import messages, read, recording, scene, State
+from rigid_body_ros.mechanics import so3
 from rigid_body_ros.replay.verify import verify
 from test_faults import torques_of
 
@@ -37,6 +49,16 @@ SOURCES = ('-p', 'torque_topics:=[torque, disturbance]', '-p', 'wheels:=true',
            '-p', 'initial_rotor_momentum.x:=0.01', '-p', 'initial_rotor_momentum.z:=-0.02',
            *RELIABLE, '-p', 'qos_overrides./disturbance.subscription.reliability:=reliable',
            '-p', 'qos_overrides./wheel_torque.subscription.reliability:=reliable')
+#: A weight below the pivot, a dipole, and an orbit whose gravity gradient is strong enough to see.
+FIELDS = """
+    fields: [pivot, magnet]
+    pivot: {moment: {z: -0.002}, field: {z: -9.81}}
+    magnet: {moment: {x: 2.0}, field: {y: 0.003}}
+    orbit: {mean_motion: 0.2, position: {x: 0.8, y: 0.6}}
+    torque_topics: [torque, disturbance]
+    wheels: true
+    initial_rotor_momentum: {x: 0.01, z: -0.02}
+"""
 LOCKSTEP = ('-p', 'mode:=lockstep', '-p', 'step:=0.02')
 STEP_NS = SECOND // 50
 
@@ -233,6 +255,59 @@ def test_a_reset_keeps_the_torques_and_a_new_state_the_rotor_momentum(tmp_path, 
     assert [len(live.accepted(topic)) for topic in LOGS] == [1, 3, 3]
     assert [len(log.times_ns) for log in logs] == [1, 1, 1]
     np.testing.assert_array_equal(committed, expected)
+
+
+def with_fields(path):
+    """Write a scene with fields, an orbit, rotors and two topics, and return its file."""
+    path.write_text(TUMBLER.read_text() + FIELDS + f'    start_time: {SECOND}\n')
+    return path
+
+
+def test_fields_act_alike_live_and_in_a_replay_of_each_epoch(tmp_path, domain):
+    random, given = np.random.default_rng(36), with_fields(tmp_path / 'scene.yaml')
+    with Sources(given, domain, *SOURCES, *LOCKSTEP) as live:
+        def ask(numbers):
+            for number in numbers:
+                for topic in random.permutation([*LOGS]):
+                    live.publish_on(topic, number * STEP_NS, random.normal(size=3) * 1e-3)
+                live.wait_until(lambda due=(number + 1) * STEP_NS: any(
+                    messages.QUATERNION.decode(data).stamp_ns == due
+                    for data in live.received[ATTITUDE]), 'a response')
+        ask(range(50, 80))
+        live.set_state(State(90 * STEP_NS, (0.5, 0.5, 0.5, 0.5), (0.1, 0.2, 0.3)))
+        live.wait_until(lambda: 90 * STEP_NS in [
+            messages.ODOMETRY.decode(data).stamp_ns for data in live.received[COMMITTED]],
+            'the new epoch')
+        ask(range(90, 120))
+        names = [f'{name}.{group}.{axis}' for name in ('pivot', 'magnet')
+                 for group in ('moment', 'field') for axis in 'xyz']
+        described = live.call(DescribeParameters, 'describe_parameters', names=names).descriptors
+        denied = set_parameter(live, 'pivot.moment.z', 0.0)
+        live.dump_parameters(tmp_path / 'live.yaml')
+        assert live.stop() == 0
+        live.write(tmp_path / 'live.mcap')
+    run, dumped = scene.load(given), scene.load(tmp_path / 'live.yaml')
+    # The scene that the node was started with gives the bits of both epochs.
+    topics = recording.Topics((ACCEPTED, LOGS['disturbance']), LOGS[WHEELS])
+    result = verify(tmp_path / 'live.mcap', run, tmp_path / 'live.mcap', topics)
+    assert result.same.all()
+    assert result.epochs == result.compared_epochs == 2
+    # The one that it reports gives those of the last epoch: 0.8 s have passed on the orbit.
+    problem, again = (read(tmp_path / 'live.mcap', replace(
+        each, start=dumped.start), topic=topics.torques, wheel_torque=topics.wheel_torque)
+        for each in (run, dumped))
+    stamps_ns = problem.stamps_ns[problem.stamps_ns >= problem.start.time_ns]
+    motion = problem.propagate(at=stamps_ns)
+    np.testing.assert_array_equal(again.propagate(at=stamps_ns).attitude, motion.attitude)
+    np.testing.assert_allclose(problem.fields[-1].position, so3.rotate(
+        so3.exp([0.0, 0.0, 0.16]), [0.8, 0.6, 0.0]), atol=1e-15)
+    # The fields matter.
+    without = problem.replaced(fields=()).propagate(at=stamps_ns)
+    assert abs(without.attitude - motion.attitude).max() > 0.01
+    assert all(each.read_only and each.floating_point_range and each.description
+               for each in described)
+    assert not denied.successful
+    assert 'pivot.moment.z' in denied.reason
 
 
 def test_lockstep_waits_for_every_topic_that_has_a_publisher(tmp_path, domain):

@@ -26,7 +26,17 @@ import matplotlib.image
 import numpy as np
 from pages import array, data_of
 import pytest
-from rigid_body_ros import messages, propagate, recording, RigidBody, scene, State, TorqueLog
+from rigid_body_ros import (
+    GravityGradient,
+    messages,
+    propagate,
+    recording,
+    RigidBody,
+    scene,
+    State,
+    TorqueLog,
+    UniformField,
+)
 from rigid_body_ros.commands import main
 from rigid_body_ros.kernels import body_layout
 from rigid_body_ros.mechanics import so3
@@ -78,6 +88,46 @@ def random_problem(random):
     log = TorqueLog(np.cumsum(gaps), random.normal(size=(count, 3)) * 0.1,
                     str(random.choice(['body', 'space'])), interpolation)
     return Problem(body, start, log)
+
+
+PIVOT = UniformField((0.03, 0.0, -0.2), (0.0, 0.0, -9.81))
+ORBIT = GravityGradient(0.4, (0.0, 0.6, 0.8), (1.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize('fields', [(PIVOT,), (ORBIT,), (PIVOT, ORBIT)])
+@pytest.mark.parametrize('rotors', [0.0, 0.3])
+def test_every_solver_is_measured_on_a_scene_with_fields(fields, rotors):
+    # A pendulum that is let go, and one with a rotor.
+    start = State(0, so3.exp([1.0, 0.5, 0.0]), rotor_momentum=(0.0, rotors, 0.0))
+    result = measure(Problem(FREE.body, start, fields=fields), end_ns=20 * 10 ** 9)
+    every = {'auto', 'taylor', 'rk4', 'strang', 'explicit_euler'}
+    solvers = {one.setting.solver for one in result.measurements}
+    assert solvers == (every - {'strang'} if rotors else every)
+    # Euler's method makes a body faster and faster.
+    assert {one.setting.solver for one in result.measurements if one.failure} <= {'explicit_euler'}
+    best = {solver: min(one.error.attitude for one in result.measurements
+                        if one.setting.solver == solver and not one.failure)
+            for solver in solvers}
+    assert max(best['auto'], best['taylor']) < 1e-13
+    assert best['rk4'] < 1e-10
+    assert max(best.values()) < 0.2
+    motion = result.stretch.run(solver='taylor')
+    energy = motion.kinetic_energy + sum(one.potential_energy(
+        FREE.body, motion.times_ns, motion.attitude) for one in result.stretch.problem.fields)
+    assert np.ptp(motion.kinetic_energy) > 1e-3  # they do act
+    if fields == (PIVOT,):
+        assert np.ptp(energy) < 1e-13
+    text = summary.summary(result)
+    assert 'under fields, without logged torque' in text
+    assert 'in principal axes' not in text
+
+
+def test_a_scene_with_fields_may_begin_at_rest(tmp_path, capsys):
+    path = tmp_path / 'scene.yaml'
+    path.write_text('/**:\n  ros__parameters:\n    inertia: {ixx: 1, iyy: 2, izz: 2.5}\n'
+                    '    fields: [pivot]\n    pivot: {moment: {x: 0.1}, field: {z: -9.81}}\n')
+    assert main.attitude_tradeoff(['--scene', str(path)]) == 0
+    assert 'recommended' in capsys.readouterr().out
 
 
 @pytest.mark.slow

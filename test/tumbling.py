@@ -14,7 +14,8 @@
 
 """Motions with known parameters, integrated by SciPy, and what sensors measure of them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from dataclasses import field as default
 
 import numpy as np
 from rigid_body_ros import State, TorqueLog
@@ -36,15 +37,18 @@ class Truth:
     torque_hz: int = 10
     measured_hz: int = 50
     amplitude: float = 0.02
-    inertia: np.ndarray = field(default_factory=lambda: INERTIA)
+    inertia: np.ndarray = default(default_factory=lambda: INERTIA)
     rates: tuple = (0.5, 1.0, 0.2)
     attitude: tuple = (0.1, -0.2, 0.3, 0.9)
-    damping: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    damping: np.ndarray = default(default_factory=lambda: np.zeros((3, 3)))
     bias: tuple = (0.0, 0.0, 0.0)
     gain: float = 1.0
     #: Momentum of the rotors at the torque samples, linear in between.
     momentum: np.ndarray | None = None
     axes: tuple = (1.0, 1.0, 1.0)
+    #: A weight: the moment, body axes, in the field, space axes.
+    moment: tuple = (0.0, 0.0, 0.0)
+    field: tuple = (0.0, 0.0, -9.81)
 
     def __post_init__(self):
         count = round(self.seconds * self.torque_hz)
@@ -88,13 +92,23 @@ class Truth:
         def times(matrix, v):
             return [row[0] * v[0] + row[1] * v[1] + row[2] * v[2] for row in matrix]
 
+        def weight(x, y, z, s):
+            if not any(self.moment):
+                return 0.0, 0.0, 0.0
+            f = times([[s * s + x * x - y * y - z * z, 2 * (x * y + z * s), 2 * (x * z - y * s)],
+                       [2 * (x * y - z * s), s * s - x * x + y * y - z * z, 2 * (y * z + x * s)],
+                       [2 * (x * z + y * s), 2 * (y * z - x * s), s * s - x * x - y * y + z * z]],
+                      self.field)
+            a, b, c = self.moment
+            return b * f[2] - c * f[1], c * f[0] - a * f[2], a * f[1] - b * f[0]
+
         def slope(t, state, torque, rotors, spin, begin):  # in floats, ten times as fast
             x, y, z, s, *w = state.tolist()
             a, b, c = (moment + rotor + rate * (t - begin) for moment, rotor, rate
                        in zip(times(inertia, w), rotors, spin))
             gyroscopic = (b * w[2] - c * w[1], c * w[0] - a * w[2], a * w[1] - b * w[0])
-            total = [one + tau - rate - drag for one, tau, rate, drag
-                     in zip(gyroscopic, torque, spin, times(damping, w))]
+            total = [one + tau - rate - drag + pull for one, tau, rate, drag, pull
+                     in zip(gyroscopic, torque, spin, times(damping, w), weight(x, y, z, s))]
             return [0.5 * (s * w[0] + y * w[2] - z * w[1]), 0.5 * (s * w[1] + z * w[0] - x * w[2]),
                     0.5 * (s * w[2] + x * w[1] - y * w[0]),
                     -0.5 * (x * w[0] + y * w[1] + z * w[2]), *times(inverse, total)]

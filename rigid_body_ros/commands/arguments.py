@@ -109,7 +109,7 @@ def topics_of(options: argparse.Namespace) -> Topics:
     """Return the topics of the torques that are given."""
     from rigid_body_ros import recording
     return recording.Topics.given(options.topic, options.wheel_torque,
-                                  options.wheel_momentum)
+                                  options.wheel_momentum, options.inertia)
 
 
 def read_torques(options: argparse.Namespace, scene: Scene) -> Logged:
@@ -146,6 +146,10 @@ def add_torques(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--wheel-momentum', metavar='TOPIC',
                         help='topic of the measured momentum of the rotors (Vector3Stamped, N m '
                         's, body axes), linear between samples; needs a scene with wheels: true')
+    parser.add_argument('--inertia', metavar='TOPIC',
+                        help='topic of the inertia of a body that changes (InertiaStamped; '
+                        'default: inertia, if the recording has it); needs a scene with '
+                        'inertia_topic: true')
 
 
 def add_interpolation(parser: argparse.ArgumentParser) -> None:

@@ -112,8 +112,9 @@ def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
     from rigid_body_ros.ensemble.motions import times_of
     from rigid_body_ros.ensemble.runs import Ensemble
     is_fitted = Path(options.vary).suffix == '.json'
-    varied = () if is_fitted else dispersions.load(options.vary)
-    estimates = fitted.load(options.vary) if is_fitted else None
+    names = scene.values['fields']
+    varied = () if is_fitted else dispersions.load(options.vary, names)
+    estimates = fitted.load(options.vary, names) if is_fitted else None
     if estimates and estimates.ignored:
         note(options, f'{options.vary}: {listed(estimates.ignored)}: no effect on the motion')
     problem, end_ns = _problem(options, scene)

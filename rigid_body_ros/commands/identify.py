@@ -118,7 +118,8 @@ def identify_parser() -> argparse.ArgumentParser:
     parser.add_argument('--estimate', type=_names, default=('inertia', 'start'), metavar='NAMES',
                         help='what to estimate, separated by commas: inertia or inertia_diagonal, '
                         'start, torque_gain, torque_bias, clock_offset, mount, gyro_bias, '
-                        'damping, rotor_momentum (default: inertia,start)')
+                        'damping, rotor_momentum, NAME.moment of a field of the scene (default: '
+                        'inertia,start)')
     parser.add_argument('--attitude-noise', type=positive, metavar='RAD',
                         help='standard deviation of each component of a measured attitude '
                         '(default: estimated for each topic)')

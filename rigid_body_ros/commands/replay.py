@@ -86,8 +86,8 @@ def _replay_one(options: argparse.Namespace) -> int:
 
 
 def _replay_options(options: argparse.Namespace) -> dict[str, Any]:
-    names = ('topic', 'wheel_torque', 'wheel_momentum', 'interpolation', 'rate', 'until', 'start',
-             'time_source', 'also')
+    names = ('topic', 'wheel_torque', 'wheel_momentum', 'inertia', 'interpolation', 'rate',
+             'until', 'start', 'time_source', 'also')
     return {name: getattr(options, name) for name in names}
 
 

@@ -88,7 +88,7 @@ def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, str]:
     scene = replace(scene, values={**scene.values, 'solver': 'auto'})
     topics_of(options).check(scene)
     if options.recording is None:
-        return scene.problem(), 'no torque'
+        return scene.problem(), 'fields, no logged torque' if scene.fields else 'no torque'
     logged = read_torques(options, scene)
     return logged.problem, listed(logged.topics)
 

@@ -36,6 +36,7 @@ from rigid_body_ros.comparison.errors import compared, Comparison
 from rigid_body_ros.comparison.motion import Motion
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import Measured
@@ -276,7 +277,8 @@ def _inertia(problem: Problem, residual: ResidualTorque) -> RigidBody | None:
     # What the inertia must explain: its own torque now, less what is left over.
     target = np.einsum('nak,k->na', residual.of_inertia, own) - residual.torques
     rows, values = residual.of_inertia.reshape(-1, 6), target.ravel()
-    if not residual.logged.any():  # only ratios are determined: keep the trace
+    known = residual.logged.any() or any(isinstance(one, UniformField) for one in problem.fields)
+    if not known:  # only ratios are determined: keep the trace
         free = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
         scale = np.abs(rows).max() or 1.0
         rows = np.vstack([rows, scale * len(rows) * free])

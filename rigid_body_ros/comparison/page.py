@@ -28,7 +28,7 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page
-from rigid_body_ros.report.panels import error_panel, SINCE_FIRST, torque_panels
+from rigid_body_ros.report.panels import error_panel, field_panels, SINCE_FIRST, torque_panels
 from rigid_body_ros.scene import Scene
 
 
@@ -67,6 +67,7 @@ def _panels(comparison: Comparison, stamps_ns: NDArray[np.int64]) -> Iterator[Pa
     motion = comparison.motion
     if isinstance(motion, Problem):
         yield from torque_panels(motion.logs, start_ns, end_ns, motion.options.timeout_ns)
+        yield from field_panels(motion, stamps_ns, start_ns)
     torque = comparison.residual_torque
     if torque:
         yield Panel('residual torque, body axes', 'N m', [Curves.thinned(

@@ -22,6 +22,7 @@ import numpy as np
 from rigid_body_ros.comparison.errors import Comparison, QUANTITIES
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import figures
+from rigid_body_ros.report.style import FIELDS
 
 
 def draw(path: str | Path, comparison: Comparison, name: str) -> None:
@@ -47,12 +48,16 @@ def draw(path: str | Path, comparison: Comparison, name: str) -> None:
               for label, unit, attribute in QUANTITIES
               for errors in comparison.of(attribute)[:1]]
     torque = comparison.residual_torque
-    residual = figures.Series('residual torque', 'N m', torque.times_ns, torque.torques) \
-        if torque else None
-    motion = comparison.motion
+    motion, others = comparison.motion, list[figures.Series]()
     logs, timeout_ns = (motion.logs, motion.options.timeout_ns) \
         if isinstance(motion, Problem) else ((), 0)
+    if isinstance(motion, Problem) and motion.fields:
+        times_ns = panels[0].times_ns
+        others.append(figures.Series(FIELDS, 'N m', times_ns, motion.field_torque(
+            times_ns, motion.propagate(at=times_ns).attitude)))
+    if torque:
+        others.append(figures.Series('residual torque', 'N m', torque.times_ns, torque.torques))
     horizons = {horizon.seconds: np.percentile(horizon.angles, [50.0, 95.0])
                 for horizon in comparison.horizons if len(horizon.angles)}
     topics = ', '.join(errors.topic for errors in comparison.errors)
-    figures.errors(path, panels, residual, logs, horizons, f'{name}: {topics}', timeout_ns)
+    figures.errors(path, panels, others, logs, horizons, f'{name}: {topics}', timeout_ns)

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,8 +26,10 @@ from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.engine.elementary import exponentials
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.scene.fields import values_of, with_values
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +49,7 @@ class Applied:
     torque_bias : array, shape (n, 3), N m, body axes
     clock_offset : array, shape (n,), s
         A whole number of nanoseconds.
+    fields : Fields
 
     """
 
@@ -56,6 +59,7 @@ class Applied:
     torque_gain: Floats
     torque_bias: Floats
     clock_offset: Floats
+    fields: Fields
 
     def columns(self) -> dict[str, Floats]:
         """Return the values by key, each shape (n,)."""
@@ -65,7 +69,54 @@ class Applied:
                 **components('initial_angular_velocity', self.starts.angular_velocity),
                 **components('initial_rotor_momentum', self.starts.rotor_momentum),
                 **components('torque_bias', self.torque_bias),
-                'torque_gain': self.torque_gain, 'clock_offset': self.clock_offset}
+                'torque_gain': self.torque_gain, 'clock_offset': self.clock_offset,
+                **self.fields.columns}
+
+
+@dataclass(frozen=True, eq=False)
+class Fields:
+    """
+    The fields in n runs.
+
+    Attributes
+    ----------
+    of_each : sequence of n tuples of Field
+        The nominal ones in a run whose own are not possible.
+    messages : sequence of n str
+        Why they are not; empty otherwise.
+    columns : dict
+        The values from which they are made, by key, each shape (n,).
+
+    """
+
+    of_each: Sequence[tuple[Field, ...]]
+    messages: Sequence[str]
+    columns: Mapping[str, Floats]
+
+    @classmethod
+    def with_values(cls, nominal: tuple[Field, ...], values: Mapping[str, Floats],
+                    count: int) -> Fields:
+        """Return fields of which some values, shape (n,), by key, are not the nominal ones."""
+        columns = {key: np.full(count, value) for one in nominal
+                   for key, value in values_of(one).items()} | dict(values)
+        if not values:
+            return cls([nominal] * count, [''] * count, columns)
+        found, messages = [], []
+        for row in range(count):
+            own = {key: float(column[row]) for key, column in values.items()}
+            try:
+                found.append(tuple(with_values(one, {
+                    key: own[key] for key in values_of(one) if key in own}) for one in nominal))
+                messages.append('')
+            except ValueError as error:
+                found.append(nominal)
+                messages.append(str(error))
+        return cls(found, messages, columns)
+
+    def speed(self, least: Floats, largest: Floats) -> Floats:
+        """Return bounds as `UniformField.speed` does, for bodies with moments of shape (n,)."""
+        return np.array([sum(one.speed(*moments) for one in fields)
+                         for fields, *moments in zip(self.of_each, least, largest)], float)
 
 
 def components(prefix: str, vectors: Floats) -> dict[str, Floats]:

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,11 +29,13 @@ from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameter_file import described, entries, number
 from rigid_body_ros.runtime.parameters import BIG, resembled
 from rigid_body_ros.scene import PARAMETERS
+from rigid_body_ros.scene.fields import of_names, ORBIT
 import yaml
 
 #: Groups of scene parameters of which each member can vary.
-_GROUPS = ('inertia', 'damping', 'initial_angular_velocity', 'initial_rotor_momentum')
-#: Units of all keys that vary by a normal or a uniform distribution.
+_GROUPS = ('inertia', 'damping', 'initial_angular_velocity', 'initial_rotor_momentum',
+           ORBIT)
+#: Units of all keys that vary by a normal or a uniform distribution, but for those of fields.
 UNITS = {**{name: parameter.unit for name, parameter in PARAMETERS.items()
             if name.split('.')[0] in _GROUPS},
          'torque_gain': '', **{f'torque_bias.{axis}': 'N m' for axis in 'xyz'},
@@ -53,7 +55,7 @@ class Dispersion:
     Attributes
     ----------
     key : str
-        A key of `UNITS`, or 'inertia', 'initial_attitude' or 'torque_noise'.
+        A key of `units_with`, or 'inertia', 'initial_attitude' or 'torque_noise'.
     kind : str
         'normal', 'uniform', 'relative' (principal moments) or 'tilt' (rotation vector).
     bounds : tuple of float
@@ -96,9 +98,22 @@ def draws(dispersions: Sequence[Dispersion], seed: int,
     return {one.key: one.draw(seed, runs) for one in dispersions if one.key != NOISE}
 
 
-def load(path: str | Path) -> tuple[Dispersion, ...]:
+def units_with(fields: Iterable[str]) -> dict[str, str]:
+    """Return `UNITS`, with the units of uniform fields with these names."""
+    return {**UNITS, **{name: parameter.unit
+                        for name, parameter in of_names(fields).items()}}
+
+
+def load(path: str | Path, fields: Iterable[str] = ()) -> tuple[Dispersion, ...]:
     """
     Read dispersions from a YAML file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    fields : iterable of str
+        The names of the uniform fields of the scene, whose values can vary.
 
     Raises
     ------
@@ -107,9 +122,9 @@ def load(path: str | Path) -> tuple[Dispersion, ...]:
         possible.
 
     """
-    root = read_yaml(path, 'dispersions')
+    root, units = read_yaml(path, 'dispersions'), units_with(fields)
     try:
-        found = tuple(_dispersion(key.value, value)
+        found = tuple(_dispersion(key.value, value, units)
                       for key, value in entries(root, 'the file', _EXAMPLE))
         if not found:
             raise InputError('expected a parameter that varies, found none')
@@ -124,8 +139,8 @@ def load(path: str | Path) -> tuple[Dispersion, ...]:
     return found
 
 
-def _dispersion(key: str, node: yaml.Node) -> Dispersion:
-    known = (*UNITS, *_SPECIAL)
+def _dispersion(key: str, node: yaml.Node, units: Mapping[str, str]) -> Dispersion:
+    known = (*units, *_SPECIAL)
     if key not in known:
         close = resembled(key, known)
         raise InputError(f'{key}: unknown key' + (f'; did you mean {close}?' if close else
@@ -139,12 +154,13 @@ def _dispersion(key: str, node: yaml.Node) -> Dispersion:
                          f'{quoted([name for name, _ in given])}')
     if key in _SPECIAL and len(given) > 1:
         raise InputError(f'{key}: expected only {expected[0]}, found relative as well')
-    return Dispersion(key, kinds[0], _bounds(key, kinds[0], values[kinds[0]]),
+    return Dispersion(key, kinds[0], _bounds(key, kinds[0], values[kinds[0]], units),
                       key not in _SPECIAL and _flag(key, values.get('relative')))
 
 
-def _bounds(key: str, kind: str, node: yaml.Node) -> tuple[float, ...]:
-    unit = {ATTITUDE: 'rad', NOISE: 'N m'}.get(key, UNITS.get(key, ''))
+def _bounds(key: str, kind: str, node: yaml.Node,
+            units: Mapping[str, str]) -> tuple[float, ...]:
+    unit = {ATTITUDE: 'rad', NOISE: 'N m'}.get(key, units.get(key, ''))
     nodes = node.value if isinstance(node, yaml.SequenceNode) else [node]
     texts = [one.value if isinstance(one, yaml.ScalarNode) else described(one) for one in nodes]
     numbers = tuple(one for one in map(number, texts) if one is not None and abs(one) < BIG)

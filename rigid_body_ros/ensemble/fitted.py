@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 import math
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, quoted, reason, shortened
 from rigid_body_ros.ensemble.applied import components
-from rigid_body_ros.ensemble.dispersions import ATTITUDE, UNITS
+from rigid_body_ros.ensemble.dispersions import ATTITUDE, units_with
 from rigid_body_ros.ensemble.streams import normals
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
@@ -53,8 +53,8 @@ class Fitted:
     Attributes
     ----------
     estimates : dict of str to float
-        By key of `UNITS`, in its unit; `initial_attitude.x`, `.y` and `.z` are a rotation vector
-        in body axes, rad.
+        By key of `units_with`, in its unit; `initial_attitude.x`, `.y` and `.z` are a rotation
+        vector in body axes, rad.
     guess_attitude : array, shape (4,)
         Quaternion x y z w that this vector turns.
     covariance : array, shape (n, n)
@@ -107,9 +107,16 @@ class Fitted:
         return values
 
 
-def load(path: str | Path) -> Fitted:
+def load(path: str | Path, fields: Iterable[str] = ()) -> Fitted:
     """
     Read the estimates and the covariance from a JSON file of `attitude_identify`.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    fields : iterable of str
+        The names of the uniform fields of the scene.
 
     Raises
     ------
@@ -120,12 +127,12 @@ def load(path: str | Path) -> Fitted:
     """
     data = read_json(path, 'estimates')
     try:
-        return _fitted(data)
+        return _fitted(data, units_with(fields))
     except InputError as error:
         raise InputError(f'{path}: {error}') from error
 
 
-def _fitted(data: Any) -> Fitted:
+def _fitted(data: Any, known: Mapping[str, str]) -> Fitted:
     if not isinstance(data, dict) or 'estimates' not in data:
         raise InputError('expected a JSON file of attitude_identify, found another')
     if not _typed(data.get('converged'), bool, 'converged'):
@@ -137,12 +144,12 @@ def _fitted(data: Any) -> Fitted:
     if names != [*estimates]:
         raise InputError('covariance.names: expected the names of the estimates in their order, '
                          f'found {quoted(names)}')
-    values = {name: _value(name, one, unit)
+    values = {name: _value(name, one, unit, known)
               for (name, one), unit in zip(estimates.items(), units)}
     matrix = np.array([_numbers(row, len(rows), f'covariance.matrix[{k}]')
                        for k, row in enumerate(rows)])
     varied = [name for name in names if not _NOT_IN_MOTION.fullmatch(name)]
-    _check_names(varied, values)
+    _check_names(varied, values, (*known, *_ROTATION))
     of_varied = [names.index(name) for name in varied]
     matrix = matrix[np.ix_(of_varied, of_varied)]
     _check_covariance(varied, matrix)
@@ -172,10 +179,10 @@ def _numbers(value: Any, length: int, where: str) -> list[float]:
             for one in _list(value, length, where)]
 
 
-def _value(name: str, estimate: Any, unit: Any) -> float:
+def _value(name: str, estimate: Any, unit: Any, known: Mapping[str, str]) -> float:
     """Return the value of an estimate, if its two units are those of a scene."""
     given = _typed(estimate, dict, f'estimates: {name}')
-    expected = 'rad' if name in _ROTATION else UNITS.get(name)
+    expected = 'rad' if name in _ROTATION else known.get(name)
     for found, where in ((given.get('unit'), 'estimates'), (unit, 'covariance.units')):
         if expected is not None and found != expected:
             raise InputError(f'{name}: expected the unit {quoted(expected)}, found '
@@ -192,12 +199,13 @@ def _guess(data: Mapping[str, Any]) -> Floats:
         raise InputError(f'{key}: {reason(error)}') from error
 
 
-def _check_names(names: Sequence[str], values: Mapping[str, float]) -> None:
+def _check_names(names: Sequence[str], values: Mapping[str, float],
+                 known: Collection[str]) -> None:
     if not names:
         raise InputError('expected estimates of inertia, start, torque or damping, found none')
     for name in names:
-        if name not in (*UNITS, *_ROTATION):
-            close = resembled(name, (*UNITS, *_ROTATION))
+        if name not in known:
+            close = resembled(name, known)
             raise InputError(f'{name}: expected an estimate that can vary, found another'
                              + (f'; did you mean {close}?' if close else ''))
         if not math.isfinite(values[name]):

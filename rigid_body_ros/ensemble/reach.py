@@ -17,7 +17,8 @@ How far runs turn at most: a run that turns too far would take days.
 
 The energy of a body bounds its speed. Torques change the square root of twice its energy by at
 most their impulse over that of the smallest moment. Damping only lowers it, and the momentum of
-rotors does not change it. The bounds depend on the values of a run only, not on the machine.
+rotors does not change it. Fields change it by their potential. The bounds depend on the values of
+a run only, not on the machine.
 """
 
 from __future__ import annotations
@@ -86,7 +87,8 @@ class Reach:
 
     def _rates(self, applied: Applied) -> Floats:
         """Return bounds on how fast the motions change, rad/s, shape (n,)."""
-        least = applied.bodies._constants[:, body_layout.MOMENTS:body_layout.MOMENTS + 3].min(-1)
+        moments = applied.bodies._constants[:, body_layout.MOMENTS:body_layout.MOMENTS + 3]
+        least = moments.min(-1)
         rates = applied.starts.angular_velocity
         energy = (applied.bodies.inertia * rates[:, :, None] * rates[:, None]).sum((1, 2))
         span = self._span
@@ -96,7 +98,8 @@ class Reach:
                    + (_norm(applied.torque_bias) + _NOISE * self.noise) * span)
         terms = (_norm(applied.starts.rotor_momentum) + motors
                  + np.trace(applied.bodies.damping, axis1=1, axis2=2))
-        return np.sqrt(energy / least) + (impulse + terms) / least
+        return np.sqrt(energy / least) + (impulse + terms) / least \
+            + applied.fields.speed(least, moments.max(-1))
 
     def _seconds(self, applied: Applied) -> Floats:
         """Return how long each motion is computed in steps, s, shape (n,)."""
@@ -105,8 +108,8 @@ class Reach:
             return np.zeros(len(applied.runs))
         *_, acting = self._of_logs
         always = (applied.bodies.is_damped | applied.starts.has_rotors
-                  | (self.problem.wheels is not None) | applied.torque_bias.any(axis=1)
-                  | (solver.closed_form_beyond == math.inf))
+                  | (self.problem.wheels is not None or bool(self.problem.fields))
+                  | applied.torque_bias.any(axis=1) | (solver.closed_form_beyond == math.inf))
         return np.where(always, self._span,
                         np.minimum(acting + np.abs(applied.clock_offset), self._span))
 

@@ -30,6 +30,7 @@ from rigid_body_ros.engine.kernels import LANES
 from rigid_body_ros.ensemble.applied import (
     Applied,
     components,
+    Fields,
     later,
     relative_inertia,
     tensors,
@@ -41,18 +42,20 @@ from rigid_body_ros.ensemble.dispersions import (
     draws,
     INERTIA,
     NOISE,
-    UNITS,
+    units_with,
 )
 from rigid_body_ros.ensemble.fitted import Fitted
 from rigid_body_ros.ensemble.motions import COMPONENTS
 from rigid_body_ros.ensemble.reach import Reach
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.bodies import RigidBodies
+from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem, propagate_many
 from rigid_body_ros.propagation.many import Logs
 from rigid_body_ros.runtime import interrupts
+from rigid_body_ros.scene.fields import ORBIT, values_of
 
 _START = {**{f'inertia.i{entry}': 'kg m^2' for entry in ENTRIES},
           **{f'initial_attitude.{axis}': '' for axis in 'xyzw'},
@@ -94,8 +97,8 @@ class Ensemble:
     Raises
     ------
     InputError
-        A dispersion has no effect: it is relative to zero, or disperses torques of which there
-        are none.
+        A dispersion has no effect: it is relative to zero, or disperses torques or an orbit of
+        which there are none.
 
     """
 
@@ -107,6 +110,9 @@ class Ensemble:
     times_ns: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
+        for key in self.keys:
+            if key.startswith(f'{ORBIT}.') and key not in self.nominal:
+                raise InputError(f'{key}: expected a scene with an orbit, found none')
         for one in self.dispersions:
             if one.relative and self.nominal[one.key] == 0.0:
                 raise InputError(f'{one.key}: relative: expected a nominal value other than 0')
@@ -126,7 +132,8 @@ class Ensemble:
         body, start = self.problem.body, self.problem.start
         applied = Applied(np.zeros(1, np.int64), RigidBodies([body.inertia], body.damping),
                           States(start.time_ns, start.attitude, start.angular_velocity,
-                                 start.rotor_momentum), np.ones(1), np.zeros((1, 3)), np.zeros(1))
+                                 start.rotor_momentum), np.ones(1), np.zeros((1, 3)), np.zeros(1),
+                          Fields.with_values(self.problem.fields, {}, 1))
         values = {name: float(column[0]) for name, column in applied.columns().items()}
         return {**values, **self.fitted.nominal} if self.fitted else values
 
@@ -156,7 +163,9 @@ class Ensemble:
     @cached_property
     def columns(self) -> dict[str, str]:
         """Return the unit of each column of numbers: values applied, then the final state."""
-        more = {key: unit for key, unit in UNITS.items()
+        names = [one.name for one in self.problem.fields
+                 if isinstance(one, UniformField) and one.name]
+        more = {key: unit for key, unit in units_with(names).items()
                 if key in self.keys and key not in _START}
         return {**_START, **more, **_END}
 
@@ -210,7 +219,9 @@ class Ensemble:
                         vectors('initial_rotor_momentum', values))
         return Applied(runs, RigidBodies(inertia, tensors('damping.d', values)), starts,
                        values['torque_gain'], vectors('torque_bias', values),
-                       np.rint(values['clock_offset'] * 1e9) / 1e9)
+                       np.rint(values['clock_offset'] * 1e9) / 1e9,
+                       Fields.with_values(self.problem.fields, {
+                           key: values[key] for key in self._of_fields}, len(runs)))
 
     def torques(self, applied: Applied, row: int) -> tuple[list[TorqueLog], TorqueLog | None]:
         """
@@ -252,6 +263,12 @@ class Ensemble:
         return self._noise > 0.0 or bool(varied & {'torque_bias', 'clock_offset'})
 
     @cached_property
+    def _of_fields(self) -> list[str]:
+        """Return the keys of fields that vary, or are estimates."""
+        known = {key for one in self.problem.fields for key in values_of(one)}
+        return [key for key in self.keys if key in known]
+
+    @cached_property
     def _noise(self) -> float:
         """Return the standard deviation of the noise of the torques, N m."""
         return sum(one.bounds[0] for one in self.dispersions if one.key == NOISE)
@@ -281,8 +298,9 @@ class Ensemble:
                 **({} if self.times_ns is None else {MOTION: motions})}
 
     def _motions(self, applied: Applied) -> _Found:
-        """Return the motions of some runs; those that turn too far fail at once."""
-        messages = self._too_far(applied)
+        """Return the motions of some runs; those that turn too far, or cannot, fail at once."""
+        messages = [one or other for one, other in zip(applied.fields.messages,
+                                                       self._too_far(applied))]
         rows = np.flatnonzero([not message for message in messages])
         if len(rows) == len(messages):
             return self._computed(applied)
@@ -326,8 +344,10 @@ class Ensemble:
             each = [self.torques(applied, row) for row in range(count)]
             logs, gains = [one for one, _ in each], None
             wheels = [motors for _, motors in each if motors] or None
-        motions = propagate_many(applied.bodies, applied.starts, logs, at=self._at, wheels=wheels,
-                                 torque_gains=gains, **asdict(self.problem.options))
+        motions = propagate_many(
+            applied.bodies, applied.starts, logs, at=self._at, wheels=wheels,
+            fields=applied.fields.of_each if self._of_fields else self.problem.fields,
+            torque_gains=gains, **asdict(self.problem.options))
         return np.concatenate([motions.attitude, motions.angular_velocity], axis=-1), [
             message and reason(ValueError(message)) for message in motions.messages]
 
@@ -345,8 +365,9 @@ class Ensemble:
     def _motion(self, applied: Applied, row: int) -> Floats:
         """Return the motion of a run, shape (m, 7), with the errors of `propagate`."""
         logs, wheels = self.torques(applied, row)
-        motion = self.problem.replaced(body=applied.bodies[row], start=applied.starts[row],
-                                       log=logs, wheels=wheels).propagate(at=self._at)
+        motion = self.problem.replaced(
+            body=applied.bodies[row], start=applied.starts[row], log=logs, wheels=wheels,
+            fields=applied.fields.of_each[row]).propagate(at=self._at)
         return np.concatenate([motion.attitude, motion.angular_velocity], axis=-1)
 
     def _values(self, drawn: Mapping[str, Floats], count: int) -> dict[str, Floats]:

@@ -33,16 +33,18 @@ from rigid_body_ros.identification.experiment import (
 from rigid_body_ros.identification.identifiability import Certainty, certainty
 from rigid_body_ros.identification.parameters import (
     checked_names,
+    moments_of,
     Parameters,
     Physics,
     START,
-    UNITS,
+    unit_of,
 )
 from rigid_body_ros.identification.result import Estimate, Identification
 from rigid_body_ros.identification.setup import Setup
 from rigid_body_ros.identification.solve import Solution, solve
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.sensing.measured import Measured
@@ -67,7 +69,8 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     estimate : sequence of str
         What to fit: 'inertia' (six entries) or 'inertia_diagonal' (three), 'start' (the initial
         angular velocity, and the initial attitude if attitudes are measured), 'torque_gain',
-        'torque_bias', 'clock_offset', 'mount', 'gyro_bias', 'damping', 'rotor_momentum'.
+        'torque_bias', 'clock_offset', 'mount', 'gyro_bias', 'damping', 'rotor_momentum', and
+        'NAME.moment' of a uniform field.
     attitude_noise, rate_noise : float, optional, rad and rad/s
         Standard deviation of each component of a measurement; estimated for each topic if None.
     validate : float
@@ -82,7 +85,8 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     Raises
     ------
     InputError
-        A name is unknown, a noise is not positive, or a topic has too few finite samples.
+        A name is unknown, no field has it, a noise is not positive, or a topic has too few finite
+        samples.
 
     """
     names = checked_names(estimate)
@@ -96,8 +100,8 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
         raise InputError('experiments: expected at least one recording, found none')
     every = [channels_of(experiment) for experiment in experiments]
     training = [_training(channels, validate) for channels in every]
-    problems = [Problem(body, one.start, one.log, wheels=one.wheels, torque_timeout=torque_timeout)
-                for one in experiments]
+    problems = [Problem(body, one.start, one.log, wheels=one.wheels, fields=one.fields,
+                        torque_timeout=torque_timeout) for one in experiments]
     solution = solve(_setup(problems, training, names, attitude_noise, rate_noise))
     return _result(solution, residuals.of_validation(solution, every) if validate else [])
 
@@ -122,10 +126,13 @@ def _setup(problems: list[Problem], channels: list[list[Measured]], names: tuple
     span_ns = max(float(one.stamps_ns[-1] - one.stamps_ns[0])
                   for every in channels for one in every)
     offset = _clock_offset(problems, channels) if 'clock_offset' in names else 0.0
-    body = problems[0].body
-    guess = Physics(body.inertia, body.damping, clock_offset=offset)
+    body, fields = problems[0].body, problems[0].fields
+    moments = moments_of(names, fields)
+    guess = Physics(body.inertia, body.damping, clock_offset=offset, moments=moments)
+    strengths = {one.name: float(np.linalg.norm(one.field)) for one in fields
+                 if isinstance(one, UniformField) and one.name in moments}
     parameters = Parameters(names, guess, rate, float(max(torques, default=0.0)),
-                            max(span_ns * 1e-9, 1e-9))
+                            max(span_ns * 1e-9, 1e-9), strengths)
     return Setup(problems, channels, parameters, rate, START in names, attitude_noise, rate_noise)
 
 
@@ -164,8 +171,8 @@ def _result(solution: Solution, ahead: list[residuals.Residuals]) -> Identificat
     known = certainty(solution.problem.information(physics) @ np.linalg.inv(turn), names,
                       value / scale)
     sigma = np.where(known.identifiable, np.sqrt(np.diag(known.covariance)) * scale, np.inf)
-    estimates = {name: Estimate(name, UNITS[name.split('.')[0]], float(value[i]), float(guess[i]),
-                                float(sigma[i]), bool(known.identifiable[i]))
+    estimates = {name: Estimate(name, unit_of(name.partition('[')[0]), float(value[i]),
+                                float(guess[i]), float(sigma[i]), bool(known.identifiable[i]))
                  for i, name in enumerate(names)}
     fitted = residuals.of_training(solution)
     return Identification(

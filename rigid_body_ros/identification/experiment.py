@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
 from rigid_body_ros.propagation.options import FASTEST
@@ -50,6 +51,8 @@ class Experiment:
         What the sensors measured.
     wheels : TorqueLog, optional
         Torque on the rotors, as for `propagate`.
+    fields : sequence of Field
+        As for `propagate`; the same in all recordings.
 
     """
 
@@ -57,6 +60,7 @@ class Experiment:
     log: TorqueLog | Sequence[TorqueLog] | None
     measured: Sequence[Measured]
     wheels: TorqueLog | None = None
+    fields: Sequence[Field] = ()
 
     @property
     def logs(self) -> list[TorqueLog]:

@@ -22,6 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.identification.parameters import field_of
+from rigid_body_ros.scene.fields import MOMENT
 
 #: Relative sizes of a derivative, and of a combination of derivatives, that are rounding errors.
 _ZERO, _ROUNDING = 1e-9, 1e-6
@@ -125,10 +127,11 @@ def _reason(names: Sequence[str], values: Floats, vector: Floats) -> str:
     inertia = _chosen(names, 'inertia')
     ratios = vector[inertia][:3] / values[inertia][:3]  # of the moments
     scales_inertia = ratios.size > 0 and np.ptp(ratios) < _SAME * np.abs(ratios).max()
-    parts = {name.split('.')[0] for name, part in zip(names, vector) if abs(part) >= _COUNTS}
-    wider = {name.split('.')[0] for name, part in zip(names, vector) if abs(part) >= _LISTED}
+    parts, wider = ({MOMENT if field_of(name[:-2]) else name.split('.')[0]
+                     for name, part in zip(names, vector) if abs(part) >= least}
+                    for least in (_COUNTS, _LISTED))
     if scales_inertia and wider & {'torque_gain', 'torque_bias', 'damping',
-                                   'initial_rotor_momentum'}:
+                                   'initial_rotor_momentum', MOMENT}:
         return 'only the ratio of torque to inertia enters the motion'
     if scales_inertia and wider == {'inertia'}:
         return _RATIOS

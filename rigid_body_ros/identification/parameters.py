@@ -16,17 +16,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+import re
 from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.arrays import COLUMNS, ENTRIES, entries, Floats, ROWS, symmetric
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.fields import Field, UniformField
+from rigid_body_ros.scene.fields import MOMENT, moment_unit
 
-#: Component names by name of the parameter.
+#: Component names by name of the parameter; for the moment of a field see `components_of`.
 COMPONENTS = {
     'inertia': tuple(f'inertia.i{entry}' for entry in ENTRIES),
     'inertia_diagonal': tuple(f'inertia.i{entry}' for entry in [*ENTRIES][:3]),
@@ -45,6 +48,7 @@ UNITS = {'inertia': 'kg m^2', 'torque_gain': '', 'torque_bias': 'N m', 'clock_of
          'mount': 'rad', 'gyro_bias': 'rad/s', 'damping': 'N m s/rad',
          'initial_rotor_momentum': 'N m s', 'initial_attitude': 'rad',
          'initial_angular_velocity': 'rad/s'}
+_OF_FIELD = re.compile(rf'([A-Za-z_][A-Za-z0-9_]*)[.]{MOMENT}')
 #: The second moments of a guess are at least this fraction of their trace.
 _THINNEST = 1e-5
 #: Damping from which a fit starts if the scene has none, relative to the scale.
@@ -75,6 +79,8 @@ class Physics:
         Added to the angular velocity by the sensor.
     rotor_momentum : array, shape (3,), N m s, body axes
         Added to the momentum of the rotors at the start.
+    moments : dict of str to array, shape (3,), kg m, A m^2, ..., body axes
+        By name of a uniform field, the moment on which it acts, if that is fitted.
 
     """
 
@@ -86,11 +92,18 @@ class Physics:
     mount: Floats = field(default_factory=lambda: np.zeros(3))
     gyro_bias: Floats = field(default_factory=lambda: np.zeros(3))
     rotor_momentum: Floats = field(default_factory=lambda: np.zeros(3))
+    moments: Mapping[str, Floats] = field(default_factory=dict)
 
     @cached_property
     def body(self) -> RigidBody:
         """Return the body."""
         return RigidBody(self.inertia, self.damping)
+
+    def acting(self, fields: Sequence[Field]) -> list[Field]:
+        """Return fields with the moments that are fitted."""
+        return [replace(one, moment=self.moments[one.name])
+                if isinstance(one, UniformField) and one.name in self.moments else one
+                for one in fields]
 
 
 def second_moments(inertia: Floats) -> Floats:
@@ -103,19 +116,56 @@ def inertia_of(moments: Floats) -> Floats:
     return np.trace(moments) * np.eye(3) - moments
 
 
+def components_of(name: str) -> tuple[str, ...]:
+    """Return the component names of a parameter, or of NAME.moment, that of a field."""
+    return COMPONENTS.get(name) or tuple(f'{name}.{axis}' for axis in 'xyz')
+
+
+def unit_of(component: str) -> str:
+    """Return the unit of a component."""
+    return moment_unit() if field_of(component[:-2]) else UNITS[component.split('.')[0]]
+
+
+def field_of(name: str) -> str:
+    """Return the name of the field whose moment a parameter is; empty if it is no moment."""
+    found = _OF_FIELD.fullmatch(name)
+    return found[1] if found else ''
+
+
 def checked_names(names: Sequence[str]) -> tuple[str, ...]:
     """Return the names of parameters; raise InputError if they cannot be fitted together."""
     known = (*COMPONENTS, START)
     for name in names:
-        if name not in known:
-            raise InputError(f'estimate: expected names among {", ".join(known)}, found {name!r}')
+        if name not in known and not field_of(name):
+            raise InputError(f'estimate: expected names among {", ".join(known)}, and NAME.moment '
+                             f'of a field, found {name!r}')
         if list(names).count(name) > 1:
             raise InputError(f'estimate: expected each name once, found {name!r} twice')
     if not names:
         raise InputError('estimate: expected at least one name, found none')
     if {'inertia', 'inertia_diagonal'} <= {*names}:
         raise InputError('estimate: expected one of inertia and inertia_diagonal, found both')
-    return tuple(name for name in known if name in names)
+    return (*(name for name in known if name in names), *filter(field_of, names))
+
+
+def moments_of(names: Iterable[str], fields: Sequence[Field]) -> dict[str, Floats]:
+    """
+    Return the moments to fit, by name of the field, as they are given.
+
+    Raises
+    ------
+    InputError
+        There is no field of that name other than zero.
+
+    """
+    given = {one.name: np.asarray(one.moment) for one in fields
+             if isinstance(one, UniformField) and one.name and np.any(one.field)}
+    wanted = [field_of(name) for name in names if field_of(name)]
+    for name in wanted:
+        if name not in given:
+            raise InputError(f'estimate: expected {MOMENT}s of the fields of the scene '
+                             f'({listed(given)}), found {name!r}')
+    return {name: given[name] for name in wanted}
 
 
 class Parameters:
@@ -131,22 +181,29 @@ class Parameters:
     Parameters
     ----------
     names : sequence of str
-        Keys of `COMPONENTS`.
+        As `checked_names` returns them.
     guess : Physics
     rate, torque, span_s : float
         Magnitude of the angular velocity (rad/s) and of the torque (N m), and length (s) of the
         recordings.
+    strengths : dict of str to float
+        Magnitude of each field whose moment is fitted.
 
     """
 
     def __init__(self, names: Sequence[str], guess: Physics, rate: float, torque: float,
-                 span_s: float) -> None:
-        self.groups = tuple(name for name in COMPONENTS if name in names)
-        self.names = [name for group in self.groups for name in COMPONENTS[group]]
+                 span_s: float, strengths: Mapping[str, float]) -> None:
+        self.groups = tuple(name for name in names if name != START)
+        self.names = [name for group in self.groups for name in components_of(group)]
         self.guess = guess
         self._moments = _possible(second_moments(guess.inertia))
         self._size = float(np.sqrt(np.trace(self._moments)))
-        self._scales = _scales(inertia_of(self._moments), rate, torque, span_s)
+        inertia = inertia_of(self._moments)
+        self._scales = _scales(inertia, rate, torque, span_s)
+        for name, strength in strengths.items():
+            weak = max(torque, float(inertia.max()) * rate ** 2) / strength
+            scale = max(weak, float(np.linalg.norm(guess.moments[name])))
+            self._scales[f'{name}.{MOMENT}'] = np.full(3, scale)
 
     @property
     def size(self) -> int:
@@ -197,7 +254,7 @@ class Parameters:
     def _at(self, point: Floats, plain: bool, physics: Physics) -> Physics:
         first = 0
         for name in self.groups:
-            part = point[first:first + len(COMPONENTS[name])]
+            part = point[first:first + len(components_of(name))]
             first += len(part)
             change = self._plain if plain else self._value
             physics = replace(physics, **change(name, part, physics))
@@ -216,7 +273,7 @@ class Parameters:
             return entries(factor.T)
         return _values(name, physics) / self._scales[name]
 
-    def _value(self, name: str, part: Floats, _: Physics) -> dict[str, Any]:
+    def _value(self, name: str, part: Floats, physics: Physics) -> dict[str, Any]:
         if name == 'inertia':
             factor = np.diag(np.exp(part[:3]))
             factor[[1, 2, 2], [0, 0, 1]] = part[3:]
@@ -229,7 +286,7 @@ class Parameters:
             factor = np.zeros((3, 3))
             factor[COLUMNS, ROWS] = part
             return {'damping': self._scales[name][0] * factor @ factor.T}
-        return _attribute(name, part * self._scales[name])
+        return _attribute(name, part * self._scales[name], physics)
 
     def _plain(self, name: str, part: Floats, physics: Physics) -> dict[str, Any]:
         scaled = part * self._scales[name]
@@ -238,7 +295,7 @@ class Parameters:
             return {'inertia': physics.inertia + symmetric(np.append(scaled, rest))}
         if name == 'damping':
             return {'damping': physics.damping + symmetric(_OF_DIRECTIONS @ scaled)}
-        return _attribute(name, _values(name, physics) + scaled)
+        return _attribute(name, _values(name, physics) + scaled, physics)
 
 
 def _possible(moments: Floats) -> Floats:
@@ -271,8 +328,12 @@ def _values(name: str, physics: Physics) -> Floats:
         return entries(physics.inertia)[:len(COMPONENTS[name])]
     if name == 'damping':
         return entries(physics.damping)
+    if field_of(name):
+        return physics.moments[field_of(name)]
     return np.atleast_1d(getattr(physics, name))
 
 
-def _attribute(name: str, values: Floats) -> dict[str, Any]:
+def _attribute(name: str, values: Floats, physics: Physics) -> dict[str, Any]:
+    if field_of(name):
+        return {'moments': {**physics.moments, field_of(name): values}}
     return {name: values if len(values) > 1 else float(values[0])}

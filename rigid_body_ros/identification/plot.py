@@ -54,4 +54,4 @@ def draw(path: str | Path, fit: Identification, experiment: Experiment, name: st
         panels.append(figures.Series(f'{literal(parts[0].topic)}:\n{quantity} error', unit,
                                      np.concatenate([part.kept_ns for part in parts]),
                                      np.concatenate([part.kept for part in parts])))
-    figures.errors(path, panels, None, experiment.logs, {}, name)
+    figures.errors(path, panels, (), experiment.logs, {}, name)

@@ -24,8 +24,9 @@ from typing import Any
 from rigid_body_ros.common.arrays import ENTRIES, entries
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.experiment import Experiment
+from rigid_body_ros.identification.parameters import field_of
 from rigid_body_ros.identification.result import Identification
-from rigid_body_ros.scene import PARAMETERS, Scene
+from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.recorded import read_observed, Reading
 import yaml
 
@@ -36,7 +37,8 @@ _NOT_IN_SCENES = ('torque_gain', 'torque_bias', 'clock_offset', 'mount', 'gyro_b
 def read_experiment(path: str | Path, scene: Scene, reading: Reading) -> Experiment:
     """Read the torques and the measurements of a recording, as `read_observed` does."""
     problem, measurements = read_observed(path, scene, reading)
-    return Experiment(problem.start, problem.logs, measurements.until_end(), problem.wheels)
+    return Experiment(problem.start, problem.logs, measurements.until_end(), problem.wheels,
+                      problem.fields)
 
 
 def read_experiments(paths: Sequence[str | Path], scene: Scene,
@@ -72,15 +74,16 @@ def fitted_scene(scene: Scene, fit: Identification) -> str:
     The values that a scene cannot contain are in comments. A robot_description is left out if
     the inertia was fitted, because it has one of its own.
     """
+    parameters = scene.parameters
     values = {name: value for name, value in scene.values.items()
-              if value != PARAMETERS[name].default or name.startswith('inertia')}
+              if value != parameters[name].default or name.startswith('inertia')}
     changed = _changed(fit)
     if any(name.startswith('inertia') for name in changed):
         values.pop('robot_description', None)
         values.pop('link', None)
     values.update(changed)
     tree: dict[str, Any] = {}
-    for name in PARAMETERS:
+    for name in parameters:
         if name in values:
             group, _, key = name.rpartition('.')
             (tree.setdefault(group, {}) if group else tree)[key] = values[name]
@@ -101,5 +104,6 @@ def _changed(fit: Identification) -> dict[str, float]:
         'initial_attitude': ('xyzw', start.attitude),
         'initial_angular_velocity': ('xyz', start.angular_velocity),
         'initial_rotor_momentum': ('xyz', start.rotor_momentum)}
+    moments = {name: one.value for name, one in fit.estimates.items() if field_of(name[:-2])}
     return {f'{group}.{key}': float(value) for group, (keys, numbers) in groups.items()
-            if group in names for key, value in zip(keys, numbers)}
+            if group in names for key, value in zip(keys, numbers)} | moments

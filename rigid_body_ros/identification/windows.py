@@ -52,7 +52,7 @@ class Window:
     rows : list of slice
         Which samples of each channel of the recording are in the window.
     is_in_body : bool
-        Whether all torques are in body axes.
+        Whether all torques are in body axes, so that the motion turns with its initial attitude.
 
     """
 
@@ -71,7 +71,8 @@ class Window:
     def __post_init__(self) -> None:
         stamps_ns = [channel.stamps_ns for channel in self.channels]
         self.stamps_ns = np.unique(np.concatenate(stamps_ns))
-        self.is_in_body = not any(log.in_space.any() for log in self.problem.logs)
+        self.is_in_body = not (self.problem.fields or any(log.in_space.any()
+                                                          for log in self.problem.logs))
         self._scaled = 1.0, self.problem
         self._moments = [np.searchsorted(self.stamps_ns, each) for each in stamps_ns]
 
@@ -124,7 +125,8 @@ class Window:
         """Return the motion at times, at the beginning for earlier ones."""
         momentum = self.problem.start.rotor_momentum + physics.rotor_momentum
         start = State(self.anchor_ns, attitude, velocity, momentum)
-        problem = self._acting(physics).replaced(body=physics.body, start=start)
+        fields = physics.acting(self.problem.fields) if physics.moments else None
+        problem = self._acting(physics).replaced(body=physics.body, start=start, fields=fields)
         return problem.propagate(at=np.maximum(times_ns, self.anchor_ns))
 
     @property

@@ -23,13 +23,14 @@ and s' = s x w - n r. All are linear, so the series need no products of the atti
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import euler_equations, fields, four
 from rigid_body_ros.kernels.euler_equations import Products
-from rigid_body_ros.kernels.jit import inlined, internal, optional, scratch
+from rigid_body_ros.kernels.jit import inlined, internal, optional
+from rigid_body_ros.kernels.linear_terms import add_product, from_columns, times_cross
 from rigid_body_ros.kernels.series_table import (
     load_permuted,
     MAX_ORDER,
@@ -39,47 +40,87 @@ from rigid_body_ros.kernels.series_table import (
     turned,
 )
 from rigid_body_ros.kernels.vector import (
-    add,
     add_scaled,
     Coefficients,
     cross,
     dot,
     KernelState,
+    scale,
     to_body,
     Vector,
 )
 
-#: Layout of the vectors of one order: the uniform fields, the unit vector to the body and that
+#: Size of the vectors of one order: the uniform fields, then the unit vectors to the body and
 #: along the orbit, each in its three permutations.
-_POSITION, _ALONG = PERMUTED * fields.MOST, PERMUTED * (fields.MOST + 1)
 _ORDER = PERMUTED * (fields.MOST + 2)
-_WORKSPACE = _ORDER * (MAX_ORDER + 1)
+#: After the vectors of all orders, there is a matrix of each uniform field.
+_MATRICES = _ORDER * (MAX_ORDER + 1)
+WORKSPACE = _MATRICES + PERMUTED * fields.MOST
+#: The two sums of products in a vector product.
+Turn = tuple[Vector, Vector]
+
+
+class StepFields(NamedTuple):
+    """The fields of a step, and the series of their vectors."""
+
+    #: Of fields.FIELDS, shape (1,).
+    fields: NDArray[Any]
+    #: Time of the beginning of the step, see `fields.seconds_at`.
+    seconds: float
+    #: The terms of the vectors, and the matrices.
+    vectors: Floats
 
 
 @optional
-def workspace(_fields: NDArray[Any]) -> Floats:
-    """Return the table of the vectors of a step, not yet filled; None without fields."""
-    return scratch(_WORKSPACE)
-
-
-@inlined
-def begin(found: NDArray[Any] | None, vectors: Floats, state: KernelState, seconds: float,
-          coefficients: Coefficients) -> float:
+def prepared(found: NDArray[Any], work: Floats, coefficients: Coefficients) -> Floats:
     """
-    Store the vectors at the beginning of a step.
+    Store J^-1 [m]x of each uniform field, which each step needs.
 
     Parameters
     ----------
     found : array of fields.FIELDS, shape (1,), or None
         The fields of the scene.
-    vectors : array
-        See `workspace`. Changed.
-    state : KernelState
-        At the beginning.
-    seconds : float
-        Its time, see `fields.seconds_at`.
+    work : float64 (WORKSPACE,)
+        Changed.
     coefficients : Coefficients
         Of Euler's equations.
+
+    Returns
+    -------
+    array or None
+        The workspace; None without fields.
+
+    """
+    a, b, c = coefficients[0][6:]
+    inverse = from_columns(a, b, c)
+    for i in range(found[0].count):
+        x, y, z = times_cross(inverse, fields.moment(found, i))
+        four.store(work, _MATRICES + PERMUTED * i, x)
+        four.store(work, _MATRICES + PERMUTED * i + 4, y)
+        four.store(work, _MATRICES + PERMUTED * i + 8, z)
+    return work
+
+
+@optional
+def of_step(found: NDArray[Any], seconds: float, work: Floats) -> StepFields:
+    """Return the fields of a step, with series that are not yet filled; None without fields."""
+    return StepFields(found, seconds, work)
+
+
+@inlined
+def begin(step: StepFields | None, state: KernelState, coefficients: Coefficients,
+          form: int) -> float:
+    """
+    Store the vectors at the beginning of a step.
+
+    Parameters
+    ----------
+    step : StepFields or None
+        Its vectors are changed.
+    state : KernelState
+        At the beginning.
+    coefficients, form : Coefficients, int
+        Of Euler's equations, and the form of the inertia tensor.
 
     Returns
     -------
@@ -87,22 +128,58 @@ def begin(found: NDArray[Any] | None, vectors: Floats, state: KernelState, secon
         The acceleration by the fields there, rad/s^2.
 
     """
-    if found is None:
+    if step is None:
         return 0.0
-    q = state[1]
+    found, seconds, vectors = step
+    q, total = state[1], four.broadcast(0.0)
     for i in range(found[0].count):
         store_permuted(vectors, PERMUTED * i, to_body(q, fields.field(found, i)))
+        total = _add_uniform(total, step, 0, i, 1.0, coefficients, form)
     if found[0].mean_motion != 0.0:
         position, along = fields.orbit_at(found, seconds)
-        store_permuted(vectors, _POSITION, to_body(q, position))
-        store_permuted(vectors, _ALONG, to_body(q, along))
-    total = fields.acceleration(found, seconds, q, coefficients)
+        place = PERMUTED * found[0].count
+        store_permuted(vectors, place, to_body(q, position))
+        store_permuted(vectors, place + PERMUTED, to_body(q, along))
+        total = _add_gradient(total, step, 0, 1.0, coefficients, form)
     return math.sqrt(dot(total, total))
 
 
+@optional
+def vectors_of(step: StepFields) -> Floats:
+    """Return the terms of the vectors; None without fields."""
+    return step.vectors
+
+
+@optional
+def no_turn(vectors: Floats) -> Turn:
+    """Return zeros, to which `add_turn` adds; None without fields."""
+    zero = four.zero(four.load(vectors, 0))
+    return zero, zero
+
+
+@optional
+def add_turn(turn: Turn, vectors: Floats, k: int, yzx: Vector, zxy: Vector) -> Turn:
+    """
+    Add the term of order k of the first vector, times a vector in two permutations.
+
+    In the loop over the products of the rates, it costs nothing: the processor waits for the
+    latest sum anyway. In a loop of its own, it would take as long as all of them.
+    """
+    _, v_yzx, v_zxy = load_permuted(vectors, _ORDER * k)
+    return four.fma(v_yzx, zxy, turn[0]), four.fma(v_zxy, yzx, turn[1])
+
+
 @inlined
-def add_acceleration(u: Vector, found: NDArray[Any] | None, vectors: Floats, table: Floats, k: int,
-                     seconds: float, coefficients: Coefficients, form: int) -> Vector:
+def store_turn(turn: Turn | None, vectors: Floats, k: int) -> None:
+    """Store the term of order k + 1 of the first vector, as `series_table.turned` returns it."""
+    if turn is None:
+        return
+    _store(vectors, 0, k, scale(float(RECIPROCALS[k]), four.subtract(turn[0], turn[1])))
+
+
+@inlined
+def add_acceleration(u: Vector, step: StepFields | None, table: Floats, k: int, seconds: float,
+                     coefficients: Coefficients, form: int) -> Vector:
     """
     Return the sum of a vector and the term of order k of the acceleration.
 
@@ -110,8 +187,8 @@ def add_acceleration(u: Vector, found: NDArray[Any] | None, vectors: Floats, tab
     ----------
     u : Vector
         The sum of other terms, radians per step.
-    found, vectors
-        As for `begin`. The terms of order k + 1 are added to the vectors.
+    step : StepFields or None
+        The terms of order k + 1 are added to its vectors, but for the first one, which has them.
     table : array
         The terms of the step up to order k, see `series_table`.
     k : int
@@ -122,47 +199,80 @@ def add_acceleration(u: Vector, found: NDArray[Any] | None, vectors: Floats, tab
         Of Euler's equations, and the form of the inertia tensor.
 
     """
-    if found is None:
+    if step is None:
         return u
-    torque = four.broadcast(0.0)
-    for i in range(found[0].count):
-        torque = add(torque, cross(fields.moment(found, i),
-                                   four.load(vectors, _ORDER * k + PERMUTED * i)))
-        _store(vectors, PERMUTED * i, k, turned(vectors, PERMUTED * i, _ORDER, table, k))
+    found, vectors = step.fields, step.vectors
     square, rate = seconds * seconds, found[0].mean_motion
-    u = add_scaled(u, square, euler_equations.acceleration_from_torque(
-        coefficients, form, torque))
+    for i in range(found[0].count):
+        u = _add_uniform(u, step, k, i, square, coefficients, form)
+        if i > 0:
+            _store(vectors, PERMUTED * i, k, turned(vectors, PERMUTED * i, _ORDER, table, k))
     if rate != 0.0:
-        gradient = euler_equations.gyroscopic_acceleration(
-            coefficients, form, _squares(vectors, k))
-        u = add_scaled(u, -3.0 * (rate * rate) * square, gradient)
-        _expand_orbit(vectors, rate * seconds, table, k)
+        u = _add_gradient(u, step, k, square, coefficients, form)
+        _expand_orbit(vectors, found[0].count, rate * seconds, table, k)
     return u
 
 
+@inlined
+def _add_uniform(u: Vector, step: StepFields, k: int, i: int, square: float,
+                 coefficients: Coefficients, form: int) -> Vector:
+    # Add the acceleration by a uniform field, times the square of the step.
+    vectors, row, place = step.vectors, _ORDER * k + PERMUTED * i, _MATRICES + PERMUTED * i
+    if form == euler_equations.THIN:  # see `acceleration_from_torque`
+        torque = cross(fields.moment(step.fields, i), four.load(vectors, row))
+        return add_scaled(u, square, euler_equations.acceleration_from_torque(
+            coefficients, form, torque))
+    v, yzx, zxy = load_permuted(vectors, row)
+    matrix = (four.load(vectors, place), four.load(vectors, place + 4),
+              four.load(vectors, place + 8))
+    return add_scaled(u, square, add_product(four.broadcast(0.0), matrix, v, yzx, zxy))
+
+
+@inlined
+def _add_gradient(u: Vector, step: StepFields, k: int, square: float, coefficients: Coefficients,
+                  form: int) -> Vector:
+    # Add the acceleration by the gravity gradient, times the square of the step.
+    found, vectors = step.fields, step.vectors
+    rate = found[0].mean_motion
+    gradient = euler_equations.gyroscopic_acceleration(
+        coefficients, form, _squares(vectors, PERMUTED * found[0].count, k))
+    return add_scaled(u, -3.0 * (rate * rate) * square, gradient)
+
+
 @internal
-def _squares(vectors: Floats, k: int) -> Products:
-    # Return the term of order k of the products of the components of r.
+def _squares(vectors: Floats, place: int, k: int) -> Products:
+    # Return the term of order k of the products of the components of the vector at a place.
     one = other = four.broadcast(0.0)
     for j in range(k + 1):
-        r, yzx, _ = load_permuted(vectors, _ORDER * j + _POSITION)
-        s, _, zxy = load_permuted(vectors, _ORDER * (k - j) + _POSITION)
+        r, yzx, _ = load_permuted(vectors, _ORDER * j + place)
+        s, _, zxy = load_permuted(vectors, _ORDER * (k - j) + place)
         one, other = four.fma(yzx, zxy, one), four.fma(r, s, other)
     return one, other
 
 
 @internal
-def _expand_orbit(vectors: Floats, angle: float, table: Floats, k: int) -> None:
-    # The angle is that by which the orbit turns in a step.
-    position, along = (four.load(vectors, _ORDER * k + _POSITION),
-                       four.load(vectors, _ORDER * k + _ALONG))
+def _expand_orbit(vectors: Floats, count: int, angle: float, table: Floats, k: int) -> None:
+    # The position follows `count` uniform fields. The angle is that by which the orbit turns in a
+    # step.
+    place, place_along = PERMUTED * count, PERMUTED * (count + 1)
+    position, along = (four.load(vectors, _ORDER * k + place),
+                       four.load(vectors, _ORDER * k + place_along))
     factor = angle * float(RECIPROCALS[k])
-    _store(vectors, _POSITION, k, add_scaled(
-        turned(vectors, _POSITION, _ORDER, table, k), factor, along))
-    _store(vectors, _ALONG, k, add_scaled(
-        turned(vectors, _ALONG, _ORDER, table, k), -factor, position))
+    turn = four.load(vectors, _ORDER * (k + 1)) if count == 0 else \
+        turned(vectors, place, _ORDER, table, k)
+    _store(vectors, place, k, add_scaled(turn, factor, along))
+    _store(vectors, place_along, k, add_scaled(
+        turned(vectors, place_along, _ORDER, table, k), -factor, position))
 
 
 @inlined
 def _store(vectors: Floats, place: int, k: int, value: Vector) -> None:
     store_permuted(vectors, _ORDER * (k + 1) + place, value)
+
+
+@inlined
+def lowest_order(step: StepFields | None) -> int:
+    """Return a bound on how many terms in a row may be zero by chance, see `taylor.step`."""
+    if step is None:
+        return 0
+    return 0 if step.fields[0].mean_motion == 0.0 else 1

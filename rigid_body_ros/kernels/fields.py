@@ -55,7 +55,7 @@ FIELDS = record([
 
 
 @inlined
-def exist(fields: NDArray[Any] | None) -> bool:
+def exist(fields: Any) -> bool:
     """Return whether a scene has fields."""
     if fields is None:  # noqa: SIM103 (the compiler resolves it by type)
         return False

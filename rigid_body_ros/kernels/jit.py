@@ -78,5 +78,9 @@ def record(fields: list[tuple[Any, ...]]) -> Any:
 
 
 def scratch(count: int) -> Floats:
-    """Return an array of a constant size, not yet filled, for one call; compiled, on the stack."""
+    """
+    Return an array of a constant size, not yet filled, for one call; compiled, on the stack.
+
+    It ends with the function that makes it, also if that is inlined: do not return it.
+    """
     return np.empty(count)

@@ -109,7 +109,13 @@ def _diagonal(first: Pair, second: Pair, third: Pair, fourth: Pair, last: Pair) 
 @inlined
 def rotor_matrix(constants: Constants, momentum: Vector) -> Matrix:
     """Return J^-1 [h]x, 1/s, without low-order parts."""
-    p, q, r = constants.inverse.matrix
+    return times_cross(constants.inverse.matrix, momentum)
+
+
+@inlined
+def times_cross(inverse: Matrix, momentum: Vector) -> Matrix:
+    """Return a matrix times [h]x, without low-order parts."""
+    p, q, r = inverse
     yzx, zxy, minus = four.yzx(momentum), four.zxy(momentum), four.negative(momentum)
     return (four.fma(q, zxy, four.multiply(r, four.yzx(minus))),
             four.fma(r, momentum, four.multiply(p, four.zxy(minus))),

@@ -38,6 +38,7 @@ from typing import NamedTuple
 
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import (
+    field_series,
     fields,
     intervals,
     layout,
@@ -46,8 +47,9 @@ from rigid_body_ros.kernels import (
     taylor,
     vector,
 )
+from rigid_body_ros.kernels.field_series import WORKSPACE
 from rigid_body_ros.kernels.intervals import Drive, Loads
-from rigid_body_ros.kernels.jit import inlined, internal, optional
+from rigid_body_ros.kernels.jit import inlined, internal, optional, scratch
 from rigid_body_ros.kernels.layout import Body, FASTEST, Method
 
 _RK4, _STRANG, _EXPLICIT_EULER = layout.RK4, layout.STRANG, layout.EXPLICIT_EULER
@@ -77,6 +79,8 @@ class LocalLoads(NamedTuple):
     square_rate: float
     #: Bound on the change of the rate, by the rotors and by fields, 1/s^2.
     growth: float
+    #: See `field_series.prepared`.
+    field_work: Floats | None
 
 
 @internal
@@ -105,7 +109,9 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
     Reached
 
     """
-    latest, now = grid, _local(loads, drive, grid_ns, body)
+    # Here, because what an inlined function has on the stack ends with it.
+    work = scratch(WORKSPACE)
+    latest, now = grid, _local(loads, drive, grid_ns, body, work)
     while grid_ns < time_ns:
         if budget <= 0:
             return Reached(grid, grid_ns, latest, False, budget)
@@ -123,7 +129,7 @@ def advance(grid: vector.KernelState, grid_ns: int, time_ns: int, drive: Drive, 
         if is_too_fast(latest):
             return Reached(grid, grid_ns, latest, False, budget)
         if intervals.rotors_change(loads):
-            now = _local(loads, drive, grid_ns, body)
+            now = _local(loads, drive, grid_ns, body, work)
     return Reached(grid, grid_ns, latest, True, budget)
 
 
@@ -162,14 +168,16 @@ def full_step_ns(seconds: float, method: Method) -> int:
 
 
 @optional
-def _local(loads: Loads, drive: Drive, grid_ns: int, body: Body) -> LocalLoads:
+def _local(loads: Loads, drive: Drive, grid_ns: int, body: Body, work: Floats) -> LocalLoads:
     # Return the linear terms from a grid point on.
     orbit = fields.rate_bound(loads.fields)
     by_fields = fields.acceleration_bound(loads.fields, body.coefficients)
+    prepared = field_series.prepared(loads.fields, work, body.coefficients)
     if loads.linear_degree <= 0:
         linear = linear_terms.at(loads.constants, loads.momentum[0], loads.low_momentum)
         return LocalLoads(loads.momentum, linear,
-                          linear_terms.square_rate(linear.matrix) + orbit * orbit, by_fields)
+                          linear_terms.square_rate(linear.matrix) + orbit * orbit, by_fields,
+                          prepared)
     change, momentum = _rotors_from(loads.momentum,
                                     (grid_ns - drive.origin_ns) / 1e9 / drive.span)
     first, low = vector.two_sum(loads.momentum[0], change)
@@ -180,7 +188,7 @@ def _local(loads: Loads, drive: Drive, grid_ns: int, body: Body) -> LocalLoads:
             linear_terms.rotor_matrix(loads.constants, momentum[i])))
     return LocalLoads(momentum, linear,
                       linear_terms.square_rate(linear.matrix) + orbit * orbit,
-                      growth / drive.span + by_fields)
+                      growth / drive.span + by_fields, prepared)
 
 
 @inlined
@@ -227,7 +235,8 @@ def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
     changes = one, two, three, four
     return taylor.SeriesLoads(linear_terms.scaled(now.linear, seconds), changes,
                               loads.linear_degree, stage.space_torque, loads.space_degree,
-                              loads.fields, stage.field_seconds)
+                              field_series.of_step(loads.fields, stage.field_seconds,
+                                                   now.field_work))
 
 
 @inlined

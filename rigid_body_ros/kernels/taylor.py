@@ -34,9 +34,8 @@ Only the increments are summed, and added to the state by compensated summation.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import (
     elementary,
@@ -109,9 +108,8 @@ class SeriesLoads(NamedTuple):
     #: Torque in space axes, N m, in the fraction of the step, and its degree; negative: none.
     space_torque: Polynomial
     space_degree: int
-    #: See `fields.FIELDS`; None without. And the time of the step, see `fields.seconds_at`.
-    fields: NDArray[Any] | None
-    field_seconds: float
+    #: None without fields.
+    fields: field_series.StepFields | None
 
 
 @njit
@@ -176,14 +174,10 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
     KernelState
 
     """
-    fields = _fields_of(loads)
-    vectors = field_series.workspace(fields)
-    acceleration = drive.bound + field_series.begin(fields, vectors, state, _field_seconds(loads),
-                                                    coefficients)
+    acceleration = drive.bound + field_series.begin(_fields_of(loads), state, coefficients, form)
     angle = seconds * fma(0.5 * acceleration, seconds, math.sqrt(dot(state[0], state[0])))
     error_bound = tolerance * angle
-    order = _expand(state, seconds, coefficients, form, drive, error_bound, table, loads,
-                    fields, vectors)
+    order = _expand(state, seconds, coefficients, form, drive, error_bound, table, loads)
     delta_u = delta_q = four.zero(state[0])
     for k in range(order, 0, -1):  # the small terms first
         delta_u = add(delta_u, without_fourth(table, four.load(table, row_of(table, k) + U)))
@@ -195,21 +189,14 @@ def step(state: KernelState, seconds: float, coefficients: Coefficients, form: i
 
 
 @optional
-def _fields_of(loads: SeriesLoads) -> NDArray[Any] | None:
+def _fields_of(loads: SeriesLoads) -> field_series.StepFields | None:
     return loads.fields
 
 
 @inlined
-def _field_seconds(loads: SeriesLoads | None) -> float:
-    if loads is None:
-        return 0.0
-    return loads.field_seconds
-
-
-@inlined
 def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form: int,
-            drive: SeriesDrive, error_bound: float, table: Floats, loads: SeriesLoads | None,
-            fields: NDArray[Any] | None, vectors: Floats) -> int:
+            drive: SeriesDrive, error_bound: float, table: Floats,
+            loads: SeriesLoads | None) -> int:
     # Fill the table with the terms of u and of the rotation, and return the order needed.
     polynomial, degree, in_space, _ = drive
     zero = four.zero(state[0])
@@ -228,10 +215,12 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
     small, powers = lanes.no_count(error_bound), degree
     if loads is not None:
         powers = max(degree, loads.space_degree, loads.linear_degree,
-                     1 if exist(fields) else 0)
+                     field_series.lowest_order(loads.fields))
     past = (zero, zero, zero, zero)  # the terms of u before the latest
+    vectors = field_series.vectors_of(_fields_of(loads))
     for k in range(MAX_ORDER):
-        products, rotation = _cauchy(table, k, first, latest, form)
+        products, rotation, turn = _cauchy(table, k, first, latest, form, vectors)
+        field_series.store_turn(turn, vectors, k)
         if loads is None:
             u = euler_equations.gyroscopic_acceleration(coefficients, form, products)
         else:
@@ -248,8 +237,8 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
                 torque_acceleration = euler_equations.acceleration_from_torque(
                     coefficients, form, _torque_term(table, k, loads.space_degree))
                 u = add_scaled(u, seconds * seconds, torque_acceleration)
-            u = field_series.add_acceleration(u, fields, vectors, table, k, seconds,
-                                              coefficients, form)
+            u = field_series.add_acceleration(u, loads.fields, table, k, seconds, coefficients,
+                                              form)
             past = (latest[0], past[0], past[1], past[2])
         reciprocal = float(RECIPROCALS[k])
         u = scale(reciprocal, u)
@@ -268,22 +257,28 @@ def _expand(state: KernelState, seconds: float, coefficients: Coefficients, form
 
 
 @inlined
-def _cauchy(table: Floats, k: int, first: Term, latest: Term,
-            form: int) -> tuple[Products, Quaternion]:
-    # Return the terms of order k of the products of u, and of the rotation times (u, 0). Products
-    # with the latest term come last, and from registers, so that the others do not wait for it.
+def _cauchy(table: Floats, k: int, first: Term, latest: Term, form: int,
+            vectors: Floats | None) -> tuple[Products, Quaternion, field_series.Turn | None]:
+    # Return the terms of order k of the products of u, of the rotation times (u, 0), and of the
+    # first of the vectors of fields times u. Products with the latest term come last, and from
+    # registers, so that the others do not wait for it.
     zero = four.zero(first[0])
     sums = (zero, zero, zero, zero, zero)
+    turn = field_series.no_turn(vectors)
     row = row_of(table, k)
     for j in range(row_of(table, 1), row, row_of(table, 1)):
-        sums = _add_term(sums, load_term(table, row - j), load_term(table, j), form)
+        one = load_term(table, row - j)
+        sums = _add_term(sums, one, load_term(table, j), form)
+        turn = field_series.add_turn(turn, vectors, j // row_of(table, 1), one[1], one[2])
     if k > 0:
         sums = _add_term(sums, first, latest, form)
+        turn = field_series.add_turn(turn, vectors, k, first[1], first[2])
+    turn = field_series.add_turn(turn, vectors, 0, latest[1], latest[2])
     u = latest[0]
     x, y, z = (_add_start(table, sums[2], u[0]), _add_start(table, sums[3], u[1]),
                _add_start(table, sums[4], u[2]))
     return (_add_products((sums[0], sums[1]), latest, first, form),
-            add(add(four.times_i(x), four.times_j(y)), four.times_k(z)))
+            add(add(four.times_i(x), four.times_j(y)), four.times_k(z)), turn)
 
 
 @inlined
@@ -320,6 +315,8 @@ def _linear_term(k: int, latest: Term, past: tuple[Vector, Vector, Vector, Vecto
     # Return the linear terms of order k.
     u, yzx, zxy, _ = latest
     rest = four.zero(u)
+    if exist(loads.fields) and loads.linear_degree < 0:  # as of most scenes with fields
+        return rest
     if loads.linear_degree > 0:
         rest = product(loads.changes[0], past[0])
     if loads.linear_degree > 1:

@@ -21,9 +21,10 @@ from dataclasses import asdict
 
 import numpy as np
 from rigid_body_ros.live.inputs import Torque
+from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Propagator
-from rigid_body_ros.propagation.segment import Sample, WHEELS
+from rigid_body_ros.propagation.segment import BODY, Sample, WHEELS
 from rigid_body_ros.scene import Scene
 
 
@@ -42,8 +43,9 @@ class Epoch:
 
     def __init__(self, scene: Scene, start: State, torques: Sequence[Torque] = ()) -> None:
         self.start, self._timeout_ns = start, scene.timeout_ns
-        self._propagator = Propagator(scene.body, start, **asdict(scene.options),
-                                      history=scene.history)
+        self._damping, self._keep = scene.body.damping, scene.inertia_change
+        self._propagator = Propagator(scene.body, start, fields=scene.fields_from(start.time_ns),
+                                      **asdict(scene.options), history=scene.history)
         self._committed_ns = start.time_ns
         #: Source and stamp of the torques of the earlier epoch.
         self._carried = {(torque.source, torque.stamp_ns) for torque in torques}
@@ -82,13 +84,19 @@ class Epoch:
         return is_replacement
 
     def _put(self, torque: Torque) -> None:
-        if torque.source == WHEELS:
+        if torque.source == BODY:
+            inertia = RigidBody.from_moments(*torque.values.tolist()).inertia
+            self._propagator.apply_body(torque.stamp_ns, RigidBody(inertia, self._damping),
+                                        self._keep)
+        elif torque.source == WHEELS:
             self._propagator.apply_wheels(torque.stamp_ns, torque.values)
         else:
             self._propagator.apply(*torque)
 
     def has_torque_at(self, stamp_ns: int, source: int) -> bool:
         """Return whether a source has a torque of this stamp that may still be replaced."""
+        if source == BODY:
+            return self._propagator.body_at(stamp_ns).stamp_ns == stamp_ns
         held = self._propagator.held(stamp_ns).get(source)
         return held is not None and held.stamp_ns == stamp_ns
 
@@ -109,6 +117,8 @@ class Epoch:
     def torques_since(self, time_ns: int) -> list[Torque]:
         """Return, sorted by stamp, the torques that are in force at a time, and all later ones."""
         found = [_torque(*pair) for pair in self._propagator.samples_since(time_ns)]
+        found += [Torque(stamp_ns, body.entries, 'body', BODY)
+                  for stamp_ns, body, _ in self._propagator.bodies_since(time_ns)]
         return sorted(found, key=lambda torque: torque.stamp_ns)
 
     def uncommitted(self, until_ns: int) -> list[int]:

@@ -23,9 +23,9 @@ RECEIVED, APPLIED, WAITING = 'received', 'applied', 'waiting'
 MALFORMED, FRAME, NOT_FINITE, TOO_LARGE = 'malformed', 'unknown frame', 'not finite', 'too large'
 NO_CLOCK, FUTURE, LATE, OVERLOAD = 'no clock', 'future', 'late', 'overload'
 NO_STATE, ENDED, STALE = 'state not computable', 'epoch ended', 'before the reset'
-DIFFERS = 'duplicate, differs (same stamp)'
+DIFFERS, IMPOSSIBLE = 'duplicate, differs (same stamp)', 'no body has this inertia'
 CAUSES = (MALFORMED, FRAME, NOT_FINITE, TOO_LARGE, NO_CLOCK, FUTURE, LATE, OVERLOAD, NO_STATE,
-          ENDED, DIFFERS, STALE)
+          ENDED, DIFFERS, STALE, IMPOSSIBLE)
 #: Causes that follow from a reset, and are nobody's mistake.
 OF_RESETS = (ENDED, STALE)
 #: Other counts of torques.
@@ -62,6 +62,9 @@ class Events(Protocol):
 
     def count_force(self, source: int) -> None:
         """Count an ignored force."""
+
+    def ignore_mass(self) -> None:
+        """Log, once, that the mass and the centre of mass of an inertia are ignored."""
 
     def reject(self, rejected: RejectedError, source: int) -> None:
         """Count a rejected torque of a source and log the reason."""

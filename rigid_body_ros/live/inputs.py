@@ -25,15 +25,17 @@ from rigid_body_ros.common.errors import quoted
 from rigid_body_ros.live.events import (
     Events,
     FRAME,
+    IMPOSSIBLE,
     MALFORMED,
     NOT_FINITE,
     RejectedError,
     TOO_LARGE,
 )
+from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.frames import Frame, OffAxisError
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation.options import FASTEST
-from rigid_body_ros.propagation.segment import WHEELS
+from rigid_body_ros.propagation.segment import BODY, WHEELS
 from rigid_body_ros.scene import Scene
 
 #: rad/s^2; an acceleration that reaches FASTEST, a radian per nanosecond, within a second.
@@ -41,12 +43,16 @@ _LARGEST_ACCELERATION = 1e9
 
 
 class Torque(NamedTuple):
-    """A torque, N m, that acts from its stamp on; the frame is 'body' or 'space'."""
+    """
+    A torque, N m, that acts from its stamp on; the frame is 'body' or 'space'.
+
+    Of the source BODY, it is a body instead: `RigidBody.entries`, kg m^2.
+    """
 
     stamp_ns: int
     values: Floats
     frame: str
-    #: Of `Propagator.apply`; WHEELS for a torque on the rotors.
+    #: Of `Propagator.apply`; WHEELS for a torque on the rotors, BODY for a body.
     source: int = 0
 
 
@@ -63,17 +69,21 @@ class Inputs:
         """
         Return the torque of a WrenchStamped in CDR of a source, about the centre of mass.
 
-        A force without a lever arm is ignored and reported.
+        A force without a lever arm is ignored and reported. Of the source BODY, the message is an
+        InertiaStamped.
 
         Raises
         ------
         RejectedError
             The message is malformed, in an unknown frame, not along the axis of its frame, not
-            finite or far too large.
+            finite or far too large; or no body has this inertia.
 
         """
+        if source == BODY:
+            return self._body(_decoded(messages.INERTIA, data))
         wrench = _decoded(messages.WRENCH, data)
-        axes, frame = self._wheel_frame(wrench) if source == WHEELS else self._frame(wrench)
+        axes, frame = (self._only_body_axes(wrench, 'the torque on rotors'), None) \
+            if source == WHEELS else self._frame(wrench)
         force, torque = wrench.values[:3], messages.torque(wrench)
         if frame:
             try:
@@ -98,12 +108,21 @@ class Inputs:
         except ValueError as error:
             raise RejectedError(FRAME, str(error)) from error
 
-    def _wheel_frame(self, wrench: messages.Stamped) -> tuple[str, None]:
-        if wrench.frame_id not in ('', self._frames[0]):
+    def _only_body_axes(self, message: messages.Stamped, what: str) -> str:
+        if message.frame_id not in ('', self._frames[0]):
             raise RejectedError(FRAME, f"frame_id: expected '{self._frames[0]}' or '', because "
-                                'the torque on rotors is in body axes, found '
-                                f'{quoted(wrench.frame_id)}')
-        return 'body', None  # a force does not act on rotors
+                                f'{what} is in body axes, found {quoted(message.frame_id)}')
+        return 'body'
+
+    def _body(self, inertia: messages.Stamped) -> Torque:
+        axes = self._only_body_axes(inertia, 'the inertia')
+        try:
+            body = RigidBody.from_moments(*messages.inertia_entries(inertia.values))
+        except ValueError as error:
+            raise RejectedError(IMPOSSIBLE, str(error)) from error
+        if inertia.values[messages.MASS_AND_CENTRE].any():
+            self._events.ignore_mass()
+        return Torque(inertia.stamp_ns, body.entries, axes, BODY)
 
     def odometry(self, data: bytes) -> messages.Stamped:
         """Decode an Odometry in CDR; raise RejectedError if it is malformed."""

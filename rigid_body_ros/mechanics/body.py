@@ -111,6 +111,11 @@ class RigidBody:
         """
         return cls([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
 
+    @property
+    def entries(self) -> Floats:
+        """Return ixx, iyy, izz, ixy, ixz, iyz, kg m^2, shape (6,)."""
+        return self.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+
     @classmethod
     def from_point_masses(cls, masses: ArrayLike, positions: ArrayLike) -> RigidBody:
         """

@@ -37,8 +37,8 @@ from rigid_body_ros.mechanics.body import RigidBody
 
 #: Largest accepted cosine of the angle between the position on an orbit and its normal.
 _SQUARE = 1e-9
-#: Largest difference from 1 of the length of a direction that needs no normalization.
-_UNIT = 4.0 * np.finfo(float).eps
+#: Largest difference from 1 of the length of a unit vector that is left as it is.
+_ROUNDED = 4.0 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +56,8 @@ class UniformField:
         In body axes.
     field : array, shape (3,), m/s^2, T, ...
         In space axes. The product with the moment is in N m.
+    name : str
+        What a scene calls it; empty if it has no name.
 
     Raises
     ------
@@ -66,6 +68,7 @@ class UniformField:
 
     moment: ArrayLike
     field: ArrayLike
+    name: str = ''
 
     def __post_init__(self) -> None:
         for name in ('moment', 'field'):
@@ -81,6 +84,20 @@ class UniformField:
         """Return the potential energy -m . R^T f, J, shape (m,)."""
         turned = so3.rotate(so3.conjugate(attitude), self._rows(attitude))
         return -np.sum(turned * np.asarray(self.moment), axis=1)
+
+    def speed(self, least: Floats, largest: Floats) -> Floats:
+        """
+        Return a bound on how much faster the field lets bodies turn, rad/s.
+
+        Parameters
+        ----------
+        least, largest : array, kg m^2
+            Their smallest and largest moments of inertia. The energy bounds the root of twice the
+            kinetic energy over the smallest one.
+
+        """
+        strength = np.linalg.norm(self.moment) * np.linalg.norm(self.field)
+        return 2.0 * np.sqrt(strength / least)
 
     def _rows(self, attitude: Floats) -> Floats:
         return np.broadcast_to(np.asarray(self.field), (len(attitude), 3))
@@ -152,6 +169,10 @@ class GravityGradient:
         r = so3.rotate(so3.conjugate(attitude), self.directions(times_ns))
         return 1.5 * self.mean_motion ** 2 * np.sum(r * body.angular_momentum(r), axis=1)
 
+    def speed(self, least: Floats, largest: Floats) -> Floats:
+        """Return a bound as `UniformField.speed` does, by the energy seen from the orbit."""
+        return self.mean_motion * (1.0 + 3.0 * np.sqrt(largest / least))
+
 
 Field = UniformField | GravityGradient
 
@@ -207,16 +228,16 @@ def _checked(values: ArrayLike, what: str) -> Floats:
 
 
 def _direction(values: ArrayLike, what: str) -> Floats:
-    # A vector that is of unit length within rounding is left untouched: what was read from a
-    # direction gives the same one, to the last bit.
+    """Return a unit vector; one that is given, to rounding, keeps its bits, as do quaternions."""
     vector = _checked(values, what)
+    if abs(_length(vector) - 1.0) <= _ROUNDED:
+        return vector
     largest = abs(vector).max()
     if not largest:
         raise ValueError(f'{what}: expected a direction, found zeros')
-    if not abs(_length(vector) - 1.0) <= _UNIT:
-        vector = vector / largest  # squares neither overflow nor underflow
-        vector = vector / _length(vector)
-        vector.flags.writeable = False
+    vector = vector / largest  # squares neither overflow nor underflow
+    vector = vector / _length(vector)
+    vector.flags.writeable = False
     return vector
 
 

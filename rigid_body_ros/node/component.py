@@ -23,7 +23,6 @@ from functools import partial
 import time
 from typing import Any
 
-from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
@@ -32,7 +31,6 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
-from rigid_body_ros import scene
 from rigid_body_ros.common.arrays import written
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.live.checkpoint import Checkpoint
@@ -46,8 +44,8 @@ from rigid_body_ros.node.lockstep import Lockstep
 from rigid_body_ros.node.outputs import Publishers
 from rigid_body_ros.node.parameters import check_qos_overrides, NodeParameters
 from rigid_body_ros.node.realtime import Realtime
-from rigid_body_ros.node.sources import check_topics, sources_of, TorqueTopic
-from rigid_body_ros.scene import LOCKSTEP
+from rigid_body_ros.node.sources import BODY, check_topics, sources_of, TorqueTopic
+from rigid_body_ros.scene.parameters import LOCKSTEP, REALTIME
 from std_srvs.srv import Trigger
 
 try:
@@ -56,7 +54,7 @@ except ModuleNotFoundError:  # Humble
     from rclpy.qos_event import SubscriptionEventCallbacks
 
 #: Best effort matches any publisher; in lockstep a lost torque stops the loop.
-_TORQUE_QOS = {scene.REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),
+_TORQUE_QOS = {REALTIME: QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT),
                LOCKSTEP: QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)}
 #: s; how long publishing the pending states may take.
 _END_TIME = 0.8
@@ -224,7 +222,9 @@ class AttitudeComponent:
             callback = DrainCallback(partial(self._on_torque, source.number), self._start_work,
                                      partial(self._diagnostics.count_missing, source.number))
             callback.subscription = subscription(
-                WrenchStamped, source.topic, callback, _TORQUE_QOS[self._scene.mode],
+                source.kind, source.topic, callback,
+                # An inertia comes once, so it must not be lost.
+                _TORQUE_QOS[LOCKSTEP if source.number == BODY else self._scene.mode],
                 SubscriptionEventCallbacks(message_lost=partial(self._on_lost, source.number),
                                            use_default_callbacks=False))
             return callback

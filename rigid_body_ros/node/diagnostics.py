@@ -50,7 +50,7 @@ from rigid_body_ros.live.events import (
 )
 from rigid_body_ros.live.torque_queue import Sender
 from rigid_body_ros.node.drain import DrainCallback
-from rigid_body_ros.node.sources import TorqueTopic
+from rigid_body_ros.node.sources import BODY, TorqueTopic
 
 if TYPE_CHECKING:  # Lyrical has it in rclpy.endpoint_info
     from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -104,6 +104,12 @@ class Diagnostics:
         #: Monotonic time, s, of the last log message of each kind.
         self._logged_at: dict[str, float] = {}
 
+    def ignore_mass(self) -> None:
+        """Log, once, that the mass and the centre of mass of an inertia are ignored."""
+        self._node.get_logger().info('the mass and the centre of mass of an InertiaStamped are '
+                                     'ignored: the inertia is that about the centre of mass',
+                                     once=True)
+
     def count(self, name: str, source: int) -> None:
         """Count an event of a torque of a source without logging it."""
         self._torques[source][name] += 1
@@ -117,7 +123,8 @@ class Diagnostics:
         """Count a rejected torque of a source and log the reason."""
         cause, counts = rejected.cause, self._torques[source]
         counts[cause] += 1
-        self._log(f'{cause} {source}', f'torque{self._place(source)} rejected '
+        what = 'inertia' if source == BODY else f'torque{self._place(source)}'
+        self._log(f'{cause} {source}', f'{what} rejected '
                   f'({counts[cause]} so far): {cause}: {rejected}')
 
     def event(self, name: str, text: str, kind: str = '') -> None:
@@ -195,7 +202,8 @@ class Diagnostics:
 
         """
         for source, drain in torques.items():
-            problems[source].extend(self._surplus(drain, several))
+            if source != BODY:  # whoever changes the inertia need not stay
+                problems[source].extend(self._surplus(drain, several))
         topics = {drain.subscription.topic_name: source for source, drain in torques.items()}
         first = next(iter(problems))
         for subscription in inputs:

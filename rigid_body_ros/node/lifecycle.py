@@ -28,10 +28,11 @@ from rigid_body_ros.node import process
 from rigid_body_ros.node.attitude_node import one_line_errors
 from rigid_body_ros.node.component import AttitudeComponent
 from rigid_body_ros.node.parameters import declare, given_parameters
+from rigid_body_ros.runtime.parameters import checked, Parameter
 
 _FAILURE = TransitionCallbackReturn.FAILURE
-_AUTOSTART = scene.Parameter('autostart', False, '', 'whether the node configures and activates '
-                             'itself when it starts')
+_AUTOSTART = Parameter('autostart', False, '', 'whether the node configures and activates '
+                       'itself when it starts')
 
 
 class AttitudeLifecycleNode(LifecycleNode):
@@ -75,7 +76,7 @@ class AttitudeLifecycleNode(LifecycleNode):
         declare(self, given_parameters(self))
         autostart = self.declare_parameter(_AUTOSTART.name, _AUTOSTART.default,
                                            ParameterDescriptor(dynamic_typing=True))
-        if scene.checked(_AUTOSTART, autostart.value):
+        if checked(_AUTOSTART, autostart.value):
             self.trigger_configure()
             if self._component:
                 self.trigger_activate()

@@ -40,7 +40,7 @@ from rigid_body_ros.live.torque_queue import Queued, Sender
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.clocks import ClockMonitor
 from rigid_body_ros.node.mode import Mode
-from rigid_body_ros.node.sources import sources_of
+from rigid_body_ros.node.sources import BODY, sources_of
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
@@ -182,7 +182,8 @@ class Lockstep(Mode):
 
     def _awaited(self) -> list[int]:
         """Return the sources whose torques the state waits for, all if none has a publisher."""
-        return self._missing(self._latest.time_ns, self._torques) or [*self._torques]
+        return self._missing(self._latest.time_ns, self._torques) or [
+            source for source in self._torques if source != BODY]
 
     def stamp(self) -> Time:
         """Return the present time; if this node publishes /clock, the time published last."""
@@ -225,7 +226,7 @@ class Lockstep(Mode):
         """Return the sources that have a publisher, but no torque of this stamp."""
         epoch = self.run.epoch
         return [source for source in sources
-                if self._torques[source].handle.get_publisher_count()
+                if source != BODY and self._torques[source].handle.get_publisher_count()
                 and not (epoch and epoch.has_torque_at(stamp_ns, source))]
 
     def _check_stamp(self, stamp_ns: int) -> None:
@@ -246,7 +247,7 @@ class Lockstep(Mode):
         self._diagnostics.count(REPLACED, torque.source)
 
     def _respond(self, torque: Torque, until: float) -> None:
-        if not self._is_due(torque):
+        if torque.source == BODY or not self._is_due(torque):
             return
         state = self.run.state(torque.stamp_ns + self._step_ns, until)
         if state is None:
@@ -284,7 +285,7 @@ class Lockstep(Mode):
 
     def _connected(self) -> tuple[int, int]:
         publishers = sum(torques.handle.get_publisher_count()
-                         for torques in self._torques.values())
+                         for source, torques in self._torques.items() if source != BODY)
         return publishers, self._outputs.subscription_count
 
     def _clock_publisher(self) -> Publisher:

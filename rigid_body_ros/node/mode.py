@@ -30,7 +30,7 @@ from rigid_body_ros.live.torque_queue import Queued, TorqueQueue
 from rigid_body_ros.node.diagnostics import Diagnostics
 from rigid_body_ros.node.outputs import Publishers
 from rigid_body_ros.node.parameters import NodeParameters
-from rigid_body_ros.scene import LOCKSTEP
+from rigid_body_ros.scene.parameters import LOCKSTEP
 
 #: s; length of a slice of work, after which all other callbacks run.
 BUDGET = 0.02

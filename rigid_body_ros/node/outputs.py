@@ -21,7 +21,7 @@ from contextlib import suppress
 from copy import copy
 import time
 
-from geometry_msgs.msg import QuaternionStamped, Vector3Stamped, WrenchStamped
+from geometry_msgs.msg import QuaternionStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -36,7 +36,7 @@ from rigid_body_ros.live.run import LOG_DEPTH
 from rigid_body_ros.mechanics import euler
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.diagnostics import Diagnostics
-from rigid_body_ros.node.sources import TorqueTopic
+from rigid_body_ros.node.sources import BODY, TorqueTopic
 from rigid_body_ros.scene import Scene
 from sensor_msgs.msg import Imu
 
@@ -84,7 +84,7 @@ class Publishers:
             self._states.append((self._publisher(_transform_type(), '/tf'), lambda state: (
                 messages.transform(state, space, body))))
         #: By number of the source.
-        self._accepted = {source.number: self._publisher(WrenchStamped, source.log, _LOG_QOS)
+        self._accepted = {source.number: self._publisher(source.kind, source.log, _LOG_QOS)
                           for source in sources}
         self._committed = self._publisher(Odometry, '~/committed', _LOG_QOS)
 
@@ -107,12 +107,14 @@ class Publishers:
 
     def begin_log(self, start: State) -> None:
         """Mark in the logs of torques that an epoch begins with a state."""
-        for publisher in self._accepted.values():
-            self._send(publisher, messages.epoch_marker(start))
+        for source, publisher in self._accepted.items():
+            kind = messages.INERTIA if source == BODY else messages.WRENCH
+            self._send(publisher, messages.epoch_marker(start, kind))
 
     def log_torque(self, torque: Torque) -> None:
         """Log an accepted torque."""
-        self._send(self._accepted[torque.source], messages.wrench(
+        encode = messages.inertia if torque.source == BODY else messages.wrench
+        self._send(self._accepted[torque.source], encode(
             torque.stamp_ns, self._frames[torque.frame], torque.values))
 
     def log_state(self, state: State) -> None:

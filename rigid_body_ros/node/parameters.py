@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -30,13 +31,16 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
-from rigid_body_ros import scene
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.robot_description import with_robot_description
 from rigid_body_ros.propagation.solvers import solver_named
+from rigid_body_ros.runtime.parameters import checked as checked_value
+from rigid_body_ros.runtime.parameters import Parameter as SceneParameter
 from rigid_body_ros.runtime.parameters import resembled
-from rigid_body_ros.scene import QOS, Scene
+from rigid_body_ros.scene import PARAMETERS, Scene
+from rigid_body_ros.scene.fields import at_start, FIELDS
+from rigid_body_ros.scene.parameters import checked_fields, parameters_with, QOS
 
 _RATE = 'publish_rate'
 #: Topics of rclpy itself.
@@ -92,7 +96,7 @@ class NodeParameters:
         """Set the parameters to the start state of an epoch, or raise RuntimeError."""
         values = [start.time_ns, *start.attitude.tolist(), *start.angular_velocity.tolist(),
                   *start.rotor_momentum.tolist()]
-        epoch = dict(zip(_EPOCH, values))
+        epoch = dict(zip(_EPOCH, values)) | at_start(self.scene.values, start.time_ns)
         self._fixed |= epoch
         # The descriptors are those that the node has stored: only users may not set the values.
         descriptors = self._node.describe_parameters(list(epoch))
@@ -108,10 +112,12 @@ class NodeParameters:
 
     def _declare(self) -> Scene:
         # Those of a managed node are declared, and may have changed since the start.
-        declared = {name: self._node.get_parameter(name).value for name in scene.PARAMETERS
+        given = given_parameters(self._node)
+        if self._node.has_parameter(FIELDS):
+            given[FIELDS] = self._node.get_parameter(FIELDS).value
+        declared = {name: self._node.get_parameter(name).value for name in _known(given)
                     if self._node.has_parameter(name)}
-        given = given_parameters(self._node) | {
-            name: value for name, value in declared.items() if value is not None}
+        given |= {name: value for name, value in declared.items() if value is not None}
         checked = Scene.from_values(with_robot_description(self._node, given))
         solver = solver_named(checked.solver)
         if not solver.takes_torque:
@@ -123,7 +129,7 @@ class NodeParameters:
         for name, value in checked.values.items():
             if name in declared:
                 self._node.undeclare_parameter(name)
-            descriptor = _descriptor(scene.PARAMETERS[name])
+            descriptor = _descriptor(checked.parameters[name])
             descriptor.read_only &= not self._is_managed  # which rclpy could not undeclare
             self._node.declare_parameter(name, value, descriptor, ignore_override=True)
         return checked
@@ -140,7 +146,7 @@ class NodeParameters:
                                            'running node: it takes effect only at the start')
         if _RATE in values:
             try:
-                self._on_rate(scene.checked(scene.PARAMETERS[_RATE], values[_RATE]))
+                self._on_rate(checked_value(PARAMETERS[_RATE], values[_RATE]))
             except InputError as error:
                 return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -148,9 +154,16 @@ class NodeParameters:
 
 def declare(node: Node, given: Mapping[str, Any]) -> None:
     """Declare the parameters of a scene, so that they can be set; others than given have none."""
-    for name, parameter in scene.PARAMETERS.items():
+    for name, parameter in _known(given).items():
         node.declare_parameter(name, given.get(name), ParameterDescriptor(
             description=_described(parameter), dynamic_typing=True), ignore_override=True)
+
+
+def _known(given: Mapping[str, Any]) -> dict[str, SceneParameter]:
+    """Return the parameters of a scene; those of its fields only if their names are valid."""
+    with suppress(InputError):
+        return parameters_with(checked_fields(given))
+    return PARAMETERS
 
 
 def given_parameters(node: Node) -> dict[str, Any]:
@@ -194,11 +207,11 @@ def _with_float_rate(parameters: list[Parameter]) -> list[Parameter]:
             for one in parameters]
 
 
-def _described(parameter: scene.Parameter) -> str:
+def _described(parameter: SceneParameter) -> str:
     return parameter.description + (f' ({parameter.unit})' if parameter.unit else '')
 
 
-def _descriptor(parameter: scene.Parameter) -> ParameterDescriptor:
+def _descriptor(parameter: SceneParameter) -> ParameterDescriptor:
     fixed = parameter.name != _RATE
     limits = ', '.join(parameter.choices)
     descriptor = ParameterDescriptor(

@@ -42,7 +42,7 @@ from rigid_body_ros.live.torque_queue import Queued, Sender
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.node.clocks import ArrivalStamps, ClockMonitor, JumpDetector
 from rigid_body_ros.node.mode import BUDGET, Mode
-from rigid_body_ros.scene import ARRIVAL, REBASE, RESET
+from rigid_body_ros.scene.parameters import ARRIVAL, REBASE, RESET
 
 #: A stamp further ahead of or behind the clock is assumed to come from another clock.
 _OTHER_CLOCK_NS = 3600 * 10 ** 9

@@ -12,32 +12,38 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The sources of torque of a scene: their topics, logs and names in diagnostics."""
+"""The sources of torque and inertia of a scene: topics, logs and names in diagnostics."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from geometry_msgs.msg import InertiaStamped, WrenchStamped
 from rclpy.node import Node
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.propagation.segment import BODY as BODY
 from rigid_body_ros.propagation.segment import WHEELS as WHEELS
 from rigid_body_ros.scene import Scene
 
 #: The topic of the torque of the motors on the rotors.
 _WHEEL_TORQUE = 'wheel_torque'
+#: That of the inertia of a body that changes.
+_INERTIA = 'inertia'
 
 
 class TorqueTopic(NamedTuple):
-    """A topic of torques."""
+    """A topic of torques, or of inertia."""
 
-    #: The source of `Propagator.apply`, or WHEELS.
+    #: The source of `Propagator.apply`, WHEELS or BODY.
     number: int
     topic: str
     #: The topic on which its accepted torques are logged.
     log: str
     #: Its name in diagnostics.
     status: str
+    #: The message.
+    kind: type = WrenchStamped
 
 
 def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
@@ -48,6 +54,9 @@ def sources_of(scene: Scene) -> tuple[TorqueTopic, ...]:
     if scene.wheels:
         sources.append(TorqueTopic(WHEELS, _WHEEL_TORQUE, '~/accepted_wheel_torque',
                                    'wheel torques'))
+    if scene.inertia_topic:
+        sources.append(TorqueTopic(BODY, _INERTIA, '~/accepted_inertia', 'inertia',
+                                   InertiaStamped))
     return tuple(sources)
 
 

@@ -22,12 +22,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import BodyLog
 from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
+from rigid_body_ros.mechanics.torque import stamps_of, torque_logs, TorqueLog
 from rigid_body_ros.propagation.integration import Integration
 from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.trajectory import Trajectory
@@ -135,18 +136,25 @@ class Problem:
         """Return the torques on the body, and then that on the rotors, if there is one."""
         return (*self.logs, self.wheels) if self.wheels else self.logs
 
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """Return the stamps of all torques and changes, each once, ascending."""
+        stamps_ns = stamps_of(self.sources)
+        return np.union1d(stamps_ns, self.changes.times_ns) if self.changes else stamps_ns
+
     def replaced(self, *, body: RigidBody | None = None, start: State | None = None,
                  log: TorqueLog | Sequence[TorqueLog] | None = None,
                  wheels: TorqueLog | None = None, fields: Sequence[Field] | None = None,
-                 options: Options | None = None) -> Problem:
+                 changes: BodyLog | None = None, options: Options | None = None) -> Problem:
         """Return the same problem with some parts replaced; raise ValueError as `Problem` does."""
         other = Problem.__new__(Problem)
-        other.fields, other._fields, other.changes = self.fields, self._fields, self.changes
+        other.fields, other._fields = self.fields, self._fields
+        other.changes = changes or self.changes
         if fields is not None:
             other.fields = beginning_at(fields, self.start.time_ns)
             other._fields = packed(other.fields)
         other._set(body or self.body, start or self.start, self.logs if log is None else log,
-                     self.wheels if wheels is None else wheels, options or self.options)
+                   self.wheels if wheels is None else wheels, options or self.options)
         return other
 
     def solved_by(self, **options: Any) -> Problem:
@@ -165,6 +173,20 @@ class Problem:
         """Return the body at a time; at a change, the one after it."""
         row = self.changes.in_force(time_ns) if self.changes else -1
         return self.changes.bodies[row] if self.changes and row >= 0 else self.body
+
+    @property
+    def next_change_ns(self) -> int:
+        """Return the time of the first change of the body after the start, NEVER_NS if none."""
+        if not self.changes:
+            return NEVER_NS
+        later_ns = self.changes.times_ns[self.changes.in_force(self.start.time_ns) + 1:]
+        return int(later_ns[0]) if len(later_ns) else NEVER_NS
+
+    def with_first_body(self) -> Problem:
+        """Return the same problem for the body of the start, which does not change."""
+        other = self.replaced(body=self.body_at(self.start.time_ns))
+        other.changes = None
+        return other
 
     def torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
         """
@@ -188,8 +210,18 @@ class Problem:
             torque, in_space = log.at(times_ns, self.options.timeout_ns)
             total += np.where(in_space[:, None], so3.rotate(so3.conjugate(attitude), torque),
                               torque)
-        for one in self.fields:
-            total += one.torque(self.body, times_ns, attitude)
+        return total + self.field_torque(times_ns, attitude) if self.fields else total
+
+    def field_torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
+        """Return the torque of the fields, N m, body axes, shape (m, 3), as `torque` does."""
+        total = np.zeros((len(times_ns), 3))
+        bodies = (self.body, *(self.changes.bodies if self.changes else ()))
+        in_force = self.changes.times_ns.searchsorted(times_ns, 'right') if self.changes \
+            else np.zeros(len(times_ns), int)
+        for k, body in enumerate(bodies):
+            rows = np.flatnonzero(in_force == k)
+            for one in self.fields:
+                total[rows] += one.torque(body, times_ns[rows], attitude[rows])
         return total
 
     def biased(self, torque: Floats, end_ns: int) -> Problem:

@@ -81,7 +81,7 @@ class Propagator:
         self._options.check_terms(body.is_damped, start._has_rotors, bool(fields))
         self._fields = packed(beginning_at(fields, start.time_ns))
         self._start = start
-        self._changes = [_Change(start.time_ns, {}, NewBody(start.time_ns, body, RATE))]
+        self._changes = [_Change(start.time_ns, {}, NewBody(-NEVER_NS, body, RATE))]
         self._begin()
         self._newest_ns: int | None = None
 
@@ -92,16 +92,26 @@ class Propagator:
 
     @property
     def newest_ns(self) -> int | None:
-        """Return the newest stamp of all torques, ns, or None before the first torque."""
+        """Return the newest stamp of all torques and bodies, ns, or None before the first."""
         return self._newest_ns
 
     def held(self, time_ns: int) -> Mapping[int, Sample]:
         """Return by source the sample in force at a time, also if it has timed out."""
         return self._changes[max(self._index_of(time_ns), 0)].samples
 
+    def body_at(self, time_ns: int) -> NewBody:
+        """Return the body in force at a time; the stamp of the first one is -NEVER_NS."""
+        return self._changes[max(self._index_of(time_ns), 0)].body
+
+    def bodies_since(self, time_ns: int) -> list[NewBody]:
+        """Return the body in force at a time, and all later ones, but for the first one."""
+        index = max(self._index_of(time_ns), 0)
+        found = dict.fromkeys(change.body for change in self._changes[index:])
+        return [body for body in found if body.stamp_ns != -NEVER_NS]
+
     def stamps(self, after_ns: int, until_ns: int) -> list[int]:
         """
-        Return the stamps of torques in (after_ns, until_ns], ns, ascending.
+        Return the stamps of torques and bodies in (after_ns, until_ns], ns, ascending.
 
         Those before `earliest_ns` are forgotten.
         """

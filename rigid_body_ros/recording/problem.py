@@ -26,6 +26,8 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.changes import BodyLog
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.propagation import Problem
@@ -56,15 +58,15 @@ class Logged(NamedTuple):
 
     @property
     def times_ns(self) -> NDArray[np.int64]:
-        """Return the stamps of all samples in ascending order; that of the start if none."""
-        stamps_ns = stamps_of(self.problem.sources)
+        """Return the stamps of all samples and bodies, ascending; that of the start if none."""
+        stamps_ns = self.problem.stamps_ns
         return stamps_ns if stamps_ns.size else np.array([self.problem.start.time_ns])
 
 
 def read(path: str | Path, scene: str | Path | Scene, *,
          topic: str | Sequence[str] | None = None, wheel_torque: str | None = None,
-         wheel_momentum: str | None = None, interpolation: str | None = None,
-         time_source: str = 'header') -> Problem:
+         wheel_momentum: str | None = None, inertia: str | None = None,
+         interpolation: str | None = None, time_source: str = 'header') -> Problem:
     """
     Return the problem that a recording and a scene state, as `attitude_replay` computes it.
 
@@ -76,7 +78,7 @@ def read(path: str | Path, scene: str | Path | Scene, *,
         The recording.
     scene : str, Path or Scene
         A scene, or its file.
-    topic, wheel_torque, wheel_momentum, interpolation, time_source
+    topic, wheel_torque, wheel_momentum, inertia, interpolation, time_source
         As for `replay`.
 
     Returns
@@ -90,9 +92,9 @@ def read(path: str | Path, scene: str | Path | Scene, *,
 
     """
     loaded = scene if isinstance(scene, Scene) else load(scene)
-    topics = Topics.given(topic, wheel_torque, wheel_momentum).found_in(path, loaded)
+    topics = Topics.given(topic, wheel_torque, wheel_momentum, inertia).found_in(path, loaded)
     return chosen(path, loaded, read_epochs(path, loaded, topics, interpolation,
-                                            time_source=time_source)).problem
+                                            time_source=time_source), may_change=True).problem
 
 
 def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: str | None = None,
@@ -131,23 +133,27 @@ def read_epochs(path: str | Path, scene: Scene, topics: Topics, interpolation: s
                for name in topics.wrenches]
     momentum = source.read(path, topics.wheel_momentum, messages.VECTOR3, track, time_source) \
         if topics.wheel_momentum else None
+    if topics.inertia:
+        torques.append(source.read(path, topics.inertia, messages.INERTIA, track, time_source))
     found = aligned(path, [epochs(path, one) for one in torques], time_source == 'header')
     if momentum is not None and len(found) > 1:
         raise InputError(f'{path}: --wheel-momentum: expected one epoch, found {len(found)}')
-    return [_logged(path, scene, parts, momentum, bool(topics.wheel_torque),
-                    interpolation or scene.interpolation) for parts in found]
+    return [_logged(path, scene, topics, parts, momentum, interpolation or scene.interpolation)
+            for parts in found]
 
 
-def chosen(path: str | Path, scene: Scene, found: Sequence[Logged]) -> Logged:
+def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
+           may_change: bool = False) -> Logged:
     """
     Return the epoch for a command that needs one motion.
 
-    Of several epochs, it is the last one that begins at the start_time of the scene.
+    Of several epochs, it is the last one that begins at the start_time of the scene. Only a
+    command that says so computes with a body that changes.
 
     Raises
     ------
     InputError
-        None begins there.
+        None begins there, or the body changes.
 
     """
     stamps_ns = [each.problem.start.time_ns for each in found]
@@ -157,22 +163,28 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged]) -> Logged:
                          f'{len(stamps_ns)} epochs, which begin at '
                          f'{listed([str(stamp) for stamp in stamps_ns])} ns, and start_time '
                          f'{start_ns}; set start_time in the scene')
-    return found[len(found) - 1 - stamps_ns[::-1].index(start_ns) if len(found) > 1 else 0]
+    one = found[len(found) - 1 - stamps_ns[::-1].index(start_ns) if len(found) > 1 else 0]
+    if one.problem.changes and not may_change:
+        raise InputError(f'{path}: {one.topics[-1]}: expected a body that does not change, found '
+                         f'{len(one.problem.changes)} changes of its inertia, which only '
+                         'attitude_replay computes; set inertia_topic: false in the scene')
+    return one
 
 
-def _logged(path: str | Path, scene: Scene, torques: Sequence[Messages],
-            momentum: Messages | None, has_wheels: bool, interpolation: str) -> Logged:
-    """Return the problem of a motion; torques on the rotors are the last, if there are any."""
-    body = torques[:-1] if has_wheels else torques
+def _logged(path: str | Path, scene: Scene, topics: Topics, parts: Sequence[Messages],
+            momentum: Messages | None, interpolation: str) -> Logged:
+    """Return the problem of a motion; torques on the rotors and inertia are the last parts."""
+    body, measured = [*parts], None
+    every = [*parts, *([] if momentum is None else [momentum])]
+    changes = _changes(path, body.pop(), scene) if topics.inertia else None
+    wheels = _wheel_log(path, body.pop(), scene, interpolation) if topics.wheel_torque else None
     logs = [_log(path, one, scene, interpolation) for one in body]
-    every, measured = [*torques, *([] if momentum is None else [momentum])], None
-    wheels = _wheel_log(path, torques[-1], scene, interpolation) if has_wheels else None
     if momentum is not None:
         measured = _momentum(path, momentum, scene)
         wheels = _from_momentum(path, momentum, measured, scene)
     damage = '; '.join(dict.fromkeys(one.damage for one in every if one.damage))
     stamps_ns = stamps_of([*logs, *([wheels] if wheels else [])])
-    begin = next((one.start for one in torques if one.start), None)
+    begin = next((one.start for one in parts if one.start), None)
     if not stamps_ns.size and not begin:
         lost = f' ({damage})' if damage else ''
         raise InputError(f'{path}: {listed([one.topic for one in every])}: expected torques, '
@@ -181,7 +193,7 @@ def _logged(path: str | Path, scene: Scene, torques: Sequence[Messages],
     if measured is not None:
         start = _started(start, measured)
     try:
-        problem = scene.problem(start).replaced(log=logs, wheels=wheels)
+        problem = scene.problem(start).replaced(log=logs, wheels=wheels, changes=changes)
     except ValueError as error:
         raise InputError(f'{path}: {listed([one.topic for one in every])}: {error}') from error
     return Logged(problem, measured is not None, sum(len(one) for one in every),
@@ -254,8 +266,22 @@ def _wheel_log(path: str | Path, recorded: Messages, scene: Scene,
     return _log(path, recorded, scene, interpolation)
 
 
+def _changes(path: str | Path, recorded: Messages, scene: Scene) -> BodyLog:
+    """Return the bodies of a topic of inertia, with the damping of the scene."""
+    check_axes(path, recorded, scene)
+    bodies = []
+    for row, entries in enumerate(messages.inertia_entries(recorded.values)):
+        try:
+            inertia = RigidBody.from_moments(*entries.tolist()).inertia
+            bodies.append(RigidBody(inertia, scene.body.damping))
+        except ValueError as error:
+            raise InputError(f'{path}: {recorded.topic}: message {recorded.before + row + 1} at '
+                             f'{recorded.stamps_ns[row]} ns: {error}') from error
+    return BodyLog(recorded.stamps_ns, bodies, scene.inertia_change)
+
+
 def check_axes(path: str | Path, recorded: Messages, scene: Scene) -> None:
-    """Raise InputError if a vector of the rotors is not in body axes."""
+    """Raise InputError if a vector of the rotors, or an inertia, is not in body axes."""
     body = scene.body_frame
     for code, name in enumerate(recorded.names):
         if name not in ('', body):

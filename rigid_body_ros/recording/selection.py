@@ -17,16 +17,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.messages import INERTIA
 from rigid_body_ros.recording import source
 from rigid_body_ros.recording.source import TORQUES
 from rigid_body_ros.scene import Scene
 
-#: The topic of the torque on the rotors.
-_WHEEL_TORQUE = 'wheel_torque'
+#: The topics of the torque on the rotors, and of the inertia.
+_WHEEL_TORQUE, _INERTIA = 'wheel_torque', 'inertia'
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,8 @@ class Topics:
         Their torques add up. Empty: those of the scene.
     wheel_torque, wheel_momentum : str, optional
         Topic of the torque on the rotors, or of their momentum.
+    inertia : str, optional
+        Topic of the inertia of a body that changes.
     preferred : str
         If set, the torques are those of the only topic of a recording, or of this one.
 
@@ -53,14 +56,15 @@ class Topics:
     torques: tuple[str, ...] = ()
     wheel_torque: str | None = None
     wheel_momentum: str | None = None
+    inertia: str | None = None
     preferred: str = ''
 
     def __post_init__(self) -> None:
         if self.wheel_torque and self.wheel_momentum:
             raise InputError('expected one of --wheel-torque and --wheel-momentum, found both')
-        if '' in (self.wheel_torque, self.wheel_momentum):
-            option = '--wheel-torque' if self.wheel_torque == '' else '--wheel-momentum'
-            raise InputError(f'{option}: expected a topic, found an empty name')
+        for option, topic in self._options:
+            if topic == '':
+                raise InputError(f'{option}: expected a topic, found an empty name')
         names = [*self.torques, *filter(None, [self.wheel_torque])]
         for name in names:
             if names.count(name) > 1:
@@ -68,10 +72,15 @@ class Topics:
 
     @classmethod
     def given(cls, topic: str | Sequence[str] | None, wheel_torque: str | None = None,
-              wheel_momentum: str | None = None) -> Topics:
+              wheel_momentum: str | None = None, inertia: str | None = None) -> Topics:
         """Return the topics that a caller gave."""
         names = (topic,) if isinstance(topic, str) else tuple(topic or ())
-        return cls(names, wheel_torque, wheel_momentum)
+        return cls(names, wheel_torque, wheel_momentum, inertia)
+
+    @property
+    def _options(self) -> list[tuple[str, str | None]]:
+        return [('--wheel-torque', self.wheel_torque), ('--wheel-momentum', self.wheel_momentum),
+                ('--inertia', self.inertia)]
 
     @property
     def wheel_source(self) -> str:
@@ -87,14 +96,17 @@ class Topics:
         Raises
         ------
         InputError
-            The recording cannot be read, or lacks a topic of the scene; or the rotors have a
-            topic, but the scene has no rotors with motors.
+            The recording cannot be read, or lacks a topic of the scene; or rotors or inertia have
+            a topic, but the scene has no rotors with motors, or no topic of inertia.
 
         """
         self.check(scene)
-        names, wheel_torque = self.torques, self.wheel_torque
+        names, wheel_torque, inertia = self.torques, self.wheel_torque, self.inertia
+        if scene.inertia_topic:
+            inertia = inertia or _match(_INERTIA, source.topics(path, [INERTIA]))
         if len(names or scene.torque_topics) == 1 and not scene.wheels:
-            return self if names else Topics(preferred=absolute(scene.torque_topics[0]))
+            preferred = '' if names else absolute(scene.torque_topics[0])
+            return replace(self, inertia=inertia, preferred=preferred)
         recorded = source.topics(path, TORQUES)
         if scene.wheels and not self.wheel_momentum:
             wheel_torque = wheel_torque or _match(_WHEEL_TORQUE, recorded)
@@ -102,15 +114,15 @@ class Topics:
             others = [topic for topic in recorded if topic != wheel_torque]
             optional = bool(wheel_torque or self.wheel_momentum)
             names = _torques_of(path, scene.torque_topics, others, optional)
-        return Topics(names, wheel_torque, self.wheel_momentum)
+        return Topics(names, wheel_torque, self.wheel_momentum, inertia)
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError if the rotors have a topic, but the scene has none with motors."""
-        for option, topic in (('--wheel-torque', self.wheel_torque),
-                              ('--wheel-momentum', self.wheel_momentum)):
-            if topic and not scene.wheels:
-                raise InputError(f'{option}: expected a scene with wheels: true, found '
-                                 'wheels: false')
+        """Raise InputError if rotors or inertia have a topic, but not in the scene."""
+        for option, topic in self._options:
+            parameter = 'inertia_topic' if option == '--inertia' else 'wheels'
+            if topic and not scene.values[parameter]:
+                raise InputError(f'{option}: expected a scene with {parameter}: true, found '
+                                 f'{parameter}: false')
 
     @property
     def wrenches(self) -> list[str | None]:

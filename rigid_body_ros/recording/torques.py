@@ -40,7 +40,7 @@ _SAMPLES = 2 ** 13
 #: Samples on each side that the cubics of a piece, and of the sample after it, need.
 _NEIGHBOURS = 3
 #: The topics on which a node logs the torques that it accepts.
-_NODE_LOG = re.compile(r'(.*/)?(accepted_torque(_[0-9]+)?|accepted_wheel_torque)')
+_NODE_LOG = re.compile(r'(.*/)?(accepted_torque(_[0-9]+)?|accepted_wheel_torque|accepted_inertia)')
 
 
 def epochs(path: str | Path, recorded: Messages) -> list[Messages]:
@@ -81,7 +81,7 @@ def _start(path: str | Path, recorded: Messages, row: int) -> State:
     frame_id, values = recorded.names[recorded.frames[row]], recorded.values[row]
     try:
         if values.any():
-            raise ValueError(f'expected a wrench of zeros, found {values.tolist()}')
+            raise ValueError(f'expected zeros, found {values.tolist()}')
         return messages.epoch_start(int(recorded.stamps_ns[row]), frame_id)
     except ValueError as error:
         raise InputError(f'{path}: {recorded.topic}: message {recorded.before + row + 1}: marker '

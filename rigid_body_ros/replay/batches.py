@@ -30,6 +30,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns, NEVER_NS
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.changes import BodyLog
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS, stamps_of, TorqueLog
 from rigid_body_ros.propagation import Integration, Problem, Trajectory
@@ -90,6 +91,8 @@ class Batches:
     start : State
     is_epoch : bool
         Whether the start is that of an epoch of a node, which may have no torques.
+    changes : BodyLog, optional
+        Those of the body, if the torques are one piece.
 
     Attributes
     ----------
@@ -102,7 +105,8 @@ class Batches:
     """
 
     def __init__(self, request: Request, topics: str, streams: Sequence[Stream], start: State,
-                 is_epoch: bool) -> None:
+                 is_epoch: bool, changes: BodyLog | None = None) -> None:
+        self._changes = changes
         self._where, self._topics, self._request = f'{request.path}: {topics}', topics, request
         self.streams, self.start = streams, start
         stamps = [int(stream.piece.times_ns[0]) for stream in streams
@@ -159,7 +163,10 @@ class Batches:
         begin_ns = self._outputs.done_ns
         try:
             logs = self._logs(self._request.interpolation, begin_ns, until_ns)
-            numbers, times_of = self._outputs.up_to(stamps_of(logs), until_ns)
+            stamps_ns = stamps_of(logs)
+            if self._changes:
+                stamps_ns = np.union1d(stamps_ns, self._changes.times_ns)
+            numbers, times_of = self._outputs.up_to(stamps_ns, until_ns)
             for gaps, log in zip(self.gaps, logs):
                 gaps.add(log)
             limits = (begin_ns, self._outputs.done_ns), self._speed, self._request.scene
@@ -210,7 +217,7 @@ class Batches:
         body = [log for log, stream in zip(logs, self.streams) if not stream.on_rotors]
         wheels = [log for log, stream in zip(logs, self.streams) if stream.on_rotors]
         problem = self._request.scene.problem(self.start).replaced(
-            log=body, wheels=next(iter(wheels), None))
+            log=body, wheels=next(iter(wheels), None), changes=self._changes)
         motion = self._motions.get(interpolation)
         if motion:
             motion.extend(problem)

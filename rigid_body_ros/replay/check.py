@@ -13,19 +13,21 @@
 # limitations under the License.
 
 """
-Check a motion against the conservation laws: momentum, or work and energy.
+Check a motion against the conservation laws: momentum, energy, or work and energy.
 
 Also estimate how far a change of the last digits of the data moves a motion, with any solver.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.fields import GravityGradient, UniformField
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
 from rigid_body_ros.propagation import Problem, Trajectory
@@ -83,7 +85,8 @@ def last_digits(problem: Problem, trajectory: Trajectory) -> LastDigits | None:
     """
     begin_ns, end_ns = problem.start.time_ns, int(trajectory.times_ns[-1])
     speed = float(np.linalg.norm(trajectory.angular_velocity, axis=1).max())
-    covered_ns = end_ns - begin_ns
+    covered_ns = min(end_ns, problem.next_change_ns - 1) - begin_ns
+    problem = problem.with_first_body()
     stamps_ns = stamps_of(problem.sources)
     following = stamps_ns[stamps_ns > begin_ns][_SAMPLES - 1:_SAMPLES]
     if following.size:
@@ -108,11 +111,24 @@ def drift(problem: Problem, trajectory: Trajectory) -> Check:
     Return how much a motion with at least one output violates the conservation laws.
 
     Without a torque from outside, the angular momentum in space axes is constant; under torques in
-    space axes it follows their integral. Under torques in body axes, or damping, work and energy
-    are compared.
+    space axes it follows their integral. Under fields alone the integrals of `_integrals` are
+    constant. Under torques in body axes, damping, or fields and torques, work and energy are
+    compared. If the body changes, the motion up to the first change is checked.
     """
     seconds = float(trajectory.times_ns[-1] - problem.start.time_ns) * 1e-9
+    change_ns = problem.next_change_ns
+    if change_ns <= trajectory.times_ns[-1]:
+        times_ns = trajectory.times_ns[trajectory.times_ns < change_ns]
+        problem = problem.with_first_body()
+        part = problem.propagate(at=np.append(times_ns, change_ns - 1))
+        return drift(problem, part)._replace(total=seconds)
     acting, is_damped = [log for log in problem.logs if log.torques.any()], problem.body.is_damped
+    if problem.fields:
+        if not (problem.has_torque or is_damped):
+            integrals = _integrals(problem, trajectory)
+            if integrals:
+                return Check(f'relative drift of {integrals}', seconds, seconds)
+        return _balance(problem, trajectory, seconds)
     if not acting and not is_damped:
         momentum = trajectory.angular_momentum_space
         size = max(_norm(momentum[:1]), _norm(trajectory.rotor_momentum))
@@ -124,9 +140,50 @@ def drift(problem: Problem, trajectory: Trajectory) -> Check:
         return Check('space angular momentum and the integral of the torque differ by '
                      f'{_momentum_balance(problem, trajectory):.1e} of the largest '
                      'momentum', seconds, seconds)
+    return _balance(problem, trajectory, seconds)
+
+
+def _balance(problem: Problem, trajectory: Trajectory, seconds: float) -> Check:
     imbalance, covered = energy_balance(problem, trajectory)
     return Check(f'work and energy differ by {imbalance:.1e} of the largest energy', covered,
                  seconds)
+
+
+def _integrals(problem: Problem, trajectory: Trajectory) -> str:
+    """
+    Return the relative changes, as text, of what is constant under fields alone.
+
+    The energy, the potential included, under uniform fields; with it the momentum about their
+    direction if all are parallel (Lagrange). In orbit Jacobi's integral: the energy less the
+    momentum about the normal of the orbit times the mean motion. Empty for an orbit and uniform
+    fields together, under which nothing is.
+    """
+    start, body, fields = problem.start, problem.body, problem.fields
+    times_ns = np.append(start.time_ns, trajectory.times_ns)
+    attitude = np.vstack([start.attitude, trajectory.attitude])
+    rates = np.vstack([start.angular_velocity, trajectory.angular_velocity])
+    momentum = so3.rotate(attitude, body.angular_momentum(rates) + start.rotor_momentum)
+    energies = [body.kinetic_energy(rates), *(
+        one.potential_energy(body, times_ns, attitude) for one in fields)]
+    uniform = [one for one in fields if isinstance(one, UniformField)]
+    for one in fields:
+        if isinstance(one, GravityGradient):
+            energies.append(-one.mean_motion * (momentum @ np.asarray(one.normal)))
+            return '' if uniform else f"Jacobi's integral {_change(energies):.1e}"
+    found = f'the energy {_change(energies):.1e}'
+    directions = np.array([one.field for one in uniform])
+    if np.linalg.matrix_rank(directions / np.linalg.norm(directions, axis=1)[:, None]) > 1:
+        return found
+    along = momentum @ (directions[0] / np.linalg.norm(directions[0]))
+    largest = _norm(momentum)
+    about = float(np.abs(along - along[0]).max()) / (largest or 1.0)
+    return f'{found}, of the momentum about the field {about:.1e}'
+
+
+def _change(terms: Sequence[Floats]) -> float:
+    """Return the largest change of a sum from its first value, relative to its largest term."""
+    total, largest = np.sum(terms, axis=0), float(np.abs(terms).max())
+    return float(np.abs(total - total[0]).max()) / (largest or 1.0)
 
 
 def _momentum_balance(problem: Problem, trajectory: Trajectory) -> float:
@@ -195,7 +252,9 @@ def _interval_edges(problem: Problem, trajectory: Trajectory) -> NDArray[np.int6
     inside = changes[(changes > start_ns) & (changes < end_ns)]
     edges = np.concatenate([[start_ns], inside, [end_ns]])[:_MOST_INTERVALS + 1]
     lengths = np.diff(edges)
-    speed = _norm(trajectory.angular_velocity) + _linear_rate(trajectory)
+    least, _, largest = trajectory.body.principal_moments
+    speed = _norm(trajectory.angular_velocity) + _linear_rate(trajectory) + sum(
+        float(one.speed(least, largest)) for one in problem.fields)
     counts = np.ceil(lengths * 1e-9 * speed / _INTERVAL_ANGLE)
     counts = counts.clip(1, _MOST_INTERVALS).astype(int)
     counts = counts[:np.searchsorted(np.cumsum(counts), _MOST_INTERVALS) + 1]

@@ -174,8 +174,9 @@ def _steps(sizes: Floats, seconds: Floats, speed: float, scene: Scene) -> Floats
     """Return about how many steps the motion under each torque takes: one per radian."""
     options, body = scene.options, scene.body
     is_closed = options.record.closed_form_beyond < np.inf and not (
-        scene.has_rotors or body.is_damped)
+        scene.has_rotors or body.is_damped or scene.fields)
     moment, rate = body.principal_moments[0], speed
+    rate += sum(float(one.speed(moment, body.principal_moments[2])) for one in scene.fields)
     with np.errstate(over='ignore'):
         gain = np.clip(sizes / moment, _TINY, 1.0 / _TINY)
         if not body.is_damped:  # beyond the fastest speed, the motion ends with an error

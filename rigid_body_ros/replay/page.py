@@ -46,6 +46,7 @@ class PageCollector:
         self._motion = Extremes(13 if scene.has_rotors else 10)
         self._keys = EveryNth(moving_body.MOST)
         self._torques: list[ThinnedTorque] = []
+        self._field_torque = Extremes(3) if scene.fields else None
         self._start_ns: int | None = None
 
     def add(self, batch: Batch) -> None:
@@ -64,6 +65,9 @@ class PageCollector:
         self._motion.add(motion.times_ns, np.hstack(columns))
         for torque, log in zip(self._torques, problem.logs):
             torque.add(log, motion.times_ns)
+        if self._field_torque:
+            self._field_torque.add(motion.times_ns, problem.field_torque(motion.times_ns,
+                                                                         motion.attitude))
         chosen = self._keys.chosen(len(motion.times_ns))
         times_ns, attitude = motion.times_ns[chosen], motion.attitude[chosen]
         torques = problem.torque(times_ns, attitude)
@@ -96,6 +100,9 @@ class PageCollector:
                   Panel('angular velocity, body axes', 'rad/s', curves(7, style.RATES))]
         if self._scene.has_rotors:
             panels.append(Panel('rotor momentum, body axes', 'N m s', curves(10, style.MOMENTA)))
+        if self._field_torque:
+            panels.append(Panel(f'{style.FIELDS}, body axes', 'N m', [Curves.of(
+                self._field_torque, style.TORQUES, start_ns)]))
         names = style.torque_names(len(self._torques))
         return panels + [torque.panel(name, start_ns)
                          for torque, name in zip(self._torques, names)]

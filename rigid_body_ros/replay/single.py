@@ -136,7 +136,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
            rate: float | None = None, until: float | None = None, start: float = 0.0,
            time_source: str = 'header', also: Collection[str] = (), keep: bool | None = None,
            wheel_torque: str | None = None, wheel_momentum: str | None = None,
-           collect: Callable[[], Collector] | None = None) -> Replay:
+           inertia: str | None = None, collect: Callable[[], Collector] | None = None) -> Replay:
     """
     Compute the motion of a body from the torques of a recording.
 
@@ -181,6 +181,9 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
     wheel_momentum : str, optional
         Topic of the measured momentum of the rotors, which is linear between samples. The motion
         starts with the measured momentum.
+    inertia : str, optional
+        Topic of the inertia of a body that changes; by default inertia, if the scene has
+        inertia_topic and the recording has that topic. The recording is then read as a whole.
     collect : callable, optional
         Returns an object whose method `add` takes each `Batch` of the motion, or of the last
         epoch. It is called once more if the recording has to be read again.
@@ -198,7 +201,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
 
     """
     outputs.check_names(also)
-    given = Topics.given(topic, wheel_torque, wheel_momentum)
+    given = Topics.given(topic, wheel_torque, wheel_momentum, inertia)
     given.check(scene)
     keep = output is None if keep is None else keep
     request = Request(path, scene, interpolation or scene.interpolation, rate, until, also,
@@ -207,8 +210,9 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
         if output is not None:
             files.check((output, suffix_of(output)))
         topics = given.found_in(path, scene)
-        if start and (len(topics.wrenches) > 1 or topics.wheel_torque or topics.wheel_momentum):
-            raise InputError('--start: expected one topic of torques, found several, or rotors; '
+        if start and (len(topics.wrenches) > 1 or topics.wheel_torque or topics.wheel_momentum
+                      or topics.inertia):
+            raise InputError('--start: expected one topic, of torques, found several; '
                              'set start_time in the scene instead')
         copied = None
         if INPUT in also:
@@ -216,7 +220,7 @@ def replay(path: str | Path, scene: Scene, output: str | Path | None = None, *,
                 path, next(iter(topics.wrenches), topics.wheel_momentum), _KINDS,
                 preferred=topics.preferred))
             copied.check_copied(outputs.topics(request))
-        if not keep and not topics.wheel_momentum:
+        if not (keep or topics.wheel_momentum or topics.inertia):
             with suppress(NotInOrderError), Streams(
                     path, scene, topics, progress('replaying', size=len), time_source,
                     start) as streams:
@@ -252,9 +256,11 @@ def plot(path: str | Path, result: Replay, name: str) -> None:
     assert result.trajectory is not None
     assert result.problem is not None
     sequence = result.scene.euler_sequence
+    problem, motion = result.problem, result.trajectory
+    fields = problem.field_torque(motion.times_ns, motion.attitude) if problem.fields else None
     with files.atomic_output(path, '.png') as temporary:
-        figures.motion(temporary, result.trajectory, result.problem.logs, sequence,
-                       f'{name}: {result.topic}', result.scene.timeout_ns)
+        figures.motion(temporary, motion, problem.logs, sequence, f'{name}: {result.topic}',
+                       result.scene.timeout_ns, fields)
 
 
 def _pieces(request: Request, topics: Topics, streams: Streams) -> Sequence[Epoch]:
@@ -272,7 +278,7 @@ def _whole(request: Request, topics: Topics, epochs: Sequence[Logged]) -> Sequen
     return [(Replay(request.scene, request.interpolation, ', '.join(each.topics),
                     topics.wheel_source, each.messages, each.unordered, damage=each.damage),
              Batches(request, ', '.join(each.topics), whole(each), each.problem.start,
-                     each.is_epoch))
+                     each.is_epoch, each.problem.changes))
             for each in epochs]
 
 
@@ -349,9 +355,10 @@ def _update(result: Replay, batch: Batch) -> None:
 
 
 def _joined(batches: list[Batch]) -> Trajectory:
-    """Return the motion of all batches of one log, with the `models` of the last."""
+    """Return the motion of all batches of one log."""
     parts = [batch.trajectory for batch in batches]
     motion = [*(part.attitude.ravel() for part in parts),
               *(part.angular_velocity.ravel() for part in parts)]
     return replace(parts[-1], times_ns=np.concatenate([part.times_ns for part in parts]),
-                   _motion=np.concatenate(motion))
+                   _motion=np.concatenate(motion),
+                   _parts=tuple(use for part in parts for use in part._parts))

@@ -33,6 +33,7 @@ from rigid_body_ros.report.style import (
     COLOURS,
     ERRORS,
     euler_names,
+    FIELDS,
     MARKERS,
     MOMENTA,
     QUATERNION,
@@ -48,7 +49,8 @@ _POINTS = 20_000
 
 
 def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[TorqueLog],
-           sequence: str, title: str, timeout_ns: int = 0) -> None:
+           sequence: str, title: str, timeout_ns: int = 0,
+           fields: Floats | None = None) -> None:
     """
     Draw Euler angles, quaternion, angular velocity and torque over time into a PNG file.
 
@@ -68,6 +70,8 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
         Drawn literally: a $ does not start a formula.
     timeout_ns : int
         As for `TorqueLog.segments`.
+    fields : array, shape (m, 3), N m, body axes, optional
+        The torque of the fields at the times of the trajectory.
 
     Raises
     ------
@@ -79,7 +83,7 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
     start_ns, end_ns = int(trajectory.times_ns[0]), int(trajectory.times_ns[-1])
     seconds = (trajectory.times_ns[rows] - start_ns) * 1e-9
     logs, has_rotors = torque_logs(log), bool(trajectory.rotor_momentum.any())
-    count = 3 + has_rotors + len(logs)
+    count = 3 + has_rotors + len(logs) + (fields is not None)
     figure = Figure(figsize=(9.0, 2.5 * count), layout='constrained')
     figure.suptitle(literal(title))
     panels = figure.subplots(count, 1, sharex=True)
@@ -95,6 +99,9 @@ def motion(path: str | Path, trajectory: Trajectory, log: TorqueLog | Sequence[T
         label(panels[3].yaxis, 'rotor momentum,\nbody axes', 'N m s', momentum)
     for panel, log, name in zip(panels[3 + has_rotors:], logs, torque_names(len(logs))):
         _draw_torque(panel, log, name, start_ns, end_ns, timeout_ns)
+    if fields is not None:
+        _draw_curves(panels[-1], seconds, fields[rows], TORQUES)
+        label(panels[-1].yaxis, f'{FIELDS},\nbody axes', 'N m', fields[rows])
     figure.align_ylabels(panels)
     panels[-1].set_xlim(0.0, max(float(seconds[-1]), 1e-9))
     label(panels[-1].xaxis, 'time from the start', 's', np.append(seconds, 1e-9))
@@ -155,7 +162,7 @@ class Series(NamedTuple):
     values: Floats
 
 
-def errors(path: str | Path, panels: Sequence[Series], residual: Series | None,
+def errors(path: str | Path, panels: Sequence[Series], others: Sequence[Series],
            logs: Sequence[TorqueLog], horizons: Mapping[float, Floats], title: str,
            timeout_ns: int = 0) -> None:
     """
@@ -167,8 +174,8 @@ def errors(path: str | Path, panels: Sequence[Series], residual: Series | None,
         The PNG file, with any suffix; an existing file is overwritten.
     panels : sequence of Series
         Errors in body axes, at least one.
-    residual : Series, optional
-        Residual torque, drawn on a linear axis.
+    others : sequence of Series
+        Other torques in body axes, drawn on linear axes below those of the logs.
     logs : sequence of TorqueLog
         Drawn as by `motion`.
     horizons : dict
@@ -187,7 +194,7 @@ def errors(path: str | Path, panels: Sequence[Series], residual: Series | None,
     start_ns = min(int(panel.times_ns.min()) for panel in panels)
     end_ns = max(int(panel.times_ns.max()) for panel in panels)
     logs = [log for log in logs if len(log)]
-    shared = len(panels) + len(logs) + (residual is not None)
+    shared = len(panels) + len(logs) + len(others)
     count = shared + bool(horizons)
     figure = Figure(figsize=(9.0, 2.5 * count), layout='constrained')
     figure.suptitle(literal(title))
@@ -196,10 +203,10 @@ def errors(path: str | Path, panels: Sequence[Series], residual: Series | None,
         _draw_errors(row, panel, start_ns)
     for row, log, name in zip(rows[len(panels):], logs, torque_names(len(logs))):
         _draw_torque(row, log, name, start_ns, end_ns, timeout_ns)
-    if residual is not None:
-        seconds, values = _thinned(residual, start_ns)
-        _draw_curves(rows[shared - 1], seconds, values, TORQUES)
-        label(rows[shared - 1].yaxis, f'{residual.label},\nbody axes', residual.unit, values)
+    for row, one in zip(rows[len(panels) + len(logs):shared], others):
+        seconds, values = _thinned(one, start_ns)
+        _draw_curves(row, seconds, values, TORQUES)
+        label(row.yaxis, f'{one.label},\nbody axes', one.unit, values)
     for row in rows[:shared]:
         row.set_xlim(0.0, max(1e-9 * (end_ns - start_ns), 1e-9))
     rows[shared - 1].set_xlabel('time from the first measurement (s)')

@@ -35,7 +35,7 @@ from typing import Any
 from rigid_body_ros.report.charts import Panel
 from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.fingerprint import fingerprint
-from rigid_body_ros.scene import PARAMETERS, Scene
+from rigid_body_ros.scene import Scene
 
 _WEB = Path(__file__).with_name('web')
 #: Characters that could end a script or a line of one inside a JSON text.
@@ -142,8 +142,9 @@ def _facts(rows: Rows) -> str:
 def _origin(page: Page) -> Rows:
     rows = [('command', page.command)] if page.command else []
     if page.scene:
+        parameters = page.scene.parameters
         given = {name: value for name, value in page.scene.values.items()
-                 if name in PARAMETERS and value != PARAMETERS[name].default}
+                 if value != parameters[name].default}
         rows.append(('scene', ', '.join(f'{name}: {_cut(value)}' for name, value
                                         in given.items())))
     versions = {'Python': platform.python_version(), **fingerprint()}

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.propagation import Problem
 from rigid_body_ros.report import style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.thinning import Extremes
@@ -50,6 +51,16 @@ def torque_panels(logs: Sequence[TorqueLog], start_ns: int, end_ns: int,
         torque = ThinnedTorque(timeout_ns)
         torque.add(log, times)
         yield torque.panel(name, start_ns, SINCE_FIRST)
+
+
+def field_panels(problem: Problem, times_ns: NDArray[np.int64],
+                 start_ns: int) -> Iterator[Panel]:
+    """Generate a panel with the torque of the fields at ascending times, if there are any."""
+    if problem.fields:
+        times_ns = times_ns[::-(-len(times_ns) // _SAMPLES)]
+        torques = problem.field_torque(times_ns, problem.propagate(at=times_ns).attitude)
+        yield Panel(f'{style.FIELDS}, body axes', 'N m', [Curves.thinned(
+            times_ns, torques, style.TORQUES, start_ns)], SINCE_FIRST)
 
 
 class ThinnedTorque:

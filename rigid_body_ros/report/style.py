@@ -27,6 +27,8 @@ MARKERS = ('o', 's', '^', 'D', 'v', 'x')
 MARKED = (('p5', '5 %'), ('p50', 'median'), ('p95', '95 %'))
 QUATERNION = ('x', 'y', 'z', 'w')
 RATES, MOMENTA, TORQUES = ('ω₁', 'ω₂', 'ω₃'), ('h₁', 'h₂', 'h₃'), ('τ₁', 'τ₂', 'τ₃')
+#: The label of the torques that depend on the attitude.
+FIELDS = 'torque of the fields'
 ERRORS = ('|e|', '|e₁|', '|e₂|', '|e₃|')
 
 

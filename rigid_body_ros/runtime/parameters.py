@@ -125,6 +125,8 @@ def checked(parameter: Parameter, given: Any) -> Any:
     name, unit = parameter.name, f' ({parameter.unit})' if parameter.unit else ''
     kind = {float: 'a number', int: 'an integer', str: 'text',
             bool: 'true or false', list: 'a list of text'}[parameter.value_type]
+    if given is None and parameter.default == []:
+        return []
     if given is None:  # also what rclpy makes of an empty list
         raise InputError(f'{name}: expected {kind}{unit}, found none: {parameter.description}')
     value = float(given) if parameter.value_type is float and type(given) is int else given

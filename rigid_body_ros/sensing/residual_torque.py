@@ -31,6 +31,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import entries, Floats, symmetric
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.torque import TorqueLog
 from rigid_body_ros.propagation import Problem
 from rigid_body_ros.sensing.measured import Measured
@@ -87,7 +88,7 @@ def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None
     Return the torque that explains what a sensor measured, beyond the torques of a problem.
 
     J dw/dt - (J w + h) x w + D w + tau_wheel - tau with the measured w, each term averaged over
-    the window.
+    the window. tau has the torques of the fields, at the measured attitude.
 
     Parameters
     ----------
@@ -112,9 +113,11 @@ def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None
     if len(stamps_ns) <= 2 * window + 1:
         return None
     body, momenta = problem.body, problem.rotor_momentum(stamps_ns)
-    parts = [rates @ unit - _integral(seconds, np.cross(rates @ unit, rates)) for unit in _UNITS]
+    uniform, gradients = _of_fields(problem, stamps_ns, sensor)
+    parts = [rates @ unit - _integral(seconds, np.cross(rates @ unit, rates) + gradient)
+             for unit, gradient in zip(_UNITS, gradients)]
     known = momenta - _integral(seconds, np.cross(momenta, rates)) \
-        + _integral(seconds, rates @ body.damping)
+        + _integral(seconds, rates @ body.damping - uniform)
     logged = impulses(problem, stamps_ns, sensor)
     momentum = sum(entry * part for entry, part in zip(entries(body.inertia), parts)) \
         + known - logged
@@ -126,6 +129,22 @@ def residual_torque(problem: Problem, sensor: Measured) -> ResidualTorque | None
         stamps_ns[slopes.rows], slopes.values, np.sqrt(np.median(slopes.deviations ** 2, axis=0)),
         float(np.median(seconds[2 * window:] - seconds[:-2 * window])),
         _slopes(seconds, logged, window).values, of_inertia)
+
+
+def _of_fields(problem: Problem, stamps_ns: NDArray[np.int64],
+               sensor: Measured) -> tuple[Floats, Floats]:
+    """Return the torque of uniform fields, and the gravity gradient on a unit of each entry."""
+    uniform, gradients = np.zeros((len(stamps_ns), 3)), np.zeros((6, len(stamps_ns), 3))
+    if not problem.fields:
+        return uniform, gradients
+    attitude = _attitude(problem, stamps_ns, sensor)
+    for one in problem.fields:
+        if isinstance(one, UniformField):
+            uniform += one.torque(problem.body, stamps_ns, attitude)
+        else:
+            r = so3.rotate(so3.conjugate(attitude), one.directions(stamps_ns))
+            gradients += [3.0 * one.mean_motion ** 2 * np.cross(r, r @ unit) for unit in _UNITS]
+    return uniform, gradients
 
 
 def impulses(problem: Problem, stamps_ns: NDArray[np.int64], sensor: Measured) -> Floats:
@@ -158,12 +177,16 @@ def _in_body(problem: Problem, log: TorqueLog, times: NDArray[np.int64],
     torques, in_space = log.at(times, problem.options.timeout_ns)
     rows = np.flatnonzero(in_space)
     if rows.size:
-        if sensor.attitude is None:
-            attitude = problem.propagate(at=times[rows]).attitude
-        else:
-            attitude = _interpolated(sensor.stamps_ns, sensor.attitude, times[rows])
+        attitude = _attitude(problem, times[rows], sensor)
         torques[rows] = so3.rotate(so3.conjugate(attitude), torques[rows])
     return torques
+
+
+def _attitude(problem: Problem, times_ns: NDArray[np.int64], sensor: Measured) -> Floats:
+    """Return the measured attitude at times, else that of the motion."""
+    if sensor.attitude is None:
+        return problem.propagate(at=times_ns).attitude
+    return _interpolated(sensor.stamps_ns, sensor.attitude, times_ns)
 
 
 def _interpolated(stamps_ns: NDArray[np.int64], attitude: Floats,

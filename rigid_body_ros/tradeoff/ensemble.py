@@ -124,4 +124,5 @@ def _run_of(problem: Problem, runs: int, end_ns: int) -> Callable[..., object]:
                     start.rotor_momentum)
     logs = [problem.logs] * runs if len(problem.logs) > 1 else next(iter(problem.logs), None)
     return partial(propagate_many, bodies, starts, logs, at=[end_ns], wheels=problem.wheels,
+                   fields=problem.fields,
                    torque_timeout=problem.options.torque_timeout)

@@ -70,7 +70,7 @@ class Case:
 
     @property
     def torque_free(self) -> bool:
-        """Whether all torques are zero, those on the rotors included."""
+        """Whether all logged torques are zero, those on the rotors included."""
         return not self.problem.has_torque
 
     @property
@@ -79,9 +79,14 @@ class Case:
         return self.problem.body.is_damped or self.problem.has_rotors
 
     @property
+    def is_plain(self) -> bool:
+        """Whether there are neither rotors nor damping nor fields."""
+        return not (self.has_linear_terms or self.problem.fields)
+
+    @property
     def conserves(self) -> bool:
         """Whether the body keeps its momentum and its energy."""
-        return self.torque_free and not self.has_linear_terms
+        return self.torque_free and self.is_plain
 
     @property
     def samples(self) -> int:
@@ -98,7 +103,7 @@ class Case:
         return self.problem.solved_by(**options).propagate(at=self.times_ns)
 
     def in_principal_axes(self, max_step: float) -> Floats:
-        """Return attitudes computed by the series in principal axes, without linear terms."""
+        """Return attitudes computed by the series in principal axes, if the case is plain."""
         axes, given = PrincipalAxes(self.problem.body), self.problem
         problem = given.replaced(body=axes.body, start=axes.start(given.start),
                                  log=[*map(axes.log, given.logs)])
@@ -145,8 +150,8 @@ class Reference:
     trajectory : Trajectory
     floor : float, rad
         Largest difference between this motion and others that round differently: the series with
-        other steps and, without rotors and damping, in principal axes, and, without torque as
-        well, the closed form.
+        other steps and, without rotors, damping and fields, in principal axes, and, without
+        torque as well, the closed form.
     last_digits : float, rad
         How far a change of the last digits of inertia, torques and start moves the motion; see
         `last_digit_effect`.
@@ -170,7 +175,7 @@ class Reference:
         best, other = (case.run(solver='taylor', tolerance=TIGHTEST, max_step=share * step)
                        for share in (0.7, 0.4))
         motions = [best.attitude, plain.attitude, other.attitude]
-        if not case.has_linear_terms:
+        if case.is_plain:
             motions.append(case.in_principal_axes(0.55 * step))
         if case.conserves:
             motions.append(case.run(solver='exact').attitude)
@@ -185,13 +190,15 @@ def whole(problem: Problem, end_ns: int | None) -> Case:
     Raises
     ------
     ValueError
-        The body does not rotate and has no torques, or the end is not after the start.
+        The body does not rotate and has no torques or fields, or the end is not after the start.
 
     """
     start_ns = problem.start.time_ns
     speed = float(np.linalg.norm(problem.start.angular_velocity))
     stamps = stamps_of(problem.sources)
-    if not speed and not problem.has_torque:
+    least, _, largest = problem.body.principal_moments
+    fastest = speed + sum(float(one.speed(least, largest)) for one in problem.fields)
+    if not fastest and not problem.has_torque:
         raise ValueError('expected a nonzero initial angular velocity or torque, found neither')
     if end_ns is not None:
         end_ns = instant(end_ns, 'end_ns')
@@ -204,7 +211,7 @@ def whole(problem: Problem, end_ns: int | None) -> Case:
             raise ValueError('expected the last torque after the start of the motion, '
                              f'{start_ns} ns, found it at {end_ns} ns')
     else:
-        turns = min(TURNS * 2.0 * math.pi / speed, LONGEST)
+        turns = min(TURNS * 2.0 * math.pi / (speed or fastest), LONGEST)
         end_ns = start_ns + max(duration_ns(turns, 'end_ns'), 1)
     return Case(problem, _times(problem, end_ns))
 

@@ -12,12 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-Scenes: a body, its initial state and the options of a run, read from a ROS 2 parameter file.
-
-The node (declarations and descriptors) and the commands (scene files) share one table of
-parameters, so a file means the same to all of them.
-"""
+"""A scene: a body, its initial state and the options of a run, checked one by one and together."""
 
 from __future__ import annotations
 
@@ -33,100 +28,33 @@ from rigid_body_ros.common.errors import listed, quoted
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.mechanics import euler, urdf
 from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.frames import Frames
 from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.torque import INTERPOLATIONS
-from rigid_body_ros.propagation import LONGEST, Options, Problem, SOLVERS, TOLERANCES
+from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameter_file import node_parameters
-from rigid_body_ros.runtime.parameters import BIG, checked, is_foreign, Parameter, TINY, Value
+from rigid_body_ros.runtime.parameters import checked, is_foreign, Parameter, Value
+from rigid_body_ros.scene.fields import at_start, check_named, fields_of
+from rigid_body_ros.scene.parameters import (
+    ARRIVAL,
+    checked_fields,
+    HEADER,
+    LOCKSTEP,
+    OF_ROS,
+    PARAMETERS,
+    parameters_with,
+    QOS,
+)
 
 #: The name of the node whose parameters a scene file has.
 NODE = 'attitude_node'
-
-
-_MOMENT = 'moment of inertia about the centre of mass, body axes'
-_PRODUCT = 'off-diagonal entry of the inertia tensor, with the sign of the matrix as in URDF'
-_QUATERNION = 'initial attitude quaternion, body to space'
-_DAMPING = 'entry of the damping tensor D, body axes; the torque of the damping is -D w'
-_ROTORS = 'initial momentum of the rotors relative to the body, body axes'
-_VELOCITY = 'initial angular velocity, body axes'
 #: Accepted difference from 1 of the norm of a quaternion, for components with three digits.
 _UNIT = 1e-2
 #: rad/s; a faster body is a spinning top or a flywheel, or its rates are in degrees per second.
 _FAST = 10.0
-MODES = REALTIME, LOCKSTEP = 'realtime', 'lockstep'
-TIME_SOURCES = HEADER, ARRIVAL = 'header', 'arrival'
 #: A topic as ROS accepts it.
 _TOPIC = re.compile(r'(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*')
-TIME_JUMPS = RESET, REBASE, IGNORE = 'reset', 'rebase', 'ignore'
-
-PARAMETERS = {parameter.name: parameter for parameter in (
-    *(Parameter(f'inertia.{name}', None, 'kg m^2', _MOMENT, (TINY, BIG))
-      for name in ('ixx', 'iyy', 'izz')),
-    *(Parameter(f'inertia.{name}', 0.0, 'kg m^2', _PRODUCT, (-BIG, BIG))
-      for name in ('ixy', 'ixz', 'iyz')),
-    Parameter('robot_description', '', '', 'URDF text to read the inertia from, instead of '
-              'inertia.*, and the frames of forces'),
-    Parameter('link', '', '', 'link of robot_description whose inertia is used; empty: the only '
-              'link with an inertia'),
-    *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (0.0, BIG))
-      for name in ('dxx', 'dyy', 'dzz')),
-    *(Parameter(f'damping.{name}', 0.0, 'N m s/rad', _DAMPING, (-BIG, BIG))
-      for name in ('dxy', 'dxz', 'dyz')),
-    *(Parameter(f'initial_attitude.{name}', default, '', _QUATERNION, (-BIG, BIG))
-      for name, default in zip('xyzw', (0.0, 0.0, 0.0, 1.0))),
-    *(Parameter(f'initial_angular_velocity.{name}', 0.0, 'rad/s', _VELOCITY, (-1e9, 1e9))
-      for name in 'xyz'),
-    *(Parameter(f'initial_rotor_momentum.{name}', 0.0, 'N m s', _ROTORS, (-BIG, BIG))
-      for name in 'xyz'),
-    Parameter('start_time', 0, 'ns', 'time of the initial state; 0: the stamp of the first torque '
-              '(replay, lockstep) or the first valid clock reading (realtime); a running node '
-              'reports the value in use', (0, 2 ** 31 * 10 ** 9 - 1)),
-    Parameter('torque_topics', ['torque'], '', 'topics of the torques; the torques of several '
-              'topics add up'),
-    Parameter('wheels', False, '', 'whether the body has rotors with motors'),
-    Parameter('mode', REALTIME, '', 'realtime: publish the motion at publish_rate; lockstep: '
-              'reply to each torque, stamped t, with the state at t + step', choices=MODES),
-    Parameter('step', 0.001, 's', 'lockstep: time from the stamp of a torque to the state that '
-              'replies to it', (1e-9, LONGEST)),
-    Parameter('time_source', HEADER, '', 'when a torque takes effect: at the stamp in its header, '
-              'or on arrival (for bags played without --clock)', choices=TIME_SOURCES),
-    Parameter('solver', Options.solver, '', 'integration method', choices=SOLVERS),
-    Parameter('tolerance', Options.tolerance, '', 'bound on the truncation error of the attitude '
-              'per radian turned; rounding adds to it', TOLERANCES),
-    Parameter('max_step', 0.0, 's', 'longest step; required by the fixed-step solvers; 0: no '
-              'limit', (0.0, BIG)),
-    Parameter('interpolation', 'hold', '', 'torque between two samples; the node accepts only '
-              'hold, because it does not know the next sample', choices=INTERPOLATIONS),
-    Parameter('torque_timeout', Options.torque_timeout, 's', 'how long a sample is held; then the '
-              'torque is zero until the next sample; 0: hold for ever', (0.0, LONGEST)),
-    Parameter('history', 1.0, 's', 'how far the stamp of a torque may lie before the newest one; '
-              'older torques are rejected', (0.0, 3600.0)),
-    Parameter('max_future', 0.5, 's', 'how far the stamp of a torque may lie ahead of the clock; '
-              'torques further ahead are rejected; with simulated time they first wait 0.5 s for '
-              'the clock', (0.0, 3600.0)),
-    Parameter('on_time_jump', RESET, '', 'what to do when the clock jumps back, or ahead by more '
-              'than history: reset (start again), rebase (continue from the current state) or '
-              'ignore', choices=TIME_JUMPS),
-    Parameter('checkpoint', '', '', 'file in which the node keeps its last committed state, '
-              'written once a second and at the end; a node that finds it goes on from there; '
-              'empty: none'),
-    Parameter('stale_after', 1.0, 's', 'a source whose torque acts, and that has sent none for '
-              'longer, is a warning in diagnostics and in the log; 0: never', (0.0, LONGEST)),
-    Parameter('publish_clock', False, '', 'lockstep: publish the time of each state on /clock'),
-    Parameter('publish_tf', False, '', 'publish the attitude on /tf as well (needs tf2_msgs)'),
-    Parameter('publish_rate', 100.0, 'Hz', 'rate at which the motion is published; may change '
-              'while the node runs', (1e-3, 2000.0)),
-    Parameter('euler_sequence', 'ZXZ', '', 'axes of the Euler angles; upper case: intrinsic, '
-              'lower case: extrinsic'),
-    Parameter('space_frame', 'world', '', 'frame_id of the space axes'),
-    Parameter('body_frame', 'base_link', '', 'frame_id of the body axes, after frame_prefix'),
-    Parameter('frame_prefix', '', '', 'text before the frame_ids of the body and of the links of '
-              'robot_description, as of robot_state_publisher'),
-)}
-#: Parameters that ROS declares on every node, and that of a managed node; a dump contains them.
-_ROS, QOS = ('use_sim_time', 'start_type_description_service', 'autostart'), 'qos_overrides.'
 
 
 @dataclass(frozen=True)
@@ -169,11 +97,33 @@ class Scene:
     checkpoint, stale_after = Value[str](), Value[float]()
     publish_clock, publish_tf, publish_rate = Value[bool](), Value[bool](), Value[float]()
     euler_sequence, space_frame, wheels = Value[str](), Value[str](), Value[bool]()
+    inertia_topic = Value[bool]()
     frame_prefix = Value[str]()
 
     def __repr__(self) -> str:
         source = self.path.name if self.path else 'no file'
         return f"Scene({source}: {self.body}, {self.start}, solver '{self.solver}')"
+
+    @property
+    def inertia_change(self) -> str:
+        """Return what goes on when the inertia changes, see `BodyLog`."""
+        return str(self.values['inertia_change']).removeprefix('keep_')
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Return the parameters by full name, those of each uniform field included."""
+        return parameters_with(self.values['fields'])
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """Return the torques that depend on the attitude; an orbit has the start_time."""
+        return fields_of(self.values)
+
+    def fields_from(self, start_ns: int) -> tuple[Field, ...]:
+        """Return the same fields, with the position on the orbit at the start of a motion."""
+        moved = at_start(self.values, start_ns)
+        return fields_of({**self.values, **moved, 'start_time': start_ns}) \
+            if moved else self.fields
 
     @property
     def options(self) -> Options:
@@ -182,7 +132,9 @@ class Scene:
 
     def problem(self, start: State | None = None) -> Problem:
         """Return the problem of this scene without torques, from its start or another one."""
-        return Problem(self.body, start or self.start, **asdict(self.options))
+        start = start or self.start
+        return Problem(self.body, start, fields=self.fields_from(start.time_ns),
+                       **asdict(self.options))
 
     def starting_at(self, time_ns: int) -> State:
         """Return the initial state, at a time unless the scene has a start_time."""
@@ -237,12 +189,16 @@ class Scene:
             is out of range, or two values contradict each other.
 
         """
-        known = (*PARAMETERS, *_ROS)
+        fields = checked_fields(given)
+        table = parameters_with(fields)
+        known = (*table, *OF_ROS)
         ignored = tuple(name for name, value in given.items()
                         if not name.startswith(QOS) and is_foreign(name, value, known))
+        for name in ignored:
+            check_named(name, fields)
         given = {**given, **_inertia_of_robot(given)}
         values = {name: checked(parameter, given.get(name, parameter.default))
-                  for name, parameter in PARAMETERS.items()}
+                  for name, parameter in table.items()}
         try:
             start = State(values['start_time'], [*_group(values, 'initial_attitude').values()],
                           [*_group(values, 'initial_angular_velocity').values()],
@@ -255,7 +211,10 @@ class Scene:
 
     def _check(self) -> None:
         """Raise ValueError if values contradict each other."""
-        self.options.check_terms(self.body.is_damped, self.has_rotors)
+        self.options.check_terms(self.body.is_damped, self.has_rotors, bool(self.fields))
+        if self.checkpoint and self.values['orbit.mean_motion'] and not self.start.time_ns:
+            raise InputError('start_time: expected the time of orbit.position, ns, because a '
+                             'checkpoint does not keep it, found 0')
         _check_topics(self.torque_topics)
         euler.check_sequence(self.euler_sequence)
         for name in ('space_frame', 'body_frame', 'frame_prefix', 'checkpoint'):
@@ -263,6 +222,9 @@ class Scene:
         if self.space_frame == self.body_frame:
             raise InputError('space_frame, body_frame: expected different names, found '
                              f'{quoted(self.space_frame)} twice')
+        if self.inertia_topic and self.checkpoint:
+            raise InputError('checkpoint: expected none with inertia_topic, because a checkpoint '
+                             f'does not keep the inertia, found {quoted(self.checkpoint)}')
         if self.mode == LOCKSTEP and self.time_source == ARRIVAL:
             raise InputError(f'time_source: expected {HEADER!r}, because lockstep replies to '
                              f'stamps, found {ARRIVAL!r}')

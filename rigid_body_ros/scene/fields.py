@@ -1,0 +1,190 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The parameters of torques that depend on the attitude: uniform fields by name, and an orbit.
+
+The parameter `fields` names the uniform fields, and each name has parameters of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+import re
+from typing import Any
+
+import numpy as np
+from rigid_body_ros.common.arrays import written
+from rigid_body_ros.common.errors import InputError, listed, quoted
+from rigid_body_ros.mechanics.fields import Field, GravityGradient, UniformField
+from rigid_body_ros.runtime.parameters import BIG, Parameter
+
+#: The parameter that names the fields.
+FIELDS = 'fields'
+MOMENT, FIELD = 'moment', 'field'
+_UNIFORM = {MOMENT: ('kg m or A m^2', 'moment on which the field acts, body axes; of a weight: '
+                     'mass times centre of mass as seen from the pivot'),
+            FIELD: ('m/s^2 or T', 'the field, space axes')}
+ORBIT = 'orbit'
+_RATE, _POSITION, _NORMAL = f'{ORBIT}.mean_motion', f'{ORBIT}.position', f'{ORBIT}.normal'
+PARAMETERS = (
+    Parameter(FIELDS, [], '', 'names of uniform fields; each acts on a moment of the body by the '
+              'torque moment x field, and has the parameters NAME.moment and NAME.field'),
+    Parameter(_RATE, 0.0, 'rad/s', 'mean motion of a circular orbit with gravity gradient; 0: '
+              'none', (0.0, BIG)),
+    *(Parameter(f'{_POSITION}.{axis}', value, '', 'direction from the planet to the body at '
+                'start_time, or, if that is 0, at the start of each epoch, space axes',
+                (-BIG, BIG)) for axis, value in zip('xyz', (1.0, 0.0, 0.0))),
+    *(Parameter(f'{_NORMAL}.{axis}', value, '', 'normal of the orbit, about which the body '
+                'revolves, space axes', (-BIG, BIG))
+      for axis, value in zip('xyz', (0.0, 0.0, 1.0))),
+)
+_NAME = re.compile('[A-Za-z_][A-Za-z0-9_]*')
+_OF_FIELD = re.compile(f'(.+)[.]({MOMENT}|{FIELD})[.][xyz]')
+
+
+def of_names(names: Iterable[str]) -> dict[str, Parameter]:
+    """Return the parameters of uniform fields with these names, by full name."""
+    return {parameter.name: parameter for name in names
+            for group, (unit, text) in _UNIFORM.items() for parameter in (
+                Parameter(f'{name}.{group}.{axis}', 0.0, unit, text, (-BIG, BIG))
+                for axis in 'xyz')}
+
+
+def check_names(names: Iterable[Any], others: Collection[str]) -> None:
+    """
+    Check the names of uniform fields.
+
+    Parameters
+    ----------
+    names : iterable
+        The value of the parameter `fields`.
+    others : collection of str
+        The names of all other parameters.
+
+    Raises
+    ------
+    InputError
+        A name is not an identifier, is given twice, or other parameters begin with it.
+
+    """
+    taken, known = {name.split('.')[0] for name in others}, set[str]()
+    for name in names:
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            raise InputError(f'{FIELDS}: expected names of letters, digits and _, found '
+                             f'{quoted(name)}')
+        if name in taken:
+            raise InputError(f'{FIELDS}: expected a name with which no other parameter begins, '
+                             f'found {name!r}')
+        if name in known:
+            raise InputError(f'{FIELDS}: expected each name once, found {name!r} twice')
+        known.add(name)
+
+
+def check_named(key: str, names: Collection[str]) -> None:
+    """Raise InputError if an unknown parameter is that of a field which is not named."""
+    found = _OF_FIELD.fullmatch(key)
+    if found:
+        raise InputError(f'{key}: expected {quoted(found[1])} among the names in {FIELDS}, found '
+                         f'{listed(names)}')
+
+
+def fields_of(values: Mapping[str, Any]) -> tuple[Field, ...]:
+    """
+    Return what the parameters of a scene state.
+
+    An orbit has the time `start_time`, or none if that is 0.
+
+    Raises
+    ------
+    InputError
+        A field or a moment is zero, or the directions of the orbit are not possible.
+
+    """
+    found: list[Field] = [UniformField(_vector(values, f'{name}.{MOMENT}'),
+                                       _vector(values, f'{name}.{FIELD}'), name)
+                          for name in values[FIELDS]]
+    if not values[_RATE]:
+        return tuple(found)
+    position, normal = ([values[f'{group}.{axis}'] for axis in 'xyz']
+                        for group in (_POSITION, _NORMAL))
+    try:
+        orbit = GravityGradient(values[_RATE], position, normal, values['start_time'] or None)
+    except ValueError as error:
+        raise InputError(f'orbit: {error}'.replace(' of an orbit', '')) from error
+    return (*found, orbit)
+
+
+def moment_unit() -> str:
+    """Return the unit of the moment of a field."""
+    return _UNIFORM[MOMENT][0]
+
+
+def described(values: Mapping[str, Any]) -> list[str]:
+    """Return a line for each field of a scene."""
+    found = []
+    for name in values[FIELDS]:
+        moment, field = (written(np.array(_vector(values, f'{name}.{group}')))
+                         for group in (MOMENT, FIELD))
+        found.append(f'{name}: moment {moment} in body axes, field {field} in space axes')
+    if values[_RATE]:
+        found.append(f'gravity gradient: mean motion {values[_RATE]:.9g} rad/s')
+    return found
+
+
+def values_of(one: Field) -> dict[str, float]:
+    """Return the values of a field by key; none of a uniform field without a name."""
+    if isinstance(one, GravityGradient):
+        vectors = {_POSITION: one.position, _NORMAL: one.normal}
+        return {_RATE: one.mean_motion, **_components(vectors)}
+    return _components({f'{one.name}.{MOMENT}': one.moment, f'{one.name}.{FIELD}': one.field}) \
+        if one.name else {}
+
+
+def with_values(one: Field, values: Mapping[str, float]) -> Field:
+    """Return a field with other values, by key; raise ValueError if they are not possible."""
+    found = {**values_of(one), **values}
+    if isinstance(one, GravityGradient):
+        position, normal = ([found[f'{group}.{axis}'] for axis in 'xyz']
+                            for group in (_POSITION, _NORMAL))
+        return GravityGradient(found[_RATE], position, normal, one.time_ns)
+    moment, field = ([found[f'{one.name}.{group}.{axis}'] for axis in 'xyz']
+                     for group in (MOMENT, FIELD))
+    return UniformField(moment, field, one.name)
+
+
+def at_start(values: Mapping[str, Any], time_ns: int) -> dict[str, float]:
+    """
+    Return the position on the orbit, by key, of a motion that starts at another time.
+
+    Nothing is returned if there is no orbit, or if the position is that at the start anyway.
+    """
+    begin_ns = values['start_time']
+    orbits = [one for one in fields_of(values) if isinstance(one, GravityGradient)]
+    if not orbits or begin_ns in (0, time_ns):
+        return {}
+    position, = orbits[0].directions(np.array([time_ns])).tolist()
+    return {f'{_POSITION}.{axis}': value for axis, value in zip('xyz', position)}
+
+
+def _components(vectors: Mapping[str, Any]) -> dict[str, float]:
+    return {f'{group}.{axis}': float(value) for group, vector in vectors.items()
+            for axis, value in zip('xyz', vector)}
+
+
+def _vector(values: Mapping[str, Any], group: str) -> list[float]:
+    vector = [values[f'{group}.{axis}'] for axis in 'xyz']
+    if not any(vector):
+        raise InputError(f'{group}: expected {group}.x, .y or .z other than 0, found zeros')
+    return vector
