@@ -111,10 +111,10 @@ def about_x(angle):
 
 
 @pytest.mark.parametrize(('angle', 'rate', 'near_the_top'), [
-    (0.3, 0.1, False), (2.5, -0.5, False), (1.0, -3.0, False), (0.2, 20.0, False),
+    (0.3, 0.1, False), (2.5, -0.5, True), (1.0, -3.0, False), (0.2, 20.0, False),
     (0.2, -20.0, False), (-2.0, 2.0, False), (3.0, 1e-3, True)])
 def test_a_plane_pendulum_swings_and_goes_round(angle, rate, near_the_top, fifty_digits):
-    # The last one nearly stands on its head, and magnifies a change of its start in the plane.
+    # Two come near the top, where they magnify a change of their start in the plane.
     body = RigidBody([[1.5, 0.0, 0.0], [0.0, 2.0, 0.3], [0.0, 0.3, 2.5]])
     problem = Problem(body, State(0, about_x(angle), (rate, 0.0, 0.0)),
                       fields=[UniformField((0.0, 0.1, -0.3), (0.0, 3.0, -9.0))])
