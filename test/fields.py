@@ -271,12 +271,14 @@ def momentum_along(problem, motion):
                      np.linalg.norm(momentum, axis=1).max())
 
 
+@mp.workdps(30)
 def jacobi_integral(problem, motion):
     """
-    Return the energy as seen from the orbit, J: Jacobi's integral, computed with mpmath.
+    Return the energy as seen from the orbit, J: Jacobi's integral, computed with 30 digits.
 
     It is T - n (normal . L) + V, with the kinetic energy T, the momentum L in space axes, and the
-    potential V of the gravity gradient, the only field.
+    potential V of the gravity gradient, the only field. Double precision would round the angle of
+    the orbit.
     """
     orbit, = problem.fields
     tensor, n = truth.exact(problem.body.inertia), mp.mpf(orbit.mean_motion)

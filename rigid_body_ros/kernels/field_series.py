@@ -28,6 +28,7 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.kernels import euler_equations, fields, four
+from rigid_body_ros.kernels.double_double import DoubleDouble
 from rigid_body_ros.kernels.euler_equations import Products
 from rigid_body_ros.kernels.jit import inlined, internal, optional
 from rigid_body_ros.kernels.linear_terms import add_product, from_columns, times_cross
@@ -65,8 +66,8 @@ class StepFields(NamedTuple):
 
     #: Of fields.FIELDS, shape (1,).
     fields: NDArray[Any]
-    #: Time of the beginning of the step, see `fields.seconds_at`.
-    seconds: float
+    #: Angle of the orbit at the beginning of the step, see `fields.angle_at`.
+    angle: DoubleDouble
     #: The terms of the vectors, and the matrices.
     vectors: Floats
 
@@ -102,9 +103,9 @@ def prepared(found: NDArray[Any], work: Floats, coefficients: Coefficients) -> F
 
 
 @optional
-def of_step(found: NDArray[Any], seconds: float, work: Floats) -> StepFields:
+def of_step(found: NDArray[Any], angle: DoubleDouble, work: Floats) -> StepFields:
     """Return the fields of a step, with series that are not yet filled; None without fields."""
-    return StepFields(found, seconds, work)
+    return StepFields(found, angle, work)
 
 
 @inlined
@@ -130,13 +131,13 @@ def begin(step: StepFields | None, state: KernelState, coefficients: Coefficient
     """
     if step is None:
         return 0.0
-    found, seconds, vectors = step
+    found, angle, vectors = step
     q, total = state[1], four.broadcast(0.0)
     for i in range(found[0].count):
         store_permuted(vectors, PERMUTED * i, to_body(q, fields.field(found, i)))
         total = _add_uniform(total, step, 0, i, 1.0, coefficients, form)
     if found[0].mean_motion != 0.0:
-        position, along = fields.orbit_at(found, seconds)
+        position, along = fields.orbit_at(found, angle)
         place = PERMUTED * found[0].count
         store_permuted(vectors, place, to_body(q, position))
         store_permuted(vectors, place + PERMUTED, to_body(q, along))

@@ -29,7 +29,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.kernels import elementary, euler_equations, four
+from rigid_body_ros.kernels.double_double import DoubleDouble, two_product, two_sum
 from rigid_body_ros.kernels.jit import inlined, internal, record
+from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.vector import (
     add,
     add_scaled,
@@ -80,17 +82,34 @@ def _vector(values: Any, start: int) -> Vector:
 
 
 @inlined
-def seconds_at(fields: NDArray[Any] | None, time_ns: int) -> float:
-    """Return the time, s, since the one at which the position on the orbit is given."""
+def angle_at(fields: NDArray[Any] | None, time_ns: int) -> DoubleDouble:
+    """
+    Return the angle, rad, by which the orbit has turned since its position is given.
+
+    After many turns, a rounded angle would shake the orbit: the energy of the body would grow.
+    """
     if fields is None:
-        return 0.0
-    return (time_ns - fields[0].time_ns) / 1e9
+        return 0.0, 0.0
+    past_ns = time_ns - fields[0].time_ns
+    seconds = past_ns // 1_000_000_000
+    high, low = two_product(fields[0].mean_motion, float(seconds))
+    return turned_on((high, low), fields[0].mean_motion,
+                     (past_ns - seconds * 1_000_000_000) / 1e9)
+
+
+@inlined
+def turned_on(angle: DoubleDouble, rate: float, seconds: float) -> DoubleDouble:
+    """Return the angle after some seconds, few enough that the turn in them may be rounded."""
+    high, low = two_sum(angle[0], rate * seconds)
+    return high, low + angle[1]
 
 
 @internal
-def orbit_at(fields: NDArray[Any], seconds: float) -> tuple[Vector, Vector]:
-    """Return the unit vectors to the body and along the orbit, space axes; see `seconds_at`."""
-    sine, cosine = elementary.sine_cosine(fields[0].mean_motion * seconds)
+def orbit_at(fields: NDArray[Any], angle: DoubleDouble) -> tuple[Vector, Vector]:
+    """Return the unit vectors to the body and along the orbit, space axes; see `angle_at`."""
+    high, low = angle
+    sine, cosine = elementary.sine_cosine(high)
+    sine, cosine = fma(low, cosine, sine), fma(-low, sine, cosine)
     position, along = _vector(fields[0].position, 0), _vector(fields[0].along, 0)
     return (add_scaled(scale(cosine, position), sine, along),
             add_scaled(scale(cosine, along), -sine, position))
@@ -120,9 +139,9 @@ def acceleration_bound(fields: NDArray[Any] | None, coefficients: Coefficients) 
 
 
 @internal
-def acceleration(fields: NDArray[Any], seconds: float, q: Quaternion,
+def acceleration(fields: NDArray[Any], angle: DoubleDouble, q: Quaternion,
                  coefficients: Coefficients) -> Vector:
-    """Return the acceleration by fields, rad/s^2, body axes; see `seconds_at`."""
+    """Return the acceleration by fields, rad/s^2, body axes; see `angle_at`."""
     torque = four.broadcast(0.0)
     for i in range(fields[0].count):
         torque = add(torque, cross(moment(fields, i), to_body(q, field(fields, i))))
@@ -130,6 +149,6 @@ def acceleration(fields: NDArray[Any], seconds: float, q: Quaternion,
     rate = fields[0].mean_motion
     if rate == 0.0:
         return total
-    r = to_body(q, orbit_at(fields, seconds)[0])
+    r = to_body(q, orbit_at(fields, angle)[0])
     return add_scaled(total, -3.0 * rate * rate, euler_equations.gyroscopic_acceleration(
         coefficients, euler_equations.FULL, euler_equations.products(r, r)))

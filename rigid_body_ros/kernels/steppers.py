@@ -27,8 +27,8 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 from rigid_body_ros.kernels import elementary, fields, four
+from rigid_body_ros.kernels.double_double import DoubleDouble
 from rigid_body_ros.kernels.jit import inlined, internal
-from rigid_body_ros.kernels.lanes import fma
 from rigid_body_ros.kernels.linear_terms import Matrix, Momentum, product
 from rigid_body_ros.kernels.tableau import Tableau
 from rigid_body_ros.kernels.vector import (
@@ -70,10 +70,10 @@ class StageLoads(NamedTuple):
     damping: Matrix
     #: N m, in the fraction of the step.
     space_torque: Polynomial
-    #: See `fields.FIELDS`; None without. The time of the step, see `fields.seconds_at`, and its
-    #: length, s.
+    #: See `fields.FIELDS`; None without. The angle of the orbit at the beginning of the step, see
+    #: `fields.angle_at`, and the length of the step, s.
     fields: NDArray[Any] | None
-    field_seconds: float
+    field_angle: DoubleDouble
     seconds: float
 
 
@@ -175,8 +175,8 @@ def _add_fields(value: Vector, q: Quaternion, fraction: float, equations: Coeffi
                 loads: StageLoads, found: NDArray[Any] | None) -> Vector:
     if found is None:
         return value
-    seconds = fma(fraction, loads.seconds, loads.field_seconds)
-    return add(value, fields.acceleration(found, seconds, _unit(q), equations))
+    angle = fields.turned_on(loads.field_angle, found[0].mean_motion, fraction * loads.seconds)
+    return add(value, fields.acceleration(found, angle, _unit(q), equations))
 
 
 @internal

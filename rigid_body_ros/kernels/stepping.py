@@ -219,7 +219,7 @@ def _stage_loads(loads: Loads, now: LocalLoads, drive: Drive, grid_ns: int,
     return steppers.StageLoads(
         (a, vector.scale(ratio, b), vector.scale(square, c), vector.scale(square * ratio, d),
          vector.scale(square * square, e)), loads.constants.damping.matrix, space, loads.fields,
-        fields.seconds_at(loads.fields, grid_ns), seconds)
+        fields.angle_at(loads.fields, grid_ns), seconds)
 
 
 @optional
@@ -235,7 +235,7 @@ def _series(loads: Loads, now: LocalLoads, stage: steppers.StageLoads,
     changes = one, two, three, four
     return taylor.SeriesLoads(linear_terms.scaled(now.linear, seconds), changes,
                               loads.linear_degree, stage.space_torque, loads.space_degree,
-                              field_series.of_step(loads.fields, stage.field_seconds,
+                              field_series.of_step(loads.fields, stage.field_angle,
                                                    now.field_work))
 
 

@@ -154,9 +154,16 @@ class GravityGradient:
     def directions(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the unit vectors from the planet to the body, space axes, shape (m, 3)."""
         assert self.time_ns is not None, 'the orbit has no time'
-        sines, cosines = sines_cosines(
-            self.mean_motion * ((times_ns - self.time_ns) / 1e9)[:, None])
-        return cosines * np.asarray(self.position) + sines * self.along
+        # The rate is split such that its product with whole seconds is exact: after many turns, a
+        # rounded angle would be off by more than the attitude is.
+        mantissa, exponent = math.frexp(self.mean_motion)
+        rate = math.ldexp(round(math.ldexp(mantissa, 24)), exponent - 24)
+        seconds, rest_ns = np.divmod(times_ns - self.time_ns, 10 ** 9)
+        sine, cosine = sines_cosines(rate * seconds)
+        rest = (self.mean_motion - rate) * seconds + self.mean_motion * (rest_ns / 1e9)
+        more_sine, more_cosine = sines_cosines(rest)
+        return ((cosine * more_cosine - sine * more_sine)[:, None] * np.asarray(self.position)
+                + (sine * more_cosine + cosine * more_sine)[:, None] * self.along)
 
     def torque(self, body: RigidBody, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
         """Return the torque, N m, body axes, at times and attitudes, shape (m, 3)."""
