@@ -23,7 +23,8 @@
 #include <stdint.h>
 #include <string.h>
 
-enum { DIMENSIONS = 4, LEAVES = 32, VARIABLES = 26, RESULTS = 4 };
+/* Of the variables in dimensions, the last is the number of lanes. */
+enum { DIMENSIONS = 4, LEAVES = 32, VARIABLES = 27, RESULTS = 4, LEVELS = 3 };
 
 /* A leaf of the arguments, as a kernel takes it. A number is in shape[0]. */
 typedef struct { void *data; int64_t shape[DIMENSIONS]; } slot;
@@ -37,13 +38,17 @@ typedef struct {
   dimension dimensions[DIMENSIONS];
   const char *label, *expected;
 } part;
-typedef struct { const part *parts; kernel *const calls[2]; } signature;
+typedef struct { const part *parts; kernel *const calls[LEVELS]; } signature;
 typedef struct {
   const char *name, *results;
   int arguments, count;
   const signature *signatures;
 } entry;
 #include "table.h"
+enum { ENTRIES = sizeof entries / sizeof *entries, LEVEL_COUNT = sizeof levels / sizeof *levels };
+
+/* A kernel at a level, as Python calls it. */
+typedef struct { const entry *entry; int level; PyMethodDef definition; } callable;
 
 /* The mismatch of the signature whose arguments fit furthest; None is what is expected last. */
 typedef struct { PyObject *kind; const part *expected; PyObject *found; int reached; } mismatch;
@@ -167,10 +172,10 @@ static PyObject *describe(PyObject *found) {
   return text;
 }
 
-static PyObject *call_level(PyObject *self, PyObject *const *arguments, Py_ssize_t count,
-                            int level) {
-  const entry *e = PyCapsule_GetPointer(self, NULL);
-  if (!e) return NULL;
+static PyObject *call(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
+  const callable *called = PyCapsule_GetPointer(self, NULL);
+  if (!called) return NULL;
+  const entry *e = called->entry;
   if (count != e->arguments)
     return PyErr_Format(PyExc_TypeError, "%s: expected %d arguments, found %zd", e->name,
                         e->arguments, count);
@@ -179,10 +184,11 @@ static PyObject *call_level(PyObject *self, PyObject *const *arguments, Py_ssize
     slot slots[LEAVES];
     reader r = {e->signatures[j].parts, slots, {0}, &worst};
     memset(r.variables, -1, sizeof r.variables);
+    r.variables[VARIABLES - 1] = levels[called->level].lanes;
     int reached = 0;
     Py_ssize_t k = 0;
     while (k < count && read_part(&r, arguments[k], &reached)) k++;
-    if (k == count) return run(e, e->signatures[j].calls[level], slots);
+    if (k == count) return run(e, e->signatures[j].calls[called->level], slots);
   }
   PyObject *found = describe(worst.found);
   if (found)
@@ -192,17 +198,13 @@ static PyObject *call_level(PyObject *self, PyObject *const *arguments, Py_ssize
   return NULL;
 }
 
-static PyObject *call_first(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
-  return call_level(self, arguments, count, 0);
-}
-
-static PyObject *call_second(PyObject *self, PyObject *const *arguments, Py_ssize_t count) {
-  return call_level(self, arguments, count, 1);
-}
-
 static int has_level(const char *level) {
 #ifdef __x86_64__
-  __builtin_cpu_init();
+  __builtin_cpu_init();  /* with what the operating system saves of the registers */
+  if (!strcmp(level, "x86-64-v4"))
+    return has_level("x86-64-v3") && __builtin_cpu_supports("avx512f")
+        && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq")
+        && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512cd");
   if (!strcmp(level, "x86-64-v3"))
     return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")
         && __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2");
@@ -213,20 +215,20 @@ static int has_level(const char *level) {
 
 static PyObject *kernels_of(PyObject *module, PyObject *level) {
   (void)module;
-  static PyMethodDef definitions[2][sizeof entries / sizeof *entries];
+  static callable callables[LEVEL_COUNT][ENTRIES];
   const char *name = PyUnicode_AsUTF8(level);
   if (!name) return NULL;
   int place = 0;
-  while (place < LEVEL_COUNT && strcmp(levels[place], name)) place++;
+  while (place < LEVEL_COUNT && strcmp(levels[place].name, name)) place++;
   if (place == LEVEL_COUNT || !has_level(name))
     return PyErr_Format(PyExc_ValueError, "this processor or module has no kernels for %U", level);
   PyObject *found = PyDict_New();
-  for (size_t j = 0; found && j < sizeof entries / sizeof *entries; j++) {
-    definitions[place][j] = (PyMethodDef){
-        entries[j].name, (PyCFunction)(void (*)(void))(place ? call_second : call_first),
-        METH_FASTCALL, NULL};
-    PyObject *self = PyCapsule_New((void *)&entries[j], NULL, NULL);
-    PyObject *function = self ? PyCFunction_New(&definitions[place][j], self) : NULL;
+  for (int j = 0; found && j < ENTRIES; j++) {
+    callable *one = &callables[place][j];
+    *one = (callable){&entries[j], place, {
+        entries[j].name, (PyCFunction)(void (*)(void))call, METH_FASTCALL, NULL}};
+    PyObject *self = PyCapsule_New(one, NULL, NULL);
+    PyObject *function = self ? PyCFunction_New(&one->definition, self) : NULL;
     Py_XDECREF(self);
     if (!function || PyDict_SetItemString(found, entries[j].name, function)) Py_CLEAR(found);
     Py_XDECREF(function);
@@ -243,17 +245,21 @@ static struct PyModuleDef module = {
 
 PyMODINIT_FUNC PyInit__compiled(void) {
   import_array();
-  PyObject *m = PyModule_Create(&module), *usable = PyTuple_New(0);
-  for (int k = 0; m && usable && k < LEVEL_COUNT; k++)
-    if (has_level(levels[k])) {
-      PyObject *one = Py_BuildValue("(s)", levels[k]);
+  PyObject *m = PyModule_Create(&module), *usable = PyTuple_New(0), *lanes = PyDict_New();
+  for (int k = 0; m && usable && lanes && k < LEVEL_COUNT; k++) {
+    PyObject *number = PyLong_FromLong(levels[k].lanes);
+    if (!number || PyDict_SetItemString(lanes, levels[k].name, number)) Py_CLEAR(lanes);
+    Py_XDECREF(number);
+    if (has_level(levels[k].name)) {
+      PyObject *one = Py_BuildValue("(s)", levels[k].name);
       PyObject *more = one ? PySequence_Concat(usable, one) : NULL;
       Py_XDECREF(one);
       Py_SETREF(usable, more);
     }
-  if (!m || !usable || PyModule_AddStringConstant(m, "FILES", FILES)
+  }
+  if (!m || !usable || !lanes || PyModule_AddStringConstant(m, "FILES", FILES)
       || PyModule_AddStringConstant(m, "SOURCES", SOURCES)
-      || PyModule_AddObject(m, "LEVELS", usable)) {
+      || PyModule_AddObject(m, "LEVELS", usable) || PyModule_AddObject(m, "LANES", lanes)) {
     Py_XDECREF(m);
     return NULL;
   }

@@ -28,20 +28,20 @@ import subprocess
 import sys
 from tempfile import TemporaryDirectory
 
+from levels import MACHINES
 from setuptools import Extension
 from setuptools.command.build_ext import build_ext
 from setuptools.errors import CompileError
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
-#: The processor levels that a machine may have, best first.
-LEVELS = {'x86_64': ['x86-64-v3', 'x86-64-v2'], 'aarch64': ['aarch64']}
 #: The generated code that a source archive carries.
 CARRIED = HERE / 'generated'
 #: A product and a sum of the boundary's own would be rounded once.
 FLAGS = ['-std=c11', '-ffp-contract=off', '-fvisibility=hidden']
 #: What the generated code depends on, besides the kernels.
-_GENERATOR = ('four', 'generate', 'jit', 'lanes', 'machine_code', 'modules', 'signatures')
+_GENERATOR = ('four', 'generate', 'jit', 'lanes', 'levels', 'machine_code', 'modules',
+              'signatures')
 #: The versions of numba whose internals the build step knows, and what needs them unless the code
 #: is there.
 _TESTED = (0, 61), (0, 69)
@@ -72,8 +72,8 @@ def generate(machine: str) -> Path:
     folder = generated(machine)
     if folder.is_dir():
         return folder
-    if machine not in LEVELS:
-        raise CompileError(f"expected a processor of {', '.join(LEVELS)}, found {machine}")
+    if machine not in MACHINES:
+        raise CompileError(f"expected a processor of {', '.join(MACHINES)}, found {machine}")
     found = version('numba') if util.find_spec('numba') else 'none'
     if found == 'none' or not _TESTED[0] <= tuple(map(int, found.split('.')[:2])) < _TESTED[1]:
         raise CompileError(f'generating the kernels takes numba, found {found}: '
@@ -85,7 +85,7 @@ def generate(machine: str) -> Path:
         written = Path(partial, machine)
         written.mkdir()
         if subprocess.run([sys.executable, HERE / 'generate.py', written,
-                           *LEVELS[machine]]).returncode:
+                           *MACHINES[machine]]).returncode:
             raise CompileError('the kernels could not be generated; the error stands above')
         if not folder.is_dir():  # another build may have been faster
             shutil.move(written, folder)

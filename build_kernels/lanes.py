@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable
 import math
 import operator
+import os
 from typing import Any
 
 from llvmlite import ir
@@ -27,8 +28,8 @@ from numba.core.cgutils import alloca_once, get_or_insert_function
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-#: Bodies in a step. No result depends on it; 8, for AVX-512, were no faster where measured.
-LANES = 4
+#: Bodies in a step, see `levels.Level`.
+LANES = int(os.environ['LANES'])
 
 
 class Lanes(types.Type):

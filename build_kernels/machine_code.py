@@ -23,9 +23,9 @@ is linked into one module, which LLVM optimises once for each level.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
+from levels import Level
 from llvmlite import ir
 import llvmlite.binding as llvm
 from numba.core import cgutils, codegen, types
@@ -34,20 +34,6 @@ from numba.core.registry import cpu_target
 from numba.core.runtime.context import NRTContext
 from numba.np.arrayobj import populate_array
 from signatures import DIMENSIONS, Part
-
-
-@dataclass(frozen=True)
-class Level:
-    """A processor level: its triple, its name in LLVM, and the end of the names of its code."""
-
-    triple: str
-    processor: str
-    suffix: str
-
-
-LEVELS = {'x86-64-v3': Level('x86_64-unknown-linux-gnu', 'x86-64-v3', '_v3'),
-          'x86-64-v2': Level('x86_64-unknown-linux-gnu', 'x86-64-v2', '_v2'),
-          'aarch64': Level('aarch64-unknown-linux-gnu', 'generic', '')}
 
 _CONTEXT = cpu_target.target_context
 _I64 = ir.IntType(64)

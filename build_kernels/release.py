@@ -28,14 +28,15 @@ import sys
 import tarfile
 import xml.etree.ElementTree as ElementTree
 
-from extension import CARRIED, generate, LEVELS, ROOT
+from extension import CARRIED, generate, ROOT
+from levels import MACHINES
 
 
 def main() -> None:
     """Write the archive; exit with a message if files differ from what is committed."""
     if subprocess.run(['git', 'diff', '--quiet', 'HEAD'], cwd=ROOT).returncode:
         sys.exit('release: expected no changes since the last commit: git status lists them')
-    folders = [generate(machine) for machine in LEVELS]
+    folders = [generate(machine) for machine in MACHINES]
     version = ElementTree.parse(ROOT / 'package.xml').findtext('version')
     name = f'rigid_body_ros-{version}'
     committed = subprocess.run(['git', 'archive', f'--prefix={name}/', 'HEAD'], cwd=ROOT,

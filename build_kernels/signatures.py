@@ -25,6 +25,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import product
 import re
+from string import ascii_lowercase
 from types import UnionType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints, Union
 
@@ -34,8 +35,10 @@ import numpy as np
 
 #: Most dimensions of an array, as in boundary.c.
 DIMENSIONS = 4
+#: Of dimensions, in the order of boundary.c; L is the number of lanes of a level.
+VARIABLES = f'{ascii_lowercase}L'
 _NUMBERS = {int: (types.int64, 'i'), float: (types.float64, 'f'), bool: (types.boolean, 'b')}
-_TERM = re.compile(r'(\d*)([a-z]?)([+-]\d+)?')
+_TERM = re.compile(r'(\d*)([a-zL]?)([+-]\d+)?')
 
 
 @dataclass(frozen=True)

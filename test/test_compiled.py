@@ -28,7 +28,7 @@ import time
 from types import BuiltinFunctionType, UnionType
 from typing import Annotated, get_args, get_origin, get_type_hints, Union
 
-from conftest import PACKAGE
+from conftest import PACKAGE, SECOND
 import numpy as np
 import pytest
 from rigid_body_ros import build_info, propagate, RigidBody, State, TorqueLog, warm_up
@@ -43,6 +43,21 @@ body = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
 motion = propagate(body, State(0, angular_velocity=(0.5, -0.7, 0.9)), log, at=[3 * 10 ** 9])
 print(*(x.hex() for x in motion.attitude[0].tolist()))
 """
+MANY = """
+import numpy as np
+from rigid_body_ros import RigidBodies, States, TorqueLog, propagate_many
+moments, rates = np.array([1.1, 2.0, 2.7]), np.array([0.5, -0.7, 0.9])
+growth = 1.0 + 0.01 * np.arange(19)[:, None]
+bodies = RigidBodies(np.eye(3) * (growth * moments)[:, None])
+starts = States(0, (0.0, 0.0, 0.0, 1.0), growth * rates)
+log = TorqueLog([0, 20 * 10 ** 9], [[0.02, -0.01, 0.03], [0.0, 0.03, 0.01]])
+motion = propagate_many(bodies, starts, log, at=[50 * 10 ** 9])
+print(*(x.hex() for x in motion.attitude.ravel().tolist()))
+"""
+#: The levels of the module; tests skip those that this processor lacks.
+LEVELS = [pytest.param(level, marks=pytest.mark.skipif(
+    level not in _compiled.LEVELS, reason=f'this processor lacks {level}'))
+    for level in _compiled.LANES]
 OFFLINE = ('replay', 'tradeoff', 'compare', 'identify', 'ensemble')
 NODES = ('node', 'lifecycle_node', 'controller')
 
@@ -52,7 +67,7 @@ def run(script, cwd='/', **environment):
                           cwd=cwd, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.parametrize('level', [*_compiled.LEVELS, 'python'])
+@pytest.mark.parametrize('level', [*LEVELS, 'python'])
 def test_every_level_and_plain_python_give_the_same_bits(level):
     log = TorqueLog([0, 10 ** 9], [[0.1, 0.2, -0.1], [0.0, 0.3, 0.0]], ['body', 'space'])
     body = RigidBody.from_moments(1.1, 2.0, 2.7, 0.15, -0.2, 0.05)
@@ -62,7 +77,27 @@ def test_every_level_and_plain_python_give_the_same_bits(level):
     assert [*map(float.fromhex, result.stdout.split())] == here.attitude[0].tolist()
 
 
-@pytest.mark.parametrize('level', _compiled.LEVELS)
+@pytest.mark.parametrize('level', LEVELS)
+def test_every_level_gives_many_motions_the_same_bits(level):
+    found = {}
+    exec(MANY, found)
+    alone = [propagate(found['bodies'][k], found['starts'][k], found['log'], at=[50 * SECOND])
+             for k in range(len(found['bodies']))]
+    result = run(MANY, RIGID_BODY_ROS_KERNELS=level)
+    assert result.stderr == ''
+    numbers = [*map(float.fromhex, result.stdout.split())]
+    assert numbers == [number for motion in alone for number in motion.attitude[0].tolist()]
+
+
+@pytest.mark.parametrize('level', [*LEVELS, 'python'])
+def test_the_lanes_are_those_of_the_level(level):
+    result = run('from rigid_body_ros.engine.binding import LANES; print(LANES)',
+                 RIGID_BODY_ROS_KERNELS=level)
+    expected = {'x86-64-v4': 8, 'x86-64-v3': 4, 'x86-64-v2': 4, 'aarch64': 4, 'python': 1}
+    assert int(result.stdout) == expected[level]
+
+
+@pytest.mark.parametrize('level', LEVELS)
 def test_other_threads_run_while_a_kernel_does(level):
     kernel = _compiled.kernels(level)['fill_exponentials']
     numbers, results = np.linspace(-1.0, 1.0, 2_000_000), np.empty(2_000_000)
@@ -87,7 +122,7 @@ def test_other_threads_run_while_a_kernel_does(level):
         thread.join()
 
 
-@pytest.mark.parametrize('level', _compiled.LEVELS)
+@pytest.mark.parametrize('level', LEVELS)
 def test_all_kernels_that_python_calls_are_compiled(level):
     # Without `bind` a kernel would run as plain Python.
     called = {name for name, value in vars(kernels).items()
@@ -114,10 +149,11 @@ class Good:
     type, or the dimensions of an array as texts.
     """
 
-    def __init__(self, hints, choose):
+    def __init__(self, hints, choose, lanes):
         self._choose = choose
         #: Each is at least 2, so that no dimension is the other one that '|' allows.
         self.variables = {letter: choose.randint(2, 4) for letter in 'abcdefghijklmnopqrstuvwxyz'}
+        self.variables['L'] = lanes
         self.leaves, self.written, self.optional = {}, set(), set()
         self.values = {name: self._value(hint, name) for name, hint in hints.items()}
 
@@ -144,7 +180,7 @@ class Good:
 
     def _size(self, text):
         factor, variable, offset = re.fullmatch(
-            r'(\d*)([a-z]?)([+-]\d+)?', text.partition('|')[0]).groups()
+            r'(\d*)([a-zL]?)([+-]\d+)?', text.partition('|')[0]).groups()
         if not variable:
             return int(factor)
         return int(factor or 1) * self.variables[variable] + int(offset or 0)
@@ -235,7 +271,7 @@ def spoilt(good, choose):
     return TypeError, [label], good.having(label, choose.choice(options))
 
 
-@pytest.mark.parametrize('level', _compiled.LEVELS)
+@pytest.mark.parametrize('level', LEVELS)
 @pytest.mark.parametrize(('name', 'source'), sources().items(), ids=[*sources()])
 def test_an_argument_of_the_wrong_kind_is_named(name, source, level):
     kernel, choose = _compiled.kernels(level)[name], random.Random(name)
@@ -243,7 +279,7 @@ def test_an_argument_of_the_wrong_kind_is_named(name, source, level):
     del hints['return']
     tried = set()
     for _ in range(200):
-        if case := spoilt(Good(hints, choose), choose):
+        if case := spoilt(Good(hints, choose, _compiled.LANES[level]), choose):
             error, labels, arguments = case
             with pytest.raises(error) as raised:
                 kernel(*arguments)
@@ -255,7 +291,7 @@ def test_an_argument_of_the_wrong_kind_is_named(name, source, level):
     assert tried == set(hints)
 
 
-@pytest.mark.parametrize('level', _compiled.LEVELS)
+@pytest.mark.parametrize('level', LEVELS)
 def test_another_number_of_arguments_is_refused(level):
     for name, kernel in _compiled.kernels(level).items():
         count = len(get_type_hints(sources()[name])) - 1
@@ -362,7 +398,7 @@ def test_the_first_motion_of_a_user_writes_no_file(tmp_path):
     assert [*tmp_path.iterdir()] == []
 
 
-@pytest.mark.parametrize('level', [*_compiled.LEVELS, 'python'])
+@pytest.mark.parametrize('level', [*LEVELS, 'python'])
 def test_the_build_is_named(level):
     info = build_info()
     assert [*info] == ['version', 'kernels', 'level']

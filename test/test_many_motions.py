@@ -28,7 +28,7 @@ from rigid_body_ros import (
     States,
     TorqueLog,
 )
-from rigid_body_ros.kernels.lanes import LANES
+from rigid_body_ros.engine.binding import LANES
 
 SECOND = 10 ** 9
 COUNT = 12

@@ -17,6 +17,9 @@ from typing import Any
 
 FILES: str
 SOURCES: str
+#: The levels that the processor has, the best first.
 LEVELS: tuple[str, ...]
+#: Bodies in a step, of each level of the module.
+LANES: dict[str, int]
 
 def kernels(level: str) -> dict[str, Callable[..., Any]]: ...

@@ -26,6 +26,7 @@ import os
 from typing import Any, TypeVar
 
 from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.kernels import lanes
 from rigid_body_ros.kernels.sources import files_hash, sources_hash
 
 Kernel = TypeVar('Kernel', bound=Callable[..., Any])
@@ -38,11 +39,11 @@ class KernelsError(InputError, ImportError):
     """The compiled kernels cannot be used: a command reports it in one line."""
 
 
-def _loaded() -> tuple[dict[str, Any], str, str]:
-    # Return the compiled kernels by name, their level, and the hash of their sources.
+def _loaded() -> tuple[dict[str, Any], str, int, str]:
+    # Return the compiled kernels by name, their level, its lanes, and the hash of their sources.
     choice = os.environ.get(_VARIABLE, '')
     if choice == 'python':
-        return {}, choice, ''
+        return {}, choice, lanes.LANES, ''
     try:
         import rigid_body_ros.engine._compiled as _compiled
     except ImportError as error:
@@ -56,10 +57,11 @@ def _loaded() -> tuple[dict[str, Any], str, str]:
         raise KernelsError(f"{_VARIABLE}: expected python or {' or '.join(levels)}, "
                            f'found {choice!r}')
     level = choice or levels[0]
-    return _compiled.kernels(level), level, _compiled.SOURCES
+    return _compiled.kernels(level), level, _compiled.LANES[level], _compiled.SOURCES
 
 
-_KERNELS, LEVEL, _HASH = _loaded()
+#: LANES is how many bodies `run_each` steps at once.
+_KERNELS, LEVEL, LANES, _HASH = _loaded()
 
 
 def kernels_hash() -> str:

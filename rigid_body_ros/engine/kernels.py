@@ -14,12 +14,11 @@
 
 """The kernels that Python calls."""
 
-from rigid_body_ros.engine.binding import bind, LEVEL
+from rigid_body_ros.engine.binding import bind
 from rigid_body_ros.kernels import (
     elementary_arrays,
     euler_angles,
     interpolation,
-    lanes,
     loop,
     many_loop,
     messages,
@@ -33,9 +32,6 @@ from rigid_body_ros.kernels import (
 from rigid_body_ros.kernels import (
     extent as extents,
 )
-
-#: Bodies that `run_each` steps at once.
-LANES = 1 if LEVEL == 'python' else lanes.LANES
 
 decode = bind(messages.decode)
 extent = bind(extents.extent)

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import ENTRIES, Floats
 from rigid_body_ros.common.errors import InputError, reason
-from rigid_body_ros.engine.kernels import LANES
+from rigid_body_ros.engine.binding import LANES
 from rigid_body_ros.ensemble.applied import (
     Applied,
     components,

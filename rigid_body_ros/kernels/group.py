@@ -36,7 +36,6 @@ from rigid_body_ros.kernels import (
     vector,
 )
 from rigid_body_ros.kernels.jit import inlined
-from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.kernels.layout import Method
 
 #: Steps in a segment, or stamps before the next output, from which it pays to gather a group.
@@ -75,12 +74,12 @@ class Group(NamedTuple):
     limits_ns: NDArray[np.int64]
 
 
-def workspace() -> Floats:
-    """Return an array, shape (n, LANES), with each row in one cache line."""
+def workspace(lanes: int) -> Floats:
+    """Return an array, shape (n, lanes), with each row in one cache line."""
     line = 64 // 8
-    buffer = np.empty(ROWS * LANES + line)
+    buffer = np.empty(ROWS * lanes + line)
     start = -(buffer.ctypes.data // 8) % line
-    return buffer[start:start + ROWS * LANES].reshape(ROWS, LANES)
+    return buffer[start:start + ROWS * lanes].reshape(ROWS, lanes)
 
 
 @inlined

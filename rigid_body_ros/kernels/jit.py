@@ -40,7 +40,8 @@ def njit(kernel: Kernel) -> Kernel:
     It is compiled once for each combination of types that its annotations allow. An array is
     annotated with its shape, ``Annotated[Floats, 'n 3']``, and with WRITTEN if the kernel writes
     to it. A dimension is a number, a variable, or linear in a variable: '7m', '2d+1'; it is the
-    same in all arguments. With '|' follow other dimensions that are allowed: 'n|0'.
+    same in all arguments. With '|' follow other dimensions that are allowed: 'n|0'. L is the
+    number of lanes, see `lanes`.
     """
     return kernel
 

@@ -28,8 +28,8 @@ import operator
 
 from rigid_body_ros.common.arrays import Floats
 
-#: Bodies in a step, of the compiled kernels.
-LANES = 4
+#: Bodies in a step. The compiled kernels of each processor level have a number of their own.
+LANES = 1
 
 
 def fma(a: float, b: float, c: float) -> float:

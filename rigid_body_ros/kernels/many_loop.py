@@ -27,7 +27,6 @@ from rigid_body_ros.kernels.fields import FIELDS
 from rigid_body_ros.kernels.group import BUDGET, Group
 from rigid_body_ros.kernels.groups import Advanced
 from rigid_body_ros.kernels.jit import inlined, internal, njit, optional, WRITTEN
-from rigid_body_ros.kernels.lanes import LANES
 from rigid_body_ros.kernels.layout import METHOD, PROGRESS, Rows, Terms
 
 #: Rows after which runs that could not step together are tried again.
@@ -38,10 +37,10 @@ class RunsWorkspace(NamedTuple):
     """The arrays that `run_each` needs besides its results."""
 
     #: See `Group`: rows, going and limits_ns, an element for each lane, and the workspace.
-    lanes: Annotated[Ints, f'{LANES}', WRITTEN]
-    going: Annotated[NDArray[np.bool_], f'{LANES}', WRITTEN]
-    limits_ns: Annotated[Ints, f'{LANES}', WRITTEN]
-    table: Annotated[Floats, f'{runs.ROWS} {LANES}', WRITTEN]
+    lanes: Annotated[Ints, 'L', WRITTEN]
+    going: Annotated[NDArray[np.bool_], 'L', WRITTEN]
+    limits_ns: Annotated[Ints, 'L', WRITTEN]
+    table: Annotated[Floats, f'{runs.ROWS} L', WRITTEN]
     #: See `loop.run`.
     closed: Annotated[NDArray[np.bool_], 'n+1', WRITTEN]
     #: Torques times the factor of a run.
@@ -83,7 +82,7 @@ def workspace(lanes: int, rows: ManyRows) -> RunsWorkspace:
     """Return arrays, not yet filled, for rows of all runs; with one lane runs are not grouped."""
     return RunsWorkspace(
         np.empty(lanes, np.intp), np.empty(lanes, np.bool_), np.empty(lanes, np.int64),
-        runs.workspace(), np.empty(len(rows.times_ns) + 1, np.bool_),
+        runs.workspace(lanes), np.empty(len(rows.times_ns) + 1, np.bool_),
         np.empty(rows.torques.shape[1:]))
 
 

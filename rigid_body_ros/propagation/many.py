@@ -34,7 +34,7 @@ from rigid_body_ros.engine import (
     Rows,
     Terms,
 )
-from rigid_body_ros.engine.kernels import LANES
+from rigid_body_ros.engine.binding import LANES
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import (
