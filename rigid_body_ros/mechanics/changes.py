@@ -22,7 +22,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.times import instants
+from rigid_body_ros.common.times import instants, NEVER_NS
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 
@@ -81,6 +81,11 @@ class BodyLog:
     def in_force(self, time_ns: int) -> int:
         """Return the index of the change in force at a time, -1 before the first."""
         return int(self.times_ns.searchsorted(time_ns, 'right')) - 1
+
+    def next_ns(self, time_ns: int) -> int:
+        """Return the stamp of the first change after a time, NEVER_NS if there is none."""
+        later_ns = self.times_ns[self.in_force(time_ns) + 1:]
+        return int(later_ns[0]) if len(later_ns) else NEVER_NS
 
 
 def checked_keep(keep: str) -> str:

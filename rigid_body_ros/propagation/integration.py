@@ -22,7 +22,6 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.engine import kernels, layout, motion_layout, state_layout
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import changed
@@ -64,8 +63,7 @@ class Integration:
         problem = self.problem
         logs, wheels = problem.logs, problem.wheels
         if problem.changes:  # the torques of the other parts would be summed for nothing
-            later_ns = problem.changes.times_ns[problem.changes.in_force(self._end_ns) + 1:]
-            span = self._end_ns, int(later_ns[0]) if len(later_ns) else NEVER_NS
+            span = self._end_ns, problem.changes.next_ns(self._end_ns)
             logs = tuple(log.between(*span) for log in logs)
             wheels = wheels and wheels.between(*span)
         return Timeline(logs, wheels, problem.options.timeout_ns,
@@ -139,7 +137,8 @@ class Integration:
 
         """
         requested = checked_times(at, self._end_ns)
-        due = self._changes_until(max(requested[2], until_ns or self._end_ns))
+        due = self._changes_until(requested[2] if until_ns is None else
+                                  max(requested[2], until_ns))
         if not due:
             return self._advance(*requested, until_ns)
         parts, later = list[Trajectory](), requested[0]

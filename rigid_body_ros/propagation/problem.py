@@ -177,10 +177,7 @@ class Problem:
     @property
     def next_change_ns(self) -> int:
         """Return the time of the first change of the body after the start, NEVER_NS if none."""
-        if not self.changes:
-            return NEVER_NS
-        later_ns = self.changes.times_ns[self.changes.in_force(self.start.time_ns) + 1:]
-        return int(later_ns[0]) if len(later_ns) else NEVER_NS
+        return self.changes.next_ns(self.start.time_ns) if self.changes else NEVER_NS
 
     def with_first_body(self) -> Problem:
         """Return the same problem for the body of the start, which does not change."""
@@ -231,7 +228,7 @@ class Problem:
 
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the momentum of the rotors at times, N m s, body axes, shape (m, 3)."""
-        return Integration(self).rotor_momentum(times_ns)
+        return Integration(self.with_first_body()).rotor_momentum(times_ns)
 
     def propagate(self, *, at: ArrayLike) -> Trajectory:
         """
