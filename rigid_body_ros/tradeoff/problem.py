@@ -79,14 +79,14 @@ class Case:
         return self.problem.body.is_damped or self.problem.has_rotors
 
     @property
-    def is_plain(self) -> bool:
-        """Whether there are neither rotors nor damping nor fields."""
-        return not (self.has_linear_terms or self.problem.fields)
+    def has_terms(self) -> bool:
+        """Whether there are rotors, damping or fields."""
+        return self.has_linear_terms or bool(self.problem.fields)
 
     @property
     def conserves(self) -> bool:
         """Whether the body keeps its momentum and its energy."""
-        return self.torque_free and self.is_plain
+        return self.torque_free and not self.has_terms
 
     @property
     def samples(self) -> int:
@@ -103,7 +103,7 @@ class Case:
         return self.problem.solved_by(**options).propagate(at=self.times_ns)
 
     def in_principal_axes(self, max_step: float) -> Floats:
-        """Return attitudes computed by the series in principal axes, if the case is plain."""
+        """Return attitudes computed by the series in principal axes, without such terms."""
         axes, given = PrincipalAxes(self.problem.body), self.problem
         problem = given.replaced(body=axes.body, start=axes.start(given.start),
                                  log=[*map(axes.log, given.logs)])
@@ -175,7 +175,7 @@ class Reference:
         best, other = (case.run(solver='taylor', tolerance=TIGHTEST, max_step=share * step)
                        for share in (0.7, 0.4))
         motions = [best.attitude, plain.attitude, other.attitude]
-        if case.is_plain:
+        if not case.has_terms:
             motions.append(case.in_principal_axes(0.55 * step))
         if case.conserves:
             motions.append(case.run(solver='exact').attitude)

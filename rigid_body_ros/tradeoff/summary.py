@@ -27,13 +27,13 @@ from rigid_body_ros.tradeoff.settings import Setting
 from rigid_body_ros.tradeoff.trade import Tradeoff
 
 _WIDTH = 18
-#: What the floor is with rotors, damping or fields, and without them.
+#: What the floor is without rotors, damping and fields, and with them.
 _FLOORS = (
-    ('largest difference between runs that round differently: the series with other steps;',
-     'it does not show an error common to all'),
     ('largest difference between runs that round differently: the series with other steps,',
      'in principal axes and, without torque, the closed form; it does not show an error '
-     'common to all'))
+     'common to all'),
+    ('largest difference between runs that round differently: the series with other steps;',
+     'it does not show an error common to all'))
 _DIGITS = 'a change of the last digit of inertia, torque or start moves the attitude by {:.1e} rad'
 _HEADER = ('', 'solver', 'setting', 'final rad', 'largest rad', 'rad/s', 'momentum', 'energy',
            's per s', 'x real time')
@@ -78,7 +78,7 @@ def as_data(result: Tradeoff) -> dict[str, Any]:
         'interpolation': result.stretch.interpolation,
         'torque_free': result.stretch.torque_free,
         'rounding_floor_rad': result.reference.floor,
-        'rounding_floor_is': ' '.join(_FLOORS[result.stretch.is_plain]),
+        'rounding_floor_is': ' '.join(_FLOORS[result.stretch.has_terms]),
         'last_digit_effect_rad': result.reference.last_digits,
         **targets[0], 'targets': targets, 'ensemble': _ensemble_data(result.ensemble),
         'readings': [{'interpolation': error.interpolation, 'thinned_by_two_rad': error.thinned,
@@ -177,7 +177,7 @@ def _table(result: Tradeoff, all_rows: bool) -> list[str]:
 
 
 def _facts(result: Tradeoff) -> list[tuple[str, str]]:
-    reference, (floor, rest) = result.reference, _FLOORS[result.stretch.is_plain]
+    reference, (floor, rest) = result.reference, _FLOORS[result.stretch.has_terms]
     return [*_ensemble(result), ('motion', _motion(result)),
             ('errors', 'difference from the Taylor series at its tightest tolerance with shorter '
                        'steps'),
