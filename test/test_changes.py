@@ -144,6 +144,24 @@ def test_a_motion_in_pieces_has_the_same_bits(interpolation):
     assert np.array_equal(np.concatenate(attitude), whole.attitude)
 
 
+def test_a_change_at_the_end_of_a_piece_at_time_zero_is_not_lost():
+    changes, start = BodyLog([0], [SMALLER], 'momentum'), State(-SECOND, START.attitude,
+                                                                START.angular_velocity)
+    run = Integration(Problem(BODY, start, TorqueLog([-SECOND, 0], np.eye(3)[:2]),
+                              changes=changes))
+    run.advance([-SECOND // 2], until_ns=0)
+    after = run.advance([SECOND])
+    assert np.array_equal(after.attitude, run.problem.propagate(at=[SECOND]).attitude)
+
+
+def test_the_momentum_of_the_rotors_goes_on_after_a_change():
+    logs, wheels, changes = scene(np.random.default_rng(6), 'rate')
+    problem = Problem(BODY, START, logs, wheels=wheels, changes=changes)
+    at = np.arange(0, 3 * SECOND, 10 ** 8)
+    np.testing.assert_allclose(problem.rotor_momentum(at), problem.propagate(at=at).rotor_momentum,
+                               atol=1e-15)
+
+
 def test_requested_times_change_no_bit():
     rng = np.random.default_rng(4)
     logs, wheels, changes = scene(rng, 'momentum')
@@ -282,6 +300,8 @@ def test_a_replay_has_the_bodies_of_the_recording(tmp_path):
      '--inertia: expected a scene with inertia_topic: true, found inertia_topic: false'),
     ({}, [*INERTIAS, (3 * SECOND, (1.0, 1.0, 3.0, 0.0, 0.0, 0.0))], {},
      '/inertia: message 3 at 3000000000 ns: '),
+    ({}, [(0, SMALLER.entries), (1_767_225_600 * SECOND, LARGER.entries)], {},
+     '/inertia: message 1: expected a stamp in the header'),
     ({'checkpoint': '/tmp/state.json'}, INERTIAS, {}, 'checkpoint: expected none with'),
     ({'solver': 'exact', 'damping.dxx': 0.0}, [], {}, "solver 'exact' handles torque-free"),
 ])

@@ -21,7 +21,6 @@ from dataclasses import asdict
 
 import numpy as np
 from rigid_body_ros.live.inputs import Torque
-from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Propagator
 from rigid_body_ros.propagation.segment import BODY, Sample, WHEELS
@@ -43,7 +42,7 @@ class Epoch:
 
     def __init__(self, scene: Scene, start: State, torques: Sequence[Torque] = ()) -> None:
         self.start, self._timeout_ns = start, scene.timeout_ns
-        self._damping, self._keep = scene.body.damping, scene.inertia_change
+        self._body, self._keep = scene.body, scene.inertia_change
         self._propagator = Propagator(scene.body, start, fields=scene.fields_from(start.time_ns),
                                       **asdict(scene.options), history=scene.history)
         self._committed_ns = start.time_ns
@@ -85,8 +84,7 @@ class Epoch:
 
     def _put(self, torque: Torque) -> None:
         if torque.source == BODY:
-            inertia = RigidBody.from_moments(*torque.values.tolist()).inertia
-            self._propagator.apply_body(torque.stamp_ns, RigidBody(inertia, self._damping),
+            self._propagator.apply_body(torque.stamp_ns, self._body.with_entries(torque.values),
                                         self._keep)
         elif torque.source == WHEELS:
             self._propagator.apply_wheels(torque.stamp_ns, torque.values)

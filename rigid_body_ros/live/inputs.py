@@ -31,7 +31,6 @@ from rigid_body_ros.live.events import (
     RejectedError,
     TOO_LARGE,
 )
-from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.frames import Frame, OffAxisError
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation.options import FASTEST
@@ -63,6 +62,7 @@ class Inputs:
         self._events = events
         self._frames = scene.body_frame, scene.space_frame
         self._links = scene.links
+        self._scene_body = scene.body
         self._largest = _LARGEST_ACCELERATION * scene.body.principal_moments[0]
 
     def torque(self, data: bytes, source: int) -> Torque:
@@ -116,13 +116,14 @@ class Inputs:
 
     def _body(self, inertia: messages.Stamped) -> Torque:
         axes = self._only_body_axes(inertia, 'the inertia')
+        entries = messages.inertia_entries(inertia.values)
         try:
-            body = RigidBody.from_moments(*messages.inertia_entries(inertia.values))
+            self._scene_body.with_entries(entries)
         except ValueError as error:
             raise RejectedError(IMPOSSIBLE, str(error)) from error
         if inertia.values[messages.MASS_AND_CENTRE].any():
             self._events.ignore_mass()
-        return Torque(inertia.stamp_ns, body.entries, axes, BODY)
+        return Torque(inertia.stamp_ns, entries, axes, BODY)
 
     def odometry(self, data: bytes) -> messages.Stamped:
         """Decode an Odometry in CDR; raise RejectedError if it is malformed."""

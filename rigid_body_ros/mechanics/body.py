@@ -116,6 +116,10 @@ class RigidBody:
         """Return ixx, iyy, izz, ixy, ixz, iyz, kg m^2, shape (6,)."""
         return self.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
+    def with_entries(self, entries: Floats) -> RigidBody:
+        """Return a body with these entries and the same damping, with the errors of the class."""
+        return RigidBody(entries[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]], self.damping)
+
     @classmethod
     def from_point_masses(cls, masses: ArrayLike, positions: ArrayLike) -> RigidBody:
         """

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from rigid_body_ros import messages
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed, quoted
-from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import BodyLog
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import stamps_of, TorqueLog
@@ -34,7 +33,7 @@ from rigid_body_ros.propagation import Problem
 from rigid_body_ros.recording import source
 from rigid_body_ros.recording.selection import Topics
 from rigid_body_ros.recording.source import Messages
-from rigid_body_ros.recording.torques import epochs, torque_log
+from rigid_body_ros.recording.torques import check_stamped, epochs, torque_log
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.scene import load, Scene
 
@@ -165,7 +164,7 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
                          f'{start_ns}; set start_time in the scene')
     one = found[len(found) - 1 - stamps_ns[::-1].index(start_ns) if len(found) > 1 else 0]
     if one.problem.changes and not may_change:
-        raise InputError(f'{path}: {one.topics[-1]}: expected a body that does not change, found '
+        raise InputError(f'{path}: expected a body that does not change, found '
                          f'{len(one.problem.changes)} changes of its inertia, which only '
                          'attitude_replay computes; set inertia_topic: false in the scene')
     return one
@@ -269,11 +268,12 @@ def _wheel_log(path: str | Path, recorded: Messages, scene: Scene,
 def _changes(path: str | Path, recorded: Messages, scene: Scene) -> BodyLog:
     """Return the bodies of a topic of inertia, with the damping of the scene."""
     check_axes(path, recorded, scene)
+    if len(recorded) and not recorded.start:
+        check_stamped(f'{path}: {recorded.topic}', recorded.stamps_ns)
     bodies = []
     for row, entries in enumerate(messages.inertia_entries(recorded.values)):
         try:
-            inertia = RigidBody.from_moments(*entries.tolist()).inertia
-            bodies.append(RigidBody(inertia, scene.body.damping))
+            bodies.append(scene.body.with_entries(entries))
         except ValueError as error:
             raise InputError(f'{path}: {recorded.topic}: message {recorded.before + row + 1} at '
                              f'{recorded.stamps_ns[row]} ns: {error}') from error

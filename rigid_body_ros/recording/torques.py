@@ -148,7 +148,7 @@ def torque_log(path: str | Path, recorded: Messages, body_frame: str, space_fram
         raise InputError(f'{where}: expected torques, found no messages{lost}')
     torques, axes = _torques(where, recorded, (body_frame, space_frame, links))
     if not recorded.start:  # a node accepts no torque without a stamp
-        _check_stamped(where, recorded.stamps_ns)
+        check_stamped(where, recorded.stamps_ns)
     in_space = np.array([name == 'space' for name in axes], np.bool_)[recorded.frames]
     try:
         return TorqueLog(recorded.stamps_ns, torques, in_space, interpolation)
@@ -208,8 +208,8 @@ def _check_finite(where: str, recorded: Messages, torques: Floats,
                      f'found {torques[row].tolist()}{source}')
 
 
-def _check_stamped(where: str, stamps_ns: NDArray[np.int64]) -> None:
-    """Raise InputError if a torque has no stamp."""
+def check_stamped(where: str, stamps_ns: NDArray[np.int64]) -> None:
+    """Raise InputError if one of several messages, which are there, has no stamp."""
     unstamped = np.flatnonzero(stamps_ns == 0)
     # A log of simulated time may begin with the stamp 0.
     begins = stamps_ns[0] == 0 < stamps_ns.max() < _SIMULATED_NS
