@@ -300,6 +300,14 @@ def test_runs_that_would_take_days_fail_at_once(one, logs):
     assert time.monotonic() - began < 20.0
 
 
+def test_runs_under_fields_too_strong_to_compute_fail_at_once():
+    # The body and its torques are slow: only the field turns it.
+    strong = {'fields': ['weight'], 'weight.moment.z': 1.0, 'weight.field.z': -9.81}
+    one = Dispersion('weight.moment.z', 'uniform', (1e14, 2e14))
+    for row in rows(ensemble(one, logs=(), **strong), 0, 4):
+        assert 'the body may turn by' in row['message']
+
+
 def test_a_long_coast_is_no_long_way():
     loud = TorqueLog(np.array([0, 1]) * SECOND, [[1.0, 0.2, 0.1], [0.0, 0.0, 0.0]])
     found = ensemble(TILT, Dispersion('clock_offset', 'normal', (1e-3,)), logs=(loud,), **{

@@ -31,6 +31,7 @@ from rigid_body_ros.mechanics import so3
 from rigid_body_ros.propagation.sensitivity import last_digit_effect
 from rigid_body_ros.replay import replay
 from rigid_body_ros.replay.check import drift
+from rigid_body_ros.replay.gaps import computing_time
 from rigid_body_ros.replay.many import replay_many
 from rigid_body_ros.replay.summary import summary
 from rigid_body_ros.report import figures
@@ -451,3 +452,17 @@ def test_a_plain_scene_has_the_motion_of_one_torque():
     motion = propagate(result.scene.body, result.start, result.problem.logs,
                        at=result.trajectory.times_ns)
     np.testing.assert_array_equal(result.trajectory.attitude, motion.attitude)
+
+
+def test_the_steps_under_a_field_count_for_the_computing_time():
+    # A pendulum at rest, with a torque of zero: it swings with about 2 rad/s.
+    values = {'inertia.ixx': 0.05, 'inertia.iyy': 0.05, 'inertia.izz': 0.05}
+    weight = {'fields': ['pivot'], 'pivot.moment.z': -0.02, 'pivot.field.z': -9.81}
+    still = TorqueLog([0], [[0.0, 0.0, 0.0]])
+    without, under = (computing_time(still, (0, 3600 * SECOND), 0.0,
+                                     scene.Scene.from_values({**values, **more}))
+                      for more in ({}, weight))
+    assert without == 0.0
+    steps = under / computing_time(still, (0, SECOND), 1.0, scene.Scene.from_values(
+        {**values, 'damping.dxx': 1e-12}))
+    assert 2 * 3600 < steps < 8 * 3600
