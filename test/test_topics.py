@@ -65,7 +65,8 @@ def test_the_page_lists_every_cause_of_rejection():
 
 @pytest.mark.parametrize(('mode', 'arguments'), [
     ('realtime', ()), ('lockstep', ()),
-    ('realtime', ('-p', 'torque_topics:=[torque, disturbance]', '-p', 'wheels:=true'))])
+    ('realtime', ('-p', 'torque_topics:=[torque, disturbance]', '-p', 'wheels:=true',
+                  '-p', 'inertia_topic:=true'))])
 def test_every_topic_of_the_page_is_there_and_no_other(domain, mode, arguments):
     published, subscribed = by_full_name(nodes.PUBLISHED), by_full_name(nodes.SUBSCRIBED)
     if arguments:
@@ -83,7 +84,7 @@ def test_every_topic_of_the_page_is_there_and_no_other(domain, mode, arguments):
     for page, topics in ((published, writers), (subscribed, readers)):
         assert {name: types for name, (types, _) in topics.items()} \
             == {name: [topic.kind] for name, topic in page.items()}
-    for name in [name for name in readers if name != '/initial_state']:
+    for name in [name for name in readers if name not in ('/initial_state', '/inertia')]:
         _, torque = readers.pop(name)  # those that depend on the mode
         assert (torque.reliability == ReliabilityPolicy.RELIABLE) == (mode == 'lockstep')
     for page, topics in ((published, writers), (subscribed, readers)):
