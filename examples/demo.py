@@ -25,6 +25,7 @@ from live_session import ACCEPTED, COMMITTED, LiveSession, RELIABLE
 import numpy as np
 from rigid_body_ros import messages, recording, so3
 from rigid_body_ros.commands.main import attitude_replay
+from rigid_body_ros.runtime import interrupts
 from tqdm import tqdm
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -78,6 +79,7 @@ def run_live():
         while not live.received[COMMITTED]:  # the start state
             live.set_clock(start_ns)
             live.spin(0.05)
+        print(f'The node is up. Streaming {len(source.stamps_ns)} torques.', flush=True)
         began, now_ns, row = time.monotonic(), start_ns, 0
         with tqdm(total=len(source.stamps_ns), desc='streaming', unit=' torques', leave=False,
                   disable=None) as bar:
@@ -116,4 +118,10 @@ def compare_with_live():
 
 
 if __name__ == '__main__':
-    sys.exit(main())
+    try:
+        with interrupts.deferred(until_exit=True):  # rclpy can drop the exception of Ctrl-C
+            status = main()
+    except KeyboardInterrupt:
+        print('demo: interrupted', file=sys.stderr)
+        status = 130  # as shells report SIGINT
+    sys.exit(status)

@@ -37,6 +37,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rigid_body_ros import messages, recording
+from rigid_body_ros.runtime import interrupts
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 import yaml
@@ -199,6 +200,7 @@ class LiveSession:
         """Receive messages for this time, s."""
         until = time.monotonic() + seconds
         while (rest := until - time.monotonic()) > 0.0:
+            interrupts.check()
             self._executor.spin_once(timeout_sec=rest)
 
     def wait_until(self, condition, what):

@@ -371,3 +371,17 @@ def test_the_demo_runs(domain):
     assert 'Live and replay agree bit for bit at 3001 of 3001 stamps.' in result.stdout
     assert 'open demo/report.html in a browser' in result.stdout
     assert 'attitude_replay' in (ROOT / 'demo' / 'report.html').read_text(encoding='utf-8')
+
+
+def test_an_interrupted_demo_says_so_in_one_line(domain):
+    process = subprocess.Popen([sys.executable, 'examples/demo.py'], cwd=ROOT,
+                               env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                               start_new_session=True)
+    try:
+        assert any(line.startswith('The node is up.') for line in process.stdout)
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal sends it
+        _, errors = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert (errors, process.returncode) == ('demo: interrupted\n', 130)
