@@ -45,7 +45,8 @@ def written(path, names=NAMES, values=MEAN, matrix=COVARIANCE, **more):
                           for name, value, unit in zip(names, values, units)},
             'covariance': {'names': [*names], 'units': units, 'matrix': [
                 [None if np.isnan(value) else value for value in row] for row in matrix]},
-            'guess_attitude_xyzw': GUESS.tolist(), 'converged': True, **more}
+            'guess_attitude_xyzw': GUESS.tolist(), 'converged': True,
+            'verdict': {'level': 'explained'}, **more}
     path.write_text(json.dumps(data))
     return path
 
@@ -139,6 +140,8 @@ def test_an_impossible_body_is_a_row_with_its_reason(tmp_path):
     ({'guess_attitude_xyzw': [0, 0, 0, None]}, 'guess_attitude_xyzw: attitude'),
     ({'converged': 1}, 'converged: expected true or false, found 1'),
     ({'converged': False}, 'expected a fit that converged'),
+    ({'verdict': None}, 'verdict: expected '),
+    ({'verdict': {'level': 'rejected'}}, 'found one that is rejected (--force takes it)'),
     ({'names': ('mass', *NAMES[1:])}, 'mass: expected an estimate that can vary'),
     ({'names': ('torque_bais.x', *NAMES[1:])}, 'did you mean torque_bias.x?'),
     ({'names': ('initial_attitude.x', *NAMES[1:])}, 'initial_attitude: expected three components'),

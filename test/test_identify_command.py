@@ -80,11 +80,12 @@ def test_the_page_has_the_estimates_and_the_errors_that_are_left(tumble, capsys)
     assert '<b>' not in text
     assert '<h1>&lt;b&gt;&amp;.mcap: estimated parameters</h1>' in text
     assert str(tumble) not in text
-    for line in shown[1:13]:
+    assert f'<dd>{escape(shown[0][17:])}</dd>' in text
+    for line in shown[2:14]:
         name, *_, unit = line.split('  ')
         assert f'<tr><td>{name.strip()}</td><td>' in text
         assert f'<td>{unit}</td></tr>' in text
-    for line in shown[13:-1]:
+    for line in shown[14:-1]:
         assert f'<dd>{escape(line[17:])}</dd>' in text
     panels = data_of(text)['panels']
     assert [panel['label'] for panel in panels] == [
@@ -137,18 +138,18 @@ def test_the_same_measurements_twice_are_not_independent(tumble, capsys, copied)
 
 
 @pytest.mark.slow
-def test_an_incomplete_answer_has_exit_status_3_and_no_outputs(tumble, capsys):
+def test_an_incomplete_answer_has_exit_status_3_and_no_scene(tumble, capsys):
     names = 'fitted.yaml', 'out.json', 'errors.png', 'page.html'
     outputs = [tumble / name for name in names]
     options = ['--estimate', 'inertia,start,torque_gain', '-o', outputs[0], '--json', outputs[1],
                '--plot', outputs[2], '--report', outputs[3]]
     assert identify(tumble, *options) == 3
-    assert not any(path.exists() for path in outputs)
+    assert [path.name for path in outputs if path.exists()] == [*names[1:]]
     captured = capsys.readouterr()
     assert 'not determined by the data' in captured.out
     assert 'only the ratio of torque to inertia enters the motion' in captured.out
-    assert 'nothing was written (--force writes it)' in captured.err
-    assert identify(tumble, *options, '--force') == 3
+    assert 'no scene was written (--force writes it)' in captured.err
+    assert identify(tumble, *options, '--force', '--overwrite') == 3
     assert all(path.exists() for path in outputs)
     assert '# torque_gain: ' in outputs[0].read_text()
     assert '<td>not determined by the data</td>' in outputs[3].read_text(encoding='utf-8')
@@ -280,7 +281,7 @@ def test_measurements_of_another_robot_are_a_warning(tumble, capsys):
     for _, message in sent:
         message.header.frame_id = 'b/imu'
     measurements.write(path, torque=torque_messages(truth), imu=sent)
-    assert identify(tumble, '--estimate', 'start') == 0
+    assert identify(tumble) == 0
     assert capsys.readouterr().err == (f'attitude_identify: warning: {path}: /imu: expected '
                                        "frame_id 'base_link', found 'b/imu'\n")
 

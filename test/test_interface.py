@@ -73,7 +73,8 @@ SIGNATURES = [
     (warm_up, ''),
     (Experiment, 'start, log, measured, wheels=None, fields=()'),
     (identify, "body, experiments, *, estimate=('inertia', 'start'), attitude_noise=None, "
-               'rate_noise=None, validate=0.0, torque_timeout=0.0'),
+               'rate_noise=None, validate=0.0, priors=None, gravity=(0.0, 0.0, -9.80665), '
+               'accept=0.05, torque_timeout=0.0'),
 ]
 #: Attributes of a trajectory over m times: shape and type.
 TRAJECTORY = {

@@ -125,7 +125,7 @@ FIT = {'estimates': {name: {'value': value, 'unit': unit, 'identifiable': True}
        'guess_attitude_xyzw': [0.5, -0.5, 0.5, 0.5],
        'covariance': {'names': NAMES, 'units': UNITS,
                       'matrix': (1e-8 * (np.eye(5) + 0.5)).tolist()},
-       'window_s': 3.0, 'converged': True}
+       'window_s': 3.0, 'converged': True, 'verdict': {'level': 'explained'}}
 VARIED = {
     'fitted.json': json.dumps(FIT, indent=1),
     'vary.yaml': 'inertia: {relative: 0.05}\ninitial_attitude: {tilt: 0.02}\n'

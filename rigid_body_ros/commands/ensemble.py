@@ -114,7 +114,7 @@ def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
     is_fitted = Path(options.vary).suffix == '.json'
     names = scene.values['fields']
     varied = () if is_fitted else dispersions.load(options.vary, names)
-    estimates = fitted.load(options.vary, names) if is_fitted else None
+    estimates = fitted.load(options.vary, names, options.force) if is_fitted else None
     if estimates and estimates.ignored:
         note(options, f'{options.vary}: {listed(estimates.ignored)}: no effect on the motion')
     problem, end_ns = _problem(options, scene)
@@ -190,6 +190,8 @@ def ensemble_parser() -> argparse.ArgumentParser:
     parser.add_argument('--vary', required=True, metavar='FILE',
                         help='YAML file with the distribution of each dispersed parameter, or '
                         'the JSON file of attitude_identify: its estimates then vary jointly')
+    parser.add_argument('--force', action='store_true', help='draw from a fit that '
+                        'attitude_identify rejects, too')
     parser.add_argument('--runs', required=True, metavar='N', help='number of runs',
                         type=within(1, 10 ** 9, 'an integer', int))
     parser.add_argument('--recording', metavar='IN',

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.scene import Scene
 
 #: Exit statuses; docs/nodes.md has their meaning.
-OK, PARTIAL = 0, 3
+OK, PARTIAL, REJECTED = 0, 3, 4
 
 
 def attitude_identify(arguments: Sequence[str] | None) -> int:
@@ -52,19 +52,26 @@ def attitude_identify(arguments: Sequence[str] | None) -> int:
     with checked(options, (options.output, '.yaml')) as outputs:
         scene = load_scene(options)
         found, first = _identified(options, scene)
-        written = found.is_complete or options.force
-        if written:
-            _write(options, outputs, found, first, scene)
-    outputs.show(summary(found), 17, outputs.names if written else [])
-    if found.is_complete:
-        return OK
+        status, text = _status(found)
+        written = _write(options, outputs, found, first, scene, status == OK or options.force)
+    outputs.show(summary(found), 17, written)
+    if status != OK:
+        if options.output and options.output not in written:
+            text += '; no scene was written (--force writes it)'
+        report(f'{options.command}: {text}')
+    return status
+
+
+def _status(found: Identification) -> tuple[int, str]:
+    """Return the exit status, and what is wrong."""
     names = [name for name, one in found.estimates.items() if not one.identifiable]
-    text = f'the data does not determine {listed(names)}' if names \
-        else 'the fit did not converge'
-    if outputs.names and not written:
-        text += '; nothing was written (--force writes it)'
-    report(f'{options.command}: {text}')
-    return PARTIAL
+    if names:
+        return PARTIAL, f'the data does not determine {listed(names)}'
+    if not found.is_complete:
+        return PARTIAL, 'the fit did not converge'
+    if found.verdict.level == 'rejected':
+        return REJECTED, 'the model does not explain the measurements'
+    return OK, ''
 
 
 def _identified(options: argparse.Namespace,
@@ -78,7 +85,8 @@ def _identified(options: argparse.Namespace,
     try:
         found = identify(scene.body, experiments, estimate=options.estimate,
                          attitude_noise=options.attitude_noise, rate_noise=options.rate_noise,
-                         validate=options.validate,
+                         validate=options.validate, priors=dict(options.prior),
+                         gravity=options.gravity, accept=options.accept,
                          torque_timeout=scene.torque_timeout)
     except ValueError as error:
         raise InputError(f'{options.recording[0]}: {error}') from error
@@ -86,11 +94,12 @@ def _identified(options: argparse.Namespace,
 
 
 def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
-           first: Experiment, scene: Scene) -> None:
+           first: Experiment, scene: Scene, is_good: bool) -> list[str]:
+    """Write all outputs, the scene only of a good fit; return what was written."""
     name = Path(options.recording[0]).name
     if options.json:
         outputs.write_json(found.as_dict())
-    if options.output:
+    if options.output and is_good:
         from rigid_body_ros.identification.recorded import fitted_scene
         outputs.write_text(options.output, fitted_scene(scene, found))
     if options.plot:
@@ -99,16 +108,20 @@ def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
     if options.report:
         from rigid_body_ros.identification.page import page
         outputs.write_page(lambda line: page(found, first, name, scene, line))
+    return [each for each in outputs.names if is_good or each != options.output]
 
 
 def identify_parser() -> argparse.ArgumentParser:
     """Return the argument parser of `attitude_identify`."""
+    from rigid_body_ros.identification.parameters import GRAVITY
+    from rigid_body_ros.identification.verdict import ACCEPT
     parser = Parser(
         prog='attitude_identify',
         description='Estimate the inertia of a body, and other parameters, from measured '
         'attitudes and angular velocities under recorded torques. Print the estimates with their '
-        'uncertainty; write a fitted scene. If the data does not determine all of them, write '
-        'nothing; the exit status is then 3.')
+        'uncertainty, and whether the model explains the measurements; write a fitted scene. If '
+        'the data does not determine all estimates, the exit status is 3, and if the model does '
+        'not explain the measurements it is 4; no scene is written then.')
     parser.add_argument('recording', metavar='RECORDING', nargs='+',
                         help='recording of torques and measurements, as for attitude_replay; '
                         'several of the same body are fitted together')
@@ -117,9 +130,20 @@ def identify_parser() -> argparse.ArgumentParser:
                  'only topic of an attitude)')
     parser.add_argument('--estimate', type=_names, default=('inertia', 'start'), metavar='NAMES',
                         help='what to estimate, separated by commas: inertia or inertia_diagonal, '
-                        'start, torque_gain, torque_bias, clock_offset, mount, gyro_bias, '
-                        'damping, rotor_momentum, NAME.moment of a field of the scene (default: '
-                        'inertia,start)')
+                        'start, torque_gain or torque_gains, torque_bias, torque_delay, '
+                        'torque_lag, weight, damping, rotor_momentum, NAME.moment of a field of '
+                        'the scene; clock_offset, clock_drift, mount, gyro_bias and gyro_scale, '
+                        'or, of one sensor, such as clock_offset@TOPIC (default: inertia,start)')
+    parser.add_argument('--prior', type=_prior, action='append', default=[], metavar='NAME=SIGMA',
+                        help='standard deviation with which the guess of a parameter is known '
+                        'beforehand, in its unit, or relative with a percent sign; may be '
+                        'repeated')
+    parser.add_argument('--gravity', type=float, nargs=3, default=GRAVITY,
+                        metavar=('X', 'Y', 'Z'), help='the field in which the weight acts, m/s^2, '
+                        'space axes (default: 0 0 -9.80665)')
+    parser.add_argument('--accept', type=positive, default=ACCEPT, metavar='PART',
+                        help='reject a fit if what the model lacks may move the inertia by more '
+                        f'than this part of the mean moment (default: {ACCEPT:g})')
     parser.add_argument('--attitude-noise', type=positive, metavar='RAD',
                         help='standard deviation of each component of a measured attitude '
                         '(default: estimated for each topic)')
@@ -131,13 +155,20 @@ def identify_parser() -> argparse.ArgumentParser:
                         'recording, but predict it, and report the errors')
     parser.add_argument('-o', '--output', metavar='FITTED', help='write the scene with the '
                         'estimates to this YAML file')
-    parser.add_argument('--force', action='store_true', help='write the outputs even if the data '
-                        'does not determine all estimates')
+    parser.add_argument('--force', action='store_true', help='write the scene even if the data '
+                        'does not determine all estimates, or the fit is rejected')
     parser.add_argument('--json', metavar='OUT', help='write the result to this file')
     parser.add_argument('--plot', metavar='PNG', help='plot the errors of the first recording '
                         'over time, with its torques')
     add_outputs(parser, 'the estimates, these plots and the summary')
     return parser
+
+
+def _prior(text: str) -> tuple[str, str]:
+    name, equals, sigma = text.partition('=')
+    if not (name and equals and sigma):
+        raise argparse.ArgumentTypeError(f'expected NAME=SIGMA, found {text!r}')
+    return name, sigma
 
 
 def _names(text: str) -> tuple[str, ...]:

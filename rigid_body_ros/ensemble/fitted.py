@@ -107,7 +107,7 @@ class Fitted:
         return values
 
 
-def load(path: str | Path, fields: Iterable[str] = ()) -> Fitted:
+def load(path: str | Path, fields: Iterable[str] = (), force: bool = False) -> Fitted:
     """
     Read the estimates and the covariance from a JSON file of `attitude_identify`.
 
@@ -117,26 +117,32 @@ def load(path: str | Path, fields: Iterable[str] = ()) -> Fitted:
         The file.
     fields : iterable of str
         The names of the uniform fields of the scene.
+    force : bool
+        Take a fit that is rejected, too.
 
     Raises
     ------
     InputError
-        The file cannot be read or is something else, the fit did not converge, an estimate is
-        not determined or cannot vary, or the covariance is not one.
+        The file cannot be read or is something else, the fit did not converge or is rejected, an
+        estimate is not determined or cannot vary, or the covariance is not one.
 
     """
     data = read_json(path, 'estimates')
     try:
-        return _fitted(data, units_with(fields))
+        return _fitted(data, units_with(fields), force)
     except InputError as error:
         raise InputError(f'{path}: {error}') from error
 
 
-def _fitted(data: Any, known: Mapping[str, str]) -> Fitted:
+def _fitted(data: Any, known: Mapping[str, str], force: bool) -> Fitted:
     if not isinstance(data, dict) or 'estimates' not in data:
         raise InputError('expected a JSON file of attitude_identify, found another')
     if not _typed(data.get('converged'), bool, 'converged'):
         raise InputError('expected a fit that converged, found one that did not')
+    level = _typed(_typed(data.get('verdict'), dict, 'verdict').get('level'), str, 'verdict.level')
+    if level == 'rejected' and not force:
+        raise InputError('expected a fit that explains the measurements, found one that is '
+                         'rejected (--force takes it)')
     estimates, covariance = (_typed(data.get(key), dict, key) for key in ('estimates',
                                                                           'covariance'))
     names, units, rows = (_list(covariance.get(key), len(estimates), f'covariance.{key}')

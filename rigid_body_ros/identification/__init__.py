@@ -17,9 +17,11 @@ Identify the parameters of a body from what was measured.
 
 `estimation` has the public function and `result` what it returns. `experiment` has the recordings,
 `parameters` the parameters, `clock` a first guess of the clock offset, `windows` the predictions,
-`setup` what is fitted to what, `problem` the least-squares problem, `solve` the fit, `residuals`
-its errors, and `identifiability` what the data does not determine. The command reads and writes
-with `recorded`, and prints with `summary`.
+`actuator` and `sensors` what becomes of torques and motions, `setup` what is fitted to what,
+`problem` the least-squares problem, `solve` the fit, `residuals` its errors, and `identifiability`
+what the data does not determine. `verdict` says whether the model explains the measurements, from
+the `noise` that is left, the `evidence` close to the solution, and fits with `suspects`. The
+command reads and writes with `recorded`, and prints with `summary`.
 """
 
 from rigid_body_ros.identification.estimation import identify
@@ -27,6 +29,8 @@ from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.identifiability import Direction
 from rigid_body_ros.identification.residuals import Misfit, Residuals
 from rigid_body_ros.identification.result import Estimate, Identification
+from rigid_body_ros.identification.suspects import Suspect
+from rigid_body_ros.identification.verdict import Verdict
 
 __all__ = ['Direction', 'Estimate', 'Experiment', 'Identification', 'Misfit', 'Residuals',
-           'identify']
+           'Suspect', 'Verdict', 'identify']

@@ -16,13 +16,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.identification import residuals
 from rigid_body_ros.identification.clock import likely_offset
 from rigid_body_ros.identification.experiment import (
@@ -33,26 +33,35 @@ from rigid_body_ros.identification.experiment import (
 from rigid_body_ros.identification.identifiability import Certainty, certainty
 from rigid_body_ros.identification.parameters import (
     checked_names,
+    checked_priors,
+    GRAVITY,
+    Magnitudes,
     moments_of,
     Parameters,
     Physics,
+    SHORT_LAG,
+    split_topic,
     START,
     unit_of,
 )
 from rigid_body_ros.identification.result import Estimate, Identification
 from rigid_body_ros.identification.setup import Setup
 from rigid_body_ros.identification.solve import Solution, solve
+from rigid_body_ros.identification.verdict import ACCEPT, examined, Findings, judged, tried
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.propagation import Options, Problem
+from rigid_body_ros.scene.fields import MOMENT
 from rigid_body_ros.sensing.measured import Measured
 
 
 def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
              estimate: Sequence[str] = ('inertia', START), attitude_noise: float | None = None,
              rate_noise: float | None = None, validate: float = 0.0,
+             priors: Mapping[str, float | str] | None = None,
+             gravity: Sequence[float] = GRAVITY, accept: float = ACCEPT,
              torque_timeout: float = Options.torque_timeout) -> Identification:
     """
     Estimate parameters of a body from what was measured.
@@ -68,13 +77,24 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
         Recordings of the same body.
     estimate : sequence of str
         What to fit: 'inertia' (six entries) or 'inertia_diagonal' (three), 'start' (the initial
-        angular velocity, and the initial attitude if attitudes are measured), 'torque_gain',
-        'torque_bias', 'clock_offset', 'mount', 'gyro_bias', 'damping', 'rotor_momentum', and
-        'NAME.moment' of a uniform field.
+        angular velocity, and the initial attitude if attitudes are measured), 'torque_gain' or
+        'torque_gains' (one for each axis), 'torque_bias', 'torque_delay', 'torque_lag', 'weight'
+        (moment of the weight about a pivot), 'damping', 'rotor_momentum', 'NAME.moment' of a
+        uniform field, and of the sensors 'clock_offset', 'clock_drift', 'mount', 'gyro_bias' and
+        'gyro_scale', or of one sensor, with '@TOPIC'.
     attitude_noise, rate_noise : float, optional, rad and rad/s
         Standard deviation of each component of a measurement; estimated for each topic if None.
     validate : float
         Fraction of each recording, at its end, that is not fitted but predicted.
+    priors : dict of str to float or str, optional
+        What is known beforehand: by name of a parameter or of a component, the standard deviation
+        of its guess, in its unit, or relative to the guess ('5%').
+    gravity : sequence of 3 float, m/s^2, space axes
+        The field of the weight.
+    accept : float
+        If the model does not explain the measurements, how far what it lacks may move an estimate
+        before the fit is rejected: relative to the mean moment of inertia, or to the scale of the
+        parameter.
     torque_timeout : float, s
         As for `propagate`.
 
@@ -85,8 +105,8 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     Raises
     ------
     InputError
-        A name is unknown, no field has it, a noise is not positive, or a topic has too few finite
-        samples.
+        A name is unknown, no field or topic has it, a noise or a prior is not positive, or a
+        topic has too few finite samples.
 
     """
     names = checked_names(estimate)
@@ -102,8 +122,10 @@ def identify(body: RigidBody, experiments: Experiment | Sequence[Experiment], *,
     training = [_training(channels, validate) for channels in every]
     problems = [Problem(body, one.start, one.log, wheels=one.wheels, fields=one.fields,
                         torque_timeout=torque_timeout) for one in experiments]
-    solution = solve(_setup(problems, training, names, attitude_noise, rate_noise))
-    return _result(solution, residuals.of_validation(solution, every) if validate else [])
+    setup = _setup(problems, training, names, attitude_noise, rate_noise, gravity)
+    known = checked_priors(priors or {}, setup.parameters)
+    solution = solve(replace(setup, parameters=setup.parameters.with_priors(known)))
+    return _result(examined(solution), every if validate else [], accept)
 
 
 def _training(channels: list[Measured], validate: float) -> list[Measured]:
@@ -119,73 +141,117 @@ def _training(channels: list[Measured], validate: float) -> list[Measured]:
 
 
 def _setup(problems: list[Problem], channels: list[list[Measured]], names: tuple[str, ...],
-           attitude_noise: float | None, rate_noise: float | None) -> Setup:
+           attitude_noise: float | None, rate_noise: float | None,
+           gravity: Sequence[float]) -> Setup:
+    _check_topics(names, [channel for every in channels for channel in every])
     rate = max(typical_rate(one) for one in channels)
     torques = [np.sqrt(np.mean(np.sum(log.torques ** 2, axis=1)))
                for problem in problems for log in problem.logs]
     span_ns = max(float(one.stamps_ns[-1] - one.stamps_ns[0])
                   for every in channels for one in every)
-    offset = _clock_offset(problems, channels) if 'clock_offset' in names else 0.0
     body, fields = problems[0].body, problems[0].fields
-    moments = moments_of(names, fields)
-    guess = Physics(body.inertia, body.damping, clock_offset=offset, moments=moments)
-    strengths = {one.name: float(np.linalg.norm(one.field)) for one in fields
-                 if isinstance(one, UniformField) and one.name in moments}
-    parameters = Parameters(names, guess, rate, float(max(torques, default=0.0)),
-                            max(span_ns * 1e-9, 1e-9), strengths)
+    values = moments_of(names, fields)
+    for name in names:
+        kind, topic = split_topic(name)
+        if kind == 'clock_offset':
+            values[name] = np.array([_clock_offset(problems, channels, topic)])
+        elif kind == 'torque_lag':
+            values[name] = np.array([SHORT_LAG])
+    guess = Physics(body.inertia, body.damping, values, gravity)
+    strengths = {f'{one.name}.{MOMENT}': float(np.linalg.norm(one.field)) for one in fields
+                 if isinstance(one, UniformField) and one.name and np.any(one.field)}
+    magnitudes = Magnitudes(rate, float(max(torques, default=0.0)), max(span_ns * 1e-9, 1e-9),
+                            strengths)
+    parameters = Parameters(names, guess, magnitudes)
     return Setup(problems, channels, parameters, rate, START in names, attitude_noise, rate_noise)
 
 
-def _clock_offset(problems: list[Problem], channels: list[list[Measured]]) -> float:
+def _check_topics(names: Sequence[str], channels: Sequence[Measured]) -> None:
+    """Raise InputError if a name has a topic without what it is about."""
+    for name in names:
+        kind, topic = split_topic(name)
+        wanted = {channel.topic: None for channel in channels
+                  if not (kind.startswith('gyro') and channel.is_attitude)}
+        if topic and topic not in wanted:
+            raise InputError(f'estimate: {name}: expected a topic among {listed(wanted)}, found '
+                             f'{topic}')
+
+
+def _clock_offset(problems: list[Problem], channels: list[list[Measured]], topic: str) -> float:
     """Return a guess of the clock offset from the recording with the most samples, s."""
-    return likely_offset(*max(zip(problems, channels),
+    of_topic = [[one for one in every if topic in ('', one.topic)] for every in channels]
+    return likely_offset(*max(zip(problems, of_topic),
                               key=lambda pair: sum(len(channel) for channel in pair[1])))
 
 
-def _result(solution: Solution, ahead: list[residuals.Residuals]) -> Identification:
+def _result(findings: Findings, every: Sequence[Sequence[Measured]],
+            accept: float) -> Identification:
+    """Return the result; `every` has the samples of the validation, and is empty without one."""
+    solution = findings.solution
     setup, physics = solution.problem.setup, solution.physics
-    parameters = setup.parameters
-    names, values, guesses = [*parameters.names], [parameters.values(physics)], \
-        [parameters.values(parameters.guess)]
-    scales, turns = [parameters.scales], [np.eye(parameters.size)]
-    momentum = setup.problems[0].start.rotor_momentum
-    if 'rotor_momentum' in parameters.groups:
-        first = names.index('initial_rotor_momentum.x')
-        for vector in (values[0], guesses[0]):
-            vector[first:first + 3] += momentum
-    starts = []
-    for number in range(len(setup.problems)):
-        start, own = _start(solution, number)
-        starts.append(start)
-        if own is None:
-            continue
-        suffix = f'[{number + 1}]' if number else ''
-        names += [f'{name}{suffix}' for name in own.names]
-        values.append(own.values)
-        guesses.append(own.guesses)
-        scales.append(own.scales)
-        turns.append(own.turn)
-    scale = np.concatenate(scales)
-    value, guess = np.concatenate(values), np.concatenate(guesses)
-    turn = _block_diagonal(turns)
-    known = certainty(solution.problem.information(physics) @ np.linalg.inv(turn), names,
-                      value / scale)
-    sigma = np.where(known.identifiable, np.sqrt(np.diag(known.covariance)) * scale, np.inf)
-    estimates = {name: Estimate(name, unit_of(name.partition('[')[0]), float(value[i]),
-                                float(guess[i]), float(sigma[i]), bool(known.identifiable[i]))
-                 for i, name in enumerate(names)}
+    numbers = _numbers(solution)
+    known = certainty(solution.problem.information(physics) @ np.linalg.inv(numbers.turn),
+                      numbers.names, numbers.values / numbers.scales)
+    sigma = np.where(known.identifiable, np.sqrt(np.diag(known.covariance)) * numbers.scales,
+                     np.inf)
+    ahead = residuals.of_validation(solution, every) if every else []
     fitted = residuals.of_training(solution)
+    findings = findings.with_validation(ahead)
+    attempts = tried(findings, every)
+    moved = [{name: abs(value - before) for name, value, before in zip(
+                 numbers.names, _numbers(fit).of(numbers.names), numbers.values)}
+             for _, fit in attempts]
+    verdict, systematic = judged(findings, [suspect for suspect, _ in attempts], moved,
+                                 dict(zip(numbers.names, numbers.scales)), accept)
+    estimates = {name: Estimate(name, unit_of(name.partition('[')[0]), float(numbers.values[i]),
+                                float(numbers.guesses[i]), float(sigma[i]),
+                                bool(known.identifiable[i]), systematic.get(name, 0.0))
+                 for i, name in enumerate(numbers.names)}
     return Identification(
-        physics.body, starts, estimates, _covariance(known, scale),
+        physics.body, [_start(solution, number)[0] for number in range(len(setup.problems))],
+        estimates, _covariance(known, numbers.scales),
         setup.problems[0].start.attitude, known.directions, [*fitted, *ahead],
         residuals.Misfit.of(fitted, solution.problem.size),
         residuals.Misfit.of(ahead, 0) if ahead else None, solution.length_ns * 1e-9,
-        solution.evaluations, solution.converged)
+        solution.evaluations, solution.converged, verdict,
+        any(log.torques.any() for problem in setup.problems for log in problem.logs))
+
+
+def _numbers(solution: Solution) -> _Numbers:
+    """Return all components: those of the shared parameters, and of the starts."""
+    setup, parameters = solution.problem.setup, solution.problem.setup.parameters
+    shared = _Numbers([*parameters.names], parameters.values(solution.physics),
+                      parameters.values(parameters.guess), parameters.scales,
+                      np.eye(parameters.size))
+    if 'rotor_momentum' in parameters.groups:
+        columns = parameters.columns(['rotor_momentum'])
+        for vector in (shared.values, shared.guesses):
+            vector[columns] += setup.problems[0].start.rotor_momentum
+    parts = [shared]
+    for number in range(len(setup.problems)):
+        own = _start(solution, number)[1]
+        if own is not None:
+            suffix = f'[{number + 1}]' if number else ''
+            parts.append(replace(own, names=[f'{name}{suffix}' for name in own.names]))
+    values, guesses, scales = (np.concatenate([getattr(part, what) for part in parts])
+                               for what in ('values', 'guesses', 'scales'))
+    return _Numbers([name for part in parts for name in part.names], values, guesses, scales,
+                    _block_diagonal([part.turn for part in parts]))
 
 
 @dataclass(frozen=True, eq=False)
-class _Start:
-    """An estimated start: components as in `_result`."""
+class _Numbers:
+    """
+    Components: names, values, guesses and scales.
+
+    Attributes
+    ----------
+    names : list of str
+    values, guesses, scales : array, shape (n,)
+    turn : array, shape (n, n)
+        How they change with what was fitted.
+
+    """
 
     names: list[str]
     values: Floats
@@ -193,12 +259,17 @@ class _Start:
     scales: Floats
     turn: Floats
 
+    def of(self, names: Sequence[str]) -> list[float]:
+        """Return the values of some components, NaN for those that there are not."""
+        known = dict(zip(self.names, self.values.tolist()))
+        return [known.get(name, math.nan) for name in names]
 
-def _start(solution: Solution, number: int) -> tuple[State, _Start | None]:
+
+def _start(solution: Solution, number: int) -> tuple[State, _Numbers | None]:
     """Return the initial state of a recording, and its components if it was fitted."""
     setup = solution.problem.setup
     given = setup.problems[number].start
-    momentum = given.rotor_momentum + solution.physics.rotor_momentum
+    momentum = given.rotor_momentum + solution.physics.value('rotor_momentum')
     k = next(k for k, window in enumerate(solution.problem.windows)
              if window.experiment == number)
     if not solution.problem.windows[k].is_first or not setup.fits_start:
@@ -215,7 +286,7 @@ def _start(solution: Solution, number: int) -> tuple[State, _Start | None]:
         values, guesses = np.append(turned, values), np.append(np.zeros(3), guesses)
         scales = np.append(np.ones(3), scales)
         turn = _block_diagonal([_change_of_vector(turned), turn])
-    return start, _Start(names, values, guesses, scales, turn)
+    return start, _Numbers(names, values, guesses, scales, turn)
 
 
 def _change_of_vector(vector: Floats) -> Floats:

@@ -84,16 +84,6 @@ def channels_of(experiment: Experiment) -> list[Measured]:
             for channel in measured.channels()]
 
 
-def mounted(channels: Sequence[Measured]) -> list[bool]:
-    """
-    Return which channels are in the axes of a sensor that `mount` rotates, not in body axes.
-
-    If there are attitudes, angular velocities of other topics are in body axes.
-    """
-    topics = {channel.topic for channel in channels if channel.is_attitude}
-    return [not topics or channel.topic in topics for channel in channels]
-
-
 def _checked(channel: Measured, start_ns: int) -> Measured:
     what = 'attitudes' if channel.is_attitude else 'angular velocities'
     finite = np.atleast_1d((np.abs(channel.values) <= FASTEST).all(axis=1))
@@ -131,7 +121,7 @@ def _rates(channel: Measured) -> Floats:
     return turned / np.maximum(seconds, 1e-9)[:, None]
 
 
-def local_state(channels: Sequence[Measured], time_ns: int, rate: float, mount: Floats,
+def local_state(channels: Sequence[Measured], time_ns: int, rate: float,
                 fallback: State) -> tuple[Floats, Floats]:
     """
     Return attitude and angular velocity at a time, from the measurements close to it.
@@ -139,13 +129,11 @@ def local_state(channels: Sequence[Measured], time_ns: int, rate: float, mount: 
     Parameters
     ----------
     channels : sequence of Measured
-        The sensors.
+        What the sensors measured, in the time and the axes of the body.
     time_ns : int
-        The time of the state, on the clock of the channels.
+        The time of the state.
     rate : float, rad/s
         Typical angular velocity.
-    mount : array, shape (4,)
-        From sensor axes to body axes.
     fallback : State
         For what was not measured.
 
@@ -156,13 +144,12 @@ def local_state(channels: Sequence[Measured], time_ns: int, rate: float, mount: 
     """
     attitude, velocity = fallback.attitude, fallback.angular_velocity
     has_rate = False
-    for channel, is_mounted in zip(channels, mounted(channels)):
+    for channel in channels:
         if channel.is_attitude or has_rate:
             continue
         near = _near(channel, time_ns, rate)
         if len(near):
             velocity = _robust_line((near.stamps_ns - time_ns) * 1e-9, near.values)[0]
-            velocity = so3.rotate(mount, velocity) if is_mounted else velocity
             has_rate = True
     for channel in (one for one in channels if one.is_attitude):
         near = _near(channel, time_ns, rate)
@@ -171,8 +158,8 @@ def local_state(channels: Sequence[Measured], time_ns: int, rate: float, mount: 
         middle = near.values[np.argsort(near.stamps_ns)[len(near) // 2]]
         turned = so3.log(so3.multiply(so3.conjugate(middle), near.values))
         here, slope = _robust_line((near.stamps_ns - time_ns) * 1e-9, turned)
-        attitude = so3.multiply(so3.multiply(middle, so3.exp(here)), so3.conjugate(mount))
-        velocity = velocity if has_rate else so3.rotate(mount, slope)
+        attitude = so3.multiply(middle, so3.exp(here))
+        velocity = velocity if has_rate else slope
         break
     return attitude, velocity
 

@@ -22,7 +22,8 @@ from dataclasses import replace
 import numpy as np
 from rigid_body_ros.identification.experiment import Experiment
 from rigid_body_ros.identification.result import Estimate, Identification
-from rigid_body_ros.identification.summary import rows
+from rigid_body_ros.identification.summary import rows, verdict_rows
+from rigid_body_ros.identification.verdict import Verdict
 from rigid_body_ros.report.charts import Panel
 from rigid_body_ros.report.page import Page, table
 from rigid_body_ros.report.panels import error_panel, torque_panels
@@ -51,9 +52,16 @@ def page(fit: Identification, first: Experiment, name: str, scene: Scene,
 
     """
     estimates = table(_HEADER, [_cells(one) for one in fit.estimates.values()])
-    return Page(f'{name}: estimated parameters', [('recording', name), *rows(fit)],
-                [*_panels(fit, first)], warnings=scene.warnings, table=estimates, scene=scene,
-                command=command)
+    story = [('recording', name), *verdict_rows(fit.verdict), *rows(fit)]
+    return Page(f'{name}: estimated parameters', story,
+                [*_panels(fit, first)], warnings=[*_banner(fit.verdict), *scene.warnings],
+                table=estimates, scene=scene, command=command)
+
+
+def _banner(verdict: Verdict) -> Iterator[str]:
+    """Generate what stands on top of the page: the verdict, unless all is explained."""
+    if not verdict.is_consistent:
+        yield from (f'{name}: {text}' for name, text in verdict_rows(verdict))
 
 
 def _cells(one: Estimate) -> list[str]:

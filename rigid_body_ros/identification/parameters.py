@@ -20,7 +20,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 import re
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 from rigid_body_ros.common.arrays import COLUMNS, ENTRIES, entries, Floats, ROWS, symmetric
@@ -29,30 +30,62 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field, UniformField
 from rigid_body_ros.scene.fields import MOMENT, moment_unit
 
-#: Component names by name of the parameter; for the moment of a field see `components_of`.
-COMPONENTS = {
-    'inertia': tuple(f'inertia.i{entry}' for entry in ENTRIES),
-    'inertia_diagonal': tuple(f'inertia.i{entry}' for entry in [*ENTRIES][:3]),
-    'torque_gain': ('torque_gain',),
-    'torque_bias': tuple(f'torque_bias.{axis}' for axis in 'xyz'),
-    'clock_offset': ('clock_offset',),
-    'mount': tuple(f'mount.{axis}' for axis in 'xyz'),
-    'gyro_bias': tuple(f'gyro_bias.{axis}' for axis in 'xyz'),
-    'damping': tuple(f'damping.d{entry}' for entry in ENTRIES),
-    'rotor_momentum': tuple(f'initial_rotor_momentum.{axis}' for axis in 'xyz'),
+
+class _Kind(NamedTuple):
+    """A parameter: its components, their unit, their value without it, and whose it is."""
+
+    components: tuple[str, ...]
+    unit: str
+    neutral: float = 0.0
+    #: Whether each sensor can have its own.
+    is_of_sensor: bool = False
+
+
+def _axes(name: str) -> tuple[str, ...]:
+    return tuple(f'{name}.{axis}' for axis in 'xyz')
+
+
+#: By name; the moment of a field and `start` are not among them.
+_KINDS = {
+    'inertia': _Kind(tuple(f'inertia.i{entry}' for entry in ENTRIES), 'kg m^2'),
+    'inertia_diagonal': _Kind(tuple(f'inertia.i{entry}' for entry in [*ENTRIES][:3]), 'kg m^2'),
+    'torque_gain': _Kind(('torque_gain',), '', 1.0),
+    'torque_gains': _Kind(_axes('torque_gains'), '', 1.0),
+    'torque_bias': _Kind(_axes('torque_bias'), 'N m'),
+    'torque_delay': _Kind(('torque_delay',), 's'),
+    'torque_lag': _Kind(('torque_lag',), 's'),
+    'weight': _Kind(_axes('weight'), 'kg m'),
+    'clock_offset': _Kind(('clock_offset',), 's', is_of_sensor=True),
+    'clock_drift': _Kind(('clock_drift',), '', is_of_sensor=True),
+    'mount': _Kind(_axes('mount'), 'rad', is_of_sensor=True),
+    'gyro_bias': _Kind(_axes('gyro_bias'), 'rad/s', is_of_sensor=True),
+    'gyro_scale': _Kind(_axes('gyro_scale'), '', 1.0, is_of_sensor=True),
+    'damping': _Kind(tuple(f'damping.d{entry}' for entry in ENTRIES), 'N m s/rad'),
+    'rotor_momentum': _Kind(_axes('initial_rotor_momentum'), 'N m s'),
 }
 #: The name of the initial attitude and angular velocity.
 START = 'start'
+#: Names of parameters, in the order of a fit.
+NAMES = (*_KINDS, START)
+#: Names that are not among the parameters of a scene.
+NOT_IN_SCENES = tuple(name for name in _KINDS if name not in (
+    'inertia', 'inertia_diagonal', 'damping', 'rotor_momentum'))
+#: Pairs of names that say the same.
+_EXCLUSIVE = (('inertia', 'inertia_diagonal'), ('torque_gain', 'torque_gains'))
 #: Units by the beginning of a component name.
-UNITS = {'inertia': 'kg m^2', 'torque_gain': '', 'torque_bias': 'N m', 'clock_offset': 's',
-         'mount': 'rad', 'gyro_bias': 'rad/s', 'damping': 'N m s/rad',
-         'initial_rotor_momentum': 'N m s', 'initial_attitude': 'rad',
-         'initial_angular_velocity': 'rad/s'}
+_UNITS = {**{kind.components[0].split('.')[0]: kind.unit for kind in _KINDS.values()},
+          'initial_attitude': 'rad', 'initial_angular_velocity': 'rad/s'}
+#: Parameters that shift stamps, by a number of nanoseconds.
+_SHIFTS = 'clock_offset', 'clock_drift', 'torque_delay'
+#: m/s^2, space axes
+GRAVITY = 0.0, 0.0, -9.80665
 _OF_FIELD = re.compile(rf'([A-Za-z_][A-Za-z0-9_]*)[.]{MOMENT}')
 #: The second moments of a guess are at least this fraction of their trace.
 _THINNEST = 1e-5
 #: Damping from which a fit starts if the scene has none, relative to the scale.
 _LITTLE = 1e-3
+#: s; the lag from which a fit starts: at none, its derivative is that of a delay.
+SHORT_LAG = 0.02
 #: Tensors without negative eigenvalues whose sums are all damping tensors nearby: n n^T.
 _DIRECTIONS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1]], float)
 #: Column i has the entries xx ... yz of the tensor of direction i.
@@ -68,42 +101,71 @@ class Physics:
     ----------
     inertia : array, shape (3, 3), kg m^2, body axes
     damping : array, shape (3, 3), N m s/rad, body axes
-    torque_gain : float
-        The torque that acts is this gain times the logged torque, plus the bias.
-    torque_bias : array, shape (3,), N m, body axes
-    clock_offset : float, s
-        Added to the stamps of the measurements.
-    mount : array, shape (3,), rad
-        Rotation vector of the sensor axes in body axes.
-    gyro_bias : array, shape (3,), rad/s
-        Added to the angular velocity by the sensor.
-    rotor_momentum : array, shape (3,), N m s, body axes
-        Added to the momentum of the rotors at the start.
-    moments : dict of str to array, shape (3,), kg m, A m^2, ..., body axes
-        By name of a uniform field, the moment on which it acts, if that is fitted.
+    values : dict of str to array
+        The other parameters that are fitted, by name, with `@TOPIC` if they are of one sensor.
+    gravity : array, shape (3,), m/s^2, space axes
+        The field of the weight.
 
     """
 
     inertia: Floats
     damping: Floats
-    torque_gain: float = 1.0
-    torque_bias: Floats = field(default_factory=lambda: np.zeros(3))
-    clock_offset: float = 0.0
-    mount: Floats = field(default_factory=lambda: np.zeros(3))
-    gyro_bias: Floats = field(default_factory=lambda: np.zeros(3))
-    rotor_momentum: Floats = field(default_factory=lambda: np.zeros(3))
-    moments: Mapping[str, Floats] = field(default_factory=dict)
+    values: Mapping[str, Floats] = field(default_factory=dict)
+    gravity: Sequence[float] = GRAVITY
 
     @cached_property
     def body(self) -> RigidBody:
         """Return the body."""
         return RigidBody(self.inertia, self.damping)
 
+    def value(self, name: str, topic: str = '') -> Floats:
+        """
+        Return a parameter, that of a sensor if it has its own.
+
+        The torque that acts is the logged one times `torque_gain` and `torque_gains`, later by
+        `torque_delay` and with the first-order lag `torque_lag`, plus `torque_bias`. A sensor
+        measures the angular velocity times `gyro_scale` plus `gyro_bias`, in axes that the vector
+        `mount` rotates. Its time is its stamp plus `clock_offset`, plus `clock_drift` times the
+        time since the start.
+        """
+        found = self.values.get(f'{name}@{topic}')
+        found = self.values.get(name) if found is None else found
+        kind = _KINDS[name]
+        return np.full(len(kind.components), kind.neutral) if found is None else found
+
+    def number(self, name: str, topic: str = '') -> float:
+        """Return a parameter with one component."""
+        return float(self.value(name, topic)[0])
+
     def acting(self, fields: Sequence[Field]) -> list[Field]:
-        """Return fields with the moments that are fitted."""
-        return [replace(one, moment=self.moments[one.name])
-                if isinstance(one, UniformField) and one.name in self.moments else one
-                for one in fields]
+        """Return fields with the moments that are fitted, and the weight."""
+        acting: list[Field] = [
+            replace(one, moment=self.values[f'{one.name}.{MOMENT}'])
+            if isinstance(one, UniformField) and f'{one.name}.{MOMENT}' in self.values else one
+            for one in fields]
+        weight = self.value('weight')
+        return [*acting, UniformField(weight, self.gravity)] if weight.any() else acting
+
+
+class Magnitudes(NamedTuple):
+    """
+    What the scales of parameters follow from.
+
+    Attributes
+    ----------
+    rate : float, rad/s
+    torque : float, N m
+    span_s : float, s
+        Length of the recordings.
+    strengths : dict of str to float
+        Magnitude of each uniform field, by name of its moment.
+
+    """
+
+    rate: float
+    torque: float
+    span_s: float
+    strengths: Mapping[str, float]
 
 
 def second_moments(inertia: Floats) -> Floats:
@@ -118,12 +180,23 @@ def inertia_of(moments: Floats) -> Floats:
 
 def components_of(name: str) -> tuple[str, ...]:
     """Return the component names of a parameter, or of NAME.moment, that of a field."""
-    return COMPONENTS.get(name) or tuple(f'{name}.{axis}' for axis in 'xyz')
+    kind, topic = split_topic(name)
+    if kind not in _KINDS:
+        return _axes(name)
+    return tuple(f'{component}@{topic}' if topic else component
+                 for component in _KINDS[kind].components)
 
 
 def unit_of(component: str) -> str:
     """Return the unit of a component."""
-    return moment_unit() if field_of(component[:-2]) else UNITS[component.split('.')[0]]
+    component = split_topic(component)[0]
+    return moment_unit() if field_of(component[:-2]) else _UNITS[component.split('.')[0]]
+
+
+def split_topic(name: str) -> tuple[str, str]:
+    """Return a name without `@TOPIC`, and the topic, empty if there is none."""
+    kind, _, topic = name.partition('@')
+    return kind, topic
 
 
 def field_of(name: str) -> str:
@@ -134,23 +207,76 @@ def field_of(name: str) -> str:
 
 def checked_names(names: Sequence[str]) -> tuple[str, ...]:
     """Return the names of parameters; raise InputError if they cannot be fitted together."""
-    known = (*COMPONENTS, START)
     for name in names:
-        if name not in known and not field_of(name):
-            raise InputError(f'estimate: expected names among {", ".join(known)}, and NAME.moment '
-                             f'of a field, found {name!r}')
+        kind, topic = split_topic(name)
+        if kind not in NAMES and not field_of(name):
+            raise InputError(f'estimate: expected names among {", ".join(NAMES)}, and '
+                             f'NAME.{MOMENT} of a field, found {name!r}')
+        if topic and not _KINDS[kind].is_of_sensor:
+            raise InputError(f'estimate: expected @TOPIC after the parameter of a sensor '
+                             f'({", ".join(of_sensors())}), found {name!r}')
         if list(names).count(name) > 1:
             raise InputError(f'estimate: expected each name once, found {name!r} twice')
+        if topic and kind in names:
+            raise InputError(f'estimate: expected {kind} for all sensors or for each, found '
+                             f'{kind!r} and {name!r}')
     if not names:
         raise InputError('estimate: expected at least one name, found none')
-    if {'inertia', 'inertia_diagonal'} <= {*names}:
-        raise InputError('estimate: expected one of inertia and inertia_diagonal, found both')
-    return (*(name for name in known if name in names), *filter(field_of, names))
+    for pair in _EXCLUSIVE:
+        if {*pair} <= {*names}:
+            raise InputError(f'estimate: expected one of {pair[0]} and {pair[1]}, found both')
+    order = [*NAMES, '']
+    return tuple(sorted(names, key=lambda name: order.index(
+        '' if field_of(name) else split_topic(name)[0])))
+
+
+def checked_priors(priors: Mapping[str, float | str], parameters: Parameters) -> dict[str, float]:
+    """
+    Return the standard deviation of each component that is known beforehand.
+
+    Parameters
+    ----------
+    priors : dict of str to float or str
+        By name of a parameter or of a component, in its unit, or relative to the guess: '5%'.
+    parameters : Parameters
+        What is fitted.
+
+    Raises
+    ------
+    InputError
+        Something else is known, a number is not positive, or the guess of a relative one is 0.
+
+    """
+    values = dict(zip(parameters.names, parameters.values(parameters.guess)))
+    result = {}
+    for name, given in priors.items():
+        components = [name] if name in values else [
+            one for one in components_of(name) if one in values]
+        if not components:
+            raise InputError(f'prior: expected parameters that are estimated, without start '
+                             f'({listed(parameters.groups)}), found {name!r}')
+        text = str(given)
+        try:
+            size = float(text.removesuffix('%'))
+        except ValueError:
+            size = np.nan
+        for component in components:
+            sigma = 0.01 * size * abs(values[component]) if text.endswith('%') else size
+            if not (np.isfinite(sigma) and sigma > 0.0):
+                raise InputError(f'prior: {component}: expected a standard deviation greater than '
+                                 f'zero, found {text} of a guess of {values[component]:g}')
+            result[component] = float(sigma)
+    return result
+
+
+def of_sensors() -> tuple[str, ...]:
+    """Return the names of the parameters that each sensor can have for its own."""
+    return tuple(name for name, kind in _KINDS.items() if kind.is_of_sensor)
 
 
 def moments_of(names: Iterable[str], fields: Sequence[Field]) -> dict[str, Floats]:
     """
-    Return the moments to fit, by name of the field, as they are given.
+    Return the moments to fit, by name of the parameter, as they are given.
 
     Raises
     ------
@@ -158,13 +284,13 @@ def moments_of(names: Iterable[str], fields: Sequence[Field]) -> dict[str, Float
         There is no field of that name other than zero.
 
     """
-    given = {one.name: np.asarray(one.moment) for one in fields
+    given = {f'{one.name}.{MOMENT}': np.asarray(one.moment) for one in fields
              if isinstance(one, UniformField) and one.name and np.any(one.field)}
-    wanted = [field_of(name) for name in names if field_of(name)]
+    wanted = [name for name in names if field_of(name)]
     for name in wanted:
         if name not in given:
             raise InputError(f'estimate: expected {MOMENT}s of the fields of the scene '
-                             f'({listed(given)}), found {name!r}')
+                             f'({listed([*map(field_of, given)])}), found {field_of(name)!r}')
     return {name: given[name] for name in wanted}
 
 
@@ -183,27 +309,32 @@ class Parameters:
     names : sequence of str
         As `checked_names` returns them.
     guess : Physics
-    rate, torque, span_s : float
-        Magnitude of the angular velocity (rad/s) and of the torque (N m), and length (s) of the
-        recordings.
-    strengths : dict of str to float
-        Magnitude of each field whose moment is fitted.
+    magnitudes : Magnitudes
+    priors : dict of str to float
+        Standard deviation with which a component is known beforehand to be that of the guess.
 
     """
 
-    def __init__(self, names: Sequence[str], guess: Physics, rate: float, torque: float,
-                 span_s: float, strengths: Mapping[str, float]) -> None:
+    def __init__(self, names: Sequence[str], guess: Physics, magnitudes: Magnitudes,
+                 priors: Mapping[str, float] = MappingProxyType({})) -> None:
+        self.magnitudes, self.priors = magnitudes, priors
         self.groups = tuple(name for name in names if name != START)
         self.names = [name for group in self.groups for name in components_of(group)]
         self.guess = guess
         self._moments = _possible(second_moments(guess.inertia))
         self._size = float(np.sqrt(np.trace(self._moments)))
         inertia = inertia_of(self._moments)
-        self._scales = _scales(inertia, rate, torque, span_s)
+        self._scales = _scales(inertia, magnitudes)
+        strengths = {'weight': max(float(np.linalg.norm(guess.gravity)), 1e-9),
+                     **magnitudes.strengths}
         for name, strength in strengths.items():
-            weak = max(torque, float(inertia.max()) * rate ** 2) / strength
-            scale = max(weak, float(np.linalg.norm(guess.moments[name])))
-            self._scales[f'{name}.{MOMENT}'] = np.full(3, scale)
+            weak = max(magnitudes.torque, float(inertia.max()) * magnitudes.rate ** 2) / strength
+            given = guess.values.get(name, np.zeros(3))
+            self._scales[name] = np.full(3, max(weak, float(np.linalg.norm(given))))
+
+    def with_priors(self, priors: Mapping[str, float]) -> Parameters:
+        """Return the same parameters, of which something is known beforehand."""
+        return Parameters(self.groups, self.guess, self.magnitudes, priors)
 
     @property
     def size(self) -> int:
@@ -213,17 +344,29 @@ class Parameters:
     @property
     def scales(self) -> Floats:
         """Return the magnitude of each component, in its unit."""
-        return np.concatenate([np.empty(0), *(self._scales[name] for name in self.groups)])
+        return np.concatenate([np.empty(0), *(self._scale(name) for name in self.groups)])
 
     @property
-    def clock(self) -> list[int]:
-        """Return the number of the clock offset, if it is fitted."""
-        return [i for i, name in enumerate(self.names) if name == 'clock_offset']
+    def shifts(self) -> list[int]:
+        """Return the numbers of the components that shift stamps."""
+        return [i for i, name in enumerate(self.names) if split_topic(name)[0] in _SHIFTS]
 
     @property
     def steps(self) -> Floats:
-        """Return steps for finite differences; that of the clock is a number of nanoseconds."""
-        return np.array([1e-5 if name == 'clock_offset' else 1e-7 for name in self.names])
+        """Return steps for finite differences; those of shifts are a number of nanoseconds."""
+        steps: Floats = np.full(self.size, 1e-7)
+        steps[self.shifts] = 1e-5
+        return steps
+
+    def surprise(self, physics: Physics) -> Floats:
+        """Return the differences from the guess of what is known beforehand, in deviations."""
+        rows = [self.names.index(name) for name in self.priors]
+        return (self.values(physics) - self.values(self.guess))[rows] / [*self.priors.values()]
+
+    def columns(self, groups: Iterable[str]) -> list[int]:
+        """Return the numbers of the components of some parameters."""
+        wanted = {name for group in groups for name in components_of(group)}
+        return [i for i, name in enumerate(self.names) if name in wanted]
 
     def values(self, physics: Physics) -> Floats:
         """Return the components, in their units."""
@@ -242,14 +385,16 @@ class Parameters:
         """Return the values a small, positive step in plain coordinates from a solution."""
         return self._at(steps, True, physics)
 
-    def from_plain(self, jacobian: Floats) -> Floats:
+    def from_plain(self, derivatives: Floats) -> Floats:
         """Return derivatives by values divided by their scale, from those in plain coordinates."""
-        result = jacobian.copy()
+        result = derivatives.copy()
         if 'damping' in self.groups:
-            first = self.names.index('damping.dxx')
-            result[:, first:first + 6] = jacobian[:, first:first + 6] @ np.linalg.inv(
-                _OF_DIRECTIONS)
+            rows = self.columns(['damping'])
+            result[rows] = np.linalg.inv(_OF_DIRECTIONS).T @ derivatives[rows]
         return result
+
+    def _scale(self, name: str) -> Floats:
+        return self._scales[split_topic(name)[0]]
 
     def _at(self, point: Floats, plain: bool, physics: Physics) -> Physics:
         first = 0
@@ -271,7 +416,7 @@ class Parameters:
             damping = physics.damping / scale
             factor = np.linalg.cholesky(damping + _LITTLE * np.eye(3))
             return entries(factor.T)
-        return _values(name, physics) / self._scales[name]
+        return _values(name, physics) / self._scale(name)
 
     def _value(self, name: str, part: Floats, physics: Physics) -> dict[str, Any]:
         if name == 'inertia':
@@ -286,10 +431,10 @@ class Parameters:
             factor = np.zeros((3, 3))
             factor[COLUMNS, ROWS] = part
             return {'damping': self._scales[name][0] * factor @ factor.T}
-        return _attribute(name, part * self._scales[name], physics)
+        return _attribute(name, part * self._scale(name), physics)
 
     def _plain(self, name: str, part: Floats, physics: Physics) -> dict[str, Any]:
-        scaled = part * self._scales[name]
+        scaled = part * self._scale(name)
         if name.startswith('inertia'):
             rest = np.zeros(6 - len(part))
             return {'inertia': physics.inertia + symmetric(np.append(scaled, rest))}
@@ -312,28 +457,30 @@ def _with_products(diagonal: Floats, moments: Floats) -> Floats:
     return factor
 
 
-def _scales(inertia: Floats, rate: float, torque: float, span_s: float) -> dict[str, Floats]:
+def _scales(inertia: Floats, magnitudes: Magnitudes) -> dict[str, Floats]:
+    rate, torque, span_s, _ = magnitudes
     moments = np.diag(inertia)
     largest = float(moments.max())
     acting = max(torque, largest * rate / span_s)
-    return {'inertia': np.sqrt(moments[list(ROWS)] * moments[list(COLUMNS)]),
-            'inertia_diagonal': moments.copy(),
-            'torque_gain': np.ones(1), 'torque_bias': np.full(3, acting),
-            'clock_offset': np.ones(1), 'mount': np.ones(3), 'gyro_bias': np.full(3, rate),
+    scales = {name: np.ones(len(kind.components)) for name, kind in _KINDS.items()}
+    return {**scales,
+            'inertia': np.sqrt(moments[list(ROWS)] * moments[list(COLUMNS)]),
+            'inertia_diagonal': moments.copy(), 'torque_bias': np.full(3, acting),
+            'clock_drift': np.ones(1) / span_s, 'gyro_bias': np.full(3, rate),
             'damping': np.full(6, acting / rate), 'rotor_momentum': np.full(3, largest * rate)}
 
 
 def _values(name: str, physics: Physics) -> Floats:
     if name.startswith('inertia'):
-        return entries(physics.inertia)[:len(COMPONENTS[name])]
+        return entries(physics.inertia)[:len(components_of(name))]
     if name == 'damping':
         return entries(physics.damping)
     if field_of(name):
-        return physics.moments[field_of(name)]
-    return np.atleast_1d(getattr(physics, name))
+        return physics.values[name]
+    return physics.value(*split_topic(name))
 
 
 def _attribute(name: str, values: Floats, physics: Physics) -> dict[str, Any]:
-    if field_of(name):
-        return {'moments': {**physics.moments, field_of(name): values}}
-    return {name: values if len(values) > 1 else float(values[0])}
+    if name == 'torque_lag':
+        values = np.abs(values)
+    return {'values': {**physics.values, name: values}}

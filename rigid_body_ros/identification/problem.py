@@ -58,11 +58,15 @@ class Weights:
         Standard deviation of each channel of each recording, rad or rad/s.
     roots : list of list of array, shape (n,)
         Square root of the weight of each sample.
+    spreads : list of list of array, shape (3,)
+        By how much errors that last for many samples exceed independent ones of deviation sigma,
+        for each axis.
 
     """
 
     sigma: list[list[float]]
     roots: list[list[Floats]]
+    spreads: list[list[Floats]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +125,12 @@ class LeastSquares:
         self._trial: _Linearization | None = None
         self._rejected = 0
 
+    def weighted(self, weights: Weights) -> LeastSquares:
+        """Return the same problem with other weights."""
+        other = LeastSquares(self.setup, self.windows, self.reference, weights)
+        other.steps = self.steps
+        return other
+
     @property
     def size(self) -> int:
         """Return the number of unknowns."""
@@ -159,7 +169,9 @@ class LeastSquares:
             self._adapt(largest)
         except ValueError:  # no body, or too fast a motion: the solver takes a shorter step
             return _Linearization(point, changes, [], np.append(prior, np.inf), np.eye(shared))
-        residuals, jacobian = [prior], [np.eye(shared) / _PRIOR]
+        known = np.array([self.parameters.surprise(one) for one in (here, *there)])
+        residuals = [prior, known[0]]
+        jacobian = [np.eye(shared) / _PRIOR, (known[1:] - known[0]).T / self.steps[0]]
         for factor, unknown in zip(triangles, self.unknowns):
             own = len(unknown)
             residuals.append(factor[:, -1])
@@ -218,13 +230,14 @@ class LeastSquares:
 
     def _free(self, k: int) -> int:
         """Return by how many unknowns of a window the derivatives need no motion."""
-        return int(np.sum(self.unknowns[k] < 3)) if self.windows[k].is_in_body else 0
+        is_in_body = self.windows[k].is_in_body and 'weight' not in self.parameters.groups
+        return int(np.sum(self.unknowns[k] < 3)) if is_in_body else 0
 
     def _adapt(self, largest: Floats) -> None:
         """Choose steps that change no prediction much, however much the motion magnifies them."""
         shared = self.parameters.steps / np.maximum(largest[:, 6:].max(axis=0), 1.0)
-        clock = self.parameters.clock
-        shared[clock] = self.parameters.steps[clock]
+        shifts = self.parameters.shifts
+        shared[shifts] = self.parameters.steps[shifts]
         self.steps = shared, _STEP / np.maximum(largest[:, :6], 1.0)
 
     def _turned(self, k: int, base: list[Floats], attitude: Floats, step: Floats) -> list[Floats]:
@@ -240,9 +253,10 @@ class LeastSquares:
         window = self.windows[k]
         sigma = self.weights.sigma[window.experiment]
         roots = self.weights.roots[window.experiment]
-        return np.concatenate([(error * (root[rows] / one)[:, None]).reshape(len(error), -1)
-                               for error, one, root, rows
-                               in zip(errors, sigma, roots, window.rows)], axis=1)
+        spreads = self.weights.spreads[window.experiment]
+        return np.concatenate([(error * (root[rows, None] / (one * spread))
+                                ).reshape(len(error), -1) for error, one, spread, root, rows
+                               in zip(errors, sigma, spreads, roots, window.rows)], axis=1)
 
     def residuals(self, physics: Physics) -> list[list[Floats]]:
         """Return the errors of all samples with the reference states, NaN outside of windows."""
@@ -270,9 +284,13 @@ class LeastSquares:
                 if window.is_first and len(self.unknowns[k])]
         shared = self.parameters.size
         width = shared + sum(len(self.unknowns[k]) for k in kept)
-        blocks, column = [], shared
+        known = np.zeros((len(self.parameters.priors), width))
+        for row, (name, sigma) in zip(known, self.parameters.priors.items()):
+            i = self.parameters.names.index(name)
+            row[i] = self.parameters.scales[i] / sigma
+        blocks, column = [known], shared
         for k in range(len(self.windows)):
-            factor = self._plain_triangle(k, physics)
+            factor = triangle(self.derivatives(k, physics))
             own = len(self.unknowns[k])
             block = np.zeros((len(factor), width))
             block[:, :shared] = factor[:, own:]
@@ -284,12 +302,26 @@ class LeastSquares:
             blocks.append(block)
         return triangle(np.concatenate(blocks).T.copy())
 
-    def _plain_triangle(self, k: int, physics: Physics) -> Floats:
-        """Return the factor of the derivatives of a window, by values divided by scales."""
+    def scaled_errors(self, k: int, physics: Physics) -> Floats:
+        """Return the errors in a window, in standard deviations, shape (m,)."""
+        window = self.windows[k]
+        predicted = window.predict([physics], self.reference.rows([k]))
+        return self._rows(k, errors_of(window.channels, predicted))[0]
+
+    def derivatives(self, k: int, physics: Physics) -> Floats:
+        """
+        Return the derivatives of the errors in a window, in standard deviations.
+
+        Returns
+        -------
+        array, shape (c, m)
+            By the unknowns of its state, and by the shared values divided by their scales.
+
+        """
         window, unknown = self.windows[k], self.unknowns[k]
         own, shared = len(unknown), self.parameters.size
         steps = _FINAL * self.steps[0]
-        steps[self.parameters.clock] /= _FINAL
+        steps[self.parameters.shifts] /= _FINAL
         step = np.append(_FINAL * self.steps[1][k, unknown], steps)
         moves = np.zeros((2, len(step), 6))
         moves[:, np.arange(own), unknown] = np.outer((1, 2), step[:own])
@@ -298,11 +330,11 @@ class LeastSquares:
         predicted = window.predict([physics, *moved[0], *moved[1]], self._changed(
             k, np.concatenate([np.zeros((1, 6)), *moves])))
         # One-sided, so that values on the boundary of possible bodies are no exception.
-        factor = triangle(self._rows(k, slopes(window, [one[0] for one in predicted], [
+        rows = self._rows(k, slopes(window, [one[0] for one in predicted], [
             (4.0 * one[1:1 + len(step)] - one[1 + len(step):] - 3.0 * one[0])
-            / (2.0 * step[:, None, None]) for one in predicted])))
-        factor[:, len(unknown):] = self.parameters.from_plain(factor[:, len(unknown):])
-        return factor
+            / (2.0 * step[:, None, None]) for one in predicted]))
+        rows[own:] = self.parameters.from_plain(rows[own:])
+        return rows
 
 
 def errors_of(channels: Sequence[Measured], predicted: Sequence[Floats]) -> list[Floats]:

@@ -24,14 +24,11 @@ from typing import Any
 from rigid_body_ros.common.arrays import ENTRIES, entries
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.experiment import Experiment
-from rigid_body_ros.identification.parameters import field_of
+from rigid_body_ros.identification.parameters import field_of, NOT_IN_SCENES, split_topic
 from rigid_body_ros.identification.result import Identification
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.recorded import read_observed, Reading
 import yaml
-
-#: Estimates that are not parameters of a scene.
-_NOT_IN_SCENES = ('torque_gain', 'torque_bias', 'clock_offset', 'mount', 'gyro_bias')
 
 
 def read_experiment(path: str | Path, scene: Scene, reading: Reading) -> Experiment:
@@ -89,9 +86,10 @@ def fitted_scene(scene: Scene, fit: Identification) -> str:
             (tree.setdefault(group, {}) if group else tree)[key] = values[name]
     comments = [f'# {name}: {one.value!r} {one.unit}'.rstrip()
                 for name, one in fit.estimates.items()
-                if name.split('.')[0] in _NOT_IN_SCENES]
+                if split_topic(name)[0].split('.')[0] in NOT_IN_SCENES]
     text = yaml.safe_dump({'/**': {'ros__parameters': tree}}, sort_keys=False)
-    return '\n'.join(['# Fitted by attitude_identify.', *comments, text])
+    reasons = [f'# {fit.verdict.level}: {reason}' for reason in fit.verdict.reasons]
+    return '\n'.join(['# Fitted by attitude_identify.', *reasons, *comments, text])
 
 
 def _changed(fit: Identification) -> dict[str, float]:

@@ -161,13 +161,12 @@ def of_validation(solution: Solution, every: Sequence[Sequence[Measured]]) -> li
     """
     physics, problem, result = solution.physics, solution.problem, []
     setup = problem.setup
-    offset_ns = round(physics.clock_offset * 1e9)
     for number, (given, channels) in enumerate(zip(setup.problems, every)):
         k = [k for k, one in enumerate(problem.windows) if one.experiment == number][-1]
         last = problem.windows[k]
         rest = [channel.rows(slice(len(fitted), None))
                 for channel, fitted in zip(channels, setup.channels[number])]
-        whole, = windows_of(number, given, channels, 2 ** 62, offset_ns, 0)
+        whole, = windows_of(number, given, channels, 2 ** 62, physics, 0)
         ahead = replace(whole, problem=whole.problem.replaced(start=last.problem.start),
                         channels=rest)
         predicted = ahead.predict([physics], problem.reference.rows([k]))

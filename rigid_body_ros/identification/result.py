@@ -23,6 +23,7 @@ import numpy as np
 from rigid_body_ros.common.arrays import as_json, Floats
 from rigid_body_ros.identification.identifiability import Direction
 from rigid_body_ros.identification.residuals import Misfit, Residuals
+from rigid_body_ros.identification.verdict import Verdict
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
 
@@ -43,6 +44,8 @@ class Estimate:
     sigma : float
         Standard deviation; infinite if the data does not determine the number.
     identifiable : bool
+    systematic : float
+        How far the number moves with what the model lacks; 0 if it explains the measurements.
 
     """
 
@@ -52,11 +55,12 @@ class Estimate:
     start: float
     sigma: float
     identifiable: bool
+    systematic: float = 0.0
 
     @property
     def interval_95(self) -> tuple[float, float] | None:
         """Return the limits of the 95 % interval, None if there is none."""
-        half = _NORMAL_95 * self.sigma
+        half = _NORMAL_95 * self.sigma + self.systematic
         return (self.value - half, self.value + half) if self.identifiable else None
 
 
@@ -88,6 +92,10 @@ class Identification:
         Length of the windows of the fit; each begins with a state of its own.
     evaluations : int
     converged : bool
+    verdict : Verdict
+        Whether the model explains the measurements.
+    has_torque : bool
+        Whether a logged torque acts.
 
     """
 
@@ -103,6 +111,8 @@ class Identification:
     window_s: float
     evaluations: int
     converged: bool
+    verdict: Verdict
+    has_torque: bool
 
     @property
     def is_complete(self) -> bool:
@@ -116,6 +126,12 @@ class Identification:
         sigma = np.sqrt(np.diag(self.covariance))
         with np.errstate(invalid='ignore'):  # without any error, 0 / 0
             return self.covariance / np.outer(sigma, sigma)
+
+    @property
+    def holds_for_exact_torque(self) -> bool:
+        """Return whether the inertia follows from a torque whose gain was not estimated."""
+        return self.has_torque and 'inertia.ixx' in self.estimates and not any(
+            name.startswith('torque_gain') for name in self.estimates)
 
     def first_errors(self) -> list[list[Residuals]]:
         """Return the errors of each quantity of the first recording, those of the fit first."""
@@ -141,6 +157,7 @@ class Identification:
             'estimates': {name: {
                 'value': one.value, 'unit': one.unit, 'start': one.start,
                 'sigma': one.sigma if one.identifiable else None,
+                'systematic': one.systematic,
                 'interval_95': list(one.interval_95) if one.interval_95 else None,
                 'identifiable': one.identifiable} for name, one in self.estimates.items()},
             'unidentifiable': [{'direction': one.components, 'reason': one.reason}
@@ -154,4 +171,5 @@ class Identification:
             'window_s': self.window_s,
             'training': self.training.as_dict(),
             'validation': self.validation.as_dict() if self.validation else None,
+            'verdict': self.verdict.as_dict(),
             'evaluations': self.evaluations, 'converged': self.converged}

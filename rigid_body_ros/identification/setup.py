@@ -70,8 +70,8 @@ class Setup:
 
     def windows(self, length_ns: int, physics: Physics) -> list[Window]:
         """Return all recordings in windows of about this length."""
-        lead_ns = LEAD_NS if 'clock_offset' in self.parameters.groups else 0
+        lead_ns = LEAD_NS if self.parameters.shifts else 0
         return [window for number, (problem, channels)
                 in enumerate(zip(self.problems, self.channels))
-                for window in windows_of(number, problem, channels, length_ns,
-                                         round(physics.clock_offset * 1e9), lead_ns)]
+                for window in windows_of(number, problem, channels, length_ns, physics,
+                                         lead_ns)]

@@ -31,9 +31,9 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.experiment import local_state
 from rigid_body_ros.identification.parameters import Physics
 from rigid_body_ros.identification.problem import LeastSquares, Weights
+from rigid_body_ros.identification.sensors import corrected
 from rigid_body_ros.identification.setup import Setup
 from rigid_body_ros.identification.windows import Window
-from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.states import Poses
 from rigid_body_ros.sensing.measured import Measured
 
@@ -99,13 +99,13 @@ class Solution:
 def solve(setup: Setup) -> Solution:
     """Return the fit with the longest windows that the data allows."""
     solution = _rough(setup)
-    solution = _fitted(solution, solution.length_ns, 1e-2, 12)
+    solution = fitted(solution, solution.length_ns, 1e-2, 12)
     while solution.length_ns < setup.longest_ns:
         longer = _longer(solution)
         if longer is None:
             break
         solution = longer
-    return _polished(solution)
+    return polished(solution)
 
 
 def _rough(setup: Setup) -> Solution:
@@ -127,7 +127,7 @@ def _from_few(setup: Setup, length_ns: int, guess: Physics) -> Solution:
     """Return a fit to a few windows, with states from the measurements in all of them."""
     windows = setup.windows(length_ns, guess)
     few = windows[::-(-len(windows) // _FEW)]
-    return _fitted(_first(setup, few, guess), length_ns, 1e-2, 30, windows=few)
+    return fitted(_first(setup, few, guess), length_ns, 1e-2, 30, windows=few)
 
 
 def _lasts(solution: Solution) -> bool:
@@ -154,20 +154,20 @@ def _longer(solution: Solution) -> Solution | None:
     for factor in _GROWTH:
         length_ns = min(factor * solution.length_ns, setup.longest_ns)
         windows = setup.windows(length_ns, solution.physics)
-        problem = LeastSquares(setup, windows, _states(solution, windows), solution.weights)
+        problem = LeastSquares(setup, windows, states_at(solution, windows), solution.weights)
         if factor == _GROWTH[-1] or _predicts(problem, solution.physics):
-            longer = _fitted(solution, length_ns, 1e-3, _FAST)
+            longer = fitted(solution, length_ns, 1e-3, _FAST)
             if _fits(longer, solution):
                 return longer
     return None
 
 
-def _polished(solution: Solution) -> Solution:
+def polished(solution: Solution) -> Solution:
     """Return the maximum-likelihood fit to the samples that are not outliers."""
     whole = [[inlier.astype(float) for inlier in inliers] for inliers in solution.inliers]
-    previous = replace(solution, weights=Weights(solution.weights.sigma, whole))
+    previous = replace(solution, weights=replace(solution.weights, roots=whole))
     for _ in range(8):
-        solution = _fitted(previous, previous.length_ns, 1e-7, 50, is_last=True)
+        solution = fitted(previous, previous.length_ns, 1e-7, 50, is_last=True)
         same = all(np.array_equal(one, other) for a, b in zip(solution.inliers, previous.inliers)
                    for one, other in zip(a, b))
         if same and np.allclose(np.concatenate(solution.weights.sigma),
@@ -179,29 +179,30 @@ def _polished(solution: Solution) -> Solution:
 
 def _first(setup: Setup, windows: list[Window], physics: Physics) -> Solution:
     """Return a guess, with states from the measurements."""
-    mount, offset_ns = so3.exp(physics.mount), round(physics.clock_offset * 1e9)
+    sensors = [corrected(channels, physics, problem.start.time_ns)
+               for problem, channels in zip(setup.problems, setup.channels)]
     pairs = []
     for window in windows:
         start = setup.problems[window.experiment].start
         if window.is_first and not setup.fits_start:
             pairs.append((start.attitude, start.angular_velocity))
             continue
-        pairs.append(local_state(setup.channels[window.experiment], window.anchor_ns - offset_ns,
-                                 setup.rate, mount, start))
+        pairs.append(local_state(sensors[window.experiment], window.anchor_ns, setup.rate, start))
     states = Poses(*(np.array(values) for values in zip(*pairs)))
     ones = Weights([[1.0 for _ in channels] for channels in setup.channels],
                    [[np.ones(len(channel)) for channel in channels]
-                    for channels in setup.channels])
+                    for channels in setup.channels],
+                   [[np.ones(3) for _ in channels] for channels in setup.channels])
     return _solution(LeastSquares(setup, windows, states, ones), physics, setup.shortest_ns, 0)
 
 
-def _fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
-            is_last: bool = False, windows: list[Window] | None = None) -> Solution:
+def fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
+           is_last: bool = False, windows: list[Window] | None = None) -> Solution:
     """Return a fit with windows of this length, from the states of another one."""
     from scipy.optimize import least_squares
     setup = previous.problem.setup
     windows = windows or setup.windows(length_ns, previous.physics)
-    problem = LeastSquares(setup, windows, _states(previous, windows), previous.weights)
+    problem = LeastSquares(setup, windows, states_at(previous, windows), previous.weights)
     result = least_squares(problem.fun, setup.parameters.coordinates(previous.physics),
                            problem.jac, x_scale='jac', ftol=tolerance, xtol=1e-12, gtol=1e-14,
                            max_nfev=most)
@@ -212,7 +213,7 @@ def _fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
                      result.status > 0, is_last)
 
 
-def _states(solution: Solution, windows: list[Window]) -> Poses:
+def states_at(solution: Solution, windows: list[Window]) -> Poses:
     """Return the states of a solution at the beginnings of other windows."""
     old, pairs = solution.problem, []
     begins = [(one.experiment, one.anchor_ns) for one in old.windows]
@@ -247,8 +248,8 @@ def _solution(problem: LeastSquares, physics: Physics, length_ns: int, evaluatio
         roots.append([one.astype(float) if is_last else
                       1.0 / np.sqrt(1.0 + distance ** 2 / (3.0 * _CAUCHY ** 2))
                       for one, distance in zip(inlier, distances)])
-    return Solution(length_ns, problem, physics, errors, Weights(sigma, roots), inliers,
-                    evaluations, converged)
+    weights = Weights(sigma, roots, problem.weights.spreads)
+    return Solution(length_ns, problem, physics, errors, weights, inliers, evaluations, converged)
 
 
 def _level(error: Floats, channel: Measured, setup: Setup, share: float) -> float:

@@ -21,23 +21,36 @@ from collections.abc import Iterator
 import numpy as np
 from rigid_body_ros.identification.residuals import Misfit
 from rigid_body_ros.identification.result import Estimate, Identification
+from rigid_body_ros.identification.verdict import APPROXIMATE, EXPLAINED, REJECTED, Verdict
 from rigid_body_ros.report.text import lines
 
+_MEANINGS = {
+    EXPLAINED: 'nothing speaks against the model',
+    APPROXIMATE: 'the model lacks something; the intervals are wider by what that may change',
+    REJECTED: 'the model does not explain the measurements; do not use the estimates'}
 #: Correlations from which on a pair of estimates is listed, and the largest number of pairs.
 _CORRELATED, _PAIRS = 0.95, 6
 #: Autocorrelation from which on errors are not white.
 _COLOURED = 0.2
-#: Autocorrelation from which on neighbouring errors have a cause in common, not noise.
-_ALIKE = 0.8
-#: Chi-square per degree of freedom below which the errors are too small to matter.
-_TINY = 0.1
-#: Chi-square per degree of freedom from which on the errors are larger than the noise.
-_LARGE = 2.0
 
 
 def summary(fit: Identification) -> str:
     """Return a table of the estimates, and one line for each other fact."""
-    return lines([*_table(fit), *(f'{name:17}{text}' for name, text in rows(fit))])
+    verdict = [f'{name:17}{text}' for name, text in verdict_rows(fit.verdict)]
+    return lines([*verdict, *_table(fit), *(f'{name:17}{text}' for name, text in rows(fit))])
+
+
+def verdict_rows(verdict: Verdict) -> Iterator[tuple[str, str]]:
+    """Generate whether the model explains the measurements, why not, and what would."""
+    yield 'verdict', f'{verdict.level}: {_MEANINGS[verdict.level]}'
+    for reason in verdict.reasons:
+        yield 'reason', reason
+    for one in verdict.suspects:
+        values = ', '.join(f'{value:.4g}' for value in one.value)
+        ahead = '' if one.validation_chi2_per_dof is None else \
+            f', chi-square of the validation {one.validation_chi2_per_dof:.3g}'
+        yield 'suspect', f'{one.name} ({values}): chi-square falls by {one.chi2_drop:.4g}' \
+                         f'{ahead}; {one.command}'
 
 
 def _table(fit: Identification) -> Iterator[str]:
@@ -67,13 +80,9 @@ def rows(fit: Identification) -> Iterator[tuple[str, str]]:
     yield from _misfit('training', fit.training)
     if fit.validation:
         yield from _misfit('validation', fit.validation)
-    if (fit.training.chi2_per_dof or 0.0) > _LARGE:
-        yield 'warning', 'the errors are larger than the given noise, so the model lacks ' \
-                         'something, and the intervals are too short'
-    alike = [name for name, value in fit.autocorrelation.items() if value > _ALIKE]
-    if alike and (fit.training.chi2_per_dof or 0.0) > _TINY:
-        yield 'warning', f'{", ".join(alike)}: neighbouring errors are almost the same, so the ' \
-                         'model lacks something, and the intervals are much too short'
+    if fit.holds_for_exact_torque:
+        yield 'note', 'the intervals hold for an exactly known torque: an error of its gain is ' \
+                      'one of the inertia (--estimate torque_gain, with --prior torque_gain=SIGMA)'
     state = 'converged' if fit.converged else 'did not converge'
     yield 'fit', f'{state} after {fit.evaluations} evaluations, in windows of ' \
                  f'{fit.window_s:.4g} s'

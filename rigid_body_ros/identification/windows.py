@@ -22,8 +22,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.experiment import mounted
+from rigid_body_ros.identification.actuator import applied, MEMORY
 from rigid_body_ros.identification.parameters import Physics
+from rigid_body_ros.identification.sensors import clocked, mounts
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import Poses
@@ -32,6 +33,13 @@ from rigid_body_ros.sensing.measured import Measured
 
 #: ns; a window with a fitted clock begins this much before its first sample.
 LEAD_NS = 200_000_000
+_MEMORY_NS = round(1e9 * MEMORY)
+
+
+#: What the torques of a window depend on, and their values if all that was logged acts.
+_OF_TORQUES = 'torque_gain', 'torque_gains', 'torque_delay', 'torque_lag'
+_UNCHANGED = 1.0, 1.0, 1.0, 1.0, 0.0, 0.0
+Stamps = Sequence[NDArray[np.int64]]
 
 
 @dataclass(eq=False)
@@ -51,6 +59,8 @@ class Window:
     channels : list of Measured
     rows : list of slice
         Which samples of each channel of the recording are in the window.
+    origin_ns : int
+        The start of the recording, from which the drift of clocks counts.
     is_in_body : bool
         Whether all torques are in body axes, so that the motion turns with its initial attitude.
 
@@ -61,20 +71,18 @@ class Window:
     problem: Problem
     channels: list[Measured]
     rows: list[slice]
-    #: Of all channels, increasing, each once.
-    stamps_ns: NDArray[np.int64] = field(init=False)
+    origin_ns: int
     is_in_body: bool = field(init=False)
-    _scaled: tuple[float, Problem] = field(init=False)
-    #: Where in `stamps_ns` those of each channel are.
-    _moments: list[NDArray[np.intp]] = field(init=False)
+    #: The latest gain, delay and lag, and the problem with them.
+    _applied: tuple[tuple[float, ...], Problem] = field(init=False)
+    #: The latest stamps of all channels, where those of each are among their union, the union.
+    _times: tuple[Stamps, list[NDArray[np.intp]], NDArray[np.int64]] | None = field(init=False)
 
     def __post_init__(self) -> None:
-        stamps_ns = [channel.stamps_ns for channel in self.channels]
-        self.stamps_ns = np.unique(np.concatenate(stamps_ns))
         self.is_in_body = not (self.problem.fields or any(log.in_space.any()
                                                           for log in self.problem.logs))
-        self._scaled = 1.0, self.problem
-        self._moments = [np.searchsorted(self.stamps_ns, each) for each in stamps_ns]
+        self._applied = _UNCHANGED, self.problem
+        self._times = None
 
     @property
     def anchor_ns(self) -> int:
@@ -102,17 +110,19 @@ class Window:
             As for `propagate`.
 
         """
-        motions = [self._motion(*one, self.stamps_ns + round(one[0].clock_offset * 1e9))
-                   for one in zip(physics, states.attitude, states.angular_velocity)]
-        attitude = np.stack([motion.attitude for motion in motions])
-        velocity = np.stack([motion.angular_velocity for motion in motions])
-        vectors = np.array([one.mount for one in physics])
-        mount = so3.exp(vectors)[:, None] if vectors.any() else None
-        bias = np.array([one.gyro_bias for one in physics])[:, None]
-        return [_attitudes(attitude[:, rows], mount) if channel.is_attitude
-                else _rates(velocity[:, rows], mount if is_mounted else None, bias)
-                for channel, rows, is_mounted
-                in zip(self.channels, self._moments, mounted(self.channels))]
+        attitudes = [np.empty((len(physics), len(channel), 4)) for channel in self.channels]
+        velocities = [np.empty((len(physics), len(channel), 3)) for channel in self.channels]
+        for i, (one, attitude, velocity) in enumerate(zip(physics, states.attitude,
+                                                          states.angular_velocity)):
+            rows, times_ns = self._instants(one)
+            motion = self._motion(one, attitude, velocity, times_ns)
+            for k, here in enumerate(rows):
+                attitudes[k][i], velocities[k][i] = (motion.attitude[here],
+                                                     motion.angular_velocity[here])
+        return [_attitudes(attitude, mount) if channel.is_attitude
+                else _rates(velocity, mount, physics, channel.topic)
+                for channel, attitude, velocity, mount
+                in zip(self.channels, attitudes, velocities, mounts(physics, self.channels))]
 
     def state_at(self, physics: Physics, attitude: Floats, velocity: Floats,
                  time_ns: int) -> tuple[Floats, Floats]:
@@ -123,40 +133,51 @@ class Window:
     def _motion(self, physics: Physics, attitude: Floats, velocity: Floats,
                 times_ns: NDArray[np.int64]) -> Trajectory:
         """Return the motion at times, at the beginning for earlier ones."""
-        momentum = self.problem.start.rotor_momentum + physics.rotor_momentum
+        momentum = self.problem.start.rotor_momentum + physics.value('rotor_momentum')
         start = State(self.anchor_ns, attitude, velocity, momentum)
-        fields = physics.acting(self.problem.fields) if physics.moments else None
-        problem = self._acting(physics).replaced(body=physics.body, start=start, fields=fields)
+        fields = physics.acting(self.problem.fields) if physics.values else None
+        problem = self._acting(physics, int(times_ns[-1])).replaced(
+            body=physics.body, start=start, fields=fields or None)
         return problem.propagate(at=np.maximum(times_ns, self.anchor_ns))
+
+    def _instants(self, physics: Physics) -> tuple[list[NDArray[np.intp]], NDArray[np.int64]]:
+        """Return the times of all samples, each once, and where those of each channel are."""
+        stamps = [clocked(channel, physics, self.origin_ns) for channel in self.channels]
+        if self._times is None or not all(map(np.array_equal, stamps, self._times[0])):
+            union = np.unique(np.concatenate(stamps))
+            self._times = stamps, [np.searchsorted(union, each) for each in stamps], union
+        return self._times[1:]
 
     @property
     def size(self) -> int:
         """Return the number of samples of all channels."""
         return sum(len(channel) for channel in self.channels)
 
-    def _acting(self, physics: Physics) -> Problem:
-        """Return the problem with the gain and the bias of the torques."""
-        if physics.torque_gain != self._scaled[0]:
-            self._scaled = physics.torque_gain, self.problem.replaced(log=[
-                log.with_torques(physics.torque_gain * log.torques) for log in self.problem.logs])
-        problem = self._scaled[1]
-        end_ns = int(self.stamps_ns[-1]) + LEAD_NS
-        return problem.biased(physics.torque_bias, end_ns) if physics.torque_bias.any() \
-            else problem
+    def _acting(self, physics: Physics, end_ns: int) -> Problem:
+        """Return the problem with the torques that act up to a time."""
+        key = tuple(float(value) for name in _OF_TORQUES for value in physics.value(name))
+        if key != self._applied[0]:
+            self._applied = key, self.problem.replaced(
+                log=applied(self.problem.logs, physics, self.problem.options.timeout_ns))
+        problem, bias = self._applied[1], physics.value('torque_bias')
+        return problem.biased(bias, end_ns) if bias.any() else problem
 
 
 def _attitudes(attitude: Floats, mount: Floats | None) -> Floats:
     return attitude if mount is None else so3.multiply(attitude, mount)
 
 
-def _rates(velocity: Floats, mount: Floats | None, bias: Floats) -> Floats:
+def _rates(velocity: Floats, mount: Floats | None, physics: Sequence[Physics],
+           topic: str) -> Floats:
     if mount is not None:
         velocity = so3.rotate(so3.conjugate(mount), velocity)
-    return velocity + bias
+    scale, bias = (np.array([one.value(name, topic) for one in physics])[:, None]
+                   for name in ('gyro_scale', 'gyro_bias'))
+    return scale * velocity + bias
 
 
 def windows_of(number: int, problem: Problem, channels: Sequence[Measured], length_ns: int,
-               offset_ns: int, lead_ns: int) -> list[Window]:
+               physics: Physics, lead_ns: int) -> list[Window]:
     """
     Divide a recording into windows.
 
@@ -170,8 +191,10 @@ def windows_of(number: int, problem: Problem, channels: Sequence[Measured], leng
         Its sensors.
     length_ns : int
         Length of a window.
-    offset_ns, lead_ns : int
-        Added to the stamps; how much earlier than their first sample windows begin.
+    physics : Physics
+        With the clocks of the sensors.
+    lead_ns : int
+        How much earlier than their first sample windows begin.
 
     Returns
     -------
@@ -180,20 +203,20 @@ def windows_of(number: int, problem: Problem, channels: Sequence[Measured], leng
 
     """
     start_ns = problem.start.time_ns
-    first_ns = max(start_ns, min(int(channel.stamps_ns[0]) for channel in channels) + offset_ns)
-    last_ns = max(int(channel.stamps_ns[-1]) for channel in channels) + offset_ns
+    stamps = [clocked(channel, physics, start_ns) for channel in channels]
+    first_ns = max(start_ns, min(int(each[0]) for each in stamps))
+    last_ns = max(int(each[-1]) for each in stamps)
     count = max(1, round((last_ns - first_ns) / length_ns))
     edges = first_ns + np.arange(count + 1) * ((last_ns - first_ns) // count + 1)
     anchors = np.append(start_ns, np.maximum(edges[1:-1] - lead_ns, start_ns))
     momenta = problem.rotor_momentum(anchors)
     result = []
     for k, anchor_ns in enumerate(anchors.tolist()):
-        rows = [slice(*np.searchsorted(channel.stamps_ns + offset_ns, [edges[k], edges[k + 1]]))
-                for channel in channels]
+        rows = [slice(*np.searchsorted(each, [edges[k], edges[k + 1]])) for each in stamps]
         parts = [channel.rows(part) for channel, part in zip(channels, rows)]
         if not any(len(part) for part in parts):
             continue
         start = State(anchor_ns, rotor_momentum=momenta[k])
-        result.append(Window(number, k == 0, problem.between(start, int(edges[k + 1]) + LEAD_NS),
-                             parts, rows))
+        near = problem.between(start, int(edges[k + 1]) + LEAD_NS, _MEMORY_NS)
+        result.append(Window(number, k == 0, near, parts, rows, start_ns))
     return result

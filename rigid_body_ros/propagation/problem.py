@@ -162,9 +162,21 @@ class Problem:
         timeout = self.options.torque_timeout
         return self.replaced(options=Options(torque_timeout=timeout, **options))
 
-    def between(self, start: State, end_ns: int) -> Problem:
-        """Return the problem from another start on, with only the torques up to a time, ns."""
-        begin_ns = start.time_ns
+    def between(self, start: State, end_ns: int, memory_ns: int = 0) -> Problem:
+        """
+        Return the problem from another start on, with only the torques up to a time.
+
+        Parameters
+        ----------
+        start : State
+            Where it begins.
+        end_ns : int, ns
+            The time.
+        memory_ns : int, ns
+            Keep the torques of this time before the start.
+
+        """
+        begin_ns = start.time_ns - memory_ns
         return self.replaced(start=start,
                              log=[log.between(begin_ns, end_ns) for log in self.logs],
                              wheels=self.wheels and self.wheels.between(begin_ns, end_ns))

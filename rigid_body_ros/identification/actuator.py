@@ -1,0 +1,116 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What the actuators make of the logged torques: gain, delay and lag."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.identification.parameters import Physics
+from rigid_body_ros.mechanics.torque import TorqueLog
+
+#: s; up to this long after its stamp a torque changes the motion.
+MEMORY = 2.0
+#: s; shorter lags have no effect.
+_SHORTEST = 1e-6
+#: Times after a sample, in lags, at which the torque of a lag gets a new value.
+_NODES = np.array([0.125, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0])
+
+
+def applied(logs: Sequence[TorqueLog], physics: Physics, timeout_ns: int) -> list[TorqueLog]:
+    """
+    Return the torques that act, without the bias.
+
+    Parameters
+    ----------
+    logs : sequence of TorqueLog
+        What was logged.
+    physics : Physics
+        With gain, delay and lag.
+    timeout_ns : int
+        As for `TorqueLog.segments`.
+
+    """
+    gains = physics.number('torque_gain') * physics.value('torque_gains')
+    delay_ns = round(physics.number('torque_delay') * 1e9)
+    lag = physics.number('torque_lag')
+    result = []
+    for log in logs:
+        scaled = TorqueLog(log.times_ns + delay_ns, gains * log.torques, log.in_space,
+                           log.interpolation)
+        result.append(lagged(scaled, lag, timeout_ns) if lag > _SHORTEST and len(log)
+                      else scaled)
+    return result
+
+
+def lagged(log: TorqueLog, lag: float, timeout_ns: int = 0) -> TorqueLog:
+    """
+    Return a torque that follows another one with a first-order lag.
+
+    It is held between nodes, at its mean over that time: so each impulse is exact, and a step of
+    the logged torque has several nodes within a lag.
+
+    Parameters
+    ----------
+    log : TorqueLog
+        Torque of the command.
+    lag : float, s
+        Time constant, positive.
+    timeout_ns : int
+        As for `TorqueLog.segments`.
+
+    Raises
+    ------
+    InputError
+        The log has torques in body axes and in space axes.
+
+    """
+    if log.in_space.any() and not log.in_space.all():
+        raise InputError('torque_lag: expected torques in one frame, found torques in body axes '
+                         'and in space axes')
+    nodes_ns = _nodes(log, lag, timeout_ns)
+    seconds = np.append(np.diff(nodes_ns), round(1e9 * _NODES[-1] * lag)) * 1e-9
+    begin = log.at(nodes_ns, timeout_ns)[0]
+    slope = np.zeros_like(begin)
+    if log.interpolation != 'hold':
+        slope[:-1] = (log.at(nodes_ns[1:] - 1, timeout_ns)[0] - begin[:-1]) / seconds[:-1, None]
+    ratio = seconds / lag
+    decay = np.exp(-ratio)[:, None]
+    ends = begin + slope * (seconds - lag)[:, None]  # what it tends to
+    first = begin - slope * lag
+    state, means = np.zeros(3), np.empty_like(begin)
+    share = -np.expm1(-ratio) / ratio
+    middle = 0.5 * slope * seconds[:, None]
+    for k in range(len(nodes_ns)):
+        away = state - first[k]
+        means[k] = first[k] + middle[k] + share[k] * away
+        state = ends[k] + decay[k] * away
+    # The last node stands for what follows; there the lag is over.
+    means[-1] = begin[-1]
+    return TorqueLog(nodes_ns, means, 'space' if log.in_space.all() else 'body')
+
+
+def _nodes(log: TorqueLog, lag: float, timeout_ns: int) -> NDArray[np.int64]:
+    """Return times between which the torque is held; small changes of the lag do not move them."""
+    times_ns = log.segments(timeout_ns)[0]
+    unit_ns = 1e9 * 2.0 ** math.floor(math.log2(lag))
+    after = np.round(unit_ns * _NODES).astype(np.int64)
+    gaps = np.append(np.diff(times_ns), np.iinfo(np.int64).max)
+    nodes = times_ns[:, None] + after
+    return np.union1d(times_ns, nodes[after < gaps[:, None]])

@@ -1,0 +1,219 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+A fit close to its solution: what would change if other parameters were estimated, too.
+
+The derivatives by all parameters, those that were estimated and those that were not, make a linear
+problem of a few rows. A *score test* asks how much of the errors a parameter that was not
+estimated would explain (Rao 1948). Without an effect, that is distributed as chi-square.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.identification.noise import Noise, noise_of
+from rigid_body_ros.identification.parameters import Parameters
+from rigid_body_ros.identification.problem import LeastSquares
+from rigid_body_ros.identification.solve import Solution, states_at
+from rigid_body_ros.identification.triangles import triangle
+
+#: Relative size from which on what is left of a column is no rounding error.
+_ROUNDING = 1e-5
+#: Largest number of samples of a channel in a window, which bounds the memory.
+_LONGEST = 12_000
+#: About how many samples of a channel tell its noise.
+_ENOUGH = 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class Linearized:
+    """
+    A linear least-squares problem: errors + matrix @ change.
+
+    Attributes
+    ----------
+    names : list of str
+        The components, as columns of the matrix.
+    blocks : list of array, shape (m, n + 1)
+        For each window, a factor of its derivatives and errors, in standard deviations; the last
+        column has the errors. Its state is eliminated.
+    halves : list of int
+        Whether a window is in the first or the second half of its recording.
+
+    """
+
+    names: list[str]
+    blocks: list[Floats]
+    halves: list[int]
+
+    def columns(self, names: Sequence[str]) -> list[int]:
+        """Return the numbers of components."""
+        return [self.names.index(name) for name in names]
+
+    def stacked(self) -> tuple[Floats, Floats]:
+        """Return the matrix and the errors of all windows."""
+        rows = np.concatenate(self.blocks)
+        return rows[:, :-1], rows[:, -1]
+
+    def split(self, columns: Sequence[int], later: Sequence[bool]) -> Floats:
+        """Return columns of the matrix, zero for the windows that are not later."""
+        return np.concatenate([block[:, columns] * late for block, late
+                               in zip(self.blocks, later)])
+
+
+def explained(others: Floats, base: Floats, errors: Floats) -> tuple[float, int]:
+    """
+    Return by how much other columns lower the sum of squares, and how many are independent.
+
+    Parameters
+    ----------
+    others, base : array, shape (m, k) and (m, n)
+        Columns that were not fitted, and those that were.
+    errors : array, shape (m,)
+        In standard deviations.
+
+    """
+    left = _without(base, np.column_stack([others, errors]))
+    norms = np.linalg.norm(others, axis=0)
+    kept = np.linalg.norm(left[:, :-1], axis=0) > _ROUNDING * np.maximum(norms, 1e-300)
+    if not kept.any():
+        return 0.0, 0
+    basis = _basis(left[:, :-1][:, kept])
+    return float(np.sum((basis.T @ left[:, -1]) ** 2)), basis.shape[1]
+
+
+def solved(matrix: Floats, errors: Floats) -> tuple[Floats, Floats]:
+    """Return the change that lowers the errors most, and its standard deviations."""
+    norms = np.linalg.norm(matrix, axis=0)
+    norms = np.where(norms > 0.0, norms, 1.0)
+    left, singular, right = np.linalg.svd(matrix / norms, full_matrices=False)
+    kept = singular > _ROUNDING * singular.max(initial=0.0)
+    inverse = right[kept].T / singular[kept]
+    deviations = np.linalg.norm(inverse, axis=1)
+    deviations[(np.abs(right[~kept]) > 1e-3).any(axis=0)] = np.inf
+    return -(inverse @ (left[:, kept].T @ errors)) / norms, deviations / norms
+
+
+def _without(base: Floats, others: Floats) -> Floats:
+    if not base.shape[1]:
+        return others
+    basis = _basis(base)
+    return others - basis @ (basis.T @ others)
+
+
+def _basis(columns: Floats) -> Floats:
+    norms = np.linalg.norm(columns, axis=0)
+    left, singular, _ = np.linalg.svd(columns / np.where(norms > 0.0, norms, 1.0),
+                                      full_matrices=False)
+    return left[:, singular > _ROUNDING * singular.max(initial=0.0)]
+
+
+def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> LeastSquares:
+    """
+    Return the problem of a solution with other parameters, in some windows or more.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    parameters : Parameters
+        With those that were estimated, and others.
+    pieces : int
+        Fewest windows of a recording.
+
+    """
+    setup = replace(solution.problem.setup, parameters=parameters)
+    most = max(len(channel) for channels in setup.channels for channel in channels)
+    pieces = max(pieces, -(-most // _LONGEST))
+    length_ns = min(solution.length_ns, setup.span_ns // pieces + 1)
+    windows = setup.windows(length_ns, solution.physics)
+    problem = LeastSquares(setup, windows, states_at(solution, windows), solution.weights)
+    old = solution.problem
+    shared, shifts = parameters.steps, parameters.shifts
+    factor = float((old.steps[0] / old.parameters.steps).min(initial=1.0))
+    problem.steps = np.where(np.isin(np.arange(len(shared)), shifts), shared, factor * shared), \
+        np.full((len(windows), 6), old.steps[1].min())
+    return problem
+
+
+def linear(problem: LeastSquares) -> Linearized:
+    """Return the linear problem of all windows, close to the guess of its parameters."""
+    blocks, halves = [], []
+    middles = [(int(channels[0].stamps_ns[0]) + int(channels[0].stamps_ns[-1])) // 2
+               for channels in problem.setup.channels]
+    for k, window in enumerate(problem.windows):
+        own = len(problem.unknowns[k])
+        blocks.append(triangle(_rows(problem, k))[own:, own:])
+        stamps_ns = np.concatenate([channel.stamps_ns for channel in window.channels])
+        halves.append(int(np.mean(stamps_ns) > middles[window.experiment]))
+    return Linearized(problem.parameters.names, blocks, halves)
+
+
+def noises(problem: LeastSquares) -> list[list[Noise]]:
+    """
+    Return the noise of each channel of each recording, in its standard deviation.
+
+    It is that of the errors that are left if all parameters of the problem are estimated.
+    """
+    chosen = [*_few(problem)]
+    rows = [_rows(problem, k) for k in chosen]
+    own = [len(problem.unknowns[k]) for k in chosen]
+    blocks = [triangle(one.copy())[count:, count:] for one, count in zip(rows, own)]
+    matrix = np.concatenate(blocks)
+    change = solved(matrix[:, :-1], matrix[:, -1])[0]
+    parts: list[list[list[Floats]]] = [[[] for _ in channels]
+                                       for channels in problem.setup.channels]
+    total = sum(one.shape[1] for one in rows)
+    share = total / max(total - len(change) - sum(own), 1)
+    for k, one, count in zip(chosen, rows, own):
+        left = one[-1] + change @ one[count:-1]
+        if count:
+            left = left - one[:count].T @ np.linalg.lstsq(one[:count].T, left, rcond=None)[0]
+        for channel, part in split_channels(problem, k, left):
+            parts[problem.windows[k].experiment][channel].append(part)
+    return [[noise_of(each, share) if each else Noise(np.ones(3), np.empty(0), 1.0, 1.0)
+             for each in every] for every in parts]
+
+
+def split_channels(problem: LeastSquares, k: int, errors: Floats) -> Iterator[tuple[int, Floats]]:
+    """Generate the errors of each channel in a window, shape (n, 3), NaN for outliers."""
+    window, first = problem.windows[k], 0
+    for channel, rows in enumerate(window.rows):
+        root = problem.weights.roots[window.experiment][channel][rows]
+        if not len(root):
+            continue
+        part = errors[first:first + 3 * len(root)].reshape(-1, 3)
+        first += 3 * len(root)
+        yield channel, np.where(root[:, None] > 0.0, part, np.nan)
+
+
+def _few(problem: LeastSquares) -> Iterator[int]:
+    """Generate the numbers of some windows of each recording, with enough samples."""
+    counts = [0] * len(problem.setup.channels)
+    for k, window in enumerate(problem.windows):
+        if counts[window.experiment] < _ENOUGH:
+            counts[window.experiment] += max(len(channel) for channel in window.channels)
+            yield k
+
+
+def _rows(problem: LeastSquares, k: int) -> Floats:
+    """Return the derivatives and the errors of a window."""
+    physics = problem.parameters.guess
+    return np.concatenate([problem.derivatives(k, physics),
+                           problem.scaled_errors(k, physics)[None]])

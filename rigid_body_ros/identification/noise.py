@@ -1,0 +1,116 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The noise of a channel: its size on each axis, and for how many samples it lasts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+
+#: Most samples before, on which a sample depends.
+_ORDER = 3
+#: The noise of no sensor lasts longer: that of an autoregression with a coefficient of 0.92.
+LONGEST = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """
+    Noise whose samples depend on a few samples before them.
+
+    Attributes
+    ----------
+    sizes : array, shape (3,)
+        Standard deviation of each axis.
+    coefficients : array, shape (p,)
+        x[t] = c[0] x[t-1] + ... + c[p-1] x[t-p] + innovation.
+    lasting : float
+        By how much the mean of many samples scatters more than that of independent ones: the root
+        of the long-run variance over the variance, at least 1 and at most `LONGEST`.
+    overlap : float
+        By how much more the mean of squares scatters: 1 + 2 sum of squared correlations.
+
+    """
+
+    sizes: Floats
+    coefficients: Floats
+    lasting: float
+    overlap: float
+
+    def innovations(self, errors: Floats) -> Floats:
+        """
+        Return errors of consecutive samples, shape (n, 3), less what those before predict.
+
+        Errors that last longer than the noise of a sensor are only scaled.
+        """
+        if self.lasting >= LONGEST:
+            return errors / LONGEST
+        order = len(self.coefficients)
+        result = errors[order:].copy()
+        for k, coefficient in enumerate(self.coefficients, 1):
+            result -= coefficient * errors[order - k:len(errors) - k]
+        return result
+
+
+def noise_of(parts: Sequence[Floats], share: float) -> Noise:
+    """
+    Return the noise of a channel: the autoregression of least Bayesian information criterion.
+
+    Parameters
+    ----------
+    parts : sequence of array, shape (n, 3)
+        Errors of consecutive samples, NaN for those that do not count.
+    share : float
+        Number of errors over that of degrees of freedom, at least 1.
+
+    """
+    sizes = np.sqrt(share * np.nanmean(np.concatenate(parts) ** 2, axis=0))
+    scaled = [part / np.where(sizes > 0.0, sizes, 1.0) for part in parts]
+    covariances = np.array([_lagged(scaled, lag) for lag in range(_ORDER + 1)])
+    count = sum(int(np.isfinite(part).sum()) for part in scaled)
+    if not covariances[0] > 0.0:
+        return Noise(sizes, np.empty(0), 1.0, 1.0)
+    correlations = covariances / covariances[0]
+    best, coefficients = 0.0, np.empty(0)
+    for order in range(1, _ORDER + 1):
+        toeplitz = correlations[np.abs(np.subtract.outer(np.arange(order), np.arange(order)))]
+        found = np.linalg.lstsq(toeplitz, correlations[1:order + 1], rcond=None)[0]
+        left = max(1.0 - float(found @ correlations[1:order + 1]), 1e-12)
+        criterion = count * np.log(left) + order * np.log(max(count, 2))
+        if criterion < best:
+            best, coefficients = criterion, found
+    if not len(coefficients):
+        return Noise(sizes, coefficients, 1.0, 1.0)
+    return _with_memory(sizes, coefficients, correlations)
+
+
+def _with_memory(sizes: Floats, coefficients: Floats, correlations: Floats) -> Noise:
+    order = len(coefficients)
+    left = 1.0 - float(coefficients @ correlations[1:order + 1])
+    ratio = left / max(1.0 - float(coefficients.sum()), 1e-3) ** 2
+    known = [*correlations[:order + 1]]
+    while len(known) < 1000 and max(abs(one) for one in known[-order:]) > 1e-3:
+        known.append(float(np.clip(coefficients @ known[:-order - 1:-1], -1.0, 1.0)))
+    overlap = 1.0 + 2.0 * float(np.sum(np.square(known[1:])))
+    return Noise(sizes, coefficients, float(np.sqrt(np.clip(ratio, 1.0, LONGEST ** 2))), overlap)
+
+
+def _lagged(parts: Sequence[Floats], lag: int) -> float:
+    """Return the mean product of samples some samples apart."""
+    products = [part[lag:] * part[:len(part) - lag] for part in parts if len(part) > lag]
+    return float(np.nanmean(np.concatenate(products))) if products else 0.0

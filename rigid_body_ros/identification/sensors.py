@@ -1,0 +1,83 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a sensor makes of time and motion: its clock, its axes, its bias and its scale."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.identification.parameters import Physics, split_topic
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.sensing.measured import Measured
+
+
+def clocked(channel: Measured, physics: Physics, origin_ns: int) -> NDArray[np.int64]:
+    """Return the times of the samples of a channel, ns; drift counts from an origin."""
+    offset_ns = round(1e9 * physics.number('clock_offset', channel.topic))
+    drift = physics.number('clock_drift', channel.topic)
+    stamps_ns = channel.stamps_ns + offset_ns if offset_ns else channel.stamps_ns
+    if not drift:
+        return stamps_ns
+    return stamps_ns + np.round(drift * (channel.stamps_ns - origin_ns)).astype(np.int64)
+
+
+def mounts(physics: Sequence[Physics], channels: Sequence[Measured]) -> list[Floats | None]:
+    """
+    Return the rotations from sensor axes to body axes, for each channel.
+
+    If there are attitudes, the parameter `mount` is not that of the angular velocities of other
+    topics: those are in body axes, unless they have a `mount@TOPIC`.
+
+    Returns
+    -------
+    list of array, shape (c, 1, 4), or None
+        Of each of the c parameters; None if there is no rotation.
+
+    """
+    result: list[Floats | None] = []
+    for channel in channels:
+        vectors = np.array([mount_of(f'mount@{channel.topic}', one, channels) for one in physics])
+        result.append(so3.exp(vectors)[:, None] if vectors.any() else None)
+    return result
+
+
+def mount_of(name: str, physics: Physics, channels: Sequence[Measured]) -> Floats:
+    """Return the rotation vector of a sensor, given `mount@TOPIC`, or `mount` of the only one."""
+    topic = split_topic(name)[1]
+    attitudes = {channel.topic for channel in channels if channel.is_attitude}
+    if topic and attitudes and topic not in attitudes and name not in physics.values:
+        return np.zeros(3)
+    return physics.value('mount', topic)
+
+
+def corrected(channels: Sequence[Measured], physics: Physics, origin_ns: int) -> list[Measured]:
+    """Return channels in the time and the axes of the body."""
+    result = []
+    for channel, mount in zip(channels, mounts([physics], channels)):
+        moved = replace(channel, stamps_ns=clocked(channel, physics, origin_ns))
+        if channel.angular_velocity is not None:
+            rates = (channel.angular_velocity - physics.value('gyro_bias', channel.topic)) \
+                / physics.value('gyro_scale', channel.topic)
+            moved = replace(moved, angular_velocity=rates if mount is None
+                            else so3.rotate(mount[0], rates))
+        elif mount is not None and channel.attitude is not None:
+            moved = replace(moved, attitude=so3.multiply(channel.attitude,
+                                                         so3.conjugate(mount[0])))
+        result.append(moved)
+    return result

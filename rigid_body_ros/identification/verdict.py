@@ -1,0 +1,432 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Whether a model explains what was measured: explained, approximate or rejected.
+
+Every test has a probability of a false alarm of 1e-4. A right model meets about forty of them, so
+less than one right model in a hundred is not called explained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import listed
+from rigid_body_ros.identification.evidence import (
+    explained,
+    linear,
+    Linearized,
+    noises,
+    solved,
+    split_channels,
+    widened,
+)
+from rigid_body_ros.identification.noise import LONGEST, Noise
+from rigid_body_ros.identification.problem import LeastSquares
+from rigid_body_ros.identification.residuals import Misfit, of_validation, Residuals
+from rigid_body_ros.identification.solve import polished, Solution
+from rigid_body_ros.identification.suspects import (
+    candidates,
+    command_with,
+    extended,
+    sum_of_squares,
+    Suspect,
+    unknown_components,
+    value_of,
+    with_suspect,
+)
+from rigid_body_ros.sensing.measured import Measured
+
+#: How far what a model lacks may move an estimate, relative to its scale.
+ACCEPT = 0.05
+EXPLAINED, APPROXIMATE, REJECTED = 'explained', 'approximate', 'rejected'
+#: Probability of a false alarm of each test.
+_ALARM = 1e-4
+#: Ratio of spreads from which on the fit is repeated with them.
+_UNEQUAL = 1.05
+#: Pieces of a recording, after each of which the inertia may have changed.
+_PIECES = 16
+#: Suspects that are tried by a fit, and those that are listed.
+_TRIED, _LISTED = 4, 3
+#: Part of the drop of the best suspect from which on another one explains as much.
+_ALIKE = 0.98
+#: s; errors are averaged over this time, and over at least this many samples.
+_BATCH, _FEWEST = 1.0, 10
+#: rad; and rad/s, and relative to the rates: no sensor has a larger noise.
+_NOISIEST_ATTITUDE, _NOISIEST_RATE, _NOISIEST_PART = 0.1, 0.3, 0.3
+#: rad; rad/s, and relative to the rates: errors below this are those of rounding.
+_TINY = 1e-9
+#: Share of outliers, if they come together, that no sensor has, and if they do not.
+_CLUSTERED, _SCATTERED = 0.05, 0.3
+INERTIA_CHANGE = 'inertia_change'
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """
+    Whether a model explains the measurements.
+
+    Attributes
+    ----------
+    level : str
+        'explained', 'approximate' or 'rejected'.
+    reasons : list of str
+        What speaks against the model.
+    suspects : list of Suspect
+        What would explain more, the best first.
+
+    """
+
+    level: str
+    reasons: list[str]
+    suspects: list[Suspect]
+
+    @property
+    def is_consistent(self) -> bool:
+        """Return whether nothing speaks against the model."""
+        return self.level == EXPLAINED
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the verdict with the names of the JSON."""
+        return {'level': self.level, 'consistent': self.is_consistent, 'reasons': self.reasons,
+                'suspects': [one.as_dict() for one in self.suspects]}
+
+
+class Reason(NamedTuple):
+    """What speaks against a model, and whether that alone makes it useless."""
+
+    text: str
+    rejects: bool = False
+
+
+class Score(NamedTuple):
+    """How much a suspect would explain close to the solution: drop, probability, and when (s)."""
+
+    name: str
+    drop: float
+    p: float
+    seconds: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """
+    What the errors of a fit say.
+
+    Attributes
+    ----------
+    solution : Solution
+        Fitted with the noise that was found.
+    reasons : list of Reason
+    scores : list of Score
+        Of suspects that explain something, the best first.
+    drift : dict of str to float
+        By component, by how much the halves of the recordings differ from the whole.
+
+    """
+
+    solution: Solution
+    reasons: list[Reason]
+    scores: list[Score]
+    drift: dict[str, float]
+
+    def with_validation(self, ahead: Sequence[Residuals]) -> Findings:
+        """Return the same, and what the errors of the validation say."""
+        return replace(self, reasons=[*self.reasons, *_validation(ahead)])
+
+
+def examined(solution: Solution) -> Findings:
+    """Return what the errors of a fit say about its model."""
+    setup = solution.problem.setup
+    if _is_rounding(solution):
+        return Findings(solution, [], [], {})
+    names = candidates(setup)
+    parameters = extended(setup, solution.physics, names)
+    found = noises(widened(solution, parameters))
+    solution = _with_noise(solution, found)
+    problem = widened(solution, extended(setup, solution.physics, names))
+    scores = [*_scores(linear(problem), setup.parameters.names, names, problem)]
+    own = extended(setup, solution.physics, [])
+    pieces = widened(solution, own, _PIECES)
+    change = _change(linear(pieces), setup.parameters.names, pieces)
+    scores += [change] if change else []
+    halves = widened(solution, own, 2)
+    reasons, drift = _halves(linear(halves), setup.parameters.scales)
+    reasons += [*_noise(solution), *_outliers(solution), *_correlated(solution, found)]
+    scores = sorted((one for one in scores if one.p < _ALARM), key=lambda one: -one.drop)
+    return Findings(solution, reasons, scores, drift)
+
+
+def _is_rounding(solution: Solution) -> bool:
+    """Return whether all errors are so small that no sensor would show them."""
+    return all(noise <= _TINY * (1.0 if channel.is_attitude else max(1.0, setup.rate))
+               for setup in [solution.problem.setup]
+               for channels, every in zip(setup.channels, solution.weights.sigma)
+               for channel, noise in zip(channels, every))
+
+
+def _with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
+    """Return the fit with weights that know how large errors are, and how long they last."""
+    setup = solution.problem.setup
+    spreads: list[list[Floats]] = []
+    for channels, every in zip(setup.channels, found):
+        spreads.append([])
+        for channel, noise in zip(channels, every):
+            given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
+            sizes = np.ones(3) if given else np.maximum(noise.sizes, 1e-3)
+            spreads[-1].append(sizes * noise.lasting)
+    weights = replace(solution.weights, spreads=spreads)
+    solution = replace(solution, weights=weights, problem=solution.problem.weighted(weights))
+    sizes = np.concatenate([one for each in spreads for one in each])
+    return polished(solution) if sizes.max() > _UNEQUAL * sizes.min() else solution
+
+
+def _scores(given: Linearized, known: Sequence[str], names: Sequence[str],
+            problem: LeastSquares) -> Iterator[Score]:
+    """Generate what each suspect would explain."""
+    from scipy.special import chdtrc
+    matrix, errors = given.stacked()
+    base = matrix[:, given.columns(known)]
+    for name in names:
+        unknown = unknown_components(problem.parameters, known, name)
+        drop, rank = explained(matrix[:, given.columns(unknown)], base, errors)
+        if rank:
+            yield Score(name, drop, float(chdtrc(rank, drop)))
+
+
+def _change(given: Linearized, known: Sequence[str], problem: LeastSquares) -> Score | None:
+    """Return what an inertia explains that changes between two pieces, at the best time."""
+    from scipy.special import chdtrc
+    inertia = given.columns([name for name in known if name.startswith('inertia')])
+    matrix, errors = given.stacked()
+    base, best = matrix[:, given.columns(known)], None
+    for k, window in enumerate(problem.windows):
+        if window.is_first or not inertia:
+            continue
+        later = [other.experiment == window.experiment and i >= k
+                 for i, other in enumerate(problem.windows)]
+        drop, rank = explained(given.split(inertia, later), base, errors)
+        p = float(chdtrc(rank, drop)) * len(problem.windows) if rank else 1.0
+        if best is None or drop > best.drop:
+            best = Score(INERTIA_CHANGE, drop, p, 1e-9 * (window.anchor_ns - window.origin_ns))
+    return best
+
+
+def _halves(given: Linearized, scales: Floats) -> tuple[list[Reason], dict[str, float]]:
+    """Return whether the halves of the recordings have different values, and how different."""
+    from scipy.special import chdtrc
+    matrix, errors = given.stacked()
+    later = [half == 1 for half in given.halves]
+    if not matrix.shape[1] or not any(later) or all(later):
+        return [], {}
+    every = [*range(matrix.shape[1])]
+    second = given.split(every, later)
+    drop, rank = explained(second, matrix, errors)
+    p = float(chdtrc(rank, drop)) if rank else 1.0
+    first, second_deviations = solved(matrix - second, errors), solved(second, errors)
+    apart = np.abs(first[0] - second_deviations[0])
+    with np.errstate(invalid='ignore'):
+        is_known = apart > 2.0 * np.hypot(first[1], second_deviations[1])
+    drift = {name: 0.5 * float(value * scale) if known else 0.0 for name, value, scale, known
+             in zip(given.names, apart, scales, is_known)}
+    if p >= _ALARM:
+        return [], drift
+    return [Reason(f'the two halves of the recording give different values (p = {p:.1g})')], drift
+
+
+def _noise(solution: Solution) -> Iterator[Reason]:
+    """Generate reasons for noise that no such sensor has, or that exceeds the given one."""
+    setup = solution.problem.setup
+    for number, channels in enumerate(setup.channels):
+        for channel, errors, inliers in zip(channels, solution.errors[number],
+                                            solution.inliers[number]):
+            kept = errors[inliers & np.isfinite(errors[:, 0])]
+            size = float(np.sqrt(np.mean(kept ** 2))) if len(kept) else 0.0
+            if channel.is_attitude:
+                if size > _NOISIEST_ATTITUDE:
+                    yield Reason(f'{channel.topic}: attitude errors of {size:.2g} rad are not the '
+                                 'noise of a sensor', True)
+            elif size > _NOISIEST_RATE and size > _NOISIEST_PART * float(
+                    np.sqrt(np.mean(channel.values ** 2))):
+                yield Reason(f'{channel.topic}: errors of {size:.2g} rad/s are not the noise of a '
+                             'gyro', True)
+            given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
+            limit = 1.0 + 4.0 * np.sqrt(2.0 / max(kept.size, 1))
+            if given and size ** 2 > limit * given ** 2:
+                yield Reason(f'{channel.topic}: errors of {size:.2g} exceed the given noise of '
+                             f'{given:.2g}')
+
+
+def _outliers(solution: Solution) -> Iterator[Reason]:
+    """Generate reasons for outliers that come together, or are too many."""
+    from scipy.special import ndtr
+    for number, channels in enumerate(solution.problem.setup.channels):
+        for channel, inliers in zip(channels, solution.inliers[number]):
+            bad = ~inliers
+            count, total = int(bad.sum()), len(bad)
+            share = count / total
+            if count < _FEWEST:
+                continue
+            # Wald and Wolfowitz (1940): the number of runs of outliers.
+            runs = int(bad[0]) + int(np.sum(bad[1:] & ~bad[:-1]))
+            mean = count * (1.0 - share)
+            spread = max(np.sqrt(mean * share * (1.0 - share)), 1e-9)
+            together = float(ndtr((runs - mean) / spread)) < _ALARM
+            if together or share > _SCATTERED:
+                how = 'in clusters' if together else 'more than a sensor has'
+                yield Reason(f'{channel.topic}: {100.0 * share:.2g} % of the samples are '
+                             f'outliers, {how}', share > (_CLUSTERED if together else _SCATTERED))
+
+
+def _correlated(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
+    """Generate reasons for errors that last longer than the noise of the sensor."""
+    from scipy.special import chdtrc
+    problem = solution.problem
+    sums: dict[tuple[int, int], list[Floats]] = {}
+    for k, window in enumerate(problem.windows):
+        for channel, errors in split_channels(problem, k,
+                                              problem.scaled_errors(k, solution.physics)):
+            noise = found[window.experiment][channel]
+            left = noise.innovations(errors)
+            stamps_ns = window.channels[channel].stamps_ns
+            spacing = max(float(np.median(np.diff(stamps_ns))) * 1e-9, 1e-9) \
+                if len(stamps_ns) > 1 else 1.0
+            size = max(_FEWEST, round(_BATCH / spacing))
+            count = len(left) // size
+            if count:
+                batches = left[:count * size].reshape(count, size, 3)
+                known = np.maximum(np.isfinite(batches).sum(axis=1), 1)
+                sums.setdefault((window.experiment, channel), []).append(
+                    np.stack([np.nansum(batches, axis=1) ** 2 / known,
+                              np.nansum(batches ** 2, axis=1) / known]))
+    for (number, channel), parts in sums.items():
+        means, squares = np.concatenate(parts, axis=1)
+        lasting = found[number][channel].lasting
+        scale = 1.0 if lasting >= LONGEST else np.maximum(squares.mean(axis=0), 1e-300)
+        statistic = means.sum(axis=0) / scale
+        p = float(chdtrc(len(means), statistic).min())
+        if p < _ALARM:
+            one = problem.setup.channels[number][channel]
+            what = 'attitude' if one.is_attitude else 'angular velocity'
+            yield Reason(f'{one.topic}: errors of the {what} last for a second or more '
+                         f'(p = {p:.1g})')
+
+
+def tried(findings: Findings, every: Sequence[Sequence[Measured]]
+          ) -> list[tuple[Suspect, Solution]]:
+    """
+    Return fits that estimate one of the likeliest suspects, too; none if all is explained.
+
+    Parameters
+    ----------
+    findings : Findings
+        What speaks against the model.
+    every : sequence of sequence of Measured
+        The channels of each recording, with the samples of the validation; empty without one.
+
+    """
+    solution = findings.solution
+    setup = solution.problem.setup
+    before = sum_of_squares(replace(solution, problem=solution.problem.weighted(
+        solution.weights)))
+    result, scores = [], [one for one in findings.scores if one.name != INERTIA_CHANGE][:_TRIED]
+    if findings.reasons and 'inertia' in candidates(setup) and not any(
+            one.name == 'inertia' for one in scores):
+        scores.append(Score('inertia', 0.0, 1.0))  # may be too far off for derivatives
+    for score in scores:
+        try:
+            fit = with_suspect(solution, score.name)
+        except ValueError:  # without it the motion is too far off for a fit
+            continue
+        validation = Misfit.of(of_validation(fit, every), 0).chi2_per_dof if every else None
+        suspect = Suspect(score.name, max(before - sum_of_squares(fit), 0.0), score.p,
+                          value_of(fit, score.name), validation, command_with(setup, score.name))
+        result.append((suspect, fit))
+    return result
+
+
+def judged(findings: Findings, attempts: Sequence[Suspect],
+           moved: Sequence[Mapping[str, float]], scales: Mapping[str, float],
+           accept: float) -> tuple[Verdict, dict[str, float]]:
+    """
+    Return the verdict, and the systematic part of each estimate.
+
+    Parameters
+    ----------
+    findings : Findings
+        What speaks against the model.
+    attempts : sequence of Suspect
+        Those that a fit was made with.
+    moved : sequence of dict of str to float
+        By how much the estimates change with each of them.
+    scales : dict of str to float
+        Of the estimates.
+    accept : float
+        As for `identify`.
+
+    """
+    reasons = findings.reasons
+    if not reasons and not findings.scores:
+        return Verdict(EXPLAINED, [], []), {}
+    suspects = sorted([*attempts, *_changes(findings)], key=_rank)[:_LISTED]
+    systematic = {name: max([findings.drift.get(name, 0.0),
+                             *(move[name] for suspect, move in zip(attempts, moved)
+                               if suspect in suspects and move[name] == move[name])])
+                  for name in scales}
+    mean = float(np.mean(np.trace(findings.solution.physics.inertia) / 3.0))
+    too_far = [name for name, part in systematic.items()
+               if part > accept * (mean if name.startswith('inertia') else scales[name])]
+    texts = [reason.text for reason in reasons]
+    if suspects:
+        texts.append(_words(suspects))
+    if too_far:
+        texts.append(f'what the model lacks moves {listed(too_far)} by more than the accepted '
+                     f'{accept:g}')
+    rejects = bool(too_far) or any(reason.rejects for reason in reasons)
+    return Verdict(REJECTED if rejects else APPROXIMATE, texts, suspects), systematic
+
+
+def _rank(suspect: Suspect) -> tuple[float, float]:
+    left = suspect.validation_chi2_per_dof
+    return (left if left is not None else 0.0), -suspect.chi2_drop
+
+
+def _words(suspects: Sequence[Suspect]) -> str:
+    best = suspects[0]
+    alike = [one.name for one in suspects if one.chi2_drop >= _ALIKE * best.chi2_drop]
+    text = f'{listed(alike)} would explain more (chi-square falls by {best.chi2_drop:.4g}, ' \
+           f'p = {best.p:.1g})'
+    return text if len(alike) == 1 else f'{text}: each of them about as much'
+
+
+def _changes(findings: Findings) -> list[Suspect]:
+    """Return a change of the inertia as a suspect, if it is one."""
+    return [Suspect(one.name, one.drop, one.p, [float(one.seconds or 0.0)], None,
+                    f'the inertia changes about {one.seconds:.4g} s after the start: fit the '
+                    'parts before and after it one by one')
+            for one in findings.scores if one.name == INERTIA_CHANGE]
+
+
+def _validation(ahead: Sequence[Residuals]) -> Iterator[Reason]:
+    """Generate reasons for predictions that are worse than the fit."""
+    for one in ahead:
+        ratio = float(np.mean((one.kept / one.noise) ** 2)) if len(one.kept) else 1.0
+        if ratio > 4.0:
+            yield Reason(f'{one.topic}: errors of the validation are {np.sqrt(ratio):.2g} times '
+                         'those of the training')
