@@ -1,0 +1,152 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Whether a fit says that its model is wrong, and what is wrong; `simulated` makes recordings."""
+
+from dataclasses import replace
+
+from campaign import fit, TRUE
+from conftest import at_night
+import numpy as np
+import pytest
+from rigid_body_ros import TorqueLog
+from rigid_body_ros.identification.actuator import lagged
+from rigid_body_ros.identification.noise import noise_of
+from scipy.integrate import solve_ivp
+from simulated import named, recordings
+
+
+def identified(name, **changes):
+    kind = replace(named(name), **{'seconds': 12.0, **changes})
+    recording, = recordings(kind, [0])
+    return fit(kind, recording)
+
+
+def covered(result):
+    return sum(low <= TRUE[name] <= high for name in TRUE
+               for low, high in [result.estimates[name].interval_95])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', ['attitude at 20 Hz', 'noise AR 0.8', '3 % outliers',
+                                  'weight, estimated', 'lag, estimated', *at_night(
+                                      'all well', 'gyro alone', 'weak torque', 'unequal axes',
+                                      'delay, estimated', 'gyro scale, estimated')])
+def test_a_right_model_is_explained_and_its_intervals_cover_the_truth(name):
+    result = identified(name)
+    assert result.verdict.as_dict() == {'level': 'explained', 'consistent': True, 'reasons': [],
+                                        'suspects': []}
+    assert all(one.systematic == 0.0 for one in result.estimates.values())
+    for name, value in TRUE.items():
+        one = result.estimates[name]
+        assert abs(one.value - value) < 4.0 * one.sigma, name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('name', 'suspects'), [
+    ('damping', {'damping'}),
+    ('mount of the gyro 5 degrees', {'mount@/imu'}), ('gyro bias', {'gyro_bias'}),
+    *at_night(('torque bias', {'torque_bias'}), ('rotor', {'rotor_momentum'}),
+              ('gains of all axes', {'torque_gains'}), ('delay 100 ms', {'torque_delay'}),
+              ('weight', {'weight'}),
+              ('clock of the gyro 50 ms', {'clock_offset@/imu'}),
+              ('gyro scale', {'gyro_scale'}), ('mount 30 degrees', {'mount@/mocap'}))])
+def test_the_suspect_is_what_is_wrong(name, suspects):
+    result = identified(name)
+    assert not result.verdict.is_consistent
+    assert result.verdict.reasons
+    assert suspects <= {one.name for one in result.verdict.suspects[:2]}
+    assert result.verdict.level == 'rejected' or covered(result) >= 5
+
+
+@pytest.mark.slow
+def test_a_suspect_that_is_estimated_too_explains_all():
+    first = identified('weight')
+    kind = named('weight')
+    recording, = recordings(kind, [0])
+    command = first.verdict.suspects[0].command
+    second = fit(kind, recording, estimate=command.removeprefix('--estimate ').split(','))
+    assert second.verdict.is_consistent
+    assert covered(second) >= 5
+    np.testing.assert_allclose([second.estimates[f'weight.{axis}'].value for axis in 'xyz'],
+                               kind.weight, atol=2e-5)
+
+
+@pytest.mark.slow
+def test_mount_and_clock_of_each_of_two_sensors_are_found_together():
+    kind = named('mount and clock of each')
+    result = identified(kind.name)
+    truth = {'clock_offset@/mocap': kind.clock, 'clock_offset@/imu': kind.gyro_clock}
+    for topic, vector in (('/mocap', kind.mount), ('/imu', kind.gyro_mount)):
+        truth.update({f'mount.{axis}@{topic}': value for axis, value in zip('xyz', vector)})
+    for name, value in truth.items():
+        one = result.estimates[name]
+        assert abs(one.value - value) < 3.0 * one.sigma, name
+    assert result.verdict.is_consistent
+
+
+@pytest.mark.slow
+def test_noise_that_lasts_widens_the_intervals_as_its_long_run_variance():
+    white, coloured = identified('all well'), identified('all well', colour=0.8, gyro_colour=0.8)
+    for name in TRUE:
+        ratio = coloured.estimates[name].sigma / white.estimates[name].sigma
+        assert ratio == pytest.approx(3.0, rel=0.1), name
+
+
+@pytest.mark.slow
+def test_a_known_gain_limits_the_certainty_of_the_inertia():
+    kind = named('all well')
+    recording, = recordings(kind, [0])
+    result = fit(kind, recording, estimate=['inertia', 'start', 'torque_gain'],
+                 priors={'torque_gain': '5%'})
+    assert result.is_complete
+    for name in ('inertia.ixx', 'inertia.iyy', 'inertia.izz'):
+        one = result.estimates[name]
+        assert one.sigma / one.value == pytest.approx(0.05, rel=0.02)
+    assert result.estimates['torque_gain'].sigma == pytest.approx(0.05, rel=0.01)
+
+
+@pytest.mark.parametrize(('coefficient', 'lasting'), [(0.0, 1.0), (0.5, np.sqrt(3.0)), (0.8, 3.0)])
+def test_the_noise_of_an_autoregression(coefficient, lasting):
+    random = np.random.default_rng(1)
+    noise = random.standard_normal((20_000, 3)) * [1.0, 2.0, 0.5]
+    for k in range(1, len(noise)):
+        noise[k] = coefficient * noise[k - 1] + np.sqrt(1.0 - coefficient ** 2) * noise[k]
+    found = noise_of([noise], 1.0)
+    np.testing.assert_allclose(found.sizes, [1.0, 2.0, 0.5], rtol=0.03)
+    assert found.lasting == pytest.approx(lasting, rel=0.05)
+    left = found.innovations(noise)
+    assert abs(np.mean(left[1:] * left[:-1])) < 0.02 * np.mean(left ** 2)
+
+
+@pytest.mark.parametrize('interpolation', ['hold', 'linear'])
+@pytest.mark.parametrize('lag', [0.02, 0.3])
+def test_each_impulse_of_a_lag_is_exact(lag, interpolation):
+    random = np.random.default_rng(2)
+    log = TorqueLog(np.arange(8) * 50_000_000, random.normal(size=(8, 3)),
+                    interpolation=interpolation)
+    found = lagged(log, lag)
+
+    def slope(t, state):
+        torque = log.at([int(t * 1e9)])[0][0]
+        return np.concatenate([(torque - state[:3]) / lag, state[:3]])
+    state = np.zeros(6)
+    spans = np.diff(np.append(found.times_ns, 10 ** 9)) * 1e-9
+    impulse = np.concatenate([np.zeros((1, 3)), np.cumsum(found.torques * spans[:, None], axis=0)])
+    for k in range(7):
+        begin, end = log.times_ns[k:k + 2] * 1e-9
+        state = solve_ivp(slope, (begin, end - 1e-9), state, 'DOP853', rtol=1e-9,
+                          atol=1e-11).y[:, -1]
+        row = np.searchsorted(found.times_ns, log.times_ns[k + 1])
+        np.testing.assert_allclose(impulse[row], state[3:], atol=1e-8)
