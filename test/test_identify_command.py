@@ -92,9 +92,11 @@ def test_the_page_has_the_estimates_and_the_errors_that_are_left(tumble, capsys)
         '/imu: attitude error, axes of the sensor', '/imu: rate error, axes of the sensor',
         'torque, body axes']
     for panel, noise in zip(panels, (2e-3, 5e-3)):
-        curves, = panel['curves']
-        drawn = array(curves['low'], '<f4').reshape(4, -1)
-        assert np.sqrt(np.mean(drawn[:3] ** 2)) == pytest.approx(noise, rel=0.05)
+        errors, band = panel['curves']
+        drawn = array(errors['low'], '<f4').reshape(3, -1) + np.array(errors['offsets'])[:, None]
+        assert np.sqrt(np.mean(drawn ** 2)) == pytest.approx(noise, rel=0.05)
+        assert drawn.min() < -noise
+        assert band['offsets'] == pytest.approx([2.0 * noise, -2.0 * noise], rel=0.05)
         assert panel['lines'] == {'start of the validation': pytest.approx(14.0)}
 
 

@@ -26,7 +26,7 @@ from rigid_body_ros.identification.summary import rows, verdict_rows
 from rigid_body_ros.identification.verdict import Verdict
 from rigid_body_ros.report.charts import Panel
 from rigid_body_ros.report.page import Page, table
-from rigid_body_ros.report.panels import error_panel, torque_panels
+from rigid_body_ros.report.panels import signed_error_panel, torque_panels
 from rigid_body_ros.scene import Scene
 
 _HEADER = 'parameter', 'value', 'sigma', '95 % interval', 'guess', 'unit'
@@ -61,7 +61,7 @@ def page(fit: Identification, first: Experiment, name: str, scene: Scene,
 def _banner(verdict: Verdict) -> Iterator[str]:
     """Generate what stands on top of the page: the verdict, unless all is explained."""
     if not verdict.is_consistent:
-        yield from (f'{name}: {text}' for name, text in verdict_rows(verdict))
+        yield next(verdict_rows(verdict))[1]
 
 
 def _cells(one: Estimate) -> list[str]:
@@ -78,8 +78,9 @@ def _panels(fit: Identification, first: Experiment) -> Iterator[Panel]:
     start_ns = min(int(each.min()) for each in times_ns)
     for parts, each_ns in zip(quantities, times_ns):
         label, unit = ('attitude', 'rad') if parts[0].is_attitude else ('rate', 'rad/s')
-        panel = error_panel(f'{parts[0].topic}: {label} error, axes of the sensor', unit, each_ns,
-                            np.concatenate([part.kept for part in parts]), start_ns)
+        panel = signed_error_panel(f'{parts[0].topic}: {label} error, axes of the sensor', unit,
+                                   each_ns, np.concatenate([part.kept for part in parts]),
+                                   parts[0].noise, start_ns)
         lines = [('start of the validation', 1e-9 * float(part.stamps_ns[0] - start_ns))
                  for part in parts if not part.is_training]
         yield replace(panel, lines=dict(lines))

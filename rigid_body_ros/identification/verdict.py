@@ -63,7 +63,7 @@ _UNEQUAL = 1.05
 #: Pieces of a recording, after each of which the inertia may have changed.
 _PIECES = 16
 #: Suspects that are tried by a fit, and those that are listed.
-_TRIED, _LISTED = 4, 3
+_TRIED, _LISTED = 5, 3
 #: Part of the drop of the best suspect from which on another one explains as much.
 _ALIKE = 0.98
 #: s; errors are averaged over this time, and over at least this many samples.
@@ -247,7 +247,8 @@ def _halves(given: Linearized, scales: Floats) -> tuple[list[Reason], dict[str, 
              in zip(given.names, apart, scales, is_known)}
     if p >= _ALARM:
         return [], drift
-    return [Reason(f'the two halves of the recording give different values (p = {p:.1g})')], drift
+    return [Reason(f'the two halves of the recording give different values '
+                   f'({_probability(p)})')], drift
 
 
 def _noise(solution: Solution) -> Iterator[Reason]:
@@ -325,7 +326,7 @@ def _correlated(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason
             one = problem.setup.channels[number][channel]
             what = 'attitude' if one.is_attitude else 'angular velocity'
             yield Reason(f'{one.topic}: errors of the {what} last for a second or more '
-                         f'(p = {p:.1g})')
+                         f'({_probability(p)})')
 
 
 def tried(findings: Findings, every: Sequence[Sequence[Measured]]
@@ -384,7 +385,7 @@ def judged(findings: Findings, attempts: Sequence[Suspect],
     reasons = findings.reasons
     if not reasons and not findings.scores:
         return Verdict(EXPLAINED, [], []), {}
-    suspects = sorted([*attempts, *_changes(findings)], key=_rank)[:_LISTED]
+    suspects = _ranked(findings, attempts)[:_LISTED]
     systematic = {name: max([findings.drift.get(name, 0.0),
                              *(move[name] for suspect, move in zip(attempts, moved)
                                if suspect in suspects and move[name] == move[name])])
@@ -402,25 +403,34 @@ def judged(findings: Findings, attempts: Sequence[Suspect],
     return Verdict(REJECTED if rejects else APPROXIMATE, texts, suspects), systematic
 
 
-def _rank(suspect: Suspect) -> tuple[float, float]:
-    left = suspect.validation_chi2_per_dof
-    return (left if left is not None else 0.0), -suspect.chi2_drop
+def _ranked(findings: Findings, attempts: Sequence[Suspect]) -> list[Suspect]:
+    """
+    Return the suspects, the best first: by the validation that they leave, else by their drop.
+
+    A change of the inertia, which no fit was made with, is first if its score is, else last.
+    """
+    ranked = sorted(attempts, key=lambda one: (one.validation_chi2_per_dof or 0.0,
+                                               -one.chi2_drop))
+    for place, score in enumerate(findings.scores):
+        if score.name == INERTIA_CHANGE:
+            change = Suspect(
+                score.name, score.drop, score.p, [float(score.seconds or 0.0)], None,
+                f'the inertia changes about {score.seconds:.4g} s after the start: fit the parts '
+                'before and after it one by one')
+            ranked.insert(0 if place == 0 else len(ranked), change)
+    return ranked
 
 
 def _words(suspects: Sequence[Suspect]) -> str:
-    best = suspects[0]
-    alike = [one.name for one in suspects if one.chi2_drop >= _ALIKE * best.chi2_drop]
-    text = f'{listed(alike)} would explain more (chi-square falls by {best.chi2_drop:.4g}, ' \
-           f'p = {best.p:.1g})'
-    return text if len(alike) == 1 else f'{text}: each of them about as much'
+    best, *others = suspects
+    alike = [one.name for one in others if one.chi2_drop >= _ALIKE * best.chi2_drop
+             and one.name != INERTIA_CHANGE]
+    text = f'{best.name} would explain more ({_probability(best.p)})'
+    return f'{text}, and {listed(alike)} about as much' if alike else text
 
 
-def _changes(findings: Findings) -> list[Suspect]:
-    """Return a change of the inertia as a suspect, if it is one."""
-    return [Suspect(one.name, one.drop, one.p, [float(one.seconds or 0.0)], None,
-                    f'the inertia changes about {one.seconds:.4g} s after the start: fit the '
-                    'parts before and after it one by one')
-            for one in findings.scores if one.name == INERTIA_CHANGE]
+def _probability(p: float) -> str:
+    return f'p = {p:.1g}' if p >= 1e-300 else 'p < 1e-300'
 
 
 def _validation(ahead: Sequence[Residuals]) -> Iterator[Reason]:

@@ -42,6 +42,17 @@ def error_panel(label: str, unit: str, times_ns: NDArray[np.int64], errors: Floa
                  'log')
 
 
+def signed_error_panel(label: str, unit: str, times_ns: NDArray[np.int64], errors: Floats,
+                       sigma: float, start_ns: int) -> Panel:
+    """Return a panel with errors, shape (n, 3), between plus and minus two standard deviations."""
+    names = [name.strip('|') for name in style.ERRORS[1:]]
+    band: Floats = np.full((2, 2), 2.0 * sigma) * [1.0, -1.0]
+    return Panel(label, unit, [
+        Curves.thinned(times_ns, errors, names, start_ns),
+        Curves.thinned(times_ns[[0, -1]], band, ['2 sigma of the noise', '-2 sigma'], start_ns)],
+        SINCE_FIRST)
+
+
 def torque_panels(logs: Sequence[TorqueLog], start_ns: int, end_ns: int,
                   timeout_ns: int = 0) -> Iterator[Panel]:
     """Generate a panel for each log that has samples."""
