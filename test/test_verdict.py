@@ -97,6 +97,39 @@ def test_mount_and_clock_of_each_of_two_sensors_are_found_together():
 
 
 @pytest.mark.slow
+def test_errors_beyond_what_can_be_predicted_are_no_finding():
+    kind = replace(named('all well'), seconds=100.0)
+    recording, = recordings(kind, [1])
+    result = fit(kind, recording, validate=0.8)
+    assert result.validation.chi2_per_dof > 100.0  # the motion magnifies the error of the fit
+    assert 20.0 < result.predictable_s < 80.0
+    assert result.verdict.is_consistent
+
+
+@pytest.mark.slow
+def test_a_bad_prediction_is_a_finding():
+    kind = replace(named('all well'), seconds=12.0, dropped=0.9)
+    recording, = recordings(kind, [0])
+    result = fit(kind, recording, validate=0.5)
+    assert any('validation' in reason for reason in result.verdict.reasons)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('guess', [(0.02, 0.03, 0.05), (0.05, 0.02, 0.03), (0.0005, 0.04, 0.04)])
+def test_a_fit_can_leave_a_guess_of_a_plate_or_a_rod(guess):
+    result, other = identified('all well', guess=guess), identified('all well')
+    for name in TRUE:
+        assert result.estimates[name].value == pytest.approx(
+            other.estimates[name].value, abs=0.1 * other.estimates[name].sigma)
+    assert not result.is_flat
+
+
+@pytest.mark.slow
+def test_a_plate_is_called_one():
+    assert identified('all well', inertia=np.diag([0.02, 0.03, 0.05])).is_flat
+
+
+@pytest.mark.slow
 def test_noise_that_lasts_widens_the_intervals_as_its_long_run_variance():
     white, coloured = identified('all well'), identified('all well', colour=0.8, gyro_colour=0.8)
     for name in TRUE:

@@ -30,7 +30,8 @@ MEMORY = 2.0
 #: s; shorter lags have no effect.
 _SHORTEST = 1e-6
 #: Times after a sample, in lags, at which the torque of a lag gets a new value.
-_NODES = np.array([0.125, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0])
+_NODES = np.concatenate([np.arange(1, 16) / 16.0, np.arange(8, 16) / 8.0, np.arange(8, 17) / 4.0,
+                         [5.0, 6.0, 8.0]])
 
 
 def applied(logs: Sequence[TorqueLog], physics: Physics, timeout_ns: int) -> list[TorqueLog]:

@@ -35,6 +35,7 @@ from rigid_body_ros.identification.parameters import (
     checked_names,
     checked_priors,
     GRAVITY,
+    lifted,
     Magnitudes,
     moments_of,
     Parameters,
@@ -157,7 +158,9 @@ def _setup(problems: list[Problem], channels: list[list[Measured]], names: tuple
             values[name] = np.array([_clock_offset(problems, channels, topic)])
         elif kind == 'torque_lag':
             values[name] = np.array([SHORT_LAG])
-    guess = Physics(body.inertia, body.damping, values, gravity)
+    is_fitted = not {'inertia', 'inertia_diagonal'}.isdisjoint(names)
+    guess = Physics(lifted(body.inertia) if is_fitted else body.inertia, body.damping, values,
+                    gravity)
     strengths = {f'{one.name}.{MOMENT}': float(np.linalg.norm(one.field)) for one in fields
                  if isinstance(one, UniformField) and one.name and np.any(one.field)}
     magnitudes = Magnitudes(rate, float(max(torques, default=0.0)), max(span_ns * 1e-9, 1e-9),
@@ -196,7 +199,7 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
                      np.inf)
     ahead = residuals.of_validation(solution, every) if every else []
     fitted = residuals.of_training(solution)
-    findings = findings.with_validation(ahead)
+    findings = findings.with_validation(every, ahead)
     attempts = tried(findings, every)
     moved = [{name: abs(value - before) for name, value, before in zip(
                  numbers.names, _numbers(fit).of(numbers.names), numbers.values)}
@@ -214,7 +217,8 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
         residuals.Misfit.of(fitted, solution.problem.size),
         residuals.Misfit.of(ahead, 0) if ahead else None, solution.length_ns * 1e-9,
         solution.evaluations, solution.converged, verdict,
-        any(log.torques.any() for problem in setup.problems for log in problem.logs))
+        any(log.torques.any() for problem in setup.problems for log in problem.logs),
+        findings.predictable_s)
 
 
 def _numbers(solution: Solution) -> _Numbers:

@@ -24,19 +24,25 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.noise import Noise, noise_of
 from rigid_body_ros.identification.parameters import Parameters
-from rigid_body_ros.identification.problem import LeastSquares
+from rigid_body_ros.identification.problem import LeastSquares, Weights
+from rigid_body_ros.identification.residuals import ahead_of, Residuals
 from rigid_body_ros.identification.solve import Solution, states_at
 from rigid_body_ros.identification.triangles import triangle
+from rigid_body_ros.sensing.measured import Measured
 
 #: Relative size from which on what is left of a column is no rounding error.
 _ROUNDING = 1e-5
 #: Largest number of samples of a channel in a window, which bounds the memory.
 _LONGEST = 12_000
+#: rad; a prediction that is less certain than this is none, and one that is less certain than
+#: this is not linear.
+_LOST, _LINEAR = 0.1, 0.02
 #: About how many samples of a channel tell its noise.
 _ENOUGH = 20_000
 
@@ -189,6 +195,94 @@ def noises(problem: LeastSquares) -> list[list[Noise]]:
             parts[problem.windows[k].experiment][channel].append(part)
     return [[noise_of(each, share) if each else Noise(np.ones(3), np.empty(0), 1.0, 1.0)
              for each in every] for every in parts]
+
+
+@dataclass(frozen=True, eq=False)
+class Foresight:
+    """
+    How well a fit predicts the samples of a recording that were not fitted.
+
+    Attributes
+    ----------
+    statistic : float
+        Sum of squares of the errors that the uncertainty of the fit does not explain; distributed
+        as chi-square if the model is right and the noise white.
+    count : int
+        Number of errors in it: of the samples before the first that is predicted within more than
+        0.02 rad, where derivatives say little; without outliers.
+    predictable_s : float
+        From this time after the start on, the uncertainty of the fit alone explains an error of
+        0.1 rad; infinite if it never does.
+
+    """
+
+    statistic: float
+    count: int
+    predictable_s: float
+
+
+def foresight(solution: Solution, number: int, channels: Sequence[Measured],
+              residuals: Sequence[Residuals]) -> Foresight:
+    """
+    Return how well a fit predicts the validation of a recording.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit.
+    number : int
+        Of the recording.
+    channels : sequence of Measured
+        Its channels, with the samples that were not fitted.
+    residuals : sequence of Residuals
+        The errors of those samples, for each channel.
+
+    """
+    old = solution.problem
+    k, ahead = ahead_of(solution, number, channels)
+    empty: Any = [None] * len(old.setup.channels)
+    roots, spreads = [*empty], [*empty]
+    roots[number] = [one.inliers.astype(float) for one in residuals]
+    spreads[number] = [np.ones(3) for _ in residuals]
+    problem = LeastSquares(old.setup, [ahead], old.reference.rows([k]),
+                           Weights(solution.weights.sigma, roots, spreads))
+    problem.steps = old.steps[0], old.steps[1][[k]]
+    slopes, errors = problem.derivatives(0, solution.physics), problem.scaled_errors(
+        0, solution.physics)
+    known = _known(solution, k)
+    deviations = _deviations(known, slopes)
+    sigma = np.concatenate([np.full(3 * len(one.errors), one.noise * one.is_attitude)
+                            for one in residuals])
+    stamps_ns = np.concatenate([np.repeat(one.stamps_ns, 3) for one in residuals])
+    lost, vague = (stamps_ns[deviations * sigma > limit] for limit in (_LOST, _LINEAR))
+    used = stamps_ns < vague.min() if vague.size else np.ones(stamps_ns.shape, bool)
+    rows = np.concatenate([known, np.zeros((len(known), 1))], axis=1)
+    rows = np.concatenate([rows, np.vstack([slopes, errors]).T[used]])
+    statistic = float(triangle(rows.T.copy())[-1, -1] ** 2)
+    count = int(np.sum(used & np.concatenate([np.repeat(one.inliers, 3) for one in residuals])))
+    predictable_s = 1e-9 * float(lost.min() - ahead.origin_ns) if lost.size else np.inf
+    return Foresight(statistic, count, predictable_s)
+
+
+def _known(solution: Solution, last: int) -> Floats:
+    """Return a factor of the information of the state of the last window and what is shared."""
+    problem, blocks = solution.problem, []
+    own = len(problem.unknowns[last])
+    for k in range(len(problem.windows)):
+        factor = triangle(problem.derivatives(k, solution.physics))
+        if k != last:
+            rest = factor[len(problem.unknowns[k]):, len(problem.unknowns[k]):]
+            factor = np.concatenate([np.zeros((len(rest), own)), rest], axis=1)
+        blocks.append(factor)
+    return triangle(np.concatenate(blocks).T.copy())
+
+
+def _deviations(known: Floats, slopes: Floats) -> Floats:
+    """Return the standard deviations of predictions, infinite if the data does not tell."""
+    _, singular, right = np.linalg.svd(known)
+    kept = singular > _ROUNDING * _ROUNDING * singular.max(initial=0.0)
+    deviations = np.linalg.norm((right[kept] @ slopes) / singular[kept, None], axis=0)
+    return np.where((np.abs(right[~kept] @ slopes) > 1e-6).any(axis=0), np.inf, deviations)
 
 
 def split_channels(problem: LeastSquares, k: int, errors: Floats) -> Iterator[tuple[int, Floats]]:

@@ -82,6 +82,8 @@ GRAVITY = 0.0, 0.0, -9.80665
 _OF_FIELD = re.compile(rf'([A-Za-z_][A-Za-z0-9_]*)[.]{MOMENT}')
 #: The second moments of a guess are at least this fraction of their trace.
 _THINNEST = 1e-5
+#: Those from which a fit starts are at least this fraction.
+_FLATTEST = 0.02
 #: Damping from which a fit starts if the scene has none, relative to the scale.
 _LITTLE = 1e-3
 #: s; the lag from which a fit starts: at none, its derivative is that of a delay.
@@ -176,6 +178,18 @@ def second_moments(inertia: Floats) -> Floats:
 def inertia_of(moments: Floats) -> Floats:
     """Return the inertia of a body with these second moments of mass."""
     return np.trace(moments) * np.eye(3) - moments
+
+
+def lifted(inertia: Floats) -> Floats:
+    """
+    Return an inertia whose second moments are not too small for a fit to begin there.
+
+    At a flat plate or a thin rod the logarithm of a second moment is far off, and its derivative
+    says little. The products of inertia stay.
+    """
+    moments = second_moments(inertia)
+    lack = _FLATTEST * np.trace(moments) - np.linalg.eigvalsh(moments)[0]
+    return inertia_of(moments + max(lack, 0.0) * np.eye(3))
 
 
 def components_of(name: str) -> tuple[str, ...]:
@@ -378,8 +392,9 @@ class Parameters:
                                               for name in self.groups)])
 
     def physics(self, coordinates: Floats) -> Physics:
-        """Return the values at a point."""
-        return self._at(coordinates, False, self.guess)
+        """Return the values at a point; far off they may not be finite."""
+        with np.errstate(over='ignore', invalid='ignore'):
+            return self._at(coordinates, False, self.guess)
 
     def near(self, physics: Physics, steps: Floats) -> Physics:
         """Return the values a small, positive step in plain coordinates from a solution."""

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.problem import errors_of
 from rigid_body_ros.identification.solve import Solution
-from rigid_body_ros.identification.windows import windows_of
+from rigid_body_ros.identification.windows import Window, windows_of
 from rigid_body_ros.sensing.measured import Measured
 
 #: A sample of the validation is left out if its error is this many times the median.
@@ -147,6 +147,24 @@ def of_training(solution: Solution) -> list[Residuals]:
     return result
 
 
+def ahead_of(solution: Solution, number: int, channels: Sequence[Measured]) -> tuple[int, Window]:
+    """
+    Return a window with the samples of a recording that were not fitted.
+
+    Its motion begins with the state of the last window of the fit, whose number comes first.
+    """
+    problem = solution.problem
+    setup = problem.setup
+    k = [k for k, one in enumerate(problem.windows) if one.experiment == number][-1]
+    last = problem.windows[k]
+    rest = [channel.rows(slice(len(fitted), None))
+            for channel, fitted in zip(channels, setup.channels[number])]
+    whole, = windows_of(number, setup.problems[number], channels, 2 ** 62, solution.physics, 0)
+    return k, replace(whole, problem=whole.problem.replaced(start=last.problem.start),
+                      is_first=last.is_first, channels=rest,
+                      rows=[slice(0, len(channel)) for channel in rest])
+
+
 def of_validation(solution: Solution, every: Sequence[Sequence[Measured]]) -> list[Residuals]:
     """
     Return the errors of the samples that were not fitted, in the prediction from the others.
@@ -159,18 +177,11 @@ def of_validation(solution: Solution, every: Sequence[Sequence[Measured]]) -> li
         The channels of each recording, with the samples that were not fitted.
 
     """
-    physics, problem, result = solution.physics, solution.problem, []
-    setup = problem.setup
-    for number, (given, channels) in enumerate(zip(setup.problems, every)):
-        k = [k for k, one in enumerate(problem.windows) if one.experiment == number][-1]
-        last = problem.windows[k]
-        rest = [channel.rows(slice(len(fitted), None))
-                for channel, fitted in zip(channels, setup.channels[number])]
-        whole, = windows_of(number, given, channels, 2 ** 62, physics, 0)
-        ahead = replace(whole, problem=whole.problem.replaced(start=last.problem.start),
-                        channels=rest)
-        predicted = ahead.predict([physics], problem.reference.rows([k]))
-        for channel, errors, noise in zip(rest, errors_of(rest, predicted),
+    problem, result = solution.problem, []
+    for number, channels in enumerate(every):
+        k, ahead = ahead_of(solution, number, channels)
+        predicted = ahead.predict([solution.physics], problem.reference.rows([k]))
+        for channel, errors, noise in zip(ahead.channels, errors_of(ahead.channels, predicted),
                                           solution.weights.sigma[number]):
             errors = errors[0]
             sizes = np.linalg.norm(errors, axis=1)

@@ -20,8 +20,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rigid_body_ros.common.arrays import as_json, Floats
+from rigid_body_ros.common.arrays import as_json, Floats, symmetric
 from rigid_body_ros.identification.identifiability import Direction
+from rigid_body_ros.identification.parameters import second_moments
 from rigid_body_ros.identification.residuals import Misfit, Residuals
 from rigid_body_ros.identification.verdict import Verdict
 from rigid_body_ros.mechanics.body import RigidBody
@@ -96,6 +97,9 @@ class Identification:
         Whether the model explains the measurements.
     has_torque : bool
         Whether a logged torque acts.
+    predictable_s : float or None
+        How long after the start the motion can be predicted: until the uncertainty of the fit
+        explains an error of 0.1 rad; None if to its end, and without a validation.
 
     """
 
@@ -113,6 +117,7 @@ class Identification:
     converged: bool
     verdict: Verdict
     has_torque: bool
+    predictable_s: float | None
 
     @property
     def is_complete(self) -> bool:
@@ -132,6 +137,19 @@ class Identification:
         """Return whether the inertia follows from a torque whose gain was not estimated."""
         return self.has_torque and 'inertia.ixx' in self.estimates and not any(
             name.startswith('torque_gain') for name in self.estimates)
+
+    @property
+    def is_flat(self) -> bool:
+        """Return whether the body is a flat plate or a thin rod within its uncertainty."""
+        names = [name for name in self.estimates if name.startswith('inertia.')]
+        if not names:
+            return False
+        smallest, vectors = np.linalg.eigh(second_moments(self.body.inertia))
+        rows = [[*self.estimates].index(name) for name in names]
+        slopes = np.array([0.5 * np.trace(unit) - vectors[:, 0] @ unit @ vectors[:, 0]
+                           for unit in map(symmetric, np.eye(6)[:len(names)])])
+        variance = slopes @ self.covariance[np.ix_(rows, rows)] @ slopes
+        return bool(smallest[0] <= np.sqrt(variance))
 
     def first_errors(self) -> list[list[Residuals]]:
         """Return the errors of each quantity of the first recording, those of the fit first."""
@@ -168,7 +186,7 @@ class Identification:
                            'matrix': as_json(self.covariance)},
             'correlation': as_json(self.correlation),
             'noise': self.noise, 'autocorrelation': self.autocorrelation,
-            'window_s': self.window_s,
+            'window_s': self.window_s, 'predictable_s': self.predictable_s,
             'training': self.training.as_dict(),
             'validation': self.validation.as_dict() if self.validation else None,
             'verdict': self.verdict.as_dict(),

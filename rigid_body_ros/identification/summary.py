@@ -80,6 +80,12 @@ def rows(fit: Identification) -> Iterator[tuple[str, str]]:
     yield from _misfit('training', fit.training)
     if fit.validation:
         yield from _misfit('validation', fit.validation)
+    if fit.predictable_s is not None:
+        yield 'predictable', f'for {fit.predictable_s:.4g} s from the start; later errors say ' \
+                             'nothing about the model'
+    if fit.is_flat:
+        yield 'warning', 'the fitted body is a flat plate or a thin rod within its uncertainty: ' \
+                         'the intervals reach beyond possible bodies'
     if fit.holds_for_exact_torque:
         yield 'note', 'the intervals hold for an exactly known torque: an error of its gain is ' \
                       'one of the inertia (--estimate torque_gain, with --prior torque_gain=SIGMA)'

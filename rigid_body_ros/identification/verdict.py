@@ -30,6 +30,7 @@ from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import listed
 from rigid_body_ros.identification.evidence import (
     explained,
+    foresight,
     linear,
     Linearized,
     noises,
@@ -138,6 +139,11 @@ class Findings:
         Of suspects that explain something, the best first.
     drift : dict of str to float
         By component, by how much the halves of the recordings differ from the whole.
+    noises : list of list of Noise
+        Of each channel of each recording; none if the errors are those of rounding.
+    predictable_s : float or None
+        How long after its start the motion can be predicted; None if to its end, and without a
+        validation.
 
     """
 
@@ -145,17 +151,24 @@ class Findings:
     reasons: list[Reason]
     scores: list[Score]
     drift: dict[str, float]
+    noises: list[list[Noise]]
+    predictable_s: float | None = None
 
-    def with_validation(self, ahead: Sequence[Residuals]) -> Findings:
+    def with_validation(self, every: Sequence[Sequence[Measured]],
+                        ahead: Sequence[Residuals]) -> Findings:
         """Return the same, and what the errors of the validation say."""
-        return replace(self, reasons=[*self.reasons, *_validation(ahead)])
+        if not ahead or not self.noises:
+            return self
+        seconds, reasons = zip(*_validation(self, every, ahead))
+        return replace(self, predictable_s=min(seconds) if min(seconds) < np.inf else None,
+                       reasons=[*self.reasons, *(one for one in reasons if one)])
 
 
 def examined(solution: Solution) -> Findings:
     """Return what the errors of a fit say about its model."""
     setup = solution.problem.setup
     if _is_rounding(solution):
-        return Findings(solution, [], [], {})
+        return Findings(solution, [], [], {}, [])
     names = candidates(setup)
     parameters = extended(setup, solution.physics, names)
     found = noises(widened(solution, parameters))
@@ -170,7 +183,7 @@ def examined(solution: Solution) -> Findings:
     reasons, drift = _halves(linear(halves), setup.parameters.scales)
     reasons += [*_noise(solution), *_outliers(solution), *_correlated(solution, found)]
     scores = sorted((one for one in scores if one.p < _ALARM), key=lambda one: -one.drop)
-    return Findings(solution, reasons, scores, drift)
+    return Findings(solution, reasons, scores, drift, found)
 
 
 def _is_rounding(solution: Solution) -> bool:
@@ -433,10 +446,17 @@ def _probability(p: float) -> str:
     return f'p = {p:.1g}' if p >= 1e-300 else 'p < 1e-300'
 
 
-def _validation(ahead: Sequence[Residuals]) -> Iterator[Reason]:
-    """Generate reasons for predictions that are worse than the fit."""
-    for one in ahead:
-        ratio = float(np.mean((one.kept / one.noise) ** 2)) if len(one.kept) else 1.0
-        if ratio > 4.0:
-            yield Reason(f'{one.topic}: errors of the validation are {np.sqrt(ratio):.2g} times '
-                         'those of the training')
+def _validation(findings: Findings, every: Sequence[Sequence[Measured]],
+                ahead: Sequence[Residuals]) -> Iterator[tuple[float, Reason | None]]:
+    """Generate how long a recording can be predicted, s, and whether it is predicted badly."""
+    from scipy.special import ndtr
+    for number, channels in enumerate(every):
+        own = [one for one in ahead if one.recording == number]
+        found = foresight(findings.solution, number, channels, own)
+        overlap = max((noise.overlap for noise in findings.noises[number]), default=1.0)
+        excess = (found.statistic - found.count) / np.sqrt(2.0 * max(found.count, 1) * overlap)
+        p = float(ndtr(-excess))
+        ratio = np.sqrt(found.statistic / max(found.count, 1))
+        reason = Reason(f'errors of the validation are {ratio:.2g} times what noise and '
+                        f'uncertainty explain ({_probability(p)})')
+        yield found.predictable_s, reason if p < _ALARM else None
