@@ -65,8 +65,9 @@ _UNEQUAL = 1.05
 _PIECES = 16
 #: Suspects that are tried by a fit, and those that are listed.
 _TRIED, _LISTED = 5, 3
-#: Part of the drop of the best suspect from which on another one explains as much.
-_ALIKE = 0.98
+#: Part of the drop of the best suspect from which on another one explains as much, and from
+#: which on what it moves counts.
+_ALIKE, _COUNTS = 0.98, 0.1
 #: s; errors are averaged over this time, and over at least this many samples.
 _BATCH, _FEWEST = 1.0, 10
 #: rad; and rad/s, and relative to the rates: no sensor has a larger noise.
@@ -74,7 +75,9 @@ _NOISIEST_ATTITUDE, _NOISIEST_RATE, _NOISIEST_PART = 0.1, 0.3, 0.3
 #: rad; rad/s, and relative to the rates: errors below this are those of rounding.
 _TINY = 1e-9
 #: Share of outliers, if they come together, that no sensor has, and if they do not.
-_CLUSTERED, _SCATTERED = 0.05, 0.3
+_CLUSTERED, _SCATTERED = 0.03, 0.3
+#: Difference of the shares of outliers before and after a change of the inertia.
+_APART = 0.4
 INERTIA_CHANGE = 'inertia_change'
 
 
@@ -138,7 +141,7 @@ class Findings:
     scores : list of Score
         Of suspects that explain something, the best first.
     drift : dict of str to float
-        By component, by how much the halves of the recordings differ from the whole.
+        By component, by how much the halves of the recordings differ.
     noises : list of list of Noise
         Of each channel of each recording; none if the errors are those of rounding.
     predictable_s : float or None
@@ -178,11 +181,12 @@ def examined(solution: Solution) -> Findings:
     own = extended(setup, solution.physics, [])
     pieces = widened(solution, own, _PIECES)
     change = _change(linear(pieces), setup.parameters.names, pieces)
-    scores += [change] if change else []
+    scores += [one for one in (change, _break(solution)) if one]
     halves = widened(solution, own, 2)
     reasons, drift = _halves(linear(halves), setup.parameters.scales)
     reasons += [*_noise(solution), *_outliers(solution), *_correlated(solution, found)]
     scores = sorted((one for one in scores if one.p < _ALARM), key=lambda one: -one.drop)
+    scores = [*{one.name: one for one in reversed(scores)}.values()][::-1]  # each name once
     return Findings(solution, reasons, scores, drift, found)
 
 
@@ -241,6 +245,27 @@ def _change(given: Linearized, known: Sequence[str], problem: LeastSquares) -> S
     return best
 
 
+def _break(solution: Solution) -> Score | None:
+    """Return a change of the inertia where outliers begin or end: the other part was fitted."""
+    best = None
+    for problem, channels, every, errors, sigma in zip(
+            solution.problem.setup.problems, solution.problem.setup.channels, solution.inliers,
+            solution.errors, solution.weights.sigma):
+        for channel, inliers, error, level in zip(channels, every, errors, sigma):
+            bad = np.cumsum(~inliers)
+            count = np.arange(1, len(bad) + 1)
+            after = (bad[-1] - bad) / np.maximum(len(bad) - count, 1)
+            apart = np.abs(bad / count - after)[_FEWEST:-_FEWEST]
+            if not apart.size or apart.max() < _APART:
+                continue
+            row = _FEWEST + int(np.argmax(apart))
+            seconds = 1e-9 * float(channel.stamps_ns[row] - problem.start.time_ns)
+            drop = float(np.nansum((error[~inliers] / level) ** 2))
+            if best is None or drop > best.drop:
+                best = Score(INERTIA_CHANGE, drop, 0.0, seconds)
+    return best
+
+
 def _halves(given: Linearized, scales: Floats) -> tuple[list[Reason], dict[str, float]]:
     """Return whether the halves of the recordings have different values, and how different."""
     from scipy.special import chdtrc
@@ -256,7 +281,7 @@ def _halves(given: Linearized, scales: Floats) -> tuple[list[Reason], dict[str, 
     apart = np.abs(first[0] - second_deviations[0])
     with np.errstate(invalid='ignore'):
         is_known = apart > 2.0 * np.hypot(first[1], second_deviations[1])
-    drift = {name: 0.5 * float(value * scale) if known else 0.0 for name, value, scale, known
+    drift = {name: float(value * scale) if known else 0.0 for name, value, scale, known
              in zip(given.names, apart, scales, is_known)}
     if p >= _ALARM:
         return [], drift
@@ -399,10 +424,11 @@ def judged(findings: Findings, attempts: Sequence[Suspect],
     if not reasons and not findings.scores:
         return Verdict(EXPLAINED, [], []), {}
     suspects = _ranked(findings, attempts)[:_LISTED]
-    systematic = {name: max([findings.drift.get(name, 0.0),
-                             *(move[name] for suspect, move in zip(attempts, moved)
-                               if suspect in suspects and move[name] == move[name])])
-                  for name in scales}
+    best = max((one.chi2_drop for one in attempts), default=0.0)
+    counted = [move for suspect, move in zip(attempts, moved)
+               if suspect.chi2_drop >= _COUNTS * best]
+    systematic = {name: float(np.sqrt(np.nansum(np.square(
+        [findings.drift.get(name, 0.0), *(move[name] for move in counted)])))) for name in scales}
     mean = float(np.mean(np.trace(findings.solution.physics.inertia) / 3.0))
     too_far = [name for name, part in systematic.items()
                if part > accept * (mean if name.startswith('inertia') else scales[name])]
@@ -420,17 +446,19 @@ def _ranked(findings: Findings, attempts: Sequence[Suspect]) -> list[Suspect]:
     """
     Return the suspects, the best first: by the validation that they leave, else by their drop.
 
-    A change of the inertia, which no fit was made with, is first if its score is, else last.
+    A change of the inertia, which no fit was made with, has its place by the drop.
     """
     ranked = sorted(attempts, key=lambda one: (one.validation_chi2_per_dof or 0.0,
                                                -one.chi2_drop))
-    for place, score in enumerate(findings.scores):
+    for score in findings.scores:
         if score.name == INERTIA_CHANGE:
+            place = next((i for i, one in enumerate(ranked) if one.chi2_drop < score.drop),
+                         len(ranked))
             change = Suspect(
                 score.name, score.drop, score.p, [float(score.seconds or 0.0)], None,
                 f'the inertia changes about {score.seconds:.4g} s after the start: fit the parts '
                 'before and after it one by one')
-            ranked.insert(0 if place == 0 else len(ranked), change)
+            ranked.insert(place, change)
     return ranked
 
 
