@@ -84,8 +84,9 @@ def compare_parser() -> argparse.ArgumentParser:
     add_scene(parser)
     add_measured(parser, 'measured topic (QuaternionStamped, PoseStamped, '
                  'PoseWithCovarianceStamped, TransformStamped, TFMessage, Odometry, Imu, '
-                 'or Vector3Stamped, an angular velocity); may be repeated (default: the '
-                 'only topic of one of these types but the last)')
+                 'or Vector3Stamped, an angular velocity), or the name of a CSV file or of a TUM '
+                 'trajectory; may be repeated (default: the only topic of one of these types but '
+                 'the last)')
     parser.add_argument('--motion', metavar='FILE',
                         help='compare this recorded motion, such as the output of '
                         'attitude_replay, instead of computing one')

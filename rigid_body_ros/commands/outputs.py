@@ -60,7 +60,7 @@ def checked(options: argparse.Namespace,
     with files.reading(*_given(options, *_RECORDINGS)), \
             files.protected('scene', *_given(options, 'scene')), \
             files.protected('ensemble', *_given(options, 'ensemble')), \
-            files.protected('input', *_given(options, 'vary')):
+            files.protected('input', *_given(options, 'vary'), *_measured_files(options)):
         yield Outputs(options, *outputs)
 
 
@@ -119,6 +119,13 @@ def _given(options: argparse.Namespace, *names: str) -> list[str]:
     """Return the paths that options name: none, one or several each."""
     values = [value for name in names if (value := getattr(options, name, None))]
     return [path for value in values for path in (value if isinstance(value, list) else [value])]
+
+
+def _measured_files(options: argparse.Namespace) -> list[str]:
+    """Return the measured topics that are files."""
+    from rigid_body_ros.sensing.text_files import is_text_file
+    return [name for name in _given(options, 'measured') if is_text_file(name)] \
+        if getattr(options, 'measured', None) else []
 
 
 def _command_line(options: argparse.Namespace) -> str:

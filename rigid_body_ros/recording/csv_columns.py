@@ -110,19 +110,24 @@ def columns(heading: Sequence[str]) -> Columns:
 
 def _meaning(text: str) -> tuple[str, int]:
     """Return the quantity in a column, '' if it can be ignored, and its unit as in `scales`."""
-    for name, unit in _splits(text.strip()):
+    for name, unit in splits(text.strip()):
         torque = _TORQUE.fullmatch(name.lower())
         if torque and (found := _TORQUE_UNIT.fullmatch(unit or 'Nm')):
             return f't{torque[1]}', _PREFIXES[found[1]]
-        if _TIME.fullmatch(name.lower()) and (unit or 's') in _TIME_UNITS:
-            return 'time', _TIME_UNITS[unit or 's']
+        if scale := time_scale(name, unit):
+            return 'time', scale
     # The topic of a path may be called torque: /torque/wrench/force/x.
     if len(text) > _LONGEST or _AMBIGUOUS.search('.'.join(re.split('[/.]', text.lower())[-2:])):
         raise InputError(f'column {quoted(text)}: unknown name or unit; {_ACCEPTED}')
     return '', 0
 
 
-def _splits(text: str) -> Iterator[tuple[str, str]]:
+def time_scale(name: str, unit: str) -> int:
+    """Return the unit of a column of times in ns, 0 if the column holds something else."""
+    return _TIME_UNITS.get(unit or 's', 0) if _TIME.fullmatch(name.lower()) else 0
+
+
+def splits(text: str) -> Iterator[tuple[str, str]]:
     """Generate the ways to split a text into a name and a unit, which may be ''."""
     if len(text) > _LONGEST:
         return

@@ -32,6 +32,7 @@ from rigid_body_ros.propagation.options import FASTEST
 from rigid_body_ros.recording import Messages, Source
 from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import FEWEST, Measured
+from rigid_body_ros.sensing.text_files import is_text_file, read_text_file
 
 #: Variances, rad^2 or rad^2/s^2, from which on a value counts as not measured.
 _MEANINGLESS = 1e3
@@ -246,6 +247,8 @@ def read_all(path: str | Path, topics: Iterable[str], **options: Any) -> list[Me
     """
     Read measured topics, with the arguments and errors of `read_measured`.
 
+    A topic that is the name of a text file is read by `read_text_file`.
+
     Raises
     ------
     InputError
@@ -259,5 +262,6 @@ def read_all(path: str | Path, topics: Iterable[str], **options: Any) -> list[Me
             raise InputError(f'--measured: expected each topic once, found {name!r} twice')
     # Among several topics, the frames are those of the transforms.
     chosen = {*recording.topics(path, _TRANSFORMS)} & {*names} if frames else set()
-    return [read_measured(path, name, frames=frames if name in chosen or not chosen else None,
+    return [read_text_file(name) if name and is_text_file(name) else
+            read_measured(path, name, frames=frames if name in chosen or not chosen else None,
                           **options) for name in names or [None]]

@@ -1,0 +1,198 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Read measured attitudes and angular velocities from text: CSV files and TUM trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+import csv
+from decimal import Decimal, DecimalException
+from io import TextIOWrapper
+import math
+from pathlib import Path
+import re
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros import messages
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError, quoted, reason
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.propagation.options import FASTEST
+from rigid_body_ros.recording.csv_columns import splits, time_scale
+from rigid_body_ros.runtime.limits import open_file
+from rigid_body_ros.sensing.measured import FEWEST, Measured
+
+#: Suffixes of CSV files, and of trajectories: time (s), x, y, z, qx, qy, qz, qw, without names.
+_CSV, _TUM = ('.csv',), ('.tum', '.txt')
+#: Column names without a unit, such as qx, orientation.x, angular_velocity/x, and those of EuRoC.
+_ATTITUDE = re.compile(r'(?:.*[/.])?(?:q|quat|quaternion|orientation|attitude|q_rs)[/._ ]?'
+                       r'([xyzw])')
+_RATE = re.compile(r'(?:.*[/.])?(?:w|omega|gyro|angular_velocity|w_rs_s)[/._ ]?([xyz])')
+#: Units of angular velocity in rad/s.
+_RATE_UNITS = {**dict.fromkeys(('', 'rad/s', 'rad s^-1', 'rads'), 1.0),
+               **dict.fromkeys(('deg/s', 'deg s^-1', 'degs'), math.radians(1.0))}
+_QUANTITIES = tuple(f'q{axis}' for axis in 'xyzw'), tuple(f'w{axis}' for axis in 'xyz')
+_ACCEPTED = ('expected time (s, ms, us, ns), and qx qy qz qw or wx wy wz (rad/s, deg/s), with '
+             'units as in "wx (deg/s)" or "time_ms"')
+#: Limit on the length of a line, in characters.
+_LONGEST = 2 ** 16
+
+
+class _Columns(NamedTuple):
+    """The position and the unit of each quantity in a line."""
+
+    positions: dict[str, tuple[int, float]]
+
+    def values(self, line: Sequence[str], names: Sequence[str]) -> list[float]:
+        return [float(line[position]) * scale
+                for position, scale in (self.positions[name] for name in names)]
+
+
+_TRAJECTORY = _Columns({'time': (0, 1e9), **{name: (4 + k, 1.0)
+                                            for k, name in enumerate(_QUANTITIES[0])}})
+
+
+def is_text_file(name: str) -> bool:
+    """Return whether a measured topic is the name of a text file: topics contain no dot."""
+    return Path(name).suffix.lower() in (*_CSV, *_TUM)
+
+
+def read_text_file(path: str) -> Measured:
+    """
+    Read a CSV file or a TUM trajectory.
+
+    Parameters
+    ----------
+    path : str
+        A CSV file, whose first line names its columns, or a trajectory (.tum, .txt): time (s), x,
+        y, z, qx, qy, qz, qw in each line, separated by spaces. Lines that begin with # are
+        ignored. Angular velocities are in body axes.
+
+    Returns
+    -------
+    Measured
+        Sorted by stamp; its topic is the name of the file. Of equal stamps, the last is kept.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a line is not valid, or fewer than four samples are finite.
+
+    """
+    try:
+        with TextIOWrapper(open_file(path, 'measurements'), 'utf-8-sig', newline='') as text:
+            return _measured(path, text)
+    except OSError as error:
+        raise InputError(f'{path}: cannot read the measurements: {reason(error)}') from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f'{path}: expected text in UTF-8 ({reason(error)})') from error
+
+
+def _measured(path: str, text: TextIOWrapper) -> Measured:
+    lines = _lines(path, text)
+    found = _TRAJECTORY
+    if Path(path).suffix.lower() in _CSV:
+        number, heading = next(lines, (1, []))
+        found = _columns_of(f'{path}: line {number}', heading)
+    groups = [names for names in _QUANTITIES if names[0] in found.positions]
+    stamps_ns, rows = [], []
+    for number, line in lines:
+        if line[0].startswith('#'):
+            continue
+        try:
+            stamps_ns.append(_stamp_ns(line, found))
+            rows.append([value for names in groups for value in found.values(line, names)])
+        except (ValueError, OverflowError, IndexError, DecimalException):
+            raise InputError(f'{path}: line {number}: expected numbers in the columns of '
+                             f'{", ".join(found.positions)}, found {quoted(",".join(line))}'
+                             ) from None
+    values = np.array(rows, float).reshape(len(rows), sum(map(len, groups)))
+    return _sorted(path, np.array(stamps_ns, np.int64), values, groups)
+
+
+def _sorted(path: str, stamps_ns: NDArray[np.int64], values: Floats,
+            groups: Sequence[Sequence[str]]) -> Measured:
+    usable = np.isfinite(values).all(axis=1) & (np.abs(values) <= FASTEST).all(axis=1)
+    has_attitude = groups[0] == _QUANTITIES[0]
+    if has_attitude:
+        usable &= values[:, :4].any(axis=1)
+    order = np.flatnonzero(usable)
+    order = order[np.argsort(stamps_ns[order], kind='stable')]
+    order = order[np.append(np.diff(stamps_ns[order]) != 0, True)[:len(order)]]
+    if len(order) < FEWEST:
+        raise InputError(f'{path}: expected at least {FEWEST} samples with finite values, found '
+                         f'{len(order)} among {len(stamps_ns)}')
+    chosen = values[order]
+    return Measured(Path(path).name, stamps_ns[order],
+                    so3.normalize(chosen[:, :4]) if has_attitude else None,
+                    chosen[:, -3:] if groups[-1] == _QUANTITIES[1] else None,
+                    rejected=int(np.sum(~usable)))
+
+
+def _stamp_ns(line: Sequence[str], found: _Columns) -> int:
+    position, scale = found.positions['time']
+    # Decimal, because a double does not resolve nanoseconds at today's epoch.
+    time_ns = (Decimal(line[position]) * int(scale)).to_integral_value()
+    if not 0 <= time_ns <= messages.LAST_NS:
+        raise ValueError
+    return int(time_ns)
+
+
+def _lines(path: str, text: TextIOWrapper) -> Iterator[tuple[int, list[str]]]:
+    """Generate the lines that are not empty, in columns, with their numbers."""
+    is_csv = Path(path).suffix.lower() in _CSV
+    for number, line in enumerate(iter(lambda: text.readline(_LONGEST), ''), 1):
+        if len(line) == _LONGEST:
+            raise InputError(f'{path}: line {number}: expected fewer than {_LONGEST} characters, '
+                             f'found {quoted(line)}')
+        columns = next(csv.reader([line]), []) if is_csv else line.split()
+        if columns:
+            yield number, columns
+
+
+def _columns_of(where: str, heading: Sequence[str]) -> _Columns:
+    """Return the columns that a heading names; those of something else are ignored."""
+    found: dict[str, tuple[int, float]] = {}
+    for position, text in enumerate(heading):
+        name, scale = _meaning(where, text.lstrip('#').strip())
+        if name in found:
+            raise InputError(f'{where}: two columns for {name}: '
+                             f'{quoted(heading[found[name][0]])} and {quoted(text)}; {_ACCEPTED}')
+        if name:
+            found[name] = position, scale
+    given = [names for names in _QUANTITIES if any(name in found for name in names)]
+    missing = [name for names in [('time',), *(given or _QUANTITIES)] for name in names
+               if name not in found]
+    if missing:
+        raise InputError(f'{where}: no column for {missing[0]}; {_ACCEPTED}, found '
+                         f'{quoted(",".join(heading))}')
+    return _Columns(found)
+
+
+def _meaning(where: str, text: str) -> tuple[str, float]:
+    """Return the quantity in a column, '' if it can be ignored, and its unit."""
+    for name, unit in splits(text.replace('[]', '').strip()):
+        attitude, rate = _ATTITUDE.fullmatch(name.lower()), _RATE.fullmatch(name.lower())
+        if attitude and not unit:
+            return f'q{attitude[1]}', 1.0
+        if rate and unit not in _RATE_UNITS:
+            raise InputError(f'{where}: column {quoted(text)}: unknown unit; {_ACCEPTED}')
+        if rate:
+            return f'w{rate[1]}', _RATE_UNITS[unit]
+        if scale := time_scale(name, unit):
+            return 'time', float(scale)
+    return '', 0.0
