@@ -525,8 +525,8 @@ EXITS = [
           'runs failed, too'),
     ('3', '`attitude_identify`: the data does not determine all estimates, or the fit did not '
           'converge; no scene was written, unless with `--force`'),
-    ('4', '`attitude_identify`: the model does not explain the measurements; no scene was '
-          'written, unless with `--force`'),
+    ('4', '`attitude_identify`: the fit is rejected; no scene was written, unless with '
+          '`--force`. `attitude_compare --check`: the model does not explain the measurements'),
     ('128 + n', 'signal n ended the command: 130 after Ctrl-C, 143 after SIGTERM (`attitude_node` '
                 'ends with 0 once it has started); 141, without a message, if the reader of the '
                 'output has ended, as in `attitude_replay ... | head`'),

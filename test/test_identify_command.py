@@ -14,6 +14,7 @@
 
 """The command `attitude_identify`: from a recording to a fitted scene."""
 
+from dataclasses import replace
 from html import escape
 import json
 import os
@@ -294,3 +295,30 @@ def test_unknown_names_to_estimate(tumble, capsys, text):
         identify(tumble, '--estimate', text)
     assert ended.value.code == 2
     assert '--estimate: expected' in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('inertia', 'status'), [(1.0, 0), (1.05, 4)])
+def test_a_check_says_by_its_exit_status_whether_the_model_is_right(tmp_path, capsys, inertia,
+                                                                    status):
+    truth = measurements.truth()
+    measurements.write(tmp_path / 'in.mcap', torque=torque_messages(truth),
+                       imu=messages_of('Imu', truth.measured(2e-3, 5e-3)))
+    model = replace(truth, inertia=truth.inertia * np.diag([1.0, inertia, 1.0]) + truth.inertia
+                    * (1.0 - np.eye(3)))
+    measurements.write_scene(tmp_path / 'scene.yaml', model)
+    arguments = [str(tmp_path / 'in.mcap'), '--scene', str(tmp_path / 'scene.yaml'), '--json',
+                 str(tmp_path / 'out.json')]
+    assert main.attitude_compare([*arguments, '--check', '--report',
+                                  str(tmp_path / 'page.html')]) == status
+    captured = capsys.readouterr()
+    verdict = json.loads((tmp_path / 'out.json').read_text())['verdict']
+    assert verdict['consistent'] == (status == 0)
+    assert captured.out.startswith(f'verdict          {verdict["level"]}: ')
+    assert (captured.err == '') == (status == 0)
+    page = (tmp_path / 'page.html').read_text(encoding='utf-8')
+    assert f'<dd>{verdict["level"]}: ' in page
+    if status:
+        assert 'inertia' in [one['name'] for one in verdict['suspects'][:2]]
+        assert main.attitude_compare([*arguments, '--overwrite']) == 0
+        assert json.loads((tmp_path / 'out.json').read_text())['verdict'] is None

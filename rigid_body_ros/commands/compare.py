@@ -33,11 +33,20 @@ from rigid_body_ros.commands.arguments import (
     warn_of_frames,
 )
 from rigid_body_ros.commands.outputs import checked
-from rigid_body_ros.runtime.terminal import progress
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.report.page import with_facts
+from rigid_body_ros.report.text import lines
+from rigid_body_ros.runtime.terminal import progress, report
 
 if TYPE_CHECKING:
     from rigid_body_ros.comparison import Comparison
+    from rigid_body_ros.identification import Verdict
     from rigid_body_ros.scene import Scene
+
+#: Exit status if the model does not explain the measurements.
+REJECTED = 4
+#: What a check estimates for an alignment, besides the start.
+_FITTED = {'clock': 'clock_offset', 'mount': 'mount'}
 
 
 def attitude_compare(arguments: Sequence[str] | None) -> int:
@@ -45,6 +54,7 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
     options = parsed(compare_parser(), arguments)
     name = Path(options.recording).name
     from rigid_body_ros.comparison.summary import summary
+    from rigid_body_ros.identification.summary import verdict_rows
     from rigid_body_ros.recording import suffix_of
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
         scene = load_scene(options)
@@ -57,13 +67,36 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
             from rigid_body_ros.comparison.outputs import write
             with outputs.writing(options.output):
                 write(options.output, comparison, scene.body_frame)
+        verdict = _verdict(options, scene) if options.check else None
+        facts = [*verdict_rows(verdict)] if verdict else []
         if options.json:
-            outputs.write_json(comparison.as_dict())
+            outputs.write_json({**comparison.as_dict(),
+                                'verdict': verdict.as_dict() if verdict else None})
         if options.report:
             from rigid_body_ros.comparison.page import page
-            outputs.write_page(lambda line: page(comparison, name, scene, line))
-    outputs.show(summary(comparison), 17)
-    return 0
+            outputs.write_page(lambda line: with_facts(page(comparison, name, scene, line), facts))
+    shown = [lines([f'{title:17}{text}']) for title, text in facts]
+    outputs.show('\n'.join([*shown, summary(comparison)]), 17)
+    if not verdict or verdict.is_consistent:
+        return 0
+    report(f'{options.command}: the model does not explain the measurements')
+    return REJECTED
+
+
+def _verdict(options: argparse.Namespace, scene: Scene) -> Verdict:
+    """Return whether the model explains the measurements, from some start."""
+    from rigid_body_ros.identification import identify
+    from rigid_body_ros.identification.recorded import read_experiment
+    if options.motion:
+        raise InputError('--check: expected a motion that is computed, found --motion')
+    names = ['start', *(estimated for aligned, estimated in _FITTED.items()
+                        if aligned in options.align)]
+    experiment = read_experiment(options.recording, scene, reading_of(options))
+    try:
+        return identify(scene.body, experiment, estimate=names,
+                        torque_timeout=scene.torque_timeout).verdict
+    except ValueError as error:
+        raise InputError(f'{options.recording}: {error}') from error
 
 
 def _compared(options: argparse.Namespace, scene: Scene) -> Comparison:
@@ -98,6 +131,9 @@ def compare_parser() -> argparse.ArgumentParser:
     parser.add_argument('--horizon', type=positive, action='append', metavar='SECONDS',
                         help='restart from the measurement every SECONDS and report the error '
                         'after that time; may be repeated')
+    parser.add_argument('--check', action='store_true',
+                        help='test whether the model explains the measurements from some start, '
+                        'as attitude_identify does; if not, the exit status is 4')
     parser.add_argument('-o', '--output', metavar='RESIDUALS',
                         help='write /error/rotation_vector, /error/angular_velocity and '
                         '/residual_torque to this MCAP file, or, if the name does not end in '

@@ -141,6 +141,33 @@ class LeastSquares:
         assert self._base is not None
         return self._changed(slice(None), self._base.changes)
 
+    def settle(self, tolerance: float, most: int) -> bool:
+        """
+        Move the states alone, if there are no shared parameters; return whether they converged.
+
+        Parameters
+        ----------
+        tolerance : float
+            Relative change of the sum of squares at which the steps of Gauss and Newton end.
+        most : int
+            Largest number of steps.
+
+        """
+        point: Floats = np.empty(0)
+        self.jac(point)
+        for _ in range(most):
+            assert self._base is not None
+            before = float(np.sum(self._base.residuals ** 2))
+            trial = self._linearized(point)
+            after = float(np.sum(trial.residuals ** 2))
+            if after <= before:
+                self._base, self._rejected = trial, 0
+                if before - after <= tolerance * before:
+                    return True
+            else:
+                self._rejected += 1
+        return False
+
     def fun(self, point: Floats) -> Floats:
         """Return the residuals at a point of the shared parameters, compressed."""
         if self._trial is None or not np.array_equal(self._trial.point, point):

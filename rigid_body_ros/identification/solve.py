@@ -203,14 +203,18 @@ def fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
     setup = previous.problem.setup
     windows = windows or setup.windows(length_ns, previous.physics)
     problem = LeastSquares(setup, windows, states_at(previous, windows), previous.weights)
-    result = least_squares(problem.fun, setup.parameters.coordinates(previous.physics),
-                           problem.jac, x_scale='jac', ftol=tolerance, xtol=1e-12, gtol=1e-14,
-                           max_nfev=most)
-    physics = setup.parameters.physics(result.x)
+    physics = previous.physics
+    if setup.parameters.size:
+        result = least_squares(problem.fun, setup.parameters.coordinates(physics), problem.jac,
+                               x_scale='jac', ftol=tolerance, xtol=1e-12, gtol=1e-14,
+                               max_nfev=most)
+        physics, converged = setup.parameters.physics(result.x), result.status > 0
+    else:
+        converged = problem.settle(tolerance, most)
     moved = LeastSquares(setup, windows, problem.states(), previous.weights)
     moved.steps = problem.steps
     return _solution(moved, physics, length_ns, previous.evaluations + problem.evaluations,
-                     result.status > 0, is_last)
+                     converged, is_last)
 
 
 def states_at(solution: Solution, windows: list[Window]) -> Poses:

@@ -380,6 +380,7 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
         The channels of each recording, with the samples of the validation; empty without one.
 
     """
+    from scipy.special import chdtrc
     solution = findings.solution
     setup = solution.problem.setup
     before = sum_of_squares(replace(solution, problem=solution.problem.weighted(
@@ -394,9 +395,11 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
         except ValueError:  # without it the motion is too far off for a fit
             continue
         validation = Misfit.of(of_validation(fit, every), 0).chi2_per_dof if every else None
-        suspect = Suspect(score.name, max(before - sum_of_squares(fit), 0.0), score.p,
-                          value_of(fit, score.name), validation, command_with(setup, score.name))
-        result.append((suspect, fit))
+        drop, value = max(before - sum_of_squares(fit), 0.0), value_of(fit, score.name)
+        p = min(score.p, float(chdtrc(len(value), drop)))
+        if p < _ALARM:
+            result.append((Suspect(score.name, drop, p, value, validation,
+                                   command_with(setup, score.name)), fit))
     return result
 
 

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import hashlib
 from html import escape
 import json
@@ -77,6 +77,11 @@ class Page:
     table: str = ''
     scene: Scene | None = field(default=None, kw_only=True)
     command: str = field(default='', kw_only=True)
+
+
+def with_facts(page: Page, facts: Rows) -> Page:
+    """Return a page with more facts in words, before the others."""
+    return replace(page, story=[*facts, *page.story])
 
 
 class Markup(str):

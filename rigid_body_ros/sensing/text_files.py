@@ -62,8 +62,8 @@ class _Columns(NamedTuple):
                 for position, scale in (self.positions[name] for name in names)]
 
 
-_TRAJECTORY = _Columns({'time': (0, 1e9), **{name: (4 + k, 1.0)
-                                            for k, name in enumerate(_QUANTITIES[0])}})
+_TRAJECTORY = _Columns({'time': (0, 1e9),
+                        **{name: (4 + k, 1.0) for k, name in enumerate(_QUANTITIES[0])}})
 
 
 def is_text_file(name: str) -> bool:
