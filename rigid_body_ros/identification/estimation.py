@@ -30,6 +30,7 @@ from rigid_body_ros.identification.experiment import (
     Experiment,
     typical_rate,
 )
+from rigid_body_ros.identification.findings import examined, Findings
 from rigid_body_ros.identification.identifiability import Certainty, certainty
 from rigid_body_ros.identification.parameters import (
     checked_names,
@@ -48,7 +49,7 @@ from rigid_body_ros.identification.parameters import (
 from rigid_body_ros.identification.result import Estimate, Identification
 from rigid_body_ros.identification.setup import Setup
 from rigid_body_ros.identification.solve import Solution, solve
-from rigid_body_ros.identification.verdict import ACCEPT, examined, Findings, judged, tried
+from rigid_body_ros.identification.verdict import ACCEPT, judged, tried
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import UniformField

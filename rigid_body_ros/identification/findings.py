@@ -1,0 +1,339 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What the errors of a fit say about its model.
+
+Each test has a probability of a false alarm of 1e-4. A right model meets about forty of
+them, so less than one right model in a hundred is not called explained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.identification.evidence import (
+    explained,
+    foresight,
+    linear,
+    Linearized,
+    noises,
+    solved,
+    split_channels,
+    widened,
+)
+from rigid_body_ros.identification.noise import LONGEST, Noise
+from rigid_body_ros.identification.problem import LeastSquares
+from rigid_body_ros.identification.residuals import Residuals
+from rigid_body_ros.identification.solve import polished, Solution
+from rigid_body_ros.identification.suspects import candidates, extended, unknown_components
+from rigid_body_ros.sensing.measured import Measured
+
+#: Probability of a false alarm of each test.
+ALARM = 1e-4
+#: Ratio of spreads from which on the fit is repeated with them.
+_UNEQUAL = 1.05
+#: Pieces of a recording, after each of which the inertia may have changed.
+_PIECES = 16
+#: s; errors are averaged over this time, and over at least this many samples.
+_BATCH, _FEWEST = 1.0, 10
+#: rad; and rad/s, and relative to the rates: no sensor has a larger noise.
+_NOISIEST_ATTITUDE, _NOISIEST_RATE, _NOISIEST_PART = 0.1, 0.3, 0.3
+#: rad; rad/s, and relative to the rates: errors below this are those of rounding.
+_TINY = 1e-9
+#: Share of outliers, if they come together, that no sensor has, and if they do not.
+_CLUSTERED, _SCATTERED = 0.03, 0.3
+#: Difference of the shares of outliers before and after a change of the inertia.
+_APART = 0.4
+INERTIA_CHANGE = 'inertia_change'
+
+
+class Reason(NamedTuple):
+    """What speaks against a model, and whether that alone makes it useless."""
+
+    text: str
+    rejects: bool = False
+
+
+class Score(NamedTuple):
+    """How much a suspect would explain close to the solution: drop, probability, and when (s)."""
+
+    name: str
+    drop: float
+    p: float
+    seconds: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """
+    What the errors of a fit say.
+
+    Attributes
+    ----------
+    solution : Solution
+        Fitted with the noise that was found.
+    reasons : list of Reason
+    scores : list of Score
+        Of suspects that explain something, the best first.
+    drift : dict of str to float
+        By component, by how much the halves of the recordings differ.
+    noises : list of list of Noise
+        Of each channel of each recording; none if the errors are those of rounding.
+    predictable_s : float or None
+        How long after its start the motion can be predicted; None if to its end, and without a
+        validation.
+
+    """
+
+    solution: Solution
+    reasons: list[Reason]
+    scores: list[Score]
+    drift: dict[str, float]
+    noises: list[list[Noise]]
+    predictable_s: float | None = None
+
+    def with_validation(self, every: Sequence[Sequence[Measured]],
+                        ahead: Sequence[Residuals]) -> Findings:
+        """Return the same, and what the errors of the validation say."""
+        if not ahead or not self.noises:
+            return self
+        seconds, reasons = zip(*_validation(self, every, ahead))
+        return replace(self, predictable_s=min(seconds) if min(seconds) < np.inf else None,
+                       reasons=[*self.reasons, *(one for one in reasons if one)])
+
+
+def examined(solution: Solution) -> Findings:
+    """Return what the errors of a fit say about its model."""
+    setup = solution.problem.setup
+    if _is_rounding(solution):
+        return Findings(solution, [], [], {}, [])
+    names = candidates(setup)
+    parameters = extended(setup, solution.physics, names)
+    found = noises(widened(solution, parameters))
+    solution = _with_noise(solution, found)
+    problem = widened(solution, extended(setup, solution.physics, names))
+    scores = [*_scores(linear(problem), setup.parameters.names, names, problem)]
+    own = extended(setup, solution.physics, [])
+    pieces = widened(solution, own, _PIECES)
+    change = _change(linear(pieces), setup.parameters.names, pieces)
+    scores += [one for one in (change, _break(solution)) if one]
+    halves = widened(solution, own, 2)
+    reasons, drift = _halves(linear(halves), setup.parameters.scales)
+    reasons += [*_noise(solution), *_outliers(solution), *_correlated(solution, found)]
+    scores = sorted((one for one in scores if one.p < ALARM), key=lambda one: -one.drop)
+    scores = [*{one.name: one for one in reversed(scores)}.values()][::-1]  # each name once
+    return Findings(solution, reasons, scores, drift, found)
+
+
+def _is_rounding(solution: Solution) -> bool:
+    """Return whether all errors are so small that no sensor would show them."""
+    return all(noise <= _TINY * (1.0 if channel.is_attitude else max(1.0, setup.rate))
+               for setup in [solution.problem.setup]
+               for channels, every in zip(setup.channels, solution.weights.sigma)
+               for channel, noise in zip(channels, every))
+
+
+def _with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
+    """Return the fit with weights that know how large errors are, and how long they last."""
+    setup = solution.problem.setup
+    spreads: list[list[Floats]] = []
+    for channels, every in zip(setup.channels, found):
+        spreads.append([])
+        for channel, noise in zip(channels, every):
+            given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
+            sizes = np.ones(3) if given else np.maximum(noise.sizes, 1e-3)
+            spreads[-1].append(sizes * noise.lasting)
+    weights = replace(solution.weights, spreads=spreads)
+    solution = replace(solution, weights=weights, problem=solution.problem.weighted(weights))
+    sizes = np.concatenate([one for each in spreads for one in each])
+    return polished(solution) if sizes.max() > _UNEQUAL * sizes.min() else solution
+
+
+def _scores(given: Linearized, known: Sequence[str], names: Sequence[str],
+            problem: LeastSquares) -> Iterator[Score]:
+    """Generate what each suspect would explain."""
+    from scipy.special import chdtrc
+    matrix, errors = given.stacked()
+    base = matrix[:, given.columns(known)]
+    for name in names:
+        unknown = unknown_components(problem.parameters, known, name)
+        drop, rank = explained(matrix[:, given.columns(unknown)], base, errors)
+        if rank:
+            yield Score(name, drop, float(chdtrc(rank, drop)))
+
+
+def _change(given: Linearized, known: Sequence[str], problem: LeastSquares) -> Score | None:
+    """Return what an inertia explains that changes between two pieces, at the best time."""
+    from scipy.special import chdtrc
+    inertia = given.columns([name for name in known if name.startswith('inertia')])
+    matrix, errors = given.stacked()
+    base, best = matrix[:, given.columns(known)], None
+    for k, window in enumerate(problem.windows):
+        if window.is_first or not inertia:
+            continue
+        later = [other.experiment == window.experiment and i >= k
+                 for i, other in enumerate(problem.windows)]
+        drop, rank = explained(given.split(inertia, later), base, errors)
+        p = float(chdtrc(rank, drop)) * len(problem.windows) if rank else 1.0
+        if best is None or drop > best.drop:
+            best = Score(INERTIA_CHANGE, drop, p, 1e-9 * (window.anchor_ns - window.origin_ns))
+    return best
+
+
+def _break(solution: Solution) -> Score | None:
+    """Return a change of the inertia where outliers begin or end: the other part was fitted."""
+    best = None
+    for problem, channels, every, errors, sigma in zip(
+            solution.problem.setup.problems, solution.problem.setup.channels, solution.inliers,
+            solution.errors, solution.weights.sigma):
+        for channel, inliers, error, level in zip(channels, every, errors, sigma):
+            bad = np.cumsum(~inliers)
+            count = np.arange(1, len(bad) + 1)
+            after = (bad[-1] - bad) / np.maximum(len(bad) - count, 1)
+            apart = np.abs(bad / count - after)[_FEWEST:-_FEWEST]
+            if not apart.size or apart.max() < _APART:
+                continue
+            row = _FEWEST + int(np.argmax(apart))
+            seconds = 1e-9 * float(channel.stamps_ns[row] - problem.start.time_ns)
+            drop = float(np.nansum((error[~inliers] / level) ** 2))
+            if best is None or drop > best.drop:
+                best = Score(INERTIA_CHANGE, drop, 0.0, seconds)
+    return best
+
+
+def _halves(given: Linearized, scales: Floats) -> tuple[list[Reason], dict[str, float]]:
+    """Return whether the halves of the recordings have different values, and how different."""
+    from scipy.special import chdtrc
+    matrix, errors = given.stacked()
+    later = [half == 1 for half in given.halves]
+    if not matrix.shape[1] or not any(later) or all(later):
+        return [], {}
+    every = [*range(matrix.shape[1])]
+    second = given.split(every, later)
+    drop, rank = explained(second, matrix, errors)
+    p = float(chdtrc(rank, drop)) if rank else 1.0
+    first, second_deviations = solved(matrix - second, errors), solved(second, errors)
+    apart = np.abs(first[0] - second_deviations[0])
+    with np.errstate(invalid='ignore'):
+        is_known = apart > 2.0 * np.hypot(first[1], second_deviations[1])
+    drift = {name: float(value * scale) if known else 0.0 for name, value, scale, known
+             in zip(given.names, apart, scales, is_known)}
+    if p >= ALARM:
+        return [], drift
+    return [Reason(f'the two halves of the recording give different values '
+                   f'({probability(p)})')], drift
+
+
+def _noise(solution: Solution) -> Iterator[Reason]:
+    """Generate reasons for noise that no such sensor has, or that exceeds the given one."""
+    setup = solution.problem.setup
+    for number, channels in enumerate(setup.channels):
+        for channel, errors, inliers in zip(channels, solution.errors[number],
+                                            solution.inliers[number]):
+            kept = errors[inliers & np.isfinite(errors[:, 0])]
+            size = float(np.sqrt(np.mean(kept ** 2))) if len(kept) else 0.0
+            if channel.is_attitude:
+                if size > _NOISIEST_ATTITUDE:
+                    yield Reason(f'{channel.topic}: attitude errors of {size:.2g} rad are not the '
+                                 'noise of a sensor', True)
+            elif size > _NOISIEST_RATE and size > _NOISIEST_PART * float(
+                    np.sqrt(np.mean(channel.values ** 2))):
+                yield Reason(f'{channel.topic}: errors of {size:.2g} rad/s are not the noise of a '
+                             'gyro', True)
+            given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
+            limit = 1.0 + 4.0 * np.sqrt(2.0 / max(kept.size, 1))
+            if given and size ** 2 > limit * given ** 2:
+                yield Reason(f'{channel.topic}: errors of {size:.2g} exceed the given noise of '
+                             f'{given:.2g}')
+
+
+def _outliers(solution: Solution) -> Iterator[Reason]:
+    """Generate reasons for outliers that come together, or are too many."""
+    from scipy.special import ndtr
+    for number, channels in enumerate(solution.problem.setup.channels):
+        for channel, inliers in zip(channels, solution.inliers[number]):
+            bad = ~inliers
+            count, total = int(bad.sum()), len(bad)
+            share = count / total
+            if count < _FEWEST:
+                continue
+            # Wald and Wolfowitz (1940): the number of runs of outliers.
+            runs = int(bad[0]) + int(np.sum(bad[1:] & ~bad[:-1]))
+            mean = count * (1.0 - share)
+            spread = max(np.sqrt(mean * share * (1.0 - share)), 1e-9)
+            together = float(ndtr((runs - mean) / spread)) < ALARM
+            if together or share > _SCATTERED:
+                how = 'in clusters' if together else 'more than a sensor has'
+                yield Reason(f'{channel.topic}: {100.0 * share:.2g} % of the samples are '
+                             f'outliers, {how}', share > (_CLUSTERED if together else _SCATTERED))
+
+
+def _correlated(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
+    """Generate reasons for errors that last longer than the noise of the sensor."""
+    from scipy.special import chdtrc
+    problem = solution.problem
+    sums: dict[tuple[int, int], list[Floats]] = {}
+    for k, window in enumerate(problem.windows):
+        for channel, errors in split_channels(problem, k,
+                                              problem.scaled_errors(k, solution.physics)):
+            noise = found[window.experiment][channel]
+            left = noise.innovations(errors)
+            stamps_ns = window.channels[channel].stamps_ns
+            spacing = max(float(np.median(np.diff(stamps_ns))) * 1e-9, 1e-9) \
+                if len(stamps_ns) > 1 else 1.0
+            size = max(_FEWEST, round(_BATCH / spacing))
+            count = len(left) // size
+            if count:
+                batches = left[:count * size].reshape(count, size, 3)
+                known = np.maximum(np.isfinite(batches).sum(axis=1), 1)
+                sums.setdefault((window.experiment, channel), []).append(
+                    np.stack([np.nansum(batches, axis=1) ** 2 / known,
+                              np.nansum(batches ** 2, axis=1) / known]))
+    for (number, channel), parts in sums.items():
+        means, squares = np.concatenate(parts, axis=1)
+        lasting = found[number][channel].lasting
+        scale = 1.0 if lasting >= LONGEST else np.maximum(squares.mean(axis=0), 1e-300)
+        statistic = means.sum(axis=0) / scale
+        p = float(chdtrc(len(means), statistic).min())
+        if p < ALARM:
+            one = problem.setup.channels[number][channel]
+            what = 'attitude' if one.is_attitude else 'angular velocity'
+            yield Reason(f'{one.topic}: errors of the {what} last for a second or more '
+                         f'({probability(p)})')
+
+
+def probability(p: float) -> str:
+    """Return a probability in words."""
+    return f'p = {p:.1g}' if p >= 1e-300 else 'p < 1e-300'
+
+
+def _validation(findings: Findings, every: Sequence[Sequence[Measured]],
+                ahead: Sequence[Residuals]) -> Iterator[tuple[float, Reason | None]]:
+    """Generate how long a recording can be predicted, s, and whether it is predicted badly."""
+    from scipy.special import ndtr
+    for number, channels in enumerate(every):
+        own = [one for one in ahead if one.recording == number]
+        found = foresight(findings.solution, number, channels, own)
+        overlap = max((noise.overlap for noise in findings.noises[number]), default=1.0)
+        excess = (found.statistic - found.count) / np.sqrt(2.0 * max(found.count, 1) * overlap)
+        p = float(ndtr(-excess))
+        ratio = np.sqrt(found.statistic / max(found.count, 1))
+        reason = Reason(f'errors of the validation are {ratio:.2g} times what noise and '
+                        f'uncertainty explain ({probability(p)})')
+        yield found.predictable_s, reason if p < ALARM else None
