@@ -141,16 +141,16 @@ def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> Leas
     parameters : Parameters
         With those that were estimated, and others.
     pieces : int
-        Fewest windows of a recording.
+        Fewest windows of all recordings together.
 
     """
-    setup = replace(solution.problem.setup, parameters=parameters)
-    most = max(len(channel) for channels in setup.channels for channel in channels)
-    pieces = max(pieces, -(-most // _LONGEST))
-    length_ns = min(solution.length_ns, setup.span_ns // pieces + 1)
-    windows = setup.windows(length_ns, solution.physics)
-    problem = LeastSquares(setup, windows, states_at(solution, windows), solution.weights)
     old = solution.problem
+    most = max(len(channel) for channels in old.setup.channels for channel in channels)
+    parts = -(-max(pieces, -(-most // _LONGEST)) // len(old.windows))
+    # Windows begin where those of the solution do: from one to the next its motion jumps.
+    windows = old.setup.windows(solution.length_ns, solution.physics, parts)
+    setup = replace(old.setup, parameters=parameters)
+    problem = LeastSquares(setup, windows, states_at(solution, windows), solution.weights)
     shared, shifts = parameters.steps, parameters.shifts
     factor = float((old.steps[0] / old.parameters.steps).min(initial=1.0))
     problem.steps = np.where(np.isin(np.arange(len(shared)), shifts), shared, factor * shared), \

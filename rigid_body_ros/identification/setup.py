@@ -68,10 +68,10 @@ class Setup:
                       for channel in channels)
         return int(min(max(1e9 * _FIRST / self.rate, _SHORTEST * spacing), self.longest_ns))
 
-    def windows(self, length_ns: int, physics: Physics) -> list[Window]:
-        """Return all recordings in windows of about this length."""
+    def windows(self, length_ns: int, physics: Physics, parts: int = 1) -> list[Window]:
+        """Return all recordings in windows of about this length, each divided into parts."""
         lead_ns = LEAD_NS if self.parameters.shifts else 0
         return [window for number, (problem, channels)
                 in enumerate(zip(self.problems, self.channels))
-                for window in windows_of(number, problem, channels, length_ns, physics,
-                                         lead_ns)]
+                for window in windows_of(number, problem, channels, length_ns, physics, lead_ns,
+                                         parts)]

@@ -60,6 +60,8 @@ _NO_OUTLIER = 1e-8
 _CAUCHY = 2.4
 #: Standard deviations below this, in rad, and relative to the rate, are rounding errors.
 _ROUNDING = 1e-11
+#: ns; windows that begin within this time have the same state: a fit moves clocks a little.
+_SAME_NS = 1_000_000
 #: Ratio of the standard deviation of normal noise to the median of its magnitude.
 _NORMAL = 1.4826
 
@@ -222,7 +224,7 @@ def states_at(solution: Solution, windows: list[Window]) -> Poses:
     old, pairs = solution.problem, []
     begins = [(one.experiment, one.anchor_ns) for one in old.windows]
     for window in windows:
-        k = max(bisect_right(begins, (window.experiment, window.anchor_ns)) - 1,
+        k = max(bisect_right(begins, (window.experiment, window.anchor_ns + _SAME_NS)) - 1,
                 bisect_left(begins, (window.experiment,)))
         pairs.append(old.windows[k].state_at(solution.physics, old.reference.attitude[k],
                                              old.reference.angular_velocity[k], window.anchor_ns))

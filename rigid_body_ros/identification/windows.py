@@ -177,7 +177,7 @@ def _rates(velocity: Floats, mount: Floats | None, physics: Sequence[Physics],
 
 
 def windows_of(number: int, problem: Problem, channels: Sequence[Measured], length_ns: int,
-               physics: Physics, lead_ns: int) -> list[Window]:
+               physics: Physics, lead_ns: int, parts: int = 1) -> list[Window]:
     """
     Divide a recording into windows.
 
@@ -195,6 +195,8 @@ def windows_of(number: int, problem: Problem, channels: Sequence[Measured], leng
         With the clocks of the sensors.
     lead_ns : int
         How much earlier than their first sample windows begin.
+    parts : int
+        Number of windows that each window of that length is divided into.
 
     Returns
     -------
@@ -206,17 +208,17 @@ def windows_of(number: int, problem: Problem, channels: Sequence[Measured], leng
     stamps = [clocked(channel, physics, start_ns) for channel in channels]
     first_ns = max(start_ns, min(int(each[0]) for each in stamps))
     last_ns = max(int(each[-1]) for each in stamps)
-    count = max(1, round((last_ns - first_ns) / length_ns))
+    count = parts * max(1, round((last_ns - first_ns) / length_ns))
     edges = first_ns + np.arange(count + 1) * ((last_ns - first_ns) // count + 1)
     anchors = np.append(start_ns, np.maximum(edges[1:-1] - lead_ns, start_ns))
     momenta = problem.rotor_momentum(anchors)
     result = []
     for k, anchor_ns in enumerate(anchors.tolist()):
         rows = [slice(*np.searchsorted(each, [edges[k], edges[k + 1]])) for each in stamps]
-        parts = [channel.rows(part) for channel, part in zip(channels, rows)]
-        if not any(len(part) for part in parts):
+        samples = [channel.rows(part) for channel, part in zip(channels, rows)]
+        if not any(map(len, samples)):
             continue
         start = State(anchor_ns, rotor_momentum=momenta[k])
         near = problem.between(start, int(edges[k + 1]) + LEAD_NS, _MEMORY_NS)
-        result.append(Window(number, k == 0, near, parts, rows, start_ns))
+        result.append(Window(number, k == 0, near, samples, rows, start_ns))
     return result
