@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.identification.experiment import local_state
 from rigid_body_ros.identification.parameters import Physics
-from rigid_body_ros.identification.problem import LeastSquares, Weights
+from rigid_body_ros.identification.problem import errors_of, LeastSquares, Weights
 from rigid_body_ros.identification.sensors import corrected
 from rigid_body_ros.identification.setup import Setup
 from rigid_body_ros.identification.windows import Window
@@ -189,13 +189,25 @@ def _first(setup: Setup, windows: list[Window], physics: Physics) -> Solution:
         if window.is_first and not setup.fits_start:
             pairs.append((start.attitude, start.angular_velocity))
             continue
-        pairs.append(local_state(sensors[window.experiment], window.anchor_ns, setup.rate, start))
+        near = local_state(sensors[window.experiment], window.anchor_ns, setup.rate, start)
+        pairs.append(_better(window, physics, near, (start.attitude, start.angular_velocity))
+                     if window.is_first else near)
     states = Poses(*(np.array(values) for values in zip(*pairs)))
     ones = Weights([[1.0 for _ in channels] for channels in setup.channels],
                    [[np.ones(len(channel)) for channel in channels]
                     for channels in setup.channels],
                    [[np.ones(3) for _ in channels] for channels in setup.channels])
     return _solution(LeastSquares(setup, windows, states, ones), physics, setup.shortest_ns, 0)
+
+
+def _better(window: Window, physics: Physics, *states: tuple[Floats, Floats]
+            ) -> tuple[Floats, Floats]:
+    """Return the state from which a window is predicted best: noise may hide a rate."""
+    predicted = window.predict([physics] * len(states),
+                               Poses(*(np.array(values) for values in zip(*states))))
+    errors = [np.median(np.linalg.norm(one, axis=2), axis=1)
+              for one in errors_of(window.channels, predicted) if one.shape[1]]
+    return states[int(np.argmin(np.sum(errors, axis=0)))]
 
 
 def fitted(previous: Solution, length_ns: int, tolerance: float, most: int,
