@@ -19,7 +19,7 @@ A kind is a body with actuators and sensors that have something wrong with them,
 seeds of a kind are integrated at once by a Runge-Kutta method of fourth order in steps of 5 ms.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -252,18 +252,17 @@ def acting(kind, torques, random):
     return result.transpose(1, 0, 2)
 
 
-def inertias(kind, time):
-    """Return the inertia at a time, and its rate."""
+def inertia_at(kind, time):
+    """Return the inertia at a time; what is burnt takes its momentum along."""
     if kind.burnt != 1.0:
-        part = (kind.burnt - 1.0) / kind.seconds
-        return kind.inertia * (1.0 + part * time), kind.inertia * part
+        return kind.inertia * (1.0 + (kind.burnt - 1.0) * time / kind.seconds)
     factor = kind.dropped if time >= 0.5 * kind.seconds else 1.0
-    return kind.inertia * np.array([[factor, 1, 1], [1, 1, 1], [1, 1, factor]]), None
+    return kind.inertia * np.array([[factor, 1, 1], [1, 1, 1], [1, 1, factor]])
 
 
 def slope(kind, time, q, w, bend, torque):
     """Return the rates of change of attitude, rate and appendage."""
-    inertia, _ = inertias(kind, time)
+    inertia = inertia_at(kind, time)
     rotor = np.array(kind.rotor) + np.array(kind.rotor_ramp) * time
     total = torque + np.array(kind.bias) - kind.damping * w - kind.drag * np.abs(w) * w \
         - kind.friction * np.tanh(w / 0.01) - np.array(kind.rotor_ramp)
@@ -321,7 +320,7 @@ def coloured(random, shape, colour):
     return white
 
 
-def sampled(kind, times, values, at):
+def sampled(times, values, at):
     """Return values between steps, by the cubic through four of them."""
     from scipy.interpolate import CubicSpline
     return CubicSpline(times, values)(at)
@@ -372,7 +371,7 @@ def measured(kind, random, torque_ns, torques, attitudes, rates, level):
         if name == 'attitude':
             seen = np.where((at > kind.frozen[0]) & (at < kind.frozen[1]), kind.frozen[0], at) \
                 if kind.frozen else at
-            q = sampled(kind, times, attitudes, seen)
+            q = sampled(times, attitudes, seen)
             q = multiply(exponential(np.outer(at, kind.space_rate)), q)
             q = multiply(multiply(q, exponential(np.array(kind.mount))[None]),
                          exponential(ATTITUDE_NOISE * noise))
@@ -381,7 +380,7 @@ def measured(kind, random, torque_ns, torques, attitudes, rates, level):
             q = q / np.linalg.norm(q, axis=1, keepdims=True)
             found[name] = q * [-1, -1, -1, 1] if kind.conjugated else q
         else:
-            w = sampled(kind, times, rates, at)
+            w = sampled(times, rates, at)
             if kind.gyro_filter:
                 w = filtered(times, rates, kind.gyro_filter, at)
             w = rotated_back(exponential(np.array(kind.gyro_mount))[None], w)
@@ -406,14 +405,9 @@ def filtered(times, values, lag, at):
     for k, value in enumerate(values):
         state = value + (state - value) * share
         result[k] = state
-    return sampled(None, times, result, at)
+    return sampled(times, result, at)
 
 
 def named(name):
     """Return a kind by its name."""
     return next(kind for kind in (*RIGHT, *WRONG) if kind.name == name)
-
-
-def shortened(kind, seconds):
-    """Return a kind of another length."""
-    return replace(kind, seconds=seconds)
