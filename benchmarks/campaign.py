@@ -16,21 +16,20 @@
 How often the verdict of `identify` is right: recordings of 20 right and of 40 wrong models.
 
 Run `python benchmarks/campaign.py [--seeds N] [--levels 0.1,1,10] [--kind NAME]`. Each line is one
-recording of `simulated.py`, which shares no code with the package. The tables have the share of
-verdicts, of intervals of the inertia that cover the truth (systematic part included), and of
-recordings whose cause is among the first two suspects.
+recording of `simulated.py`, which shares no code with the package. Then come the tables of
+`docs/campaign.md`.
 """
 
 import argparse
-from collections import defaultdict
+from collections import Counter
 from multiprocessing import Pool
 import os
 import sys
 import time
+from typing import NamedTuple
 
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
-import numpy as np  # noqa: E402
 from rigid_body_ros import (  # noqa: E402
     Experiment,
     identify,
@@ -61,19 +60,41 @@ def fit(kind, recording, **options):
     return identify(guess, experiment, **{'estimate': kind.estimate, **options})
 
 
+class Outcome(NamedTuple):
+    """What became of one recording; `cover` is the number of intervals that cover the truth."""
+
+    name: str
+    level: float
+    verdict: str
+    cover: int
+    suspects: list
+    reasons: list
+    seconds: float
+
+    @property
+    def is_good(self):
+        """Return whether a wrong model is rejected, or its intervals cover the truth."""
+        return self.verdict == 'rejected' or self.cover >= ENOUGH
+
+    @property
+    def is_named(self):
+        """Return whether the cause is among the first two suspects."""
+        return bool({*self.suspects[:2]} & {*named(self.name).causes})
+
+
 def outcome(job):
-    """Return what became of one recording: verdict, number of intervals that cover, and so on."""
-    name, level, seed = job
+    """Return the outcome of one recording."""
+    name, level, seed, validate = job
     kind = named(name)
     recording, = recordings(kind, [seed], level)
     begin = time.perf_counter()
-    result = fit(kind, recording)
+    result = fit(kind, recording, validate=validate)
     taken = time.perf_counter() - begin
     intervals = {one: result.estimates[one].interval_95 for one in TRUE}
     cover = sum(limits is not None and limits[0] <= TRUE[one] <= limits[1]
                 for one, limits in intervals.items())
-    suspects = [one.name for one in result.verdict.suspects]
-    return name, level, result.verdict.level, cover, suspects, taken, result.verdict.reasons
+    return Outcome(name, level, result.verdict.level, cover,
+                   [one.name for one in result.verdict.suspects], result.verdict.reasons, taken)
 
 
 def main():
@@ -83,58 +104,89 @@ def main():
     parser.add_argument('--levels', type=lambda text: [float(one) for one in text.split(',')],
                         default=[0.1, 1.0, 10.0])
     parser.add_argument('--kind', help='only this kind; right or wrong for all of them')
+    parser.add_argument('--validate', type=float, default=0.0, help='as for attitude_identify')
     options = parser.parse_args()
     groups = {'right': RIGHT, 'wrong': WRONG, None: (*RIGHT, *WRONG)}
     kinds = groups[options.kind] if options.kind in groups else [named(options.kind)]
-    jobs = [(kind.name, level, seed) for kind in kinds for level in options.levels
-            for seed in range(options.seeds)]
-    found = defaultdict(list)
+    jobs = [(kind.name, level, seed, options.validate) for kind in kinds
+            for level in options.levels for seed in range(options.seeds)]
+    found = []
     with Pool(os.cpu_count()) as pool:
         for job, one in zip(jobs, pool.imap(outcome, jobs)):
-            name, level, verdict, cover, suspects, taken, reasons = one
-            found[name, level].append(one)
-            print(f'{name}, noise {level:g}, seed {job[2]}: {verdict}, {cover} of 6 cover, '
-                  f'{", ".join(suspects) or "no suspects"}, {taken:.1f} s', flush=True)
-            if named(name) in RIGHT and reasons:
-                print('   ', '; '.join(reasons), flush=True)
-    for level in options.levels:
-        table(kinds, level, found)
+            found.append(one)
+            print(f'{one.name}, noise {one.level:g}, seed {job[2]}: {one.verdict}, {one.cover} of '
+                  f'6 cover, {", ".join(one.suspects) or "no suspects"}, {one.seconds:.1f} s',
+                  flush=True)
+            if is_right(one) and one.reasons:
+                print('   ', '; '.join(one.reasons), flush=True)
+    shares(options.levels, found)
+    for title, group in (('Right models', RIGHT), ('Wrong models', WRONG)):
+        table(title, [kind for kind in group if kind in kinds], options.levels, found)
+    misses(found)
 
 
-def table(kinds, level, found):
-    """Print what became of all kinds at one level of noise, and the shares."""
-    print(f'\nnoise {level:g} times the nominal one\n')
-    print('| kind | explained | approximate | rejected | intervals that cover | good | cause |')
-    print('|---|---|---|---|---|---|---|')
-    shares = defaultdict(list)
+def is_right(one):
+    """Return whether the model of a recording is right."""
+    return any(kind.name == one.name for kind in RIGHT)
+
+
+def shares(levels, found):
+    """Print the shares of what was hoped for, at each level of noise."""
+    print('\n| noise | right models explained | their intervals that cover the truth | wrong '
+          'models rejected, or at least five of six intervals cover | true cause among the first '
+          'two suspects |\n|---|---|---|---|---|')
+    for level in levels:
+        right = [one for one in found if one.level == level and is_right(one)]
+        wrong = [one for one in found if one.level == level and not is_right(one)]
+        cells = [share([one.verdict == 'explained' for one in right]),
+                 share([k < one.cover for one in right for k in range(6)]),
+                 share([one.is_good for one in wrong]),
+                 share([one.is_named for one in wrong if named(one.name).causes])]
+        print(f'| {level:g} | {" | ".join(cells)} |')
+
+
+def share(values):
+    """Return the part of values that are true, in words."""
+    return f'{100.0 * sum(values) / len(values):.1f} % ({sum(values)} of {len(values)})' \
+        if values else 'none'
+
+
+def table(title, kinds, levels, found):
+    """Print what became of each kind at each level of noise."""
+    if not kinds:
+        return
+    print(f'\n### {title}\n\n| kind | {" | ".join(f"noise {level:g}" for level in levels)} |\n'
+          f'|---|{"---|" * len(levels)}')
     for kind in kinds:
-        results = found[kind.name, level]
-        counts = [sum(one[2] == verdict for one in results)
-                  for verdict in ('explained', 'approximate', 'rejected')]
-        good = [is_good(one) for one in results]
-        hits = [bool({*one[4][:2]} & {*kind.causes}) for one in results]
-        is_right = kind in RIGHT
-        shares['right' if is_right else 'wrong'] += [one[2] == 'explained' for one in results] \
-            if is_right else good
-        if is_right:
-            shares['covered'] += [one[3] / 6.0 for one in results]
-        elif kind.causes:
-            shares['named'] += hits
-        cause = f'{sum(hits)} of {len(hits)}' if kind.causes else ''
-        print(f'| {kind.name} | {" | ".join(map(str, counts))} | '
-              f'{sum(one[3] for one in results)} of {6 * len(results)} | '
-              f'{sum(good)} of {len(good)} | {cause} |')
-    texts = {'right': 'right models called explained', 'covered': 'their intervals that cover',
-             'wrong': 'wrong models rejected, or at least five of six intervals cover',
-             'named': 'causes among the first two suspects'}
-    print()
-    for name, values in shares.items():
-        print(f'{texts[name]}: {100.0 * np.mean(values):.1f} % of {len(values)}')
+        cells = [cell([one for one in found if (one.name, one.level) == (kind.name, level)])
+                 for level in levels]
+        print(f'| {kind.name} | {" | ".join(cells)} |')
 
 
-def is_good(one):
-    """Return whether a wrong model is rejected, or its intervals cover the truth."""
-    return one[2] == 'rejected' or one[3] >= ENOUGH
+def cell(outcomes):
+    """Return the verdicts, the intervals that cover, and the most frequent first suspect."""
+    verdicts = Counter(one.verdict for one in outcomes)
+    words = [name if len(outcomes) == 1 else f'{name} {count}'
+             for name, count in verdicts.most_common()]
+    words.append(f'{sum(one.cover for one in outcomes)} of {6 * len(outcomes)}')
+    first = Counter(one.suspects[0] for one in outcomes if one.suspects)
+    return ', '.join([*words, *(f'`{name}`' for name, _ in first.most_common(1))])
+
+
+def misses(found):
+    """Print which recordings were judged wrongly."""
+    wrong = [one for one in found if not is_right(one)]
+    for text, missed in (
+            ('right models not called explained', [one for one in found if is_right(one)
+                                                   and one.verdict != 'explained']),
+            ('wrong models not rejected, of which fewer than five intervals cover',
+             [one for one in wrong if not one.is_good]),
+            ('wrong models called explained', [one for one in wrong
+                                               if one.verdict == 'explained']),
+            ('true cause not among the first two suspects',
+             [one for one in wrong if named(one.name).causes and not one.is_named])):
+        print(f'\n{text}:', '; '.join(f'{one.name}, noise {one.level:g}' for one in missed)
+              or 'none')
 
 
 if __name__ == '__main__':

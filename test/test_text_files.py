@@ -121,7 +121,9 @@ def test_an_inertia_from_text_alone(tmp_path, capsys):
     arguments = [str(tmp_path / 'torque.mcap'), '--scene', str(tmp_path / 'scene.yaml'),
                  '--measured', str(gyro), '--measured', str(poses), '--estimate',
                  'inertia,start,gyro_bias@gyro.csv']
-    assert main.attitude_identify(arguments) == 0
+    page = tmp_path / 'page.html'
+    assert main.attitude_identify([*arguments, '--report', str(page)]) == 0
+    assert str(tmp_path) not in page.read_text(encoding='utf-8')
     shown = capsys.readouterr().out
     assert 'poses.tum attitude' in shown
     assert 'gyro_bias.x@gyro.csv' in shown

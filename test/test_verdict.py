@@ -71,6 +71,16 @@ def test_the_suspect_is_what_is_wrong(name, suspects):
 
 
 @pytest.mark.slow
+def test_noise_that_lasts_does_not_exceed_the_given_noise():
+    kind = replace(named('noise AR 0.8'), seconds=12.0)
+    for recording in recordings(kind, range(3)):
+        result = fit(kind, recording, attitude_noise=2e-3, rate_noise=5e-3)
+        assert result.verdict.reasons == []
+    result = fit(kind, recording, attitude_noise=1.5e-3, rate_noise=5e-3)
+    assert any('exceed the given noise' in reason for reason in result.verdict.reasons)
+
+
+@pytest.mark.slow
 def test_a_suspect_that_is_estimated_too_explains_all():
     first = identified('weight')
     kind = named('weight')

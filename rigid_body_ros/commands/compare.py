@@ -58,8 +58,12 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
     from rigid_body_ros.recording import suffix_of
     with checked(options, (options.output, suffix_of(options.output or ''))) as outputs:
         scene = load_scene(options)
+        if options.check and options.motion:
+            raise InputError('--check: expected a motion that is computed, found --motion')
         comparison = _compared(options, scene)
         warn_of_frames(options, options.recording, comparison.measured)
+        verdict = _verdict(options, scene) if options.check else None
+        facts = [*verdict_rows(verdict)] if verdict else []
         if options.plot:
             from rigid_body_ros.comparison import plot  # matplotlib takes long to load
             outputs.write(options.plot, lambda path: plot.draw(path, comparison, name))
@@ -67,8 +71,6 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
             from rigid_body_ros.comparison.outputs import write
             with outputs.writing(options.output):
                 write(options.output, comparison, scene.body_frame)
-        verdict = _verdict(options, scene) if options.check else None
-        facts = [*verdict_rows(verdict)] if verdict else []
         if options.json:
             outputs.write_json({**comparison.as_dict(),
                                 'verdict': verdict.as_dict() if verdict else None})
@@ -87,8 +89,6 @@ def _verdict(options: argparse.Namespace, scene: Scene) -> Verdict:
     """Return whether the model explains the measurements, from some start."""
     from rigid_body_ros.identification import identify
     from rigid_body_ros.identification.recorded import read_experiment
-    if options.motion:
-        raise InputError('--check: expected a motion that is computed, found --motion')
     names = ['start', *(estimated for aligned, estimated in _FITTED.items()
                         if aligned in options.align)]
     experiment = read_experiment(options.recording, scene, reading_of(options))

@@ -124,13 +124,12 @@ def _given(options: argparse.Namespace, *names: str) -> list[str]:
 def _measured_files(options: argparse.Namespace) -> list[str]:
     """Return the measured topics that are files."""
     from rigid_body_ros.sensing.text_files import is_text_file
-    return [name for name in _given(options, 'measured') if is_text_file(name)] \
-        if getattr(options, 'measured', None) else []
+    return [name for name in _given(options, 'measured') if is_text_file(name)]
 
 
 def _command_line(options: argparse.Namespace) -> str:
     """Return the command line, with file names in place of paths."""
-    paths = [*map(os.fspath, _given(options, *_PATHS))]
+    paths = [*map(os.fspath, _given(options, *_PATHS)), *_measured_files(options)]
     return shlex.join([options.command, *(_without_folder(os.fspath(text), paths)
                                           for text in options.arguments)])
 

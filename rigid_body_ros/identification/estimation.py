@@ -32,21 +32,24 @@ from rigid_body_ros.identification.experiment import (
 )
 from rigid_body_ros.identification.findings import examined, Findings
 from rigid_body_ros.identification.identifiability import Certainty, certainty
-from rigid_body_ros.identification.parameters import (
+from rigid_body_ros.identification.names import (
     checked_names,
-    checked_priors,
-    GRAVITY,
-    lifted,
-    Magnitudes,
     moments_of,
-    Parameters,
-    Physics,
-    SHORT_LAG,
     split_topic,
     START,
     unit_of,
 )
+from rigid_body_ros.identification.parameters import (
+    checked_priors,
+    GRAVITY,
+    lifted,
+    Magnitudes,
+    Parameters,
+    Physics,
+    SHORT_LAG,
+)
 from rigid_body_ros.identification.result import Estimate, Identification
+from rigid_body_ros.identification.sensors import topics_of
 from rigid_body_ros.identification.setup import Setup
 from rigid_body_ros.identification.solve import Solution, solve
 from rigid_body_ros.identification.verdict import ACCEPT, judged, tried
@@ -174,10 +177,9 @@ def _check_topics(names: Sequence[str], channels: Sequence[Measured]) -> None:
     """Raise InputError if a name has a topic without what it is about."""
     for name in names:
         kind, topic = split_topic(name)
-        wanted = {channel.topic: None for channel in channels
-                  if not (kind.startswith('gyro') and channel.is_attitude)}
-        if topic and topic not in wanted:
-            raise InputError(f'estimate: {name}: expected a topic among {listed(wanted)}, found '
+        known = topics_of(kind, channels)
+        if topic and topic not in known:
+            raise InputError(f'estimate: {name}: expected a topic among {listed(known)}, found '
                              f'{topic}')
 
 

@@ -59,14 +59,14 @@ class Linearized:
     blocks : list of array, shape (m, n + 1)
         For each window, a factor of its derivatives and errors, in standard deviations; the last
         column has the errors. Its state is eliminated.
-    halves : list of int
-        Whether a window is in the first or the second half of its recording.
+    is_late : list of bool
+        Whether a window is in the second half of its recording.
 
     """
 
     names: list[str]
     blocks: list[Floats]
-    halves: list[int]
+    is_late: list[bool]
 
     def columns(self, names: Sequence[str]) -> list[int]:
         """Return the numbers of components."""
@@ -160,15 +160,15 @@ def widened(solution: Solution, parameters: Parameters, pieces: int = 1) -> Leas
 
 def linear(problem: LeastSquares) -> Linearized:
     """Return the linear problem of all windows, close to the guess of its parameters."""
-    blocks, halves = [], []
+    blocks, is_late = [], []
     middles = [(int(channels[0].stamps_ns[0]) + int(channels[0].stamps_ns[-1])) // 2
                for channels in problem.setup.channels]
     for k, window in enumerate(problem.windows):
         own = len(problem.unknowns[k])
         blocks.append(triangle(_rows(problem, k))[own:, own:])
         stamps_ns = np.concatenate([channel.stamps_ns for channel in window.channels])
-        halves.append(int(np.mean(stamps_ns) > middles[window.experiment]))
-    return Linearized(problem.parameters.names, blocks, halves)
+        is_late.append(bool(np.mean(stamps_ns) > middles[window.experiment]))
+    return Linearized(problem.parameters.names, blocks, is_late)
 
 
 def noises(problem: LeastSquares) -> list[list[Noise]]:
@@ -222,7 +222,7 @@ class Foresight:
 
 
 def foresight(solution: Solution, number: int, channels: Sequence[Measured],
-              residuals: Sequence[Residuals]) -> Foresight:
+              residuals: Sequence[Residuals], noises: Sequence[Noise]) -> Foresight:
     """
     Return how well a fit predicts the validation of a recording.
 
@@ -236,6 +236,8 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
         Its channels, with the samples that were not fitted.
     residuals : sequence of Residuals
         The errors of those samples, for each channel.
+    noises : sequence of Noise
+        Of each channel.
 
     """
     old = solution.problem
@@ -243,7 +245,10 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
     empty: Any = [None] * len(old.setup.channels)
     roots, spreads = [*empty], [*empty]
     roots[number] = [one.inliers.astype(float) for one in residuals]
-    spreads[number] = [np.ones(3) for _ in residuals]
+    # Of single errors, not of the mean of many.
+    sizes = [spread / noise.lasting
+             for spread, noise in zip(solution.weights.spreads[number], noises)]
+    spreads[number] = sizes
     problem = LeastSquares(old.setup, [ahead], old.reference.rows([k]),
                            Weights(solution.weights.sigma, roots, spreads))
     problem.steps = old.steps[0], old.steps[1][[k]]
@@ -251,8 +256,8 @@ def foresight(solution: Solution, number: int, channels: Sequence[Measured],
         0, solution.physics)
     known = _known(solution, k)
     deviations = _deviations(known, slopes)
-    sigma = np.concatenate([np.full(3 * len(one.errors), one.noise * one.is_attitude)
-                            for one in residuals])
+    sigma = np.concatenate([np.tile(one.noise * one.is_attitude * size, len(one.errors))
+                            for one, size in zip(residuals, sizes)])
     stamps_ns = np.concatenate([np.repeat(one.stamps_ns, 3) for one in residuals])
     lost, vague = (stamps_ns[deviations * sigma > limit] for limit in (_LOST, _LINEAR))
     used = stamps_ns < vague.min() if vague.size else np.ones(stamps_ns.shape, bool)

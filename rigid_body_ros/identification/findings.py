@@ -15,13 +15,13 @@
 """
 What the errors of a fit say about its model.
 
-Each test has a probability of a false alarm of 1e-4. A right model meets about forty of
-them, so less than one right model in a hundred is not called explained.
+Each test has a probability of a false alarm of 1e-4. A right model meets about forty of them, so
+less than one right model in a hundred is not called explained.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -37,11 +37,12 @@ from rigid_body_ros.identification.evidence import (
     split_channels,
     widened,
 )
+from rigid_body_ros.identification.names import components_of
 from rigid_body_ros.identification.noise import LONGEST, Noise
 from rigid_body_ros.identification.problem import LeastSquares
 from rigid_body_ros.identification.residuals import Residuals
 from rigid_body_ros.identification.solve import polished, Solution
-from rigid_body_ros.identification.suspects import candidates, extended, unknown_components
+from rigid_body_ros.identification.suspects import candidates, extended
 from rigid_body_ros.sensing.measured import Measured
 
 #: Probability of a false alarm of each test.
@@ -52,6 +53,10 @@ _UNEQUAL = 1.05
 _PIECES = 16
 #: s; errors are averaged over this time, and over at least this many samples.
 _BATCH, _FEWEST = 1.0, 10
+#: Standard deviations of a normal variable that it exceeds with the probability of an alarm.
+_FAR = 3.72
+#: Smallest size of the noise of an axis, relative to that of all axes.
+_LEAST = 1e-3
 #: rad; and rad/s, and relative to the rates: no sensor has a larger noise.
 _NOISIEST_ATTITUDE, _NOISIEST_RATE, _NOISIEST_PART = 0.1, 0.3, 0.3
 #: rad; rad/s, and relative to the rates: errors below this are those of rounding.
@@ -123,22 +128,18 @@ def examined(solution: Solution) -> Findings:
     setup = solution.problem.setup
     if _is_rounding(solution):
         return Findings(solution, [], [], {}, [])
-    names = candidates(setup)
-    parameters = extended(setup, solution.physics, names)
-    found = noises(widened(solution, parameters))
+    names, known = candidates(setup), setup.parameters.names
+    found = noises(widened(solution, extended(setup, solution.physics, names)))
     solution = _with_noise(solution, found)
     problem = widened(solution, extended(setup, solution.physics, names))
-    scores = [*_scores(linear(problem), setup.parameters.names, names, problem)]
     own = extended(setup, solution.physics, [])
-    pieces = widened(solution, own, _PIECES)
-    change = _change(linear(pieces), setup.parameters.names, pieces)
-    scores += [one for one in (change, _break(solution)) if one]
-    halves = widened(solution, own, 2)
+    pieces, halves = widened(solution, own, _PIECES), widened(solution, own, 2)
+    scores = [*_scores(linear(problem), known, names),
+              *_largest(_changes(linear(pieces), known, pieces), _breaks(solution))]
     reasons, drift = _halves(linear(halves), setup.parameters.scales)
-    reasons += [*_noise(solution), *_outliers(solution), *_correlated(solution, found)]
-    scores = sorted((one for one in scores if one.p < ALARM), key=lambda one: -one.drop)
-    scores = [*{one.name: one for one in reversed(scores)}.values()][::-1]  # each name once
-    return Findings(solution, reasons, scores, drift, found)
+    reasons += [*_noise(solution, found), *_outliers(solution), *_correlated(solution, found)]
+    return Findings(solution, reasons, sorted((one for one in scores if one.p < ALARM),
+                                              key=lambda one: -one.drop), drift, found)
 
 
 def _is_rounding(solution: Solution) -> bool:
@@ -157,7 +158,8 @@ def _with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
         spreads.append([])
         for channel, noise in zip(channels, every):
             given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
-            sizes = np.ones(3) if given else np.maximum(noise.sizes, 1e-3)
+            # An axis without errors, as of a sensor that is stuck, must not count for all.
+            sizes = np.ones(3) if given else np.maximum(noise.sizes, _LEAST)
             spreads[-1].append(sizes * noise.lasting)
     weights = replace(solution.weights, spreads=spreads)
     solution = replace(solution, weights=weights, problem=solution.problem.weighted(weights))
@@ -165,40 +167,44 @@ def _with_noise(solution: Solution, found: list[list[Noise]]) -> Solution:
     return polished(solution) if sizes.max() > _UNEQUAL * sizes.min() else solution
 
 
-def _scores(given: Linearized, known: Sequence[str], names: Sequence[str],
-            problem: LeastSquares) -> Iterator[Score]:
+def _scores(given: Linearized, known: Sequence[str], names: Sequence[str]) -> Iterator[Score]:
     """Generate what each suspect would explain."""
     from scipy.special import chdtrc
     matrix, errors = given.stacked()
     base = matrix[:, given.columns(known)]
     for name in names:
-        unknown = unknown_components(problem.parameters, known, name)
+        unknown = [component for component in components_of(name) if component not in known]
         drop, rank = explained(matrix[:, given.columns(unknown)], base, errors)
         if rank:
             yield Score(name, drop, float(chdtrc(rank, drop)))
 
 
-def _change(given: Linearized, known: Sequence[str], problem: LeastSquares) -> Score | None:
-    """Return what an inertia explains that changes between two pieces, at the best time."""
+def _largest(*scores: Iterable[Score]) -> list[Score]:
+    """Return the score with the largest drop, if there is any."""
+    found = [score for each in scores for score in each]
+    return [max(found, key=lambda one: one.drop)] if found else []
+
+
+def _changes(given: Linearized, known: Sequence[str], problem: LeastSquares) -> Iterator[Score]:
+    """Generate what an inertia explains that changes from one piece to the next."""
     from scipy.special import chdtrc
     inertia = given.columns([name for name in known if name.startswith('inertia')])
     matrix, errors = given.stacked()
-    base, best = matrix[:, given.columns(known)], None
+    base = matrix[:, given.columns(known)]
     for k, window in enumerate(problem.windows):
         if window.is_first or not inertia:
             continue
         later = [other.experiment == window.experiment and i >= k
                  for i, other in enumerate(problem.windows)]
         drop, rank = explained(given.split(inertia, later), base, errors)
+        # One of many times is the best by chance: Bonferroni's bound.
         p = float(chdtrc(rank, drop)) * len(problem.windows) if rank else 1.0
-        if best is None or drop > best.drop:
-            best = Score(INERTIA_CHANGE, drop, p, 1e-9 * (window.anchor_ns - window.origin_ns))
-    return best
+        yield Score(INERTIA_CHANGE, drop, p, 1e-9 * (window.anchor_ns - window.origin_ns))
 
 
-def _break(solution: Solution) -> Score | None:
-    """Return a change of the inertia where outliers begin or end: the other part was fitted."""
-    best = None
+def _breaks(solution: Solution) -> Iterator[Score]:
+    """Generate changes of the inertia where outliers begin or end: the other part was fitted."""
+    from scipy.special import chdtrc
     for problem, channels, every, errors, sigma in zip(
             solution.problem.setup.problems, solution.problem.setup.channels, solution.inliers,
             solution.errors, solution.weights.sigma):
@@ -211,27 +217,24 @@ def _break(solution: Solution) -> Score | None:
                 continue
             row = _FEWEST + int(np.argmax(apart))
             seconds = 1e-9 * float(channel.stamps_ns[row] - problem.start.time_ns)
-            drop = float(np.nansum((error[~inliers] / level) ** 2))
-            if best is None or drop > best.drop:
-                best = Score(INERTIA_CHANGE, drop, 0.0, seconds)
-    return best
+            left = error[~inliers] / level
+            drop = float(np.nansum(left ** 2))
+            yield Score(INERTIA_CHANGE, drop, float(chdtrc(left.size, drop)), seconds)
 
 
 def _halves(given: Linearized, scales: Floats) -> tuple[list[Reason], dict[str, float]]:
     """Return whether the halves of the recordings have different values, and how different."""
     from scipy.special import chdtrc
     matrix, errors = given.stacked()
-    later = [half == 1 for half in given.halves]
-    if not matrix.shape[1] or not any(later) or all(later):
+    if not matrix.shape[1] or len({*given.is_late}) < 2:
         return [], {}
-    every = [*range(matrix.shape[1])]
-    second = given.split(every, later)
+    second = given.split([*range(matrix.shape[1])], given.is_late)
     drop, rank = explained(second, matrix, errors)
     p = float(chdtrc(rank, drop)) if rank else 1.0
-    first, second_deviations = solved(matrix - second, errors), solved(second, errors)
-    apart = np.abs(first[0] - second_deviations[0])
-    with np.errstate(invalid='ignore'):
-        is_known = apart > 2.0 * np.hypot(first[1], second_deviations[1])
+    (early, early_sigma), (late, late_sigma) = (solved(half, errors)
+                                                for half in (matrix - second, second))
+    apart = np.abs(early - late)
+    is_known = apart > 2.0 * np.hypot(early_sigma, late_sigma)
     drift = {name: float(value * scale) if known else 0.0 for name, value, scale, known
              in zip(given.names, apart, scales, is_known)}
     if p >= ALARM:
@@ -240,12 +243,12 @@ def _halves(given: Linearized, scales: Floats) -> tuple[list[Reason], dict[str, 
                    f'({probability(p)})')], drift
 
 
-def _noise(solution: Solution) -> Iterator[Reason]:
+def _noise(solution: Solution, found: list[list[Noise]]) -> Iterator[Reason]:
     """Generate reasons for noise that no such sensor has, or that exceeds the given one."""
     setup = solution.problem.setup
     for number, channels in enumerate(setup.channels):
-        for channel, errors, inliers in zip(channels, solution.errors[number],
-                                            solution.inliers[number]):
+        for channel, errors, inliers, noise in zip(channels, solution.errors[number],
+                                                   solution.inliers[number], found[number]):
             kept = errors[inliers & np.isfinite(errors[:, 0])]
             size = float(np.sqrt(np.mean(kept ** 2))) if len(kept) else 0.0
             if channel.is_attitude:
@@ -257,8 +260,8 @@ def _noise(solution: Solution) -> Iterator[Reason]:
                 yield Reason(f'{channel.topic}: errors of {size:.2g} rad/s are not the noise of a '
                              'gyro', True)
             given = setup.attitude_noise if channel.is_attitude else setup.rate_noise
-            limit = 1.0 + 4.0 * np.sqrt(2.0 / max(kept.size, 1))
-            if given and size ** 2 > limit * given ** 2:
+            spread = np.sqrt(2.0 * noise.overlap / max(kept.size, 1))
+            if given and size ** 2 > (1.0 + _FAR * spread) * given ** 2:
                 yield Reason(f'{channel.topic}: errors of {size:.2g} exceed the given noise of '
                              f'{given:.2g}')
 
@@ -329,7 +332,7 @@ def _validation(findings: Findings, every: Sequence[Sequence[Measured]],
     from scipy.special import ndtr
     for number, channels in enumerate(every):
         own = [one for one in ahead if one.recording == number]
-        found = foresight(findings.solution, number, channels, own)
+        found = foresight(findings.solution, number, channels, own, findings.noises[number])
         overlap = max((noise.overlap for noise in findings.noises[number]), default=1.0)
         excess = (found.statistic - found.count) / np.sqrt(2.0 * max(found.count, 1) * overlap)
         p = float(ndtr(-excess))

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.parameters import field_of
+from rigid_body_ros.identification.names import field_of
 from rigid_body_ros.scene.fields import MOMENT
 
 #: Relative sizes of a derivative, and of a combination of derivatives, that are rounding errors.

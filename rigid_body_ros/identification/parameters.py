@@ -19,67 +19,26 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-import re
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from rigid_body_ros.common.arrays import COLUMNS, ENTRIES, entries, Floats, ROWS, symmetric
+from rigid_body_ros.common.arrays import COLUMNS, entries, Floats, ROWS, symmetric
 from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.identification.names import (
+    components_of,
+    field_of,
+    KINDS,
+    SHIFTS,
+    split_topic,
+    START,
+)
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.fields import Field, UniformField
-from rigid_body_ros.scene.fields import MOMENT, moment_unit
+from rigid_body_ros.scene.fields import MOMENT
 
-
-class _Kind(NamedTuple):
-    """A parameter: its components, their unit, their value without it, and whose it is."""
-
-    components: tuple[str, ...]
-    unit: str
-    neutral: float = 0.0
-    #: Whether each sensor can have its own.
-    is_of_sensor: bool = False
-
-
-def _axes(name: str) -> tuple[str, ...]:
-    return tuple(f'{name}.{axis}' for axis in 'xyz')
-
-
-#: By name; the moment of a field and `start` are not among them.
-_KINDS = {
-    'inertia': _Kind(tuple(f'inertia.i{entry}' for entry in ENTRIES), 'kg m^2'),
-    'inertia_diagonal': _Kind(tuple(f'inertia.i{entry}' for entry in [*ENTRIES][:3]), 'kg m^2'),
-    'torque_gain': _Kind(('torque_gain',), '', 1.0),
-    'torque_gains': _Kind(_axes('torque_gains'), '', 1.0),
-    'torque_bias': _Kind(_axes('torque_bias'), 'N m'),
-    'torque_delay': _Kind(('torque_delay',), 's'),
-    'torque_lag': _Kind(('torque_lag',), 's'),
-    'weight': _Kind(_axes('weight'), 'kg m'),
-    'clock_offset': _Kind(('clock_offset',), 's', is_of_sensor=True),
-    'clock_drift': _Kind(('clock_drift',), '', is_of_sensor=True),
-    'mount': _Kind(_axes('mount'), 'rad', is_of_sensor=True),
-    'gyro_bias': _Kind(_axes('gyro_bias'), 'rad/s', is_of_sensor=True),
-    'gyro_scale': _Kind(_axes('gyro_scale'), '', 1.0, is_of_sensor=True),
-    'damping': _Kind(tuple(f'damping.d{entry}' for entry in ENTRIES), 'N m s/rad'),
-    'rotor_momentum': _Kind(_axes('initial_rotor_momentum'), 'N m s'),
-}
-#: The name of the initial attitude and angular velocity.
-START = 'start'
-#: Names of parameters, in the order of a fit.
-NAMES = (*_KINDS, START)
-#: Names that are not among the parameters of a scene.
-NOT_IN_SCENES = tuple(name for name in _KINDS if name not in (
-    'inertia', 'inertia_diagonal', 'damping', 'rotor_momentum'))
-#: Pairs of names that say the same.
-_EXCLUSIVE = (('inertia', 'inertia_diagonal'), ('torque_gain', 'torque_gains'))
-#: Units by the beginning of a component name.
-_UNITS = {**{kind.components[0].split('.')[0]: kind.unit for kind in _KINDS.values()},
-          'initial_attitude': 'rad', 'initial_angular_velocity': 'rad/s'}
-#: Parameters that shift stamps, by a number of nanoseconds.
-_SHIFTS = 'clock_offset', 'clock_drift', 'torque_delay'
 #: m/s^2, space axes
 GRAVITY = 0.0, 0.0, -9.80665
-_OF_FIELD = re.compile(rf'([A-Za-z_][A-Za-z0-9_]*)[.]{MOMENT}')
 #: The second moments of a guess are at least this fraction of their trace.
 _THINNEST = 1e-5
 #: Those from which a fit starts are at least this fraction.
@@ -132,7 +91,7 @@ class Physics:
         """
         found = self.values.get(f'{name}@{topic}')
         found = self.values.get(name) if found is None else found
-        kind = _KINDS[name]
+        kind = KINDS[name]
         return np.full(len(kind.components), kind.neutral) if found is None else found
 
     def number(self, name: str, topic: str = '') -> float:
@@ -192,122 +151,6 @@ def lifted(inertia: Floats) -> Floats:
     return inertia_of(moments + max(lack, 0.0) * np.eye(3))
 
 
-def components_of(name: str) -> tuple[str, ...]:
-    """Return the component names of a parameter, or of NAME.moment, that of a field."""
-    kind, topic = split_topic(name)
-    if kind not in _KINDS:
-        return _axes(name)
-    return tuple(f'{component}@{topic}' if topic else component
-                 for component in _KINDS[kind].components)
-
-
-def unit_of(component: str) -> str:
-    """Return the unit of a component."""
-    component = split_topic(component)[0]
-    return moment_unit() if field_of(component[:-2]) else _UNITS[component.split('.')[0]]
-
-
-def split_topic(name: str) -> tuple[str, str]:
-    """Return a name without `@TOPIC`, and the topic, empty if there is none."""
-    kind, _, topic = name.partition('@')
-    return kind, topic
-
-
-def field_of(name: str) -> str:
-    """Return the name of the field whose moment a parameter is; empty if it is no moment."""
-    found = _OF_FIELD.fullmatch(name)
-    return found[1] if found else ''
-
-
-def checked_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of parameters; raise InputError if they cannot be fitted together."""
-    for name in names:
-        kind, topic = split_topic(name)
-        if kind not in NAMES and not field_of(name):
-            raise InputError(f'estimate: expected names among {", ".join(NAMES)}, and '
-                             f'NAME.{MOMENT} of a field, found {name!r}')
-        if topic and not _KINDS[kind].is_of_sensor:
-            raise InputError(f'estimate: expected @TOPIC after the parameter of a sensor '
-                             f'({", ".join(of_sensors())}), found {name!r}')
-        if list(names).count(name) > 1:
-            raise InputError(f'estimate: expected each name once, found {name!r} twice')
-        if topic and kind in names:
-            raise InputError(f'estimate: expected {kind} for all sensors or for each, found '
-                             f'{kind!r} and {name!r}')
-    if not names:
-        raise InputError('estimate: expected at least one name, found none')
-    for pair in _EXCLUSIVE:
-        if {*pair} <= {*names}:
-            raise InputError(f'estimate: expected one of {pair[0]} and {pair[1]}, found both')
-    order = [*NAMES, '']
-    return tuple(sorted(names, key=lambda name: order.index(
-        '' if field_of(name) else split_topic(name)[0])))
-
-
-def checked_priors(priors: Mapping[str, float | str], parameters: Parameters) -> dict[str, float]:
-    """
-    Return the standard deviation of each component that is known beforehand.
-
-    Parameters
-    ----------
-    priors : dict of str to float or str
-        By name of a parameter or of a component, in its unit, or relative to the guess: '5%'.
-    parameters : Parameters
-        What is fitted.
-
-    Raises
-    ------
-    InputError
-        Something else is known, a number is not positive, or the guess of a relative one is 0.
-
-    """
-    values = dict(zip(parameters.names, parameters.values(parameters.guess)))
-    result = {}
-    for name, given in priors.items():
-        components = [name] if name in values else [
-            one for one in components_of(name) if one in values]
-        if not components:
-            raise InputError(f'prior: expected parameters that are estimated, without start '
-                             f'({listed(parameters.groups)}), found {name!r}')
-        text = str(given)
-        try:
-            size = float(text.removesuffix('%'))
-        except ValueError:
-            size = np.nan
-        for component in components:
-            sigma = 0.01 * size * abs(values[component]) if text.endswith('%') else size
-            if not (np.isfinite(sigma) and sigma > 0.0):
-                raise InputError(f'prior: {component}: expected a standard deviation greater than '
-                                 f'zero, found {text} of a guess of {values[component]:g}')
-            result[component] = float(sigma)
-    return result
-
-
-def of_sensors() -> tuple[str, ...]:
-    """Return the names of the parameters that each sensor can have for its own."""
-    return tuple(name for name, kind in _KINDS.items() if kind.is_of_sensor)
-
-
-def moments_of(names: Iterable[str], fields: Sequence[Field]) -> dict[str, Floats]:
-    """
-    Return the moments to fit, by name of the parameter, as they are given.
-
-    Raises
-    ------
-    InputError
-        There is no field of that name other than zero.
-
-    """
-    given = {f'{one.name}.{MOMENT}': np.asarray(one.moment) for one in fields
-             if isinstance(one, UniformField) and one.name and np.any(one.field)}
-    wanted = [name for name in names if field_of(name)]
-    for name in wanted:
-        if name not in given:
-            raise InputError(f'estimate: expected {MOMENT}s of the fields of the scene '
-                             f'({listed([*map(field_of, given)])}), found {field_of(name)!r}')
-    return {name: given[name] for name in wanted}
-
-
 class Parameters:
     """
     The fitted parameters that all recordings share.
@@ -363,7 +206,7 @@ class Parameters:
     @property
     def shifts(self) -> list[int]:
         """Return the numbers of the components that shift stamps."""
-        return [i for i, name in enumerate(self.names) if split_topic(name)[0] in _SHIFTS]
+        return [i for i, name in enumerate(self.names) if split_topic(name)[0] in SHIFTS]
 
     @property
     def steps(self) -> Floats:
@@ -458,6 +301,45 @@ class Parameters:
         return _attribute(name, _values(name, physics) + scaled, physics)
 
 
+def checked_priors(priors: Mapping[str, float | str], parameters: Parameters) -> dict[str, float]:
+    """
+    Return the standard deviation of each component that is known beforehand.
+
+    Parameters
+    ----------
+    priors : dict of str to float or str
+        By name of a parameter or of a component, in its unit, or relative to the guess: '5%'.
+    parameters : Parameters
+        What is fitted.
+
+    Raises
+    ------
+    InputError
+        Something else is known, a number is not positive, or the guess of a relative one is 0.
+
+    """
+    values = dict(zip(parameters.names, parameters.values(parameters.guess)))
+    result = {}
+    for name, given in priors.items():
+        components = [name] if name in values else [
+            one for one in components_of(name) if one in values]
+        if not components:
+            raise InputError(f'prior: expected parameters that are estimated, without start '
+                             f'({listed(parameters.groups)}), found {name!r}')
+        text = str(given)
+        try:
+            size = float(text.removesuffix('%'))
+        except ValueError:
+            size = np.nan
+        for component in components:
+            sigma = 0.01 * size * abs(values[component]) if text.endswith('%') else size
+            if not (np.isfinite(sigma) and sigma > 0.0):
+                raise InputError(f'prior: {component}: expected a standard deviation greater than '
+                                 f'zero, found {text} of a guess of {values[component]:g}')
+            result[component] = float(sigma)
+    return result
+
+
 def _possible(moments: Floats) -> Floats:
     values, vectors = np.linalg.eigh(moments)
     return (vectors * np.maximum(values, _THINNEST * values.sum())) @ vectors.T
@@ -477,7 +359,7 @@ def _scales(inertia: Floats, magnitudes: Magnitudes) -> dict[str, Floats]:
     moments = np.diag(inertia)
     largest = float(moments.max())
     acting = max(torque, largest * rate / span_s)
-    scales = {name: np.ones(len(kind.components)) for name, kind in _KINDS.items()}
+    scales = {name: np.ones(len(kind.components)) for name, kind in KINDS.items()}
     return {**scales,
             'inertia': np.sqrt(moments[list(ROWS)] * moments[list(COLUMNS)]),
             'inertia_diagonal': moments.copy(), 'torque_bias': np.full(3, acting),

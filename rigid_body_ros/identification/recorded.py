@@ -24,7 +24,7 @@ from typing import Any
 from rigid_body_ros.common.arrays import ENTRIES, entries
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.experiment import Experiment
-from rigid_body_ros.identification.parameters import field_of, NOT_IN_SCENES, split_topic
+from rigid_body_ros.identification.names import field_of, NOT_IN_SCENES, split_topic
 from rigid_body_ros.identification.result import Identification
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.sensing.recorded import read_observed, Reading

@@ -22,9 +22,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.identification.parameters import Physics, split_topic
+from rigid_body_ros.identification.names import split_topic
+from rigid_body_ros.identification.parameters import Physics
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.measured import Measured
+
+
+def topics_of(kind: str, channels: Sequence[Measured]) -> list[str]:
+    """Return the topics whose sensors can have a parameter: those of a gyro need rates."""
+    return [*{channel.topic: None for channel in channels
+              if not (kind.startswith('gyro') and channel.is_attitude)}]
 
 
 def clocked(channel: Measured, physics: Physics, origin_ns: int) -> NDArray[np.int64]:

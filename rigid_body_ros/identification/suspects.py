@@ -22,18 +22,15 @@ from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.arrays import as_json
-from rigid_body_ros.identification.parameters import (
-    components_of,
+from rigid_body_ros.identification.names import (
     moments_of,
     of_sensors,
-    Parameters,
-    Physics,
-    SHORT_LAG,
     split_topic,
     START,
 )
+from rigid_body_ros.identification.parameters import Parameters, Physics, SHORT_LAG
 from rigid_body_ros.identification.problem import LeastSquares
-from rigid_body_ros.identification.sensors import mount_of
+from rigid_body_ros.identification.sensors import mount_of, topics_of
 from rigid_body_ros.identification.setup import Setup
 from rigid_body_ros.identification.solve import fitted, Solution
 
@@ -83,8 +80,7 @@ def candidates(setup: Setup) -> list[str]:
     names = [name for name in _of_body(setup) if name not in given]
     channels = [channel for every in setup.channels for channel in every]
     for kind in of_sensors():
-        topics = {channel.topic: None for channel in channels
-                  if not (kind.startswith('gyro') and channel.is_attitude)}
+        topics = topics_of(kind, channels)
         if len(topics) == 1 and kind not in given:
             names.append(kind)
         elif len(topics) > 1:
@@ -162,11 +158,6 @@ def command_with(setup: Setup, name: str) -> str:
     names = [each for each in names if each != replaced]
     if topic and kind in names:  # each sensor gets its own
         names.remove(kind)
-        topics = {channel.topic: None for every in setup.channels for channel in every}
-        names += [f'{kind}@{other}' for other in topics if other != topic]
+        channels = [channel for every in setup.channels for channel in every]
+        names += [f'{kind}@{other}' for other in topics_of(kind, channels) if other != topic]
     return f'--estimate {",".join([*names, name])}'
-
-
-def unknown_components(parameters: Parameters, known: Sequence[str], name: str) -> list[str]:
-    """Return the components of a suspect that were not estimated."""
-    return [component for component in components_of(name) if component not in known]

@@ -27,7 +27,6 @@ from rigid_body_ros.identification.findings import (
     Findings,
     INERTIA_CHANGE,
     probability,
-    Score,
 )
 from rigid_body_ros.identification.residuals import Misfit, of_validation
 from rigid_body_ros.identification.solve import Solution
@@ -96,25 +95,26 @@ def tried(findings: Findings, every: Sequence[Sequence[Measured]]
 
     """
     from scipy.special import chdtrc
-    solution = findings.solution
+    solution, result = findings.solution, []
     setup = solution.problem.setup
+    names = [one.name for one in findings.scores if one.name != INERTIA_CHANGE][:_TRIED]
+    if findings.reasons and 'inertia' in candidates(setup) and 'inertia' not in names:
+        names.append('inertia')  # it may be too far off for derivatives
+    if not names:
+        return []
     before = sum_of_squares(replace(solution, problem=solution.problem.weighted(
         solution.weights)))
-    result, scores = [], [one for one in findings.scores if one.name != INERTIA_CHANGE][:_TRIED]
-    if findings.reasons and 'inertia' in candidates(setup) and not any(
-            one.name == 'inertia' for one in scores):
-        scores.append(Score('inertia', 0.0, 1.0))  # may be too far off for derivatives
-    for score in scores:
+    for name in names:
         try:
-            fit = with_suspect(solution, score.name)
+            fit = with_suspect(solution, name)
         except ValueError:  # without it the motion is too far off for a fit
             continue
-        validation = Misfit.of(of_validation(fit, every), 0).chi2_per_dof if every else None
-        drop, value = max(before - sum_of_squares(fit), 0.0), value_of(fit, score.name)
-        p = min(score.p, float(chdtrc(len(value), drop)))
-        if p < ALARM:
-            result.append((Suspect(score.name, drop, p, value, validation,
-                                   command_with(setup, score.name)), fit))
+        drop, value = max(before - sum_of_squares(fit), 0.0), value_of(fit, name)
+        p = float(chdtrc(len(value), drop))
+        if p < ALARM:  # far from linear, a score may promise what no value keeps
+            validation = Misfit.of(of_validation(fit, every), 0).chi2_per_dof if every else None
+            result.append((Suspect(name, drop, p, value, validation, command_with(setup, name)),
+                           fit))
     return result
 
 
@@ -138,16 +138,15 @@ def judged(findings: Findings, attempts: Sequence[Suspect],
         As for `identify`.
 
     """
-    reasons = findings.reasons
-    if not reasons and not findings.scores:
+    reasons, suspects = findings.reasons, _ranked(findings, attempts)[:_LISTED]
+    if not reasons and not suspects:
         return Verdict(EXPLAINED, [], []), {}
-    suspects = _ranked(findings, attempts)[:_LISTED]
     best = max((one.chi2_drop for one in attempts), default=0.0)
     counted = [move for suspect, move in zip(attempts, moved)
                if suspect.chi2_drop >= _COUNTS * best]
     systematic = {name: float(np.sqrt(np.nansum(np.square(
         [findings.drift.get(name, 0.0), *(move[name] for move in counted)])))) for name in scales}
-    mean = float(np.mean(np.trace(findings.solution.physics.inertia) / 3.0))
+    mean = float(np.trace(findings.solution.physics.inertia)) / 3.0
     too_far = [name for name, part in systematic.items()
                if part > accept * (mean if name.startswith('inertia') else scales[name])]
     texts = [reason.text for reason in reasons]

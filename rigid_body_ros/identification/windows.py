@@ -34,11 +34,8 @@ from rigid_body_ros.sensing.measured import Measured
 #: ns; a window with a fitted clock begins this much before its first sample.
 LEAD_NS = 200_000_000
 _MEMORY_NS = round(1e9 * MEMORY)
-
-
-#: What the torques of a window depend on, and their values if all that was logged acts.
+#: What the torques of a window depend on.
 _OF_TORQUES = 'torque_gain', 'torque_gains', 'torque_delay', 'torque_lag'
-_UNCHANGED = 1.0, 1.0, 1.0, 1.0, 0.0, 0.0
 Stamps = Sequence[NDArray[np.int64]]
 
 
@@ -74,15 +71,14 @@ class Window:
     origin_ns: int
     is_in_body: bool = field(init=False)
     #: The latest gain, delay and lag, and the problem with them.
-    _applied: tuple[tuple[float, ...], Problem] = field(init=False)
+    _applied: tuple[tuple[float, ...], Problem] | None = field(init=False, default=None)
     #: The latest stamps of all channels, where those of each are among their union, the union.
-    _times: tuple[Stamps, list[NDArray[np.intp]], NDArray[np.int64]] | None = field(init=False)
+    _times: tuple[Stamps, list[NDArray[np.intp]], NDArray[np.int64]] | None = field(
+        init=False, default=None)
 
     def __post_init__(self) -> None:
         self.is_in_body = not (self.problem.fields or any(log.in_space.any()
                                                           for log in self.problem.logs))
-        self._applied = _UNCHANGED, self.problem
-        self._times = None
 
     @property
     def anchor_ns(self) -> int:
@@ -110,19 +106,19 @@ class Window:
             As for `propagate`.
 
         """
-        attitudes = [np.empty((len(physics), len(channel), 4)) for channel in self.channels]
-        velocities = [np.empty((len(physics), len(channel), 3)) for channel in self.channels]
+        found = [np.empty((len(physics), len(channel), 4 if channel.is_attitude else 3))
+                 for channel in self.channels]
         for i, (one, attitude, velocity) in enumerate(zip(physics, states.attitude,
                                                           states.angular_velocity)):
             rows, times_ns = self._instants(one)
             motion = self._motion(one, attitude, velocity, times_ns)
-            for k, here in enumerate(rows):
-                attitudes[k][i], velocities[k][i] = (motion.attitude[here],
-                                                     motion.angular_velocity[here])
-        return [_attitudes(attitude, mount) if channel.is_attitude
-                else _rates(velocity, mount, physics, channel.topic)
-                for channel, attitude, velocity, mount
-                in zip(self.channels, attitudes, velocities, mounts(physics, self.channels))]
+            for channel, values, here in zip(self.channels, found, rows):
+                values[i] = (motion.attitude if channel.is_attitude
+                             else motion.angular_velocity)[here]
+        return [_attitudes(values, mount) if channel.is_attitude
+                else _rates(values, mount, physics, channel.topic)
+                for channel, values, mount
+                in zip(self.channels, found, mounts(physics, self.channels))]
 
     def state_at(self, physics: Physics, attitude: Floats, velocity: Floats,
                  time_ns: int) -> tuple[Floats, Floats]:
@@ -156,7 +152,7 @@ class Window:
     def _acting(self, physics: Physics, end_ns: int) -> Problem:
         """Return the problem with the torques that act up to a time."""
         key = tuple(float(value) for name in _OF_TORQUES for value in physics.value(name))
-        if key != self._applied[0]:
+        if not self._applied or key != self._applied[0]:
             self._applied = key, self.problem.replaced(
                 log=applied(self.problem.logs, physics, self.problem.options.timeout_ns))
         problem, bias = self._applied[1], physics.value('torque_bias')

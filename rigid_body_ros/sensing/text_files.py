@@ -23,7 +23,6 @@ from io import TextIOWrapper
 import math
 from pathlib import Path
 import re
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,18 +51,10 @@ _ACCEPTED = ('expected time (s, ms, us, ns), and qx qy qz qw or wx wy wz (rad/s,
 _LONGEST = 2 ** 16
 
 
-class _Columns(NamedTuple):
-    """The position and the unit of each quantity in a line."""
-
-    positions: dict[str, tuple[int, float]]
-
-    def values(self, line: Sequence[str], names: Sequence[str]) -> list[float]:
-        return [float(line[position]) * scale
-                for position, scale in (self.positions[name] for name in names)]
-
-
-_TRAJECTORY = _Columns({'time': (0, 1e9),
-                        **{name: (4 + k, 1.0) for k, name in enumerate(_QUANTITIES[0])}})
+#: By name of a quantity, its position in a line, and its unit.
+_Columns = dict[str, tuple[int, float]]
+_TRAJECTORY: _Columns = {'time': (0, 1e9),
+                         **{name: (4 + k, 1.0) for k, name in enumerate(_QUANTITIES[0])}}
 
 
 def is_text_file(name: str) -> bool:
@@ -108,17 +99,18 @@ def _measured(path: str, text: TextIOWrapper) -> Measured:
     if Path(path).suffix.lower() in _CSV:
         number, heading = next(lines, (1, []))
         found = _columns_of(f'{path}: line {number}', heading)
-    groups = [names for names in _QUANTITIES if names[0] in found.positions]
+    groups = [names for names in _QUANTITIES if names[0] in found]
     stamps_ns, rows = [], []
     for number, line in lines:
         if line[0].startswith('#'):
             continue
         try:
             stamps_ns.append(_stamp_ns(line, found))
-            rows.append([value for names in groups for value in found.values(line, names)])
+            rows.append([float(line[position]) * scale for names in groups
+                         for position, scale in (found[name] for name in names)])
         except (ValueError, OverflowError, IndexError, DecimalException):
             raise InputError(f'{path}: line {number}: expected numbers in the columns of '
-                             f'{", ".join(found.positions)}, found {quoted(",".join(line))}'
+                             f'{", ".join(found)}, found {quoted(",".join(line))}'
                              ) from None
     values = np.array(rows, float).reshape(len(rows), sum(map(len, groups)))
     return _sorted(path, np.array(stamps_ns, np.int64), values, groups)
@@ -144,7 +136,7 @@ def _sorted(path: str, stamps_ns: NDArray[np.int64], values: Floats,
 
 
 def _stamp_ns(line: Sequence[str], found: _Columns) -> int:
-    position, scale = found.positions['time']
+    position, scale = found['time']
     # Decimal, because a double does not resolve nanoseconds at today's epoch.
     time_ns = (Decimal(line[position]) * int(scale)).to_integral_value()
     if not 0 <= time_ns <= messages.LAST_NS:
@@ -166,7 +158,7 @@ def _lines(path: str, text: TextIOWrapper) -> Iterator[tuple[int, list[str]]]:
 
 def _columns_of(where: str, heading: Sequence[str]) -> _Columns:
     """Return the columns that a heading names; those of something else are ignored."""
-    found: dict[str, tuple[int, float]] = {}
+    found: _Columns = {}
     for position, text in enumerate(heading):
         name, scale = _meaning(where, text.lstrip('#').strip())
         if name in found:
@@ -180,7 +172,7 @@ def _columns_of(where: str, heading: Sequence[str]) -> _Columns:
     if missing:
         raise InputError(f'{where}: no column for {missing[0]}; {_ACCEPTED}, found '
                          f'{quoted(",".join(heading))}')
-    return _Columns(found)
+    return found
 
 
 def _meaning(where: str, text: str) -> tuple[str, float]:

@@ -1,0 +1,153 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The names of the parameters of a fit, their components and units, and whose they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+import re
+from typing import NamedTuple
+
+import numpy as np
+from rigid_body_ros.common.arrays import ENTRIES, Floats
+from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.mechanics.fields import Field, UniformField
+from rigid_body_ros.scene.fields import MOMENT, moment_unit
+
+
+class Kind(NamedTuple):
+    """A parameter: its components, their unit, their value without it, and whose it is."""
+
+    components: tuple[str, ...]
+    unit: str
+    neutral: float = 0.0
+    #: Whether each sensor can have its own.
+    is_of_sensor: bool = False
+
+
+def _axes(name: str) -> tuple[str, ...]:
+    return tuple(f'{name}.{axis}' for axis in 'xyz')
+
+
+#: By name; the moment of a field and `start` are not among them.
+KINDS = {
+    'inertia': Kind(tuple(f'inertia.i{entry}' for entry in ENTRIES), 'kg m^2'),
+    'inertia_diagonal': Kind(tuple(f'inertia.i{entry}' for entry in [*ENTRIES][:3]), 'kg m^2'),
+    'torque_gain': Kind(('torque_gain',), '', 1.0),
+    'torque_gains': Kind(_axes('torque_gains'), '', 1.0),
+    'torque_bias': Kind(_axes('torque_bias'), 'N m'),
+    'torque_delay': Kind(('torque_delay',), 's'),
+    'torque_lag': Kind(('torque_lag',), 's'),
+    'weight': Kind(_axes('weight'), 'kg m'),
+    'clock_offset': Kind(('clock_offset',), 's', is_of_sensor=True),
+    'clock_drift': Kind(('clock_drift',), '', is_of_sensor=True),
+    'mount': Kind(_axes('mount'), 'rad', is_of_sensor=True),
+    'gyro_bias': Kind(_axes('gyro_bias'), 'rad/s', is_of_sensor=True),
+    'gyro_scale': Kind(_axes('gyro_scale'), '', 1.0, is_of_sensor=True),
+    'damping': Kind(tuple(f'damping.d{entry}' for entry in ENTRIES), 'N m s/rad'),
+    'rotor_momentum': Kind(_axes('initial_rotor_momentum'), 'N m s'),
+}
+#: The name of the initial attitude and angular velocity.
+START = 'start'
+#: Names of parameters, in the order of a fit.
+NAMES = (*KINDS, START)
+#: Names that are not among the parameters of a scene.
+NOT_IN_SCENES = tuple(name for name in KINDS if name not in (
+    'inertia', 'inertia_diagonal', 'damping', 'rotor_momentum'))
+#: Pairs of names that say the same.
+_EXCLUSIVE = (('inertia', 'inertia_diagonal'), ('torque_gain', 'torque_gains'))
+#: Units by the beginning of a component name.
+_UNITS = {**{kind.components[0].split('.')[0]: kind.unit for kind in KINDS.values()},
+          'initial_attitude': 'rad', 'initial_angular_velocity': 'rad/s'}
+#: Parameters that shift stamps, by a number of nanoseconds.
+SHIFTS = 'clock_offset', 'clock_drift', 'torque_delay'
+_OF_FIELD = re.compile(rf'([A-Za-z_][A-Za-z0-9_]*)[.]{MOMENT}')
+
+
+def components_of(name: str) -> tuple[str, ...]:
+    """Return the component names of a parameter, or of NAME.moment, that of a field."""
+    kind, topic = split_topic(name)
+    if kind not in KINDS:
+        return _axes(name)
+    return tuple(f'{component}@{topic}' if topic else component
+                 for component in KINDS[kind].components)
+
+
+def unit_of(component: str) -> str:
+    """Return the unit of a component."""
+    component = split_topic(component)[0]
+    return moment_unit() if field_of(component[:-2]) else _UNITS[component.split('.')[0]]
+
+
+def split_topic(name: str) -> tuple[str, str]:
+    """Return a name without `@TOPIC`, and the topic, empty if there is none."""
+    kind, _, topic = name.partition('@')
+    return kind, topic
+
+
+def field_of(name: str) -> str:
+    """Return the name of the field whose moment a parameter is; empty if it is no moment."""
+    found = _OF_FIELD.fullmatch(name)
+    return found[1] if found else ''
+
+
+def checked_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of parameters; raise InputError if they cannot be fitted together."""
+    for name in names:
+        kind, topic = split_topic(name)
+        if kind not in NAMES and not field_of(name):
+            raise InputError(f'estimate: expected names among {", ".join(NAMES)}, and '
+                             f'NAME.{MOMENT} of a field, found {name!r}')
+        if topic and not KINDS[kind].is_of_sensor:
+            raise InputError(f'estimate: expected @TOPIC after the parameter of a sensor '
+                             f'({", ".join(of_sensors())}), found {name!r}')
+        if list(names).count(name) > 1:
+            raise InputError(f'estimate: expected each name once, found {name!r} twice')
+        if topic and kind in names:
+            raise InputError(f'estimate: expected {kind} for all sensors or for each, found '
+                             f'{kind!r} and {name!r}')
+    if not names:
+        raise InputError('estimate: expected at least one name, found none')
+    for pair in _EXCLUSIVE:
+        if {*pair} <= {*names}:
+            raise InputError(f'estimate: expected one of {pair[0]} and {pair[1]}, found both')
+    order = [*NAMES, '']
+    return tuple(sorted(names, key=lambda name: order.index(
+        '' if field_of(name) else split_topic(name)[0])))
+
+
+def of_sensors() -> tuple[str, ...]:
+    """Return the names of the parameters that each sensor can have for its own."""
+    return tuple(name for name, kind in KINDS.items() if kind.is_of_sensor)
+
+
+def moments_of(names: Iterable[str], fields: Sequence[Field]) -> dict[str, Floats]:
+    """
+    Return the moments to fit, by name of the parameter, as they are given.
+
+    Raises
+    ------
+    InputError
+        There is no field of that name other than zero.
+
+    """
+    given = {f'{one.name}.{MOMENT}': np.asarray(one.moment) for one in fields
+             if isinstance(one, UniformField) and one.name and np.any(one.field)}
+    wanted = [name for name in names if field_of(name)]
+    for name in wanted:
+        if name not in given:
+            raise InputError(f'estimate: expected {MOMENT}s of the fields of the scene '
+                             f'({listed([*map(field_of, given)])}), found {field_of(name)!r}')
+    return {name: given[name] for name in wanted}
