@@ -130,7 +130,11 @@ class LiveSession:
         self._reset = self.node.create_client(Trigger, f'/{NODE}/reset')
         self.wait_until(lambda: self._torque.get_subscription_count()
                         and self._initial_state.get_subscription_count(), 'the node to subscribe')
-        if not self._waits:
+        if self._waits:
+            # An answer shows that the node knows all readers made before, those of outputs that
+            # it publishes once, too.
+            self.call(ListParameters, 'list_parameters')
+        else:
             self.wait_until(lambda: self.received[COMMITTED], 'the start state')
             self.wait_until(lambda: self.received[ATTITUDE], 'the first attitude')
 
