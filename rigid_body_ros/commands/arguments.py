@@ -54,13 +54,36 @@ class _Once(argparse.Action):
         setattr(namespace, self.dest, values)
 
 
-class Parser(argparse.ArgumentParser):
-    """An argument parser that rejects repeated options and reports a failure to print its help."""
+class _Version(argparse.Action):
+    """Show the version of the package, and exit."""
 
-    def __init__(self, prog: str, description: str) -> None:
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
+                 values: Any, option_string: str | None = None) -> None:
+        """Show the version; raise InputError if it cannot be written."""
+        from rigid_body_ros.runtime.fingerprint import build_info
+        show(f"{parser.prog} {build_info()['version']}")
+        parser.exit()
+
+
+class Parser(argparse.ArgumentParser):
+    """
+    An argument parser that rejects repeated options and reports a failure to print its help.
+
+    Parameters
+    ----------
+    prog, description : str
+    examples : sequence of str
+        Arguments to show at the end of the help; the files are those of the repository.
+
+    """
+
+    def __init__(self, prog: str, description: str, examples: Sequence[str]) -> None:
         super().__init__(prog=prog, description=description)
         self.register('action', None, _Once)
+        self.add_argument('--version', action=_Version, nargs=0, default=argparse.SUPPRESS,
+                          help='show the version and exit')
         self.set_defaults(command=prog)
+        self.examples = [f'{prog} {arguments}' for arguments in examples]
 
     def error(self, message: str) -> NoReturn:
         """Report an error; unlike argparse, escape what a terminal would not print."""
@@ -68,7 +91,8 @@ class Parser(argparse.ArgumentParser):
 
     def print_help(self, file: Any = None) -> None:
         """Print the help; unlike argparse, raise InputError if it cannot be written."""
-        show(self.format_help(), end='')
+        examples = '\n  '.join(['examples, in a clone of the repository:', *self.examples])
+        show(f'{self.format_help()}\n{examples}')
 
 
 def parsed(parser: argparse.ArgumentParser,

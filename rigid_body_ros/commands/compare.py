@@ -111,7 +111,10 @@ def compare_parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog='attitude_compare',
         description='Compare measured attitudes and angular velocities with the motion under '
-        'recorded torques. Print how large the errors are and what probably causes them.')
+        'recorded torques. Print how large the errors are and what probably causes them.',
+        examples=('test/recordings/flight.mcap --scene config/tumbler.yaml --horizon 1',
+                  'test/recordings/flight.mcap --scene config/tumbler.yaml --check '
+                  '--report errors.html'))
     parser.add_argument('recording', metavar='RECORDING',
                         help='recording of torques and measurements, as for attitude_replay')
     add_scene(parser)

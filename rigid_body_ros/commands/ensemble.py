@@ -185,7 +185,11 @@ def ensemble_parser() -> argparse.ArgumentParser:
         description='Compute many runs with dispersed parameters. Write a row for each run with '
         'the values applied and the final state; print how far the runs end from the nominal one, '
         'and which parameters matter. Started again, it goes on where it stopped; with more runs, '
-        'it adds them.')
+        'it adds them.',
+        examples=('--scene config/tumbler.yaml --vary examples/vary.yaml '
+                  '--recording test/recordings/tumbler.mcap --runs 1000 -o runs',
+                  '--scene config/tumbler.yaml --vary examples/vary.yaml --until 20 '
+                  '--recording test/recordings/flight.mcap --runs 100 --times 10 -o runs'))
     add_scene(parser)
     parser.add_argument('--vary', required=True, metavar='FILE',
                         help='YAML file with the distribution of each dispersed parameter, or '

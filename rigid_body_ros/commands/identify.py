@@ -121,7 +121,11 @@ def identify_parser() -> argparse.ArgumentParser:
         'attitudes and angular velocities under recorded torques. Print the estimates with their '
         'uncertainty, and whether the model explains the measurements; write a fitted scene. If '
         'the data does not determine all estimates, the exit status is 3, and if the model does '
-        'not explain the measurements it is 4; no scene is written then.')
+        'not explain the measurements it is 4; no scene is written then.',
+        examples=('test/recordings/flight.mcap --scene config/tumbler.yaml --measured /mocap '
+                  '-o fitted.yaml',
+                  'test/recordings/flight.mcap --scene config/tumbler.yaml --measured /mocap '
+                  '--measured /gyro --estimate inertia,start,mount@/gyro --validate 0.3'))
     parser.add_argument('recording', metavar='RECORDING', nargs='+',
                         help='recording of torques and measurements, as for attitude_replay; '
                         'several of the same body are fitted together')

@@ -144,7 +144,9 @@ def replay_parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog='attitude_replay',
         description='Compute the motion of a body from recorded torques. Print a summary; write '
-        'the motion (-o) or a plot (--plot) if asked to.')
+        'the motion (-o) or a plot (--plot) if asked to.',
+        examples=('test/recordings/tumbler.mcap --scene config/tumbler.yaml --report motion.html',
+                  'test/recordings/iss.mcap --scene config/iss.yaml --rate 0.1 -o motion.mcap'))
     parser.add_argument('input', metavar='INPUT', nargs='+',
                         help='recording of torques: an MCAP file, a rosbag2 bag, or a CSV file '
                         'with the columns time (s), tx, ty, tz (N m), or with column names and '

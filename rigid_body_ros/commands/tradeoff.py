@@ -116,7 +116,10 @@ def tradeoff_parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog='attitude_tradeoff',
         description='Measure the cost and the error of every solver on your own motion, and '
-        'recommend a setting.')
+        'recommend a setting.',
+        examples=('--scene config/tumbler.yaml --recording test/recordings/tumbler.mcap '
+                  '--target 1e-6',
+                  '--scene config/tumbler.yaml --plot tradeoff.png'))
     add_scene(parser)
     parser.add_argument('--recording', metavar='IN', help='recording of torques, as for '
                         'attitude_replay (default: 50 turns without torque)')

@@ -20,7 +20,8 @@ Write the recordings of this folder.
 TRUTH is a folder of reference motions, JSON files computed with 50 digits. For each of them,
 NAME.json, the script writes NAME.mcap, with the torques on /torque and the reference motion on
 /truth/attitude and /truth/angular_velocity, and the scene file NAME.yaml. It also writes iss.mcap
-and tumbler.mcap, whose scenes are in config/.
+and tumbler.mcap, whose scenes are in config/, and flight.mcap: how the body of tumbler.yaml moves
+under the first 20 s of tumbler.mcap, as sensors with noise measure it.
 """
 
 from __future__ import annotations
@@ -30,8 +31,9 @@ from pathlib import Path
 import sys
 
 import numpy as np
-from rigid_body_ros import messages
+from rigid_body_ros import messages, read
 from rigid_body_ros.recording import Writer
+from scipy.spatial.transform import Rotation
 
 HERE = Path(__file__).parent
 #: Shortly after 2026-01-01, where adjacent doubles are 238 ns apart in seconds.
@@ -125,8 +127,29 @@ def make_tumbler():
     write(HERE / 'tumbler.mcap', ('world', 'base_link'), torques, [])
 
 
+def make_flight():
+    """Record the tumbler for 20 s at 50 Hz; the noise is 2 mrad and 5 mrad/s."""
+    random = np.random.default_rng(1993)
+    problem = read(HERE / 'tumbler.mcap', HERE.parents[1] / 'config' / 'tumbler.yaml')
+    times_ns = EPOCH_NS + np.arange(20 * 50 + 1) * SECOND // 50
+    motion = problem.propagate(at=times_ns)
+    attitude = motion.rotation * Rotation.from_rotvec(2e-3 * random.normal(size=(1001, 3)))
+    rates = motion.angular_velocity + 5e-3 * random.normal(size=(1001, 3))
+    log, = problem.logs
+    with Writer(HERE / 'flight.mcap') as writer:
+        writer.add_topic('/torque', messages.WRENCH)
+        writer.add_topic('/mocap', messages.QUATERNION)
+        writer.add_topic('/gyro', messages.VECTOR3)
+        for time_ns, torque, one, rate in zip(times_ns.tolist(), log.torques, attitude.as_quat(),
+                                              rates):
+            writer.write('/torque', time_ns, messages.wrench(time_ns, 'base_link', torque))
+            writer.write('/mocap', time_ns, messages.QUATERNION.encode(time_ns, 'world', one))
+            writer.write('/gyro', time_ns, messages.VECTOR3.encode(time_ns, 'base_link', rate))
+
+
 if __name__ == '__main__':
     make_iss()
     make_tumbler()
+    make_flight()
     for path in sorted(Path(sys.argv[1]).glob('*.json')):
         make_reference(path)
