@@ -28,10 +28,13 @@ from pyarrow import parquet
 import pytest
 from rigid_body_ros import scene
 from rigid_body_ros.commands import main
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.sensing.reading import read_measured
 from scipy.spatial.transform import Rotation
 from tumbling import mounted, shifted, Truth
 
 GUESS = np.diag([0.03, 0.03, 0.03])
+PIVOT = '    fields: [pivot]\n    pivot: {moment: {z: -0.01}, field: {z: -9.81}}\n'
 
 
 def record(path, truth, sensor, kind='Imu', **more):
@@ -191,7 +194,7 @@ def test_a_flywheel_weighs_a_thrown_drone(tmp_path):
                                atol=3e-4)
 
 
-def weighed(folder, moment):
+def weighed(folder, moment, fields=PIVOT):
     """Record a drone on a gimbal, whose weight hangs from the pivot, and return a guess of it."""
     truth = Truth(seconds=10.0, moment=moment, attitude=(0.5, 0.1, 0.0, 0.9))
     later = measurements.Truth(truth.stamps_ns + 10 ** 9, Rotation.from_quat(truth.q), truth.w,
@@ -199,8 +202,7 @@ def weighed(folder, moment):
     record(folder / 'in.mcap', later, later.measured(2e-3, 5e-3))
     (folder / 'guess.yaml').write_text(
         '/**:\n  ros__parameters:\n    inertia: {ixx: 0.03, iyy: 0.03, izz: 0.03}\n'
-        '    start_time: 1000000000\n    fields: [pivot]\n'
-        '    pivot: {moment: {z: -0.01}, field: {z: -9.81}}\n')
+        f'    start_time: 1000000000\n{fields}')
     return truth
 
 
@@ -234,6 +236,31 @@ def test_the_moment_of_a_weight_from_a_recording_to_an_ensemble(tmp_path, capsys
     rows = parquet.read_table(tmp_path / 'runs' / 'runs.parquet')
     sigma = data['estimates']['pivot.moment.z']['sigma']
     assert np.std(rows['pivot.moment.z'].to_numpy()) == pytest.approx(sigma, rel=0.6)
+
+
+def test_a_fitted_weight_is_a_field_of_the_fitted_scene(tmp_path):
+    moment = (0.002, 0.0, -0.02)
+    dipole = '    fields: [dipole]\n    dipole: {moment: {x: 1.0e-9}, field: {y: 1.0}}\n'
+    truth = weighed(tmp_path, moment, dipole)
+    fitted, out = tmp_path / 'fitted.yaml', tmp_path / 'out.json'
+    assert identify(tmp_path, '--estimate', 'inertia,start,weight', '--gravity', 0, 0, -9.81, '-o',
+                    fitted, '--json', out) == 0
+    assert '# weight' not in fitted.read_text()
+    found, estimates = scene.load(fitted), json.loads(out.read_text())['estimates']
+    dipole, weight = found.fields
+    assert (dipole.name, dipole.moment.tolist(), weight.name) == ('dipole', [1e-9, 0, 0], 'weight')
+    assert weight.moment.tolist() == [estimates[f'weight.{axis}']['value'] for axis in 'xyz']
+    assert weight.field.tolist() == [0.0, 0.0, -9.81]
+    arguments = [str(tmp_path / 'in.mcap'), '--scene', str(fitted)]
+    motion = tmp_path / 'motion.mcap'
+    assert main.attitude_replay([*arguments, '-o', str(motion), '--rate', '50']) == 0
+    computed = read_measured(motion, '/attitude')
+    np.testing.assert_array_equal(computed.stamps_ns[1:-1], truth.stamps_ns + 10 ** 9)
+    assert so3.angle_between(computed.attitude[1:-1], truth.q).max() < 4e-3
+    assert main.attitude_compare([*arguments, '--check', '--json', str(tmp_path / 'c.json')]) == 0
+    data = json.loads((tmp_path / 'c.json').read_text())
+    assert data['attitude_error_rad']['rms'] < 2e-3 * 3 ** 0.5 * 1.1
+    assert data['rate_error_rad_s']['rms'] < 5e-3 * 3 ** 0.5 * 1.1
 
 
 def test_a_moment_of_no_field_is_one_line(tumble, capsys):

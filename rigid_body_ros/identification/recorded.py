@@ -24,9 +24,12 @@ from typing import Any
 from rigid_body_ros.common.arrays import ENTRIES, entries
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.identification.experiment import Experiment
-from rigid_body_ros.identification.names import field_of, NOT_IN_SCENES, split_topic
+from rigid_body_ros.identification.names import NOT_IN_SCENES, split_topic
 from rigid_body_ros.identification.result import Identification
+from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.scene import Scene
+from rigid_body_ros.scene.fields import FIELDS, values_of
+from rigid_body_ros.scene.parameters import parameters_with
 from rigid_body_ros.sensing.recorded import read_observed, Reading
 import yaml
 
@@ -71,10 +74,10 @@ def fitted_scene(scene: Scene, fit: Identification) -> str:
     The values that a scene cannot contain are in comments. A robot_description is left out if
     the inertia was fitted, because it has one of its own.
     """
-    parameters = scene.parameters
+    changed = _changed(fit)
+    parameters = parameters_with(changed.get(FIELDS, []))
     values = {name: value for name, value in scene.values.items()
               if value != parameters[name].default or name.startswith('inertia')}
-    changed = _changed(fit)
     if any(name.startswith('inertia') for name in changed):
         values.pop('robot_description', None)
         values.pop('link', None)
@@ -92,7 +95,7 @@ def fitted_scene(scene: Scene, fit: Identification) -> str:
     return '\n'.join(['# Fitted by attitude_identify.', *reasons, *comments, text])
 
 
-def _changed(fit: Identification) -> dict[str, float]:
+def _changed(fit: Identification) -> dict[str, Any]:
     """Return the estimated parameters of a scene, with those that depend on them."""
     names = {name.split('.')[0] for name in fit.estimates}
     start = fit.starts[0]
@@ -102,6 +105,9 @@ def _changed(fit: Identification) -> dict[str, float]:
         'initial_attitude': ('xyzw', start.attitude),
         'initial_angular_velocity': ('xyz', start.angular_velocity),
         'initial_rotor_momentum': ('xyz', start.rotor_momentum)}
-    moments = {name: one.value for name, one in fit.estimates.items() if field_of(name[:-2])}
+    uniform = [one for one in fit.fields if isinstance(one, UniformField) and one.name]
+    fields: dict[str, Any] = {FIELDS: [one.name for one in uniform]} if uniform else {}
+    for one in uniform:
+        fields |= values_of(one)
     return {f'{group}.{key}': float(value) for group, (keys, numbers) in groups.items()
-            if group in names for key, value in zip(keys, numbers)} | moments
+            if group in names for key, value in zip(keys, numbers)} | fields

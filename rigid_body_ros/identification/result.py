@@ -26,6 +26,7 @@ from rigid_body_ros.identification.parameters import second_moments
 from rigid_body_ros.identification.residuals import Misfit, Residuals
 from rigid_body_ros.identification.verdict import Verdict
 from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.state import State
 
 #: Half the width of a 95 % interval, in standard deviations.
@@ -74,6 +75,8 @@ class Identification:
     ----------
     body : RigidBody
         With the estimated inertia and damping.
+    fields : list of Field
+        Of the first recording, with the estimated moments, and the estimated weight.
     starts : list of State
         The initial state of each recording.
     estimates : dict of str to Estimate
@@ -104,6 +107,7 @@ class Identification:
     """
 
     body: RigidBody
+    fields: list[Field]
     starts: list[State]
     estimates: dict[str, Estimate]
     covariance: Floats
