@@ -26,7 +26,7 @@ import numpy as np
 from pages import array, data_of
 from pyarrow import parquet
 import pytest
-from rigid_body_ros import scene
+from rigid_body_ros import RigidBody, scene
 from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.sensing.reading import read_measured
@@ -261,6 +261,20 @@ def test_a_fitted_weight_is_a_field_of_the_fitted_scene(tmp_path):
     data = json.loads((tmp_path / 'c.json').read_text())
     assert data['attitude_error_rad']['rms'] < 2e-3 * 3 ** 0.5 * 1.1
     assert data['rate_error_rad_s']['rms'] < 5e-3 * 3 ** 0.5 * 1.1
+
+
+def test_a_fitted_body_is_a_urdf_with_the_same_numbers(tumble, capsys):
+    urdf, out = tumble / 'fitted.urdf', tumble / 'out.json'
+    assert identify(tumble, '--measured', '/imu', '--estimate', 'inertia,start,gyro_bias', '-o',
+                    urdf, '--json', out) == 0
+    text, estimates = urdf.read_text(), json.loads(out.read_text())['estimates']
+    expected = [estimates[f'inertia.i{entry}']['value'] for entry in (
+        'xx', 'xy', 'xz', 'xy', 'yy', 'yz', 'xz', 'yz', 'zz')]
+    assert RigidBody.from_urdf(text, 'base_link').inertia.ravel().tolist() == expected
+    assert f'<!-- gyro_bias.x: {estimates["gyro_bias.x"]["value"]!r} rad/s -->' in text
+    assert 'inertia about the centre of mass' in text
+    assert identify(tumble, '-o', urdf) == 2
+    assert 'fitted.urdf: output exists' in capsys.readouterr().err
 
 
 def test_a_moment_of_no_field_is_one_line(tumble, capsys):

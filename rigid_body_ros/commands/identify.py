@@ -49,7 +49,7 @@ def attitude_identify(arguments: Sequence[str] | None) -> int:
     """Estimate parameters of a body from measured motions."""
     options = parsed(identify_parser(), arguments)
     from rigid_body_ros.identification.summary import summary
-    with checked(options, (options.output, '.yaml')) as outputs:
+    with checked(options, (options.output, _suffix(options.output))) as outputs:
         scene = load_scene(options)
         found, first = _identified(options, scene)
         status, text = _status(found)
@@ -100,8 +100,9 @@ def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
     if options.json:
         outputs.write_json(found.as_dict())
     if options.output and is_good:
-        from rigid_body_ros.identification.recorded import fitted_scene
-        outputs.write_text(options.output, fitted_scene(scene, found))
+        from rigid_body_ros.identification.recorded import fitted_scene, fitted_urdf
+        fitted = fitted_urdf if _suffix(options.output) == '.urdf' else fitted_scene
+        outputs.write_text(options.output, fitted(scene, found))
     if options.plot:
         from rigid_body_ros.identification import plot  # matplotlib takes long to load
         outputs.write(options.plot, lambda path: plot.draw(path, found, first, name))
@@ -109,6 +110,11 @@ def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
         from rigid_body_ros.identification.page import page
         outputs.write_page(lambda line: page(found, first, name, scene, line))
     return [each for each in outputs.names if is_good or each != options.output]
+
+
+def _suffix(output: str | None) -> str:
+    """Return the suffix of the format in which the result is written."""
+    return '.urdf' if output and output.lower().endswith('.urdf') else '.yaml'
 
 
 def identify_parser() -> argparse.ArgumentParser:
@@ -158,7 +164,8 @@ def identify_parser() -> argparse.ArgumentParser:
                         metavar='FRACTION', help='do not fit this fraction at the end of each '
                         'recording, but predict it, and report the errors')
     parser.add_argument('-o', '--output', metavar='FITTED', help='write the scene with the '
-                        'estimates to this YAML file')
+                        'estimates to this YAML file, or, if its name ends in .urdf, the inertia '
+                        'as a URDF of one link')
     parser.add_argument('--force', action='store_true', help='write the scene even if the data '
                         'does not determine all estimates, or the fit is rejected')
     parser.add_argument('--json', metavar='OUT', help='write the result to this file')
