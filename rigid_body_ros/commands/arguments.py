@@ -129,6 +129,15 @@ def warn_of_frames(options: argparse.Namespace, path: str, measured: Iterable[Me
             report(f'{options.command}: warning: {path}: {one.topic}: {one.frames}')
 
 
+def warn_of_units(options: argparse.Namespace, paths: Iterable[str]) -> None:
+    """Warn of torques that are not in N m."""
+    from rigid_body_ros.recording import is_ulog
+    for path in filter(is_ulog, paths):
+        report(f'{options.command}: warning: {path}: the torques of a PX4 log are normalized, not '
+               'in N m; attitude_identify --estimate start,torque_gains finds their gains if the '
+               'inertia is known')
+
+
 def topics_of(options: argparse.Namespace) -> Topics:
     """Return the topics of the torques that are given."""
     from rigid_body_ros import recording

@@ -31,6 +31,7 @@ from rigid_body_ros.commands.arguments import (
     positive,
     reading_of,
     warn_of_frames,
+    warn_of_units,
 )
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError
@@ -60,6 +61,7 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
         scene = load_scene(options)
         if options.check and options.motion:
             raise InputError('--check: expected a motion that is computed, found --motion')
+        warn_of_units(options, [options.recording])
         comparison = _compared(options, scene)
         warn_of_frames(options, options.recording, comparison.measured)
         verdict = _verdict(options, scene) if options.check else None

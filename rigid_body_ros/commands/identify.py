@@ -31,6 +31,7 @@ from rigid_body_ros.commands.arguments import (
     positive,
     reading_of,
     warn_of_frames,
+    warn_of_units,
     within,
 )
 from rigid_body_ros.commands.outputs import checked, Outputs
@@ -79,6 +80,8 @@ def _identified(options: argparse.Namespace,
     """Return the result, and the first recording."""
     from rigid_body_ros.identification import identify
     from rigid_body_ros.identification.recorded import read_experiments
+    if not {'torque_gain', 'torque_gains'} & {*options.estimate}:
+        warn_of_units(options, options.recording)
     experiments = read_experiments(options.recording, scene, reading_of(options))
     for path, experiment in zip(options.recording, experiments):
         warn_of_frames(options, path, experiment.measured)
@@ -134,7 +137,9 @@ def identify_parser() -> argparse.ArgumentParser:
                   '--measured /gyro --estimate inertia,start,mount@/gyro --validate 0.3'))
     parser.add_argument('recording', metavar='RECORDING', nargs='+',
                         help='recording of torques and measurements, as for attitude_replay; '
-                        'several of the same body are fitted together')
+                        'several of the same body are fitted together. The torques of a PX4 log '
+                        '(.ulg) are normalized: estimate torque_gains, with an inertia that is '
+                        'known or has a --prior')
     add_scene(parser)
     add_measured(parser, 'measured topic, as for attitude_compare; may be repeated (default: the '
                  'only topic of an attitude)')
