@@ -261,6 +261,12 @@ def test_a_fitted_weight_is_a_field_of_the_fitted_scene(tmp_path):
     data = json.loads((tmp_path / 'c.json').read_text())
     assert data['attitude_error_rad']['rms'] < 2e-3 * 3 ** 0.5 * 1.1
     assert data['rate_error_rad_s']['rms'] < 5e-3 * 3 ** 0.5 * 1.1
+    assert main.attitude_ensemble(['--scene', str(fitted), '--vary', str(out), '--recording',
+                                   str(tmp_path / 'in.mcap'), '--runs', '20', '-o',
+                                   str(tmp_path / 'runs')]) == 0
+    rows = parquet.read_table(tmp_path / 'runs' / 'runs.parquet')
+    assert np.std(rows['weight.moment.x'].to_numpy()) == pytest.approx(
+        estimates['weight.x']['sigma'], rel=0.6)
 
 
 def test_a_fitted_body_is_a_urdf_with_the_same_numbers(tumble, capsys):
