@@ -29,6 +29,7 @@ import pytest
 from rigid_body_ros import scene
 from rigid_body_ros.commands import main
 from rigid_body_ros.mechanics import so3
+from rigid_body_ros.report.text import rounded
 from scipy.spatial.transform import Rotation
 from tumbling import mounted, shifted, Truth
 
@@ -140,6 +141,15 @@ def test_measured_and_computed_curves_are_over_each_other_and_outliers_are_marks
 
 def columns(curves, count):
     return array(curves['low'], '<f4').reshape(count, -1) + np.array(curves['offsets'])[:, None]
+
+
+@pytest.mark.parametrize(('value', 'sigma', 'text'), [
+    (0.02003124, 1.1e-5, '0.020031'), (0.02003124, 9.96e-6, '0.020031'), (9.9999, 0.12, '10.00'),
+    (1.2345e-7, 3e-9, '1.235e-07'), (123456.7, 1200.0, '123500'), (-1e-5, 3e-3, '0.0000'),
+    (-2e-5, 2.1e-4, '-0.00002'), (0.0, 170.0, '0'), (1e9, 1e5, '1.00000e+09'),
+    (0.1234567, np.inf, '0.1234567'), (0.5, 0.0, '0.5')])
+def test_rounding_to_an_uncertainty(value, sigma, text):
+    assert rounded(value, sigma) == text
 
 
 def test_values_have_the_digits_of_their_sigma(tumble, capsys):

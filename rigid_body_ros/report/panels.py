@@ -58,7 +58,7 @@ class Samples(NamedTuple):
         if kept.any():
             yield Curves.thinned(self.times_ns[kept], values[kept], names, start_ns, style)
         if not kept.all():
-            unnamed = ['outliers (at the edge: beyond it)', *[''] * (values.shape[1] - 1)]
+            unnamed = ['outliers (at the edge if out of range)', *[''] * (values.shape[1] - 1)]
             yield Curves.thinned(self.times_ns[~kept], values[~kept], unnamed, start_ns, 'marks')
 
 

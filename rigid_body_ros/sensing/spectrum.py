@@ -57,8 +57,8 @@ def spectrum(torque: ResidualTorque) -> Spectrum | None:
     Return the spectrum of a residual torque, None if that is too short.
 
     The residual torque is the slope of a momentum over a window of T seconds, which multiplies
-    amplitudes by 3 (sin x - x cos x) / x^3 with x = pi f T. They are divided by that, and end
-    where it is a half.
+    amplitudes by 3 (sin x - x cos x) / x^3 with x = pi f T if samples are dense. They are divided
+    by that, and end where it is a half.
     """
     seconds = 1e-9 * (torque.times_ns - torque.times_ns[0])
     if len(seconds) < _FEWEST:
@@ -74,19 +74,14 @@ def spectrum(torque: ResidualTorque) -> Spectrum | None:
     power = np.abs(np.fft.rfft((segments - means) * window[:, None], _FINER * size, axis=1)) ** 2
     hertz = np.fft.rfftfreq(_FINER * size, spacing)
     kept = (np.pi * hertz * torque.window_s <= _FLATTENED) & (hertz > 1.5 / (size * spacing))
-    x = np.pi * hertz[kept] * torque.window_s
-    smoothed = 3.0 * (np.sin(x) - x * np.cos(x)) / x ** 3
-    amplitudes = 2.0 / window.sum() * np.sqrt(power.mean(axis=0)[kept]) / smoothed[:, None]
-    limit = _of_momentum(torque, spacing) * 2.0 * np.sqrt(np.sum(window ** 2)) / window.sum()
     shown = np.asarray(hertz[kept], np.float64)
-    return Spectrum(shown, amplitudes, 2.0 * np.pi * shown[:, None] * limit
-                    * _exceeded(len(segments)))
-
-
-def _of_momentum(torque: ResidualTorque, spacing: float) -> Floats:
-    """Return the noise of single samples of the momentum, whose slopes are the torques, N m s."""
     half = round(0.5 * torque.window_s / spacing)
-    return torque.noise * spacing * np.sqrt(half * (half + 1) * (2 * half + 1) / 3.0)
+    times, turn = spacing * np.arange(-half, half + 1), 2.0 * np.pi * shown
+    smoothed = np.sin(np.outer(turn, times)) @ times / turn / np.sum(times ** 2)
+    amplitudes = 2.0 / window.sum() * np.sqrt(power.mean(axis=0)[kept]) / smoothed[:, None]
+    # White noise of the momentum, of which the noise of the torque is that of a slope.
+    noise = torque.noise * np.sqrt(np.sum(times ** 2) * np.sum(window ** 2)) / window.sum()
+    return Spectrum(shown, amplitudes, np.outer(turn, 2.0 * _exceeded(len(segments)) * noise))
 
 
 def _exceeded(count: int) -> float:
