@@ -136,7 +136,7 @@ def test_measured_and_computed_curves_are_over_each_other_and_outliers_are_marks
     ghost = data['body']['ghost']
     near = np.searchsorted(array(data['body']['times']), array(ghost['times']))
     shown = array(data['body']['attitude']).reshape(-1, 4)[near]
-    assert so3.angle_between(array(ghost['attitude']).reshape(-1, 4), shown).max() < 0.02
+    assert so3.angle_between(array(ghost['attitude'], '<f4').reshape(-1, 4), shown).max() < 0.02
 
 
 def columns(curves, count):

@@ -30,11 +30,11 @@ from rigid_body_ros.report import moving_body
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page
 from rigid_body_ros.report.panels import (
+    Drawn,
     error_panel,
     field_panels,
     in_degrees,
     overlay_panel,
-    Samples,
     torque_panels,
 )
 from rigid_body_ros.report.text import scaled
@@ -92,7 +92,7 @@ def _panels(comparison: Comparison, aligned: Sequence[Measured],
 
 def _of_sensor(errors: Errors, sensor: Measured, start_ns: int) -> Iterator[Panel]:
     """Generate what a sensor measured over what was computed, and the errors."""
-    samples = Samples(errors.times_ns, np.ones(len(errors.times_ns), bool))
+    samples = Drawn(errors.times_ns, np.ones(len(errors.times_ns), bool))
     pairs = []
     if sensor.attitude is not None and errors.rotation_vectors is not None:
         pairs.append((sensor.attitude, so3.multiply(sensor.attitude,

@@ -31,10 +31,10 @@ from rigid_body_ros.report import matrix, moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
 from rigid_body_ros.report.page import Page, table
 from rigid_body_ros.report.panels import (
+    Drawn,
     error_panel,
     in_degrees,
     overlay_panel,
-    Samples,
     torque_panels,
 )
 from rigid_body_ros.scene import Scene
@@ -102,7 +102,8 @@ def _panels(fit: Identification, first: Experiment) -> Iterator[Panel]:
         return
     start_ns = _first_ns(fit)
     for parts in quantities:
-        yield from _of_channel(parts, start_ns)
+        lines = _lines(fit, parts, start_ns)
+        yield from (replace(panel, lines=lines) for panel in _of_channel(parts, start_ns))
     end_ns = max(int(part.stamps_ns[-1]) for parts in quantities for part in parts)
     yield from torque_panels(first.logs, start_ns, end_ns, fit.motion.options.timeout_ns)
     yield from _of_torque(fit, start_ns)
@@ -120,18 +121,26 @@ def _of_channel(parts: Sequence[Residuals], start_ns: int) -> Iterator[Panel]:
     stamps_ns, inliers, measured, computed, errors = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ('stamps_ns', 'inliers', 'measured', 'computed', 'errors'))
-    samples, first = Samples(stamps_ns, inliers), parts[0]
+    samples, first = Drawn(stamps_ns, inliers), parts[0]
     name, unit, error, error_unit = ('attitude quaternion', '', 'attitude error', 'rad') \
         if first.is_attitude else ('angular velocity', 'rad/s', 'rate error', 'rad/s')
+    yield overlay_panel(f'{first.topic}: {name}, axes of the sensor', unit, samples, measured,
+                        computed, start_ns)
+    yield error_panel(f'{first.topic}: {error}, computed minus measured, axes of the sensor',
+                      error_unit, samples, errors,
+                      ('±2 sigma assumed by the fit', 2.0 * first.noise), start_ns)
+
+
+def _lines(fit: Identification, parts: Sequence[Residuals], start_ns: int) -> dict[str, float]:
+    """Return where the validation begins, and from when on its errors are no finding."""
     ahead = [part for part in parts if not part.is_training]
-    lines = {'start of the validation': 1e-9 * float(ahead[0].stamps_ns[0] - start_ns)} \
-        if ahead else {}
-    for panel in (overlay_panel(f'{first.topic}: {name}, axes of the sensor', unit, samples,
-                                measured, computed, start_ns),
-                  error_panel(f'{first.topic}: {error}, computed minus measured, axes of the '
-                              'sensor', error_unit, samples, errors,
-                              ('±2 sigma assumed by the fit', 2.0 * first.noise), start_ns)):
-        yield replace(panel, lines=lines)
+    lines = {}
+    if ahead:
+        lines['start of the validation'] = 1e-9 * float(ahead[0].stamps_ns[0] - start_ns)
+    if ahead and fit.predictable_s is not None:
+        lines['predictable up to here'] = fit.predictable_s + 1e-9 * (
+            fit.motion.start.time_ns - start_ns)
+    return lines
 
 
 def _of_torque(fit: Identification, start_ns: int) -> Iterator[Panel]:

@@ -91,7 +91,8 @@ def ghost(start_ns: int, times_ns: NDArray[np.int64], attitude: Floats) -> dict[
     rows = slice(None, None, -(-len(times_ns) // MOST))
     seconds = (times_ns[rows] - start_ns) * 1e-9
     usual = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
-    return {'times': packed(seconds), 'attitude': packed(attitude[rows]), 'reach': 2.0 * usual}
+    return {'times': packed(seconds), 'attitude': packed(attitude[rows], np.float32),
+            'reach': 2.0 * usual}
 
 
 def _is_smooth(seconds: Floats, rows: Floats) -> NDArray[np.bool_]:

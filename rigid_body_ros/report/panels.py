@@ -36,7 +36,7 @@ SINCE_FIRST = 'time from the first measurement (s)'
 _SAMPLES = 5000
 
 
-class Samples(NamedTuple):
+class Drawn(NamedTuple):
     """
     What was measured and computed, or the errors, at some times.
 
@@ -62,7 +62,7 @@ class Samples(NamedTuple):
             yield Curves.thinned(self.times_ns[~kept], values[~kept], unnamed, start_ns, 'marks')
 
 
-def overlay_panel(label: str, unit: str, samples: Samples, measured: Floats, computed: Floats,
+def overlay_panel(label: str, unit: str, samples: Drawn, measured: Floats, computed: Floats,
                   start_ns: int) -> Panel:
     """
     Return a panel with computed curves over measured ones.
@@ -71,7 +71,7 @@ def overlay_panel(label: str, unit: str, samples: Samples, measured: Floats, com
     ----------
     label, unit : str
         Of the ordinate.
-    samples : Samples
+    samples : Drawn
         Their times, and which are outliers.
     measured, computed : array, shape (n, 4) or (n, 3)
         Quaternions x y z w, whose signs are chosen so that the curves have no jumps, or vectors.
@@ -100,7 +100,7 @@ def _without_jumps(attitude: Floats, chosen: NDArray[np.bool_] | None = None) ->
     return found
 
 
-def error_panel(label: str, unit: str, samples: Samples, errors: Floats,
+def error_panel(label: str, unit: str, samples: Drawn, errors: Floats,
                 band: tuple[str, float], start_ns: int) -> Panel:
     """Return a panel with errors, shape (n, 3), and a band: its name, and half of its width."""
     name, size = band

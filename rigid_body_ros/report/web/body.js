@@ -160,7 +160,7 @@ class Scene {
       this.views.push(new View(document.getElementById('poinsot'), turning));
     }
     this.ghost = data.ghost && {times: unpacked(data.ghost.times, Float64Array),
-      attitudes: unpacked(data.ghost.attitude, Float64Array), reach: data.ghost.reach};
+      attitudes: unpacked(data.ghost.attitude, Float32Array), reach: data.ghost.reach};
     this.views.forEach((view) => this.listen(view));
     this.scales = ARROWS.map(([, , , vector]) => this.largest(vector));
     this.prepareCurves();

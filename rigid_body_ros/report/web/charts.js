@@ -56,6 +56,7 @@ class Panel {
     this.tall = data.kind === 'loglog';
     this.height = this.tall ? 2 * HEIGHT : HEIGHT;
     this.lines = 0;
+    this.isDense = data.curves.some((curves) => curves.style === 'limits');
     this.isNoisy = data.kind === 'log' || data.curves.some((curves) => curves.style !== 'line');
     this.series = data.curves.flatMap((curves) => this.read(curves));
     this.unit = this.withPrefix();
@@ -93,7 +94,7 @@ class Panel {
       return {colour: `c${number % 6}`, dashes: this.isNoisy ? '' : DASHES[number % 4]};
     }
     const isLimit = curves.style === 'limits';
-    return {colour: isLimit && curves.names.length === 1 ? 'c6' : `c${k % 6}`,
+    return {colour: isLimit && curves.names.length === 1 ? 'c3' : `c${k % 6}`,
       dashes: isLimit ? '5 4' : ''};
   }
 
@@ -130,7 +131,7 @@ class Panel {
       const line = element('svg', {viewBox: '0 0 30 10', 'aria-hidden': 'true'}, item);
       if (one.style === 'marks') element('path', {d: markAt(15, 5), class: 'curve c6'}, line);
       else element('path', {d: 'M 0 5 L 30 5', class: `curve swatch ${one.style} ${one.style ===
-        'limits' ? 'c6' : one.colour}`, 'stroke-dasharray': one.dashes}, line);
+        'limits' ? 'c3' : one.colour}`, 'stroke-dasharray': one.dashes}, line);
       html('span', item, `${one.name} `);
       if (one.style !== 'marks' && (one.style !== 'limits' || one.isAlone))
         one.reading = html('output', item);
@@ -219,7 +220,8 @@ class Panel {
       'stroke-dasharray': DASHES[k % 4]}, frame));
     for (const style of ['broad', 'line', 'limits', 'marks'])
       for (const one of this.series.filter((each) => each.style === style))
-        element('path', {d: this.shape(one), class: `curve ${style} ${one.colour}`,
+        element('path', {d: this.shape(one),
+          class: `curve ${style} ${one.colour}${this.isDense ? ' dense' : ''}`,
           'stroke-dasharray': one.dashes}, frame);
     if (this.data.texts.length) this.drawPoints(frame);
     this.chosen = element('rect', {class: 'chosen', y: 0, height: this.height, width: 0}, frame);
