@@ -219,6 +219,12 @@ def add_outputs(parser: argparse.ArgumentParser, shows: str) -> None:
                         help='replace output files that exist; folders are never replaced')
 
 
+def add_degrees(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the unit of angles."""
+    parser.add_argument('--degrees', action='store_true', help='print angles in degrees, and show '
+                        'them so on the page; JSON, and what the verdict says, stay in radians')
+
+
 def within(low: float, high: float, what: str = 'a number',
            kind: Callable[[str], Any] = float) -> Callable[[str], Any]:
     """Return a function that reads a number between limits, as the type of an option."""

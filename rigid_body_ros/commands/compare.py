@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import (
+    add_degrees,
     add_measured,
     add_outputs,
     add_scene,
@@ -78,9 +79,10 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
                                 'verdict': verdict.as_dict() if verdict else None})
         if options.report:
             from rigid_body_ros.comparison.page import page
-            outputs.write_page(lambda line: with_facts(page(comparison, name, scene, line), facts))
+            outputs.write_page(lambda line: with_facts(page(
+                comparison, name, scene, line, options.degrees), facts))
     shown = [lines([f'{title:17}{text}']) for title, text in facts]
-    outputs.show('\n'.join([*shown, summary(comparison)]), 17)
+    outputs.show('\n'.join([*shown, summary(comparison, options.degrees)]), 17)
     if not verdict or verdict.is_consistent:
         return 0
     report(f'{options.command}: the model does not explain the measurements')
@@ -105,7 +107,7 @@ def _compared(options: argparse.Namespace, scene: Scene) -> Comparison:
     from rigid_body_ros.comparison.recorded import compare_recording
     return compare_recording(
         options.recording, scene, reading_of(options), motion=options.motion, align=options.align,
-        horizons=options.horizon or (), track=progress('comparing', ' steps'))
+        horizons=options.horizon, track=progress('comparing', ' steps'))
 
 
 def compare_parser() -> argparse.ArgumentParser:
@@ -135,7 +137,8 @@ def compare_parser() -> argparse.ArgumentParser:
                         'two space axes (default: fit nothing)')
     parser.add_argument('--horizon', type=positive, action='append', metavar='SECONDS',
                         help='restart from the measurement every SECONDS and report the error '
-                        'after that time; may be repeated')
+                        'after that time; may be repeated (default: 0.1, 1 and 10, where the '
+                        'measurement is long enough, in at most 100 windows)')
     parser.add_argument('--check', action='store_true',
                         help='test whether the model explains the measurements from some start, '
                         'as attitude_identify does; if not, the exit status is 4')
@@ -146,7 +149,8 @@ def compare_parser() -> argparse.ArgumentParser:
     parser.add_argument('--json', metavar='OUT', help='write the result, with units, to this file')
     parser.add_argument('--plot', metavar='PNG', help='plot errors, torque, errors after the '
                         'horizons and residual torque over time')
-    add_outputs(parser, 'these plots, the moving body and the summary')
+    add_degrees(parser)
+    add_outputs(parser, 'the measured and the computed motion, the errors and the summary')
     return parser
 
 

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rigid_body_ros.commands.arguments import (
+    add_degrees,
     add_measured,
     add_outputs,
     add_scene,
@@ -55,7 +56,7 @@ def attitude_identify(arguments: Sequence[str] | None) -> int:
         found, first = _identified(options, scene)
         status, text = _status(found)
         written = _write(options, outputs, found, first, scene, status == OK or options.force)
-    outputs.show(summary(found), 17, written)
+    outputs.show(summary(found, options.degrees), 17, written)
     if status != OK:
         if options.output and options.output not in written:
             text += '; no scene was written (--force writes it)'
@@ -111,7 +112,8 @@ def _write(options: argparse.Namespace, outputs: Outputs, found: Identification,
         outputs.write(options.plot, lambda path: plot.draw(path, found, first, name))
     if options.report:
         from rigid_body_ros.identification.page import page
-        outputs.write_page(lambda line: page(found, first, name, scene, line))
+        outputs.write_page(lambda line: page(found, first, name, scene, line,
+                                             options.degrees))
     return [each for each in outputs.names if is_good or each != options.output]
 
 
@@ -176,7 +178,9 @@ def identify_parser() -> argparse.ArgumentParser:
     parser.add_argument('--json', metavar='OUT', help='write the result to this file')
     parser.add_argument('--plot', metavar='PNG', help='plot the errors of the first recording '
                         'over time, with its torques')
-    add_outputs(parser, 'the estimates, these plots and the summary')
+    add_degrees(parser)
+    add_outputs(parser, 'the estimates, the measured and the computed motion, the errors that are '
+                'left and the summary')
     return parser
 
 

@@ -24,7 +24,7 @@ from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.comparison.causes import find_causes
 from rigid_body_ros.comparison.errors import compared, Comparison
-from rigid_body_ros.comparison.horizons import horizon
+from rigid_body_ros.comparison.horizons import horizon, usual
 from rigid_body_ros.comparison.motion import Motion, Recorded
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.state import State
@@ -81,10 +81,14 @@ def compare(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] 
 
 
 def compare_motion(motion: Motion, measured: Sequence[Measured],
-                   align: Collection[str] = (), horizons: Sequence[float] = (),
+                   align: Collection[str] = (), horizons: Sequence[float] | None = (),
                    causes: bool = True, track: Track = no_progress) -> Comparison:
-    """Compare as `compare` does, with a problem or a recorded motion; `track` shows progress."""
-    for seconds in horizons:
+    """
+    Compare as `compare` does, with a problem or a recorded motion; `track` shows progress.
+
+    With None, the horizons are the usual ones that the measurement is long enough for.
+    """
+    for seconds in horizons or ():
         if not duration_ns(seconds, 'horizons'):
             raise ValueError(f'horizons: expected positive seconds, found {seconds}')
     if horizons and isinstance(motion, Recorded):
@@ -95,6 +99,7 @@ def compare_motion(motion: Motion, measured: Sequence[Measured],
         best = max(aligned, key=lambda sensor: (sensor.angular_velocity is not None, len(sensor)))
         comparison = replace(
             comparison, residual_torque=residual_torque(problem, best),
-            horizons=tuple(horizon(problem, aligned, seconds, track) for seconds in horizons))
+            horizons=usual(problem, aligned, track) if horizons is None else
+            tuple(horizon(problem, aligned, seconds, track) for seconds in horizons))
     return replace(comparison, causes=find_causes(motion, comparison, align, track)) \
         if causes else comparison

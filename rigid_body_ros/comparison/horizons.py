@@ -30,6 +30,8 @@ from rigid_body_ros.runtime.terminal import no_progress, Track
 from rigid_body_ros.sensing.measured import Measured
 from rigid_body_ros.sensing.rates import measured_rates
 
+#: s; horizons if none are given, most windows of each, and fewest.
+USUAL, _WINDOWS, _FEWEST = (0.1, 1.0, 10.0), 100, 2
 #: Samples from which a restart is estimated, unless the horizon is too short for them.
 _SAMPLES = 11
 #: Shortest horizon, in intervals between samples, which jitter.
@@ -56,8 +58,20 @@ class Horizon:
     angles: Floats
 
 
+def usual(problem: Problem, sensors: Sequence[Measured], track: Track = no_progress
+          ) -> tuple[Horizon, ...]:
+    """Return the errors after 0.1, 1 and 10 s that have at least two windows, of some windows."""
+    chosen = [sensor.stamps_ns for sensor in sensors if sensor.attitude is not None][:1]
+    if not chosen or len(chosen[0]) < 2:
+        return ()
+    spacing, span = 1e-9 * float(np.median(np.diff(chosen[0]))), 1e-9 * float(np.ptp(chosen[0]))
+    every = [horizon(problem, sensors, seconds, track, _WINDOWS) for seconds in USUAL
+             if 2.0 * spacing <= seconds <= span / _FEWEST]
+    return tuple(one for one in every if len(one.angles) >= _FEWEST)
+
+
 def horizon(problem: Problem, sensors: Sequence[Measured], seconds: float,
-            track: Track = no_progress) -> Horizon:
+            track: Track = no_progress, most: int | None = None) -> Horizon:
     """
     Return errors after a time, each from a restart from the measurement.
 
@@ -75,6 +89,8 @@ def horizon(problem: Problem, sensors: Sequence[Measured], seconds: float,
         The horizon.
     track : callable, optional
         Wraps the iteration over windows, to show progress.
+    most : int, optional
+        Number of windows, at equal distances, that are enough.
 
     Raises
     ------
@@ -99,6 +115,7 @@ def horizon(problem: Problem, sensors: Sequence[Measured], seconds: float,
     _, rows = np.unique((stamps_ns - stamps_ns[0] + half_ns) // step_ns, return_index=True)
     momenta = problem.rotor_momentum(stamps_ns[rows])
     windows = list(zip(rows[:-1].tolist(), rows[1:].tolist(), momenta))
+    windows = windows[::-(-len(windows) // most)] if most and windows else windows
     angles = [_error(problem, sensor, (first, last), step_ns, momentum)
               for first, last, momentum in track(windows, len(windows))
               if abs(stamps_ns[last] - stamps_ns[first] - step_ns) <= 2 * half_ns]

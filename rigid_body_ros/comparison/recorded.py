@@ -39,7 +39,8 @@ from rigid_body_ros.sensing.recorded import Measurements, read_observed, Reading
 
 def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = None, *,
                       motion: str | Path | None = None, align: Collection[str] = (),
-                      horizons: Sequence[float] = (), track: Track = no_progress) -> Comparison:
+                      horizons: Sequence[float] | None = (),
+                      track: Track = no_progress) -> Comparison:
     """
     Compare measured topics of a recording with the motion under its torques.
 
@@ -52,7 +53,7 @@ def compare_recording(path: str | Path, scene: Scene, reading: Reading | None = 
     motion : str or Path, optional
         A recorded motion to compare with instead, such as the output of a replay.
     align, horizons
-        As for `compare`.
+        As for `compare`; with None, the usual horizons.
     track : callable
         Wraps the iteration over restarts and possible causes, to show progress.
 

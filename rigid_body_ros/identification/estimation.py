@@ -24,7 +24,7 @@ import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import InputError, listed
 from rigid_body_ros.identification import residuals
-from rigid_body_ros.identification.actuator import check_delay
+from rigid_body_ros.identification.actuator import applied, check_delay
 from rigid_body_ros.identification.clock import likely_offset
 from rigid_body_ros.identification.experiment import (
     channels_of,
@@ -218,6 +218,8 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
                                 float(numbers.guesses[i]), float(sigma[i]),
                                 bool(known.identifiable[i]), systematic.get(name, 0.0))
                  for i, name in enumerate(numbers.names)}
+    aligned = residuals.inliers_of([one for one in (*fitted, *ahead) if not one.recording],
+                                   physics, setup.problems[0].start.time_ns)
     return Identification(
         physics.body, physics.acting(setup.problems[0].fields),
         [_start(solution, number)[0] for number in range(len(setup.problems))],
@@ -227,7 +229,18 @@ def _result(findings: Findings, every: Sequence[Sequence[Measured]],
         residuals.Misfit.of(ahead, 0) if ahead else None, solution.length_ns * 1e-9,
         solution.evaluations, solution.converged, verdict,
         any(log.torques.any() for problem in setup.problems for log in problem.logs),
-        findings.predictable_s)
+        findings.predictable_s, _first_motion(solution, max(
+            int(one.stamps_ns[-1]) for one in aligned)), aligned)
+
+
+def _first_motion(solution: Solution, end_ns: int) -> Problem:
+    """Return the problem of the first recording with all estimates; a bias acts up to a time."""
+    given, physics = solution.problem.setup.problems[0], solution.physics
+    found = given.replaced(body=physics.body, start=_start(solution, 0)[0],
+                           log=applied(given.logs, physics, given.options.timeout_ns),
+                           fields=physics.acting(given.fields) or None)
+    bias = physics.value('torque_bias')
+    return found.biased(bias, end_ns) if bias.any() else found
 
 
 def _numbers(solution: Solution) -> _Numbers:
