@@ -48,7 +48,7 @@ def rows(comparison: Comparison) -> Iterator[tuple[str, str]]:
         yield 'lost', damage
     if isinstance(comparison.motion, Problem) and not comparison.motion.sources:
         yield 'torques', 'none in the recording: the body is free'
-    yield from _alignment(comparison.alignment)
+    yield from _alignments(comparison)
     for label, unit, attribute in QUANTITIES:
         yield from _errors(label, unit, comparison.pooled(attribute), True)
     for horizon in comparison.horizons:
@@ -57,25 +57,39 @@ def rows(comparison: Comparison) -> Iterator[tuple[str, str]]:
                f'{np.percentile(angles, 95.0):.3g} rad in {len(angles)} windows' \
             if len(angles) else 'no window, or no measured attitude'
         yield f'after {horizon.seconds:g} s', text
+    if comparison.predictable_s is not None:
+        yield 'predictable', f'for {comparison.predictable_s:.4g} s from the start; later ' \
+                             'errors say nothing about the model, those after horizons do'
     torque = comparison.residual_torque
     if torque:
         yield from _errors('residual torque', 'N m', torque.torques)
         yield '', f'noise {written(torque.noise)} N m, in windows of {torque.window_s:.3g} s'
     for cause in comparison.causes:
-        yield 'likely cause', f'{cause.text} ({cause.evidence})'
+        yield 'likely cause' if cause.explains else 'reduces', f'{cause.text} ({cause.evidence})'
 
 
-def _alignment(alignment: Alignment) -> Iterator[tuple[str, str]]:
+def _alignments(comparison: Comparison) -> Iterator[tuple[str, str]]:
+    for one, sensor in zip(comparison.alignments, comparison.measured):
+        sigma = one.sigma or {}
+        of = f' of {sensor.topic}' if len(comparison.measured) > 1 else ''
+        if 'clock_offset_s' in sigma:
+            spread = _sigma(sigma, 'clock_offset_s', 's')
+            yield 'clock offset', f'{one.clock_offset_s:.6g} s ({spread}), added to the ' \
+                                  f'measured stamps{of}'
+        if 'mount_rad' in sigma:
+            yield 'mounting', _turn(one.mount, sigma, 'mount_rad') + of
+    yield from _common(comparison.alignment)
+
+
+def _turn(quaternion: Floats, sigma: dict[str, Any], key: str) -> str:
+    return f'rotation vector {written(so3.log(quaternion))} rad ({_sigma(sigma, key, "rad")})'
+
+
+def _common(alignment: Alignment) -> Iterator[tuple[str, str]]:
+    """Generate the alignment that all sensors share."""
     sigma = alignment.sigma or {}
-    if 'clock_offset_s' in sigma:
-        spread = _sigma(sigma, 'clock_offset_s', 's')
-        yield 'clock offset', f'{alignment.clock_offset_s:.6g} s ({spread}), added to the ' \
-                              'measured stamps'
-    for name, key, quaternion in (('mounting', 'mount_rad', alignment.mount),
-                                  ('space axes', 'space_rad', alignment.space)):
-        if key in sigma:
-            yield name, f'rotation vector {written(so3.log(quaternion))} rad ' \
-                        f'({_sigma(sigma, key, "rad")})'
+    if 'space_rad' in sigma:
+        yield 'space axes', _turn(alignment.space, sigma, 'space_rad')
     if alignment.start:
         text = f'attitude xyzw {written(alignment.start.attitude)}'
         if 'initial_attitude_rad' in sigma:
