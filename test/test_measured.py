@@ -337,6 +337,27 @@ def test_the_command_aligns(run, tmp_path):
     assert so3.angle_between(found['mount_xyzw'], mount.as_quat()) < 2e-3
 
 
+def test_the_command_aligns_one_sensor_and_checks_it(run, tmp_path):
+    sensor = truth().measured(1e-3, 2e-3)
+    late = truth().measured(1e-3, 2e-3, clock=0.035, seed=1)
+    path = write(tmp_path / 'flight.mcap', torque=torque_messages(truth()),
+                 pose=messages_of('PoseStamped', sensor), odom=messages_of('Odometry', late))
+    given = '--measured', '/pose', '--measured', '/odom', '--check'
+    status, shown, _ = run(*given, '--align', 'clock@/odom', '--json', tmp_path / 'it.json',
+                           path=path)
+    assert status == 0
+    assert 'added to the measured stamps of /odom' in shown
+    found = json.loads((tmp_path / 'it.json').read_text())
+    assert found['verdict']['level'] == 'explained'
+    assert found['alignments']['/pose']['clock_offset_s'] == 0.0
+    assert found['alignments']['/odom']['clock_offset_s'] == pytest.approx(0.035, abs=1e-3)
+    assert found['alignment']['clock_offset_s'] == 0.0
+    assert found['predictable_s'] is None
+    assert [one['seconds'] for one in found['horizons']] == [0.1, 1.0, 10.0]
+    with pytest.raises(SystemExit, match='2'):
+        run('--align', 'start@/odom', path=path)
+
+
 def aligned_in_first_epoch(tmp_path, clock):
     """Compare with the first of two epochs of ten seconds, and fit how late the sensor is."""
     motion, path = truth(seconds=10.0), tmp_path / 'two.mcap'

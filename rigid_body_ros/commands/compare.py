@@ -91,11 +91,13 @@ def attitude_compare(arguments: Sequence[str] | None) -> int:
 
 def _verdict(options: argparse.Namespace, scene: Scene) -> Verdict:
     """Return whether the model explains the measurements, from some start."""
+    from rigid_body_ros.comparison.align import is_asked
     from rigid_body_ros.identification import identify
     from rigid_body_ros.identification.recorded import read_experiment
-    names = ['start', *(estimated for aligned, estimated in _FITTED.items()
-                        if aligned in options.align)]
     experiment = read_experiment(options.recording, scene, reading_of(options))
+    names = ['start', *(f'{estimated}@{one.topic}' for kind, estimated in _FITTED.items()
+                        for one in experiment.measured
+                        if is_asked(options.align, kind, one.topic))]
     try:
         return identify(scene.body, experiment, estimate=names,
                         torque_timeout=scene.torque_timeout).verdict
@@ -132,13 +134,14 @@ def compare_parser() -> argparse.ArgumentParser:
                         'attitude_replay, instead of computing one')
     parser.add_argument('--align', type=_names, default=(), metavar='NAMES',
                         help='fit some of start, clock, mount, separated by commas: the initial '
-                        'attitude and angular velocity, a constant offset of the clocks, and the '
-                        'constant rotations between the axes of sensor and body and between the '
-                        'two space axes (default: fit nothing)')
+                        'attitude and angular velocity, a constant offset of the clock of each '
+                        'sensor, and the constant rotations between the axes of each sensor and '
+                        'the body and between the two space axes; clock@TOPIC and mount@TOPIC are '
+                        'those of one sensor (default: fit nothing)')
     parser.add_argument('--horizon', type=positive, action='append', metavar='SECONDS',
                         help='restart from the measurement every SECONDS and report the error '
                         'after that time; may be repeated (default: 0.1, 1 and 10, where the '
-                        'measurement is long enough, in at most 100 windows)')
+                        'measurement is long enough)')
     parser.add_argument('--check', action='store_true',
                         help='test whether the model explains the measurements from some start, '
                         'as attitude_identify does; if not, the exit status is 4')
@@ -155,10 +158,10 @@ def compare_parser() -> argparse.ArgumentParser:
 
 
 def _names(text: str) -> tuple[str, ...]:
-    from rigid_body_ros.comparison import ALIGNMENTS
+    from rigid_body_ros.comparison.align import check_names
     names = tuple(name.strip() for name in text.split(','))
-    for name in names:
-        if name not in ALIGNMENTS:
-            raise argparse.ArgumentTypeError(f'expected some of {", ".join(ALIGNMENTS)}, '
-                                             f'separated by commas, found {name!r}')
+    try:
+        check_names(names)
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
     return names

@@ -48,7 +48,7 @@ def rows(comparison: Comparison, degrees: bool = False) -> Iterator[tuple[str, s
         yield 'lost', damage
     if isinstance(comparison.motion, Problem) and not comparison.motion.sources:
         yield 'torques', 'none in the recording: the body is free'
-    yield from _alignment(comparison.alignment, degrees)
+    yield from _alignments(comparison, degrees)
     for label, unit, attribute in QUANTITIES:
         yield from _errors(label, *scaled(unit, degrees), comparison.pooled(attribute), True)
     factor, unit = scaled('rad', degrees)
@@ -58,25 +58,39 @@ def rows(comparison: Comparison, degrees: bool = False) -> Iterator[tuple[str, s
                f'{np.percentile(angles, 95.0):.3g} {unit} in {len(angles)} windows' \
             if len(angles) else 'no window, or no measured attitude'
         yield f'after {horizon.seconds:g} s', text
+    if comparison.predictable_s is not None:
+        yield 'predictable', f'for {comparison.predictable_s:.4g} s from the start; later ' \
+                             'errors say nothing about the model, those after horizons do'
     torque = comparison.residual_torque
     if torque:
         yield from _errors('residual torque', 1.0, 'N m', torque.torques)
         yield '', f'noise {written(torque.noise)} N m, in windows of {torque.window_s:.3g} s'
     for cause in comparison.causes:
-        yield 'likely cause', f'{cause.text} ({cause.evidence})'
+        yield 'likely cause' if cause.explains else 'reduces', f'{cause.text} ({cause.evidence})'
 
 
-def _alignment(alignment: Alignment, degrees: bool) -> Iterator[tuple[str, str]]:
+def _alignments(comparison: Comparison, degrees: bool) -> Iterator[tuple[str, str]]:
+    for one, sensor in zip(comparison.alignments, comparison.measured):
+        sigma = one.sigma or {}
+        of = f' of {sensor.topic}' if len(comparison.measured) > 1 else ''
+        if 'clock_offset_s' in sigma:
+            spread = float(sigma['clock_offset_s'])
+            yield 'clock offset', f'{rounded(one.clock_offset_s, spread)} s ' \
+                                  f'({_known(spread, "s")}), added to the measured stamps{of}'
+        if 'mount_rad' in sigma:
+            yield 'mounting', _turn(one.mount, sigma['mount_rad'], degrees) + of
+    yield from _common(comparison.alignment, degrees)
+
+
+def _turn(quaternion: Floats, sigma: Floats, degrees: bool) -> str:
+    return 'rotation vector ' + _vector(so3.log(quaternion), sigma, *scaled('rad', degrees))
+
+
+def _common(alignment: Alignment, degrees: bool) -> Iterator[tuple[str, str]]:
+    """Generate the alignment that all sensors share."""
     sigma = alignment.sigma or {}
-    if 'clock_offset_s' in sigma:
-        spread = float(sigma['clock_offset_s'])
-        yield 'clock offset', f'{rounded(alignment.clock_offset_s, spread)} s ' \
-                              f'({_known(spread, "s")}), added to the measured stamps'
-    for name, key, quaternion in (('mounting', 'mount_rad', alignment.mount),
-                                  ('space axes', 'space_rad', alignment.space)):
-        if key in sigma:
-            yield name, 'rotation vector ' + _vector(so3.log(quaternion), sigma[key],
-                                                     *scaled('rad', degrees))
+    if 'space_rad' in sigma:
+        yield 'space axes', _turn(alignment.space, sigma['space_rad'], degrees)
     if alignment.start:
         text = f'attitude xyzw {written(alignment.start.attitude)}'
         if 'initial_attitude_rad' in sigma:
