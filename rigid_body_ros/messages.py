@@ -38,6 +38,7 @@ from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.errors import listed, quoted
 from rigid_body_ros.mechanics.frames import Frame, Frames
+from rigid_body_ros.mechanics.imu import ImuErrors
 from rigid_body_ros.mechanics.state import State
 
 #: The frame_id of an epoch marker: this word, and the numbers of the start state.
@@ -275,10 +276,11 @@ TYPES = {kind.name: kind for kind in (
 
 #: Position of the orientation in the doubles of an Odometry.
 ORIENTATION = slice(3, 7)
-#: Position of the angular velocity in the doubles of an Odometry. `odometry` sets all others to 0.
+#: Position of the angular velocity in the doubles of an Odometry.
 ANGULAR_VELOCITY = slice(46, 49)
 #: Position of the mass and the centre of mass in the doubles of an InertiaStamped.
 MASS_AND_CENTRE = slice(0, 4)
+_NO_ERRORS = ImuErrors()
 #: Positions of ixx, iyy, izz, ixy, ixz, iyz.
 _ENTRIES = [4, 7, 9, 5, 6, 8]
 
@@ -396,16 +398,33 @@ def odometry(state: State, space_frame: str, body_frame: str) -> bytes:
     return ODOMETRY.encode(state.time_ns, space_frame, values, body_frame)
 
 
-def imu(state: State, body_frame: str) -> bytes:
-    """Return an Imu with attitude and body rates, no acceleration, and unknown covariances."""
-    values = imu_values(state.attitude[None], state.angular_velocity[None])[0]
-    return IMU.encode(state.time_ns, body_frame, values)
+def imu(time_ns: int, body_frame: str, state: State, errors: ImuErrors = _NO_ERRORS) -> bytes:
+    """Return an Imu with a stamp, with what an IMU measures of a state; see `imu_values`."""
+    values = imu_values(np.array([time_ns]), state.attitude[None], state.angular_velocity[None],
+                        errors)
+    return IMU.encode(time_ns, body_frame, values[0])
 
 
-def imu_values(attitude: Floats, angular_velocity: Floats) -> Floats:
-    """Return the doubles of Imu messages, (n, 37), for attitudes (n, 4) and body rates (n, 3)."""
+def imu_values(stamps_ns: NDArray[np.int64], attitude: Floats, angular_velocity: Floats,
+               errors: ImuErrors = _NO_ERRORS) -> Floats:
+    """
+    Return the doubles of Imu messages with attitude and body rates, and no acceleration.
+
+    Parameters
+    ----------
+    stamps_ns, attitude, angular_velocity : array
+        As for `ImuErrors.measured`.
+    errors : ImuErrors
+        Covariances are those of its noise. Without noise they are zero, which means unknown.
+
+    Returns
+    -------
+    array, shape (n, 37)
+
+    """
     values = np.zeros((len(attitude), IMU.doubles))
-    values[:, 0:4], values[:, 13:16] = attitude, angular_velocity
+    values[:, 0:4], values[:, 13:16] = errors.measured(stamps_ns, attitude, angular_velocity)
+    values[:, 4:13:4], values[:, 16:25:4] = errors.attitude_variance, errors.rate_variance
     values[:, 28] = -1.0  # linear_acceleration_covariance[0]: no measurement
     return values
 

@@ -22,7 +22,7 @@ from typing import Any
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.runtime.parameters import BIG, checked, Parameter, TINY
-from rigid_body_ros.scene import fields
+from rigid_body_ros.scene import fields, sensors
 
 _MOMENT = 'moment of inertia about the centre of mass, body axes'
 _PRODUCT = 'off-diagonal entry of the inertia tensor, with the sign of the matrix as in URDF'
@@ -95,6 +95,7 @@ PARAMETERS = {parameter.name: parameter for parameter in (
               'empty: none'),
     Parameter('stale_after', 1.0, 's', 'a source whose torque acts, and that has sent none for '
               'longer, is a warning in diagnostics and in the log; 0: never', (0.0, LONGEST)),
+    *sensors.PARAMETERS,
     Parameter('publish_clock', False, '', 'lockstep: publish the time of each state on /clock'),
     Parameter('publish_tf', False, '', 'publish the attitude on /tf as well (needs tf2_msgs)'),
     Parameter('publish_rate', 100.0, 'Hz', 'rate at which the motion is published; may change '
