@@ -86,8 +86,8 @@ PUBLISHED = [
           'Attitude and angular velocity with one stamp, with the errors that `imu.*` states; no '
           'acceleration (`linear_acceleration_covariance[0]` is -1); in the body frame.'),
     Topic('odometry', ODOMETRY, STATE,
-          'Attitude and angular velocity, at position zero, for rviz and controllers; space frame '
-          'to body frame.'),
+          'Attitude and angular velocity, at position zero, for rviz and controllers, with the '
+          'covariances that `odometry.*` states; space frame to body frame.'),
     Topic('~/accepted_torque', WRENCH, LOG,
           'Every accepted torque, about the centre of mass, with the stamp from which it acts. '
           'Together with the scene it is the log of the run. Each epoch, the first of a process '
@@ -366,6 +366,12 @@ stamps, and an epoch that begins again at the same stamps repeats it. To achieve
 The covariances of `imu/data` are those of the noise: on the diagonals `imu.attitude_noise`^2 and
 N^2 * 100 Hz. The bias is not in them, because it is no noise: estimators have a state for it.
 Without noise they are zero, which means unknown.
+
+`odometry` is exact. For estimators, which need covariances, `odometry.attitude_variance` and
+`odometry.rate_variance` put a variance on the diagonals: of the attitude, in the pose, and of the
+angular velocity, in the twist (body axes). Position and linear velocity, which are always zero,
+then have the variance 1e6 (m^2, m^2/s^2), so that no estimator trusts them. `~/committed` has no
+covariances.
 
 ### Inertia from robot_state_publisher
 

@@ -280,6 +280,8 @@ ORIENTATION = slice(3, 7)
 ANGULAR_VELOCITY = slice(46, 49)
 #: Position of the mass and the centre of mass in the doubles of an InertiaStamped.
 MASS_AND_CENTRE = slice(0, 4)
+#: m^2 and m^2/s^2; the variance of a position and a linear velocity that nobody has measured.
+_UNKNOWN = 1e6
 _NO_ERRORS = ImuErrors()
 #: Positions of ixx, iyy, izz, ixy, ixz, iyz.
 _ENTRIES = [4, 7, 9, 5, 6, 8]
@@ -390,11 +392,20 @@ def wrench_frame(frame_id: str, body_frame: str, space_frame: str,
     return axes, links.of_body(body_frame) if axes == 'body' else None
 
 
-def odometry(state: State, space_frame: str, body_frame: str) -> bytes:
-    """Return an Odometry at the origin with the attitude and the body rates of a state."""
+def odometry(state: State, space_frame: str, body_frame: str, attitude_variance: float = 0.0,
+             rate_variance: float = 0.0) -> bytes:
+    """
+    Return an Odometry at the origin with the attitude and the body rates of a state.
+
+    A variance other than 0, rad^2 or rad^2/s^2, is on the diagonal of its covariance. Position and
+    linear velocity, which are no estimates, then have one of 1e6 m^2 or m^2/s^2.
+    """
     values = np.zeros(ODOMETRY.doubles)
     values[ORIENTATION] = state.attitude
     values[ANGULAR_VELOCITY] = state.angular_velocity
+    for first, variance in ((7, attitude_variance), (49, rate_variance)):
+        if variance:
+            values[first:first + 36:7] = 3 * (_UNKNOWN,) + 3 * (variance,)
     return ODOMETRY.encode(state.time_ns, space_frame, values, body_frame)
 
 

@@ -150,6 +150,18 @@ def test_the_covariances_are_those_of_the_noise():
         np.testing.assert_allclose(found.var(axis=0), np.diag(stated), rtol=0.05)
 
 
+def test_odometry_states_variances_of_what_it_measures():
+    state = scene.load(CONFIG / 'tumbler.yaml').start
+    values = messages.ODOMETRY.decode(messages.odometry(state, 'w', 'b', 1e-4, 2e-6)).values
+    np.testing.assert_array_equal(values[7:43].reshape(6, 6),
+                                  np.diag([1e6, 1e6, 1e6, 1e-4, 1e-4, 1e-4]))
+    np.testing.assert_array_equal(values[49:].reshape(6, 6),
+                                  np.diag([1e6, 1e6, 1e6, 2e-6, 2e-6, 2e-6]))
+    values[7:43] = values[49:] = 0.0
+    plain = messages.ODOMETRY.decode(messages.odometry(state, 'w', 'b')).values
+    np.testing.assert_array_equal(plain, values)
+
+
 def replayed(tmp_path, keys, **options):
     """Return the motion and the IMU data that a replay of the tumbler writes."""
     loaded = scene.load(CONFIG / 'tumbler.yaml')
@@ -199,7 +211,7 @@ def test_a_late_imu_has_the_motion_from_before_its_stamp(tmp_path, rate):
 
 @pytest.mark.parametrize(('key', 'value'), [
     ('imu.gyro_noise_density', -1e-3), ('imu.attitude_noise', 4.0), ('imu.delay', -0.1),
-    ('imu.seed', -1)])
+    ('imu.seed', -1), ('odometry.rate_variance', -1.0)])
 def test_impossible_errors_are_refused(key, value):
     with pytest.raises(InputError, match=f'{key}: expected .*found {value}'):
         Scene.from_values({**MOMENTS, key: value})

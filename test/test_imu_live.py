@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The errors of imu/data that a node publishes."""
+"""The errors of imu/data, and the covariances of odometry, that a node publishes."""
 
 from conftest import SECOND
 from live import TUMBLER
@@ -29,6 +29,7 @@ pytestmark = pytest.mark.ros
 ERRORS = [word for key, value in {
     'imu.gyro_noise_density': 2e-3, 'imu.gyro_random_walk': 1e-3, 'imu.gyro_bias.x': 0.01,
     'imu.attitude_noise': 3e-3, 'imu.delay': 0.05, 'imu.seed': 7,
+    'odometry.attitude_variance': 1e-4, 'odometry.rate_variance': 2e-6,
 }.items() for word in ('-p', f'{key}:={value}')]
 #: The IMU measures states from before the time at which torques are too late.
 LOCKSTEP = ('-p', 'mode:=lockstep', '-p', 'step:=0.02', '-p', 'history:=0.02',
@@ -99,3 +100,6 @@ def test_in_real_time_the_noise_is_that_of_the_stamp(tmp_path, domain):
         at=np.maximum(stamps_ns - run.imu.delay_ns, run.start.time_ns))
     np.testing.assert_array_equal([*live.imu.values()], messages.imu_values(
         stamps_ns, motion.attitude, motion.angular_velocity, run.imu))
+    stated = np.array([*live.odometry.values()])
+    np.testing.assert_array_equal(stated[:, 7:43:7], [[1e6] * 3 + [1e-4] * 3] * len(stated))
+    np.testing.assert_array_equal(stated[:, 49::7], [[1e6] * 3 + [2e-6] * 3] * len(stated))

@@ -65,7 +65,7 @@ class Publishers:
         self._node, self._diagnostics = node, diagnostics
         space, body, sequence = scene.space_frame, scene.body_frame, scene.euler_sequence
         self._frames = {'body': body, 'space': space}
-        imu = scene.imu
+        imu, variances = scene.imu, scene.odometry_variances
         #: The publisher of each topic, and how it encodes the two states of a snapshot.
         self._states: list[tuple[Publisher, Callable[[State, State], bytes]]] = [
             (self._publisher(QuaternionStamped, 'attitude'), lambda state, _: (
@@ -78,7 +78,7 @@ class Publishers:
             (self._publisher(Imu, 'imu/data'), lambda state, sensed: (
                 messages.imu(state.time_ns, body, sensed, imu))),
             (self._publisher(Odometry, 'odometry'), lambda state, _: (
-                messages.odometry(state, space, body)))]
+                messages.odometry(state, space, body, *variances)))]
         if scene.wheels:
             self._states.append((
                 self._publisher(Vector3Stamped, 'rotor_momentum'), lambda state, _: (

@@ -47,7 +47,7 @@ from rigid_body_ros.scene.parameters import (
     parameters_with,
     QOS,
 )
-from rigid_body_ros.scene.sensors import imu_of
+from rigid_body_ros.scene.sensors import imu_of, odometry_variances
 
 #: The name of the node whose parameters a scene file has.
 NODE = 'attitude_node'
@@ -131,6 +131,11 @@ class Scene:
     def imu(self) -> ImuErrors:
         """Return the errors of the IMU."""
         return imu_of(self.values)
+
+    @property
+    def odometry_variances(self) -> tuple[float, float]:
+        """Return the variances of attitude and angular velocity that odometry states."""
+        return odometry_variances(self.values)
 
     @property
     def options(self) -> Options:

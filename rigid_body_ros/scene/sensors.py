@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The parameters of the errors of an IMU."""
+"""The parameters of the errors of an IMU, and of the covariances of odometry."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from rigid_body_ros.runtime.parameters import Parameter
 
 _FAST = 1e9
 _GYRO_BIAS = 'imu.gyro_bias'
+_ATTITUDE, _RATE = 'odometry.attitude_variance', 'odometry.rate_variance'
 PARAMETERS = (
     Parameter('imu.gyro_noise_density', 0.0, 'rad/s/sqrt(Hz)', 'density of the white noise of the '
               'angular velocity in imu/data', (0.0, _FAST)),
@@ -38,6 +39,10 @@ PARAMETERS = (
               'the start state', (0.0, 3600.0)),
     Parameter('imu.seed', 0, '', 'seed of the noise in imu/data, which is a function of seed and '
               'stamp', (0, 2 ** 63 - 1)),
+    Parameter(_ATTITUDE, 0.0, 'rad^2', 'variance of the attitude about each axis that odometry '
+              'states; 0: unknown', (0.0, _FAST)),
+    Parameter(_RATE, 0.0, 'rad^2/s^2', 'variance of each angular velocity that odometry states; '
+              '0: unknown', (0.0, _FAST)),
 )
 
 
@@ -46,3 +51,8 @@ def imu_of(values: Mapping[str, Any]) -> ImuErrors:
     x, y, z = (values[f'{_GYRO_BIAS}.{axis}'] for axis in 'xyz')
     names = 'gyro_noise_density', 'gyro_random_walk', 'attitude_noise', 'delay', 'seed'
     return ImuErrors(gyro_bias=(x, y, z), **{name: values[f'imu.{name}'] for name in names})
+
+
+def odometry_variances(values: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the variances of attitude, rad^2, and angular velocity, rad^2/s^2, of odometry."""
+    return values[_ATTITUDE], values[_RATE]
