@@ -342,8 +342,8 @@ By default `imu/data` is exact. The parameters `imu.*` give it errors; all other
 * `imu.attitude_noise`: a small rotation, another one every millisecond. Each component of its
   rotation vector in body axes has this standard deviation.
 * `imu.delay`: the motion from this long before the stamp, as of a driver that stamps on arrival;
-  in the first moments, the start state. `clock_offset` of [attitude_identify](identify.md) finds
-  it.
+  in the first moments, the start state. [attitude_identify](identify.md) finds it, as a negative
+  `clock_offset`.
 
 N and K are the numbers of data sheets. The Allan deviation of the angular velocity is N / sqrt(T)
 for short and K * sqrt(T / 3) for long averaging times T.
