@@ -15,7 +15,8 @@
 """
 ROS messages as bytes: the only package with message fields, CDR and message definitions.
 
-`kinds` has the types and `definitions` their text. `contents` converts states and torques.
+`kinds` has the types and `definitions` their text; `joints` has the type whose lists have names.
+`contents` converts states and torques.
 """
 
 from rigid_body_ros.messages.contents import (
@@ -36,6 +37,15 @@ from rigid_body_ros.messages.contents import (
     transform_values,
     wrench,
     wrench_frame,
+)
+from rigid_body_ros.messages.joints import (
+    decoded_joints,
+    encoded_joints,
+    joint_commands,
+    joint_states,
+    joint_values,
+    JointCommands,
+    JointState,
 )
 from rigid_body_ros.messages.kinds import (
     BARE_WRENCH,
@@ -62,6 +72,7 @@ __all__ = [
     'ANGULAR_VELOCITY', 'BARE_WRENCH', 'BLUE_ARROW', 'BOX', 'IMU', 'INERTIA', 'LAST_NS',
     'MASS_AND_CENTRE', 'ODOMETRY', 'ORANGE_ARROW', 'ORIENTATION', 'POSE', 'POSE_WITH_COVARIANCE',
     'QUATERNION', 'TRANSFORM', 'TRANSFORM_STAMPED', 'TYPES', 'VECTOR3', 'WRENCH',
-    'MessageType', 'Stamped', 'epoch_marker', 'epoch_start', 'imu', 'imu_values', 'inertia',
-    'inertia_entries', 'is_epoch_marker', 'odometry', 'torque', 'torque_frame', 'transform',
-    'transform_values', 'wrench', 'wrench_frame']
+    'JointCommands', 'JointState', 'MessageType', 'Stamped', 'decoded_joints', 'encoded_joints',
+    'epoch_marker', 'epoch_start', 'imu', 'imu_values', 'inertia', 'inertia_entries',
+    'is_epoch_marker', 'joint_commands', 'joint_states', 'joint_values', 'odometry', 'torque',
+    'torque_frame', 'transform', 'transform_values', 'wrench', 'wrench_frame']

@@ -47,6 +47,8 @@ FIELDS = {
                        'float64[9] angular_velocity_covariance\n'
                        'geometry_msgs/Vector3 linear_acceleration\n'
                        'float64[9] linear_acceleration_covariance\n',
+    'sensor_msgs/JointState': 'std_msgs/Header header\nstring[] name\nfloat64[] position\n'
+                              'float64[] velocity\nfloat64[] effort\n',
     'tf2_msgs/TFMessage': 'geometry_msgs/TransformStamped[] transforms\n',
     'nav_msgs/Odometry': 'std_msgs/Header header\nstring child_frame_id\n'
                          'geometry_msgs/PoseWithCovariance pose\n'
@@ -81,6 +83,8 @@ HASHES = {name: f'RIHS01_{digits}' for name, digits in {
     'geometry_msgs/msg/InertiaStamped':
         '766be45976252babf7f9d8ac4ae7c912a7ceccf71035622529f27518b695aa09',
     'sensor_msgs/msg/Imu': '7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b',
+    'sensor_msgs/msg/JointState':
+        'a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e',
     'nav_msgs/msg/Odometry': '3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0',
     'tf2_msgs/msg/TFMessage': 'e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087',
     'visualization_msgs/msg/Marker':
