@@ -59,6 +59,7 @@ setup(
         f'attitude_identify = {NAME}.commands.main:attitude_identify',
         f'attitude_lifecycle_node = {NAME}.commands.main:attitude_lifecycle_node',
         f'attitude_node = {NAME}.commands.main:attitude_node',
+        f'attitude_regress = {NAME}.commands.main:attitude_regress',
         f'attitude_replay = {NAME}.commands.main:attitude_replay',
         f'attitude_tradeoff = {NAME}.commands.main:attitude_tradeoff',
     ]},

@@ -19,20 +19,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
+from types import ModuleType
 
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.runtime import interrupts
 
 
-def _run(command: str, module: str, arguments: Sequence[str] | None) -> int:
+def imported(command: str, module: str) -> ModuleType:
+    """Return a module of the node; raise InputError if ROS is not installed."""
     try:
-        main = import_module(module).main
+        found = import_module(module)
     except ModuleNotFoundError as error:
         raise InputError(f"{command} needs ROS 2, but the module '{error.name}' is not "
                          'installed: source a ROS 2 installation, or run '
                          'pip install "rigid_body_ros[ros]"') from error
     interrupts.check()  # the import takes long
-    main(arguments)
+    return found
+
+
+def _run(command: str, module: str, arguments: Sequence[str] | None) -> int:
+    imported(command, module).main(arguments)
     return 0
 
 

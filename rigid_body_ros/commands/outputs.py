@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 #: Options that name recordings, options that name files of any kind, and the suffixes of outputs.
 _RECORDINGS = 'input', 'recording', 'motion'
-_PATHS = *_RECORDINGS, 'scene', 'ensemble', 'vary', 'output', 'json', 'plot', 'report'
+_PATHS = *_RECORDINGS, 'reference', 'scene', 'ensemble', 'vary', 'output', 'json', 'plot', 'report'
 _SUFFIXES = {'json': '.json', 'plot': '.png', 'report': '.html'}
 
 

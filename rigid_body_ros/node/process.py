@@ -23,13 +23,12 @@ from pathlib import Path
 import sys
 
 import rclpy
-from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.node.attitude_node import AttitudeNode
-from rigid_body_ros.node.spinning import spin
+from rigid_body_ros.node.spinning import executor_of, spin
 
 
 def main(arguments: Sequence[str] | None = None, kind: type[Node] = AttitudeNode,
@@ -45,17 +44,9 @@ def main(arguments: Sequence[str] | None = None, kind: type[Node] = AttitudeNode
     """
     try:
         _initialize(sys.argv if arguments is None else [command, *arguments], command)
-        spin(_executor(), kind())
+        spin(executor_of(), kind())
     finally:
         rclpy.try_shutdown()
-
-
-def _executor() -> Executor:
-    try:  # takes half the processor time per message
-        from rclpy.experimental import EventsExecutor
-    except ImportError:  # before Jazzy
-        return SingleThreadedExecutor()
-    return EventsExecutor()
 
 
 def _initialize(command_line: Sequence[str], command: str) -> None:

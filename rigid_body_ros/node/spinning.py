@@ -20,12 +20,22 @@ from collections.abc import Callable
 import gc
 import signal
 
-from rclpy.executors import Executor
+from rclpy.context import Context
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rigid_body_ros.runtime import interrupts
 
 #: s; period of the check for signals.
 _SIGNAL_PERIOD = 0.1
+
+
+def executor_of(context: Context | None = None) -> Executor:
+    """Return the executor that takes the least processor time per message."""
+    try:  # half of that of the other
+        from rclpy.experimental import EventsExecutor
+    except ImportError:  # before Jazzy
+        return SingleThreadedExecutor(context=context)
+    return EventsExecutor(context=context)
 
 
 def spin(executor: Executor, node: Node, is_done: Callable[[], bool] = lambda: False) -> None:

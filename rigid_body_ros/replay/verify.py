@@ -18,21 +18,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-import json
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros import messages, recording
 from rigid_body_ros.common.arrays import Floats
-from rigid_body_ros.common.errors import InputError, shortened
+from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.recording import Logged, Source, Topics
 from rigid_body_ros.replay.epochs import groups
 from rigid_body_ros.report.text import lines
-from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
+from rigid_body_ros.runtime.fingerprint import NAME, other_versions
 from rigid_body_ros.runtime.terminal import progress
 from rigid_body_ros.scene import Scene
 
@@ -141,7 +140,7 @@ def verify(path: str | Path, scene: Scene, motion_path: str | Path,
     same, angles = (np.concatenate(each) for each in zip(*compared))
     is_node = epochs[0].is_epoch
     return Verified(source.topic, np.concatenate([stamps_ns for _, stamps_ns, _ in parts]), same,
-                    angles, _different_versions(made_by), len(epochs) if is_node else 0,
+                    angles, other_versions(made_by), len(epochs) if is_node else 0,
                     sum(len(stamps_ns) > 0 for _, stamps_ns, _ in parts) if is_node else 0,
                     sum(_pending(one, stamps_ns, until_ns) for one, stamps_ns, _ in parts)
                     if is_node and is_state else 0)
@@ -264,15 +263,3 @@ def _epochs(result: Verified) -> str:
     pending = f'; {result.pending} torque{" has" if one else "s have"} no committed state' \
         if result.pending else ''
     return f' in {part}{result.epochs} epoch{"s" * (result.epochs > 1)}{pending}'
-
-
-def _different_versions(made_by: dict[str, str]) -> dict[str, tuple[str, str]]:
-    here = fingerprint()
-    try:
-        there = json.loads(made_by.get('fingerprint', '{}'))
-    except (ValueError, RecursionError):
-        there = None
-    if not isinstance(there, dict):
-        return {name: ('unknown', version) for name, version in here.items()}
-    return {name: (shortened(str(there[name]), 100), version) for name, version in here.items()
-            if name in there and there[name] != version}

@@ -16,10 +16,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import hashlib
 from importlib.metadata import PackageNotFoundError, version
+import json
 from pathlib import Path
 
+from rigid_body_ros.common.errors import shortened
 from rigid_body_ros.engine.binding import kernels_hash, LEVEL
 
 NAME = 'rigid_body_ros'
@@ -33,6 +36,23 @@ def fingerprint() -> dict[str, str]:
     """
     return {**{package: _version(package) for package in (NAME, 'numpy')},
             'kernels': kernels_hash()[:12]}
+
+
+def other_versions(made_by: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    """
+    Return, by package, the version that made a recording and the one in use, if they differ.
+
+    `made_by` is the metadata of the recording.
+    """
+    here = fingerprint()
+    try:
+        there = json.loads(made_by.get('fingerprint', '{}'))
+    except (ValueError, RecursionError):
+        there = None
+    if not isinstance(there, dict):
+        return {name: ('unknown', version) for name, version in here.items()}
+    return {name: (shortened(str(there[name]), 100), version) for name, version in here.items()
+            if name in there and there[name] != version}
 
 
 def build_info() -> dict[str, str]:

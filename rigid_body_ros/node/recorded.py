@@ -1,0 +1,206 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A node in lockstep that keeps its own log, for a command that runs a closed loop."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+import time
+from types import TracebackType
+from typing import NamedTuple
+
+from nav_msgs.msg import Odometry
+import rclpy
+from rclpy.logging import LoggingSeverity
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rigid_body_ros import messages, recording
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.node.attitude_node import AttitudeNode
+from rigid_body_ros.node.sources import BODY, sources_of, TorqueTopic
+from rigid_body_ros.node.spinning import executor_of
+from rigid_body_ros.runtime.fingerprint import fingerprint, NAME
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.scene.parameters import LOCKSTEP
+
+_COMMITTED = '~/committed'
+#: Nothing is lost, however long the node computes.
+_QOS = QoSProfile(depth=100_000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+#: s; how long to wait for the end of the log, and how often to look.
+_PATIENCE, _PERIOD = 5.0, 0.02
+
+
+class _Logged(NamedTuple):
+    stamp_ns: int
+    data: bytes
+
+
+class RecordedNode:
+    """
+    The node of a scene in lockstep, in the domain of the environment; a context manager.
+
+    A checkpoint is neither read nor written.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._context = rclpy.Context()
+        # No files; warnings about the scene are the command's.
+        rclpy.init(args=['--ros-args', '--log-level', 'error', '--disable-external-lib-logs'],
+                   context=self._context)
+        try:
+            self._start()
+        except BaseException:
+            rclpy.shutdown(context=self._context)
+            raise
+
+    def _start(self) -> None:
+        scene = self._scene
+        parameters = scene.parameters
+        given = {name: value for name, value in scene.values.items()
+                 if value != parameters[name].default}
+        given.update(mode=LOCKSTEP, checkpoint='')
+        self._node = AttitudeNode(context=self._context, parameter_overrides=[
+            Parameter(name, value=value) for name, value in given.items()])
+        self._node.get_logger().set_level(LoggingSeverity.WARN)
+        self._listener = rclpy.create_node('attitude_regress', context=self._context)
+        self._logs = {source.log: source for source in sources_of(scene)}
+        #: By log, the messages of the present epoch.
+        self._received: dict[str, list[_Logged]] = {name: [] for name in (*self._logs, _COMMITTED)}
+        #: By log, its full name; the node does not resolve names when it has ended.
+        self._names = {name: self._node.resolve_topic_name(name) for name in self._received}
+        self._topics = [self._node.resolve_topic_name(source.topic)
+                        for source in self._logs.values()]
+        self._states = self._node.resolve_topic_name('odometry')
+        self._elapsed_ns: dict[str, int] = {}
+        # No executor: what it had queued would outlive the node.
+        self._subscriptions = {name: self._listener.create_subscription(
+            source.kind if (source := self._logs.get(name)) else Odometry, self._names[name],
+            lambda data: None, _QOS, raw=True) for name in self._received}
+        self._executor = executor_of(self._context)
+        self._executor.add_node(self._node)
+
+    def __enter__(self) -> RecordedNode:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._listener.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    @property
+    def elapsed_ns(self) -> dict[str, int]:
+        """Return the time from the start to the newest torque of each log with torques, ns."""
+        return dict(self._elapsed_ns)
+
+    @property
+    def unpublished(self) -> list[str]:
+        """Return the topics of torques that no node publishes."""
+        return [topic for topic in self._topics if not self._listener.count_publishers(topic)]
+
+    @property
+    def has_rival(self) -> bool:
+        """Return whether another node publishes the states, too."""
+        return self._listener.count_publishers(self._states) > 1
+
+    def spin(self, seconds: float) -> None:
+        """Run the node for this time, s."""
+        until = time.monotonic() + seconds
+        while (rest := until - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=rest)
+        self._take()
+
+    def _take(self) -> None:
+        """Take all messages that wait."""
+        for name, subscription in self._subscriptions.items():
+            with subscription.handle:
+                while taken := subscription.handle.take_message(subscription.msg_type, True):
+                    self._keep(name, taken[0])
+
+    def _keep(self, name: str, data: bytes) -> None:
+        source, received = self._logs.get(name), self._received[name]
+        stamp_ns, frame_id, *_ = _message_type(source).decode(data)
+        if messages.is_epoch_marker(frame_id):
+            received.clear()
+            self._elapsed_ns.pop(_base(name), None)
+        elif source and source.number != BODY:
+            self._elapsed_ns[_base(name)] = max(self._elapsed_ns.get(_base(name), 0),
+                                                stamp_ns - received[0].stamp_ns)
+        received.append(_Logged(stamp_ns, data))
+
+    def finish(self) -> None:
+        """
+        End the node, so that it commits its last states.
+
+        Raises
+        ------
+        InputError
+            A state is missing.
+
+        """
+        self._executor.shutdown()
+        self._node.destroy_node()
+        until = time.monotonic() + _PATIENCE
+        self._take()
+        while (pending := self._pending()) and time.monotonic() < until:
+            time.sleep(_PERIOD)
+            self._take()
+        if pending:
+            raise InputError(f'expected a committed state at each torque, found none at '
+                             f'{len(pending)} of them, the first at {min(pending)} ns; choose a '
+                             'shorter history in the scene')
+
+    def _pending(self) -> set[int]:
+        """Return the stamps of the present epoch without a committed state."""
+        due, final = ({one.stamp_ns for name in names for one in self._received[name]}
+                      for names in (self._logs, [_COMMITTED]))
+        return due - final
+
+    def write(self, path: str | Path, last_ns: int) -> None:
+        """Write the log of the present epoch, up to this time after the start, to a recording."""
+        start_ns = next(found[0].stamp_ns for name, found in self._received.items()
+                        if name in self._logs)
+        with recording.Writer(path) as writer:
+            writer.add_metadata(NAME, {'fingerprint': json.dumps(fingerprint()),
+                                       'scene': json.dumps(dict(self._scene.values))})
+            for name, found in self._received.items():
+                topic = self._names[name]
+                writer.add_topic(topic, _message_type(self._logs.get(name)))
+                first = 0
+                if name == _COMMITTED:  # it has no markers: the last start begins the epoch
+                    stamps = [one.stamp_ns for one in found]
+                    first = len(stamps) - 1 - stamps[::-1].index(start_ns)
+                for one in found[first:]:
+                    if one.stamp_ns <= start_ns + last_ns:
+                        writer.write(topic, one.stamp_ns, one.data)
+
+
+def _base(name: str) -> str:
+    return name.removeprefix('~/')
+
+
+def _message_type(source: TorqueTopic | None) -> messages.MessageType:
+    """Return the type of the log of a source, or of the states."""
+    if source is None:
+        return messages.ODOMETRY
+    return messages.INERTIA if source.number == BODY else messages.WRENCH

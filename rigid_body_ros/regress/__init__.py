@@ -1,0 +1,29 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Run a controller again in lockstep, and compare its closed loop with a recorded one.
+
+`domain` reserves a ROS domain, `controller` runs a command in it, and `node_process` a node that
+the caller passes. `session` lets both run and records the loop. `loop` reads what was recorded,
+`differences` compares two loops, `regression` decides which to compare, and `page` shows them.
+"""
+
+from rigid_body_ros.regress.differences import Differences, differences
+from rigid_body_ros.regress.loop import Loop, read, Samples
+from rigid_body_ros.regress.regression import compare, Regression, update
+from rigid_body_ros.regress.session import Session, Span
+
+__all__ = ['Differences', 'Loop', 'Regression', 'Samples', 'Session', 'Span', 'compare',
+           'differences', 'read', 'update']

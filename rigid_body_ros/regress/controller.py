@@ -1,0 +1,121 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The command of a controller, with all processes that it starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import os
+from pathlib import Path
+import signal
+import subprocess
+import tempfile
+import time
+from types import TracebackType
+
+from rigid_body_ros.common.errors import InputError, printable, reason
+
+#: s; from SIGINT, as Ctrl-C sends it, to SIGKILL.
+_GRACE = 3.0
+_PERIOD = 0.02
+#: Number of lines, and of characters in each, that are shown of the output.
+_LINES, _WIDTH = 20, 200
+
+
+class Controller:
+    """
+    A command in a session of its own, which ends with the context.
+
+    Parameters
+    ----------
+    words : sequence of str
+        The command and its arguments.
+
+    Raises
+    ------
+    InputError
+        The command cannot be started.
+
+    """
+
+    def __init__(self, words: Sequence[str]) -> None:
+        self.words = words
+        # A file: a pipe that is not read would block the command.
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115 (`__exit__` closes it)
+        try:
+            self._process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=self._output,
+                                             stderr=subprocess.STDOUT, start_new_session=True)
+        except (OSError, ValueError) as error:
+            self._output.close()
+            raise InputError(f'{words[0]}: cannot be started: {reason(error)}') from error
+
+    def __enter__(self) -> Controller:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.end()
+        self._output.close()
+
+    @property
+    def status(self) -> int | None:
+        """Return the exit status, minus the number of a signal, or None while it runs."""
+        return self._process.poll()
+
+    @property
+    def output(self) -> list[str]:
+        """Return the last lines that the command printed."""
+        # The command writes at the shared file position; pread does not move it.
+        descriptor = self._output.fileno()
+        size = os.fstat(descriptor).st_size
+        wanted = _LINES * _WIDTH
+        text = os.pread(descriptor, wanted, max(0, size - wanted)).decode(errors='replace')
+        return [printable(line[:_WIDTH]) for line in text.splitlines()[-_LINES:]]
+
+    def end(self) -> None:
+        """End the command and every process that it has started, as Ctrl-C or else by force."""
+        until = time.monotonic() + _GRACE
+        self._send(signal.SIGINT)
+        while self._alive() and time.monotonic() < until:
+            time.sleep(_PERIOD)
+        while self._alive():
+            self._send(signal.SIGKILL)
+            time.sleep(_PERIOD)
+
+    def _alive(self) -> bool:
+        return self._process.poll() is None or bool(_members(self._process.pid))
+
+    def _send(self, number: int) -> None:
+        for process in {self._process.pid, *_members(self._process.pid)}:
+            try:
+                # Not the first process once it has ended: its number may be another's.
+                if process != self._process.pid or self._process.poll() is None:
+                    os.kill(process, number)
+            except ProcessLookupError:
+                continue
+
+
+def _members(session: int) -> list[int]:
+    """Return the processes of a session that run; none where there is no /proc."""
+    found = []
+    for stat in Path('/proc').glob('[0-9]*/stat'):
+        try:
+            text = stat.read_text(errors='replace')
+        except OSError:
+            continue  # it has ended
+        state, _, _, number, *_ = text.rpartition(')')[2].split()
+        if int(number) == session and state not in 'ZX':
+            found.append(int(stat.parent.name))
+    return found

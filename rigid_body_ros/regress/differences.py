@@ -1,0 +1,178 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Compare two closed loops torque by torque and state by state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.regress.loop import INERTIA, Loop, NO_SAMPLES, Samples
+from rigid_body_ros.runtime.fingerprint import other_versions
+
+_STATE, _STAMP = 'state', 'stamp'
+
+
+@dataclass(frozen=True, eq=False)
+class Differences:
+    """
+    How a closed loop differs from a reference.
+
+    Attributes
+    ----------
+    torques, states : int
+        Number of stamps that both have: what was compared.
+    same_torques, same_states : int
+        Number of those whose bits are all equal.
+    first_ns : int, optional
+        The first stamp at which a bit differs, or that only one of the two has.
+    first : str
+        What differs there: the log of a torque, 'state', or 'stamp' if only one has it; '' if
+        nothing.
+    missing : int
+        Number of stamps that only one of the two has.
+    torque, attitude, rate : float, optional
+        The largest differences, N m, rad and rad/s; None if there is nothing to compare.
+    start_ns, end_ns : int
+        The times of the first and the last state of the reference.
+    versions : dict
+        By package, the version that made the reference and the one in use, if they differ.
+
+    """
+
+    torques: int
+    states: int
+    same_torques: int
+    same_states: int
+    first_ns: int | None
+    first: str
+    missing: int
+    torque: float | None
+    attitude: float | None
+    rate: float | None
+    start_ns: int
+    end_ns: int
+    versions: dict[str, tuple[str, str]]
+
+    @property
+    def equal(self) -> bool:
+        """Whether all bits are equal."""
+        return self.first_ns is None
+
+    def within(self, tolerance: float | None) -> bool:
+        """Return whether all bits, or else all stamps and, up to a tolerance, rad, attitudes."""
+        if self.equal or tolerance is None:
+            return self.equal
+        return not self.missing and self.attitude is not None and self.attitude <= tolerance
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the facts: names and texts."""
+        span = (self.end_ns - self.start_ns) * 1e-9
+        found = [('compared', f'{self.torques} torques and {self.states} states over {span:.9g} '
+                              's of the loop'),
+                 ('same bits', f'{self.same_torques} of {self.torques} torques, '
+                               f'{self.same_states} of {self.states} states')]
+        if self.missing:
+            found.append(('stamps', f'{self.missing} are those of one of the two loops only'))
+        if self.first_ns is not None:
+            found.append(('first', f'{self._cause} at {self.first_ns} ns, '
+                          f'{(self.first_ns - self.start_ns) * 1e-9:.9g} s after the start'))
+        if self.attitude is not None:
+            torque = '' if self.torque is None else f'torque {self.torque:.2g} N m, '
+            found.append(('largest', f'{torque}attitude {self.attitude:.2g} rad, rate '
+                                     f'{self.rate:.2g} rad/s'))
+        return found + [('made by', f'{name} {there}, here {here}: the last bits may differ')
+                        for name, (there, here) in self.versions.items()]
+
+    @property
+    def _cause(self) -> str:
+        if self.first == _STATE:
+            return 'the state, so the scene or the package differs,'
+        if self.first == _STAMP:
+            return 'a stamp that only one of the two loops has,'
+        log = self.first.removeprefix('accepted_').replace('_', ' ')
+        return f'the {log} at equal states, so the controller differs,'
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the numbers as JSON, with units in their names."""
+        return {'torques': self.torques, 'states': self.states,
+                'first_difference_ns': self.first_ns,
+                'largest': {'torque_N_m': self.torque, 'attitude_rad': self.attitude,
+                            'rate_rad_s': self.rate}}
+
+
+def differences(reference: Loop, loop: Loop) -> Differences:
+    """Return how a loop differs from a reference, up to the last state of the reference."""
+    last_ns = int(reference.states.times_ns[-1])
+    pairs = {name: Pair.of(reference.torques.get(name, NO_SAMPLES).until(last_ns),
+                            loop.torques.get(name, NO_SAMPLES).until(last_ns))
+             for name in {**reference.torques, **loop.torques}}
+    states = Pair.of(reference.states, loop.states.until(last_ns))
+    # A torque acts after its stamp, so a state at the same stamp is the cause.
+    every = {_STATE: states, **pairs}
+    first = {name: pair.first_ns for name, pair in every.items() if pair.first_ns is not None}
+    name = min(first, key=lambda one: first[one], default='')
+    torques = [_largest(pair.reference - pair.found) for key, pair in pairs.items()
+               if key != INERTIA and len(pair.same)]
+    (attitude, rates), (attitude_found, rates_found) = (
+        np.split(values, [4], axis=1) for values in (states.reference, states.found))
+    has_states = len(states.same) > 0
+    first_ns = first.get(name)
+    if name and first_ns in every[name].missing_ns:
+        name = _STAMP
+    return Differences(
+        torques=sum(len(pair.same) for pair in pairs.values()), states=len(states.same),
+        same_torques=sum(int(pair.same.sum()) for pair in pairs.values()),
+        same_states=int(states.same.sum()), first_ns=first_ns, first=name,
+        missing=sum(len(pair.missing_ns) for pair in every.values()),
+        torque=max(torques, default=None),
+        attitude=float(so3.angle_between(attitude, attitude_found).max()) if has_states else None,
+        rate=_largest(rates - rates_found) if has_states else None,
+        start_ns=reference.start.time_ns, end_ns=last_ns,
+        versions=other_versions(reference.made_by))
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """The values of two series at their common stamps, and the first stamp that differs."""
+
+    times_ns: NDArray[np.int64]
+    reference: Floats
+    found: Floats
+    same: NDArray[np.bool_]
+    missing_ns: NDArray[np.int64]
+    first_ns: int | None
+
+    @classmethod
+    def of(cls, reference: Samples, found: Samples) -> Pair:
+        """Return the pair of two series."""
+        times_ns, rows, others = np.intersect1d(
+            reference.times_ns, found.times_ns, assume_unique=True, return_indices=True)
+        values, other_values = (np.ascontiguousarray(samples.values[chosen]) for samples, chosen
+                                in ((reference, rows), (found, others)))
+        same = (values.view(np.int64) == other_values.view(np.int64)).all(axis=1) \
+            & (reference.frames[rows] == found.frames[others])
+        missing_ns = np.setxor1d(reference.times_ns, found.times_ns, assume_unique=True)
+        differing_ns = np.concatenate([times_ns[~same], missing_ns])
+        return cls(times_ns, values, other_values, same, missing_ns,
+                   int(differing_ns.min()) if differing_ns.size else None)
+
+
+def _largest(errors: Floats) -> float:
+    return float(np.linalg.norm(errors, axis=1).max())

@@ -1,0 +1,151 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A recorded closed loop: the torques that a node accepted, and the states that it committed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros import messages, recording
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.recording import Messages
+from rigid_body_ros.runtime.fingerprint import NAME
+
+COMMITTED = 'committed'
+INERTIA = 'accepted_inertia'
+_TORQUE = 'accepted_'
+#: The types of the logs of torques and inertia.
+_KINDS = {kind.name: kind for kind in (messages.WRENCH, messages.INERTIA)}
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """
+    Torques of a topic, or states.
+
+    Attributes
+    ----------
+    times_ns : array of int64, shape (n,)
+        Ascending, each once.
+    values : array, shape (n, d)
+        Torques, N m, (n, 3); states, x y z w and body rates, rad/s, (n, 7); inertias, (n, 6).
+    frames : array of str, shape (n,)
+        The frame of each sample.
+
+    """
+
+    times_ns: NDArray[np.int64]
+    values: Floats
+    frames: NDArray[np.str_]
+
+    def __len__(self) -> int:
+        return len(self.times_ns)
+
+    def until(self, last_ns: int) -> Samples:
+        """Return the samples up to a time."""
+        kept = slice(int(np.searchsorted(self.times_ns, last_ns, 'right')))
+        return Samples(self.times_ns[kept], self.values[kept], self.frames[kept])
+
+
+NO_SAMPLES = Samples(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0, np.str_))
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """
+    The last epoch in the log of a node.
+
+    Attributes
+    ----------
+    start : State
+    torques : dict
+        Samples by the name of their log, such as 'accepted_torque'.
+    states : Samples
+    made_by : dict
+        The metadata of the recording: what determines its last bits.
+    node : str
+        The name of the node, which begins the names of its topics.
+
+    """
+
+    start: State
+    torques: Mapping[str, Samples]
+    states: Samples
+    made_by: Mapping[str, str]
+    node: str
+
+    @property
+    def spans_ns(self) -> dict[str, int]:
+        """Return the time from the start to the last torque of each log that has torques, ns."""
+        return {name: int(samples.times_ns[-1]) - self.start.time_ns
+                for name, samples in self.torques.items() if len(samples) and name != INERTIA}
+
+
+def read(path: str | Path) -> Loop:
+    """
+    Read the last epoch of a loop.
+
+    Raises
+    ------
+    InputError
+        The recording cannot be read, or is not the whole log of one node.
+
+    """
+    logs = [topic for topic in recording.topics(path, [messages.ODOMETRY])
+            if topic.rpartition('/')[2] == COMMITTED]
+    if len(logs) != 1:
+        raise InputError(f'{path}: expected the log of one node, with its topics accepted_torque '
+                         f'and committed, found {listed(logs)}; write one with --update')
+    node = logs[0].rpartition('/')[0]
+    torques, start = {}, None
+    for kind in _KINDS.values():
+        for topic in recording.topics(path, [kind]):
+            name = topic.removeprefix(f'{node}/')
+            if name.startswith(_TORQUE):
+                last = recording.epochs(path, recording.read(path, topic, kind))[-1]
+                torques[name], start = _samples(last, kind), last.start or start
+    if start is None or not any(map(len, torques.values())):
+        raise InputError(f'{path}: expected torques that {node} accepted, found none; write a '
+                         'reference with --update')
+    with recording.Source(path, logs[0], [messages.ODOMETRY]) as source:
+        states = recording.joined(source.topic, source.kind, list(source), source.damage)
+        made_by = source.metadata(NAME)
+    begun = np.flatnonzero(states.stamps_ns == start.time_ns)
+    if not begun.size:
+        raise InputError(f'{path}: {logs[0]}: expected the start state at {start.time_ns} ns, '
+                         'found none: a part of the recording is missing')
+    # Of several states at the start time, the last one begins the last epoch.
+    rows = states.rows(slice(int(begun[-1]), None))
+    return Loop(start, torques, _samples(rows, messages.ODOMETRY), made_by, node)
+
+
+def _samples(found: Messages, kind: messages.MessageType) -> Samples:
+    values = found.values[:, 3:] if kind is messages.WRENCH else \
+        messages.inertia_entries(found.values) if kind is messages.INERTIA else \
+        np.hstack([found.values[:, messages.ORIENTATION],
+                   found.values[:, messages.ANGULAR_VELOCITY]])
+    order = np.argsort(found.stamps_ns, kind='stable')
+    stamps_ns = found.stamps_ns[order]
+    # Of torques with equal stamps, the later one acts.
+    order = order[np.append(np.diff(stamps_ns) != 0, True)[:len(order)]]
+    frames = np.array(found.names, np.str_)[found.frames[order]] if len(order) else \
+        np.empty(0, np.str_)
+    return Samples(found.stamps_ns[order], values[order], frames)

@@ -1,0 +1,178 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+A node in a process of its own.
+
+A process can be ended whatever its node does: threads of the middleware can block each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
+import multiprocessing
+from multiprocessing.connection import Connection
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, Protocol
+
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.runtime import interrupts
+
+#: s; how long the node runs between two looks at the other side.
+_PERIOD = 0.02
+#: s; how long the node may take to end.
+_PATIENCE = 20.0
+#: Sent when the log is written.
+_WRITTEN = 'written'
+
+
+class Node(Protocol):
+    """A node in lockstep that keeps its log."""
+
+    @property
+    def elapsed_ns(self) -> dict[str, int]:
+        """The time from the start to the newest torque of each log that has torques, ns."""
+
+    @property
+    def unpublished(self) -> list[str]:
+        """The topics of torques that no node publishes."""
+
+    @property
+    def has_rival(self) -> bool:
+        """Whether another node publishes the states, too."""
+
+    def spin(self, seconds: float) -> None:
+        """Run the node for this time, s."""
+
+    def finish(self) -> None:
+        """Commit the last states."""
+
+    def write(self, path: str | Path, last_ns: int) -> None:
+        """Write the log, up to this time after the start, to a recording."""
+
+
+class Status(NamedTuple):
+    """What a `Node` reports."""
+
+    elapsed_ns: dict[str, int]
+    unpublished: list[str]
+    has_rival: bool
+
+
+#: Returns a context with a node, in the process that is to run it.
+Start = Callable[[], AbstractContextManager[Node]]
+
+
+class NodeProcess:
+    """
+    The process of a node; a context manager.
+
+    Parameters
+    ----------
+    start : callable
+        It is called in the process.
+
+    Attributes
+    ----------
+    status : Status
+        What the node reported last.
+
+    """
+
+    def __init__(self, start: Start) -> None:
+        self.status = Status({}, [], False)
+        # Spawn, because a fork would copy the locks of threads but not the threads.
+        context = multiprocessing.get_context('spawn')
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs, start), daemon=True)
+        with interrupts.blocked_in_children():
+            self._process.start()
+        theirs.close()  # otherwise the end of the process would go unnoticed
+
+    def __enter__(self) -> NodeProcess:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self._connection.close()
+        if kind:
+            self._process.kill()
+        self._process.join(_PATIENCE)
+        self._process.kill()  # in case it does not respond
+        self._process.join()
+
+    def watch(self, seconds: float) -> None:
+        """
+        Receive what the node reports, for a time, s, at the most.
+
+        Raises
+        ------
+        InputError
+            The node cannot run.
+
+        """
+        while isinstance(found := self._received(seconds), Status):
+            self.status, seconds = found, 0.0
+
+    def write(self, path: str | Path, last_ns: int) -> None:
+        """
+        End the node, and have it write its log up to this time after the start, ns.
+
+        Raises
+        ------
+        InputError
+            The node cannot write it, or does not end.
+
+        """
+        self._connection.send((path, last_ns))
+        while isinstance(found := self._received(_PATIENCE), Status):
+            self.status = found  # sent before
+        if found != _WRITTEN:
+            raise InputError(f'expected the node to end within {_PATIENCE:g} s, found that it '
+                             'hangs')
+
+    def _received(self, seconds: float) -> Status | str | None:
+        """Return the next message, or None if there is none for a time, s."""
+        try:
+            found = self._connection.recv() if self._connection.poll(seconds) else None
+        except (EOFError, OSError):
+            self._process.join()
+            raise InputError('expected a node that runs to the end of the loop, found that its '
+                             f'process ended with status {self._process.exitcode}') from None
+        if isinstance(found, InputError):
+            raise found
+        return found
+
+
+def _serve(connection: Connection, start: Start) -> None:
+    """Run a node, and report, until the other side asks for the log or has exited."""
+    with suppress(KeyboardInterrupt, EOFError, OSError), interrupts.deferred(until_exit=True):
+        try:
+            with start() as node:
+                reported = None
+                while not connection.poll():
+                    node.spin(_PERIOD)
+                    interrupts.check()
+                    status = Status(node.elapsed_ns, node.unpublished, node.has_rival)
+                    if status != reported:
+                        connection.send(status)
+                        reported = status
+                path, last_ns = connection.recv()
+                node.finish()
+                node.write(path, last_ns)
+            connection.send(_WRITTEN)
+        except InputError as error:
+            connection.send(error)

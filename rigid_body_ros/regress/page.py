@@ -1,0 +1,115 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The page that shows two closed loops and their difference."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from rigid_body_ros import recording
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.mechanics import so3
+from rigid_body_ros.regress.differences import Pair
+from rigid_body_ros.regress.loop import INERTIA, Loop, NO_SAMPLES, Samples
+from rigid_body_ros.regress.regression import Regression
+from rigid_body_ros.report import moving_body, style
+from rigid_body_ros.report.charts import Curves, Panel
+from rigid_body_ros.report.page import Page
+from rigid_body_ros.scene import Scene
+
+_WHEELS = 'accepted_wheel_torque'
+
+
+def page(regression: Regression, name: str, scene: Scene, command: str) -> Page:
+    """
+    Return the page.
+
+    Parameters
+    ----------
+    regression : Regression
+        The two loops.
+    name : str
+        Name of the reference.
+    scene : Scene
+        The scene of both.
+    command : str
+        The command line.
+
+    """
+    shown = [('moving body', 'the loop, not the reference')]
+    return Page(f'{name}: closed loop', [*regression.rows(), *shown], [*_panels(regression)],
+                _body(regression, scene), scene.warnings, scene=scene, command=command)
+
+
+def _panels(regression: Regression) -> Iterator[Panel]:
+    reference, loop = regression.reference, regression.loop
+    start_ns, first_ns = reference.start.time_ns, regression.found.first_ns
+    lines = {} if first_ns is None else {'first difference': (first_ns - start_ns) * 1e-9}
+    states = (reference.states, loop.states)
+    turned = Pair.of(*states)
+    errors = so3.log(so3.multiply(so3.conjugate(turned.reference[:, :4]), turned.found[:, :4]))
+    yield _panel('quaternion', '', states, style.QUATERNION, slice(4), start_ns, lines)
+    yield _difference('attitude, body axes', 'rad', turned, errors, start_ns, lines)
+    label = 'angular velocity, body axes'
+    yield _panel(label, 'rad/s', states, style.RATES, slice(4, 7), start_ns, lines)
+    yield _difference(label, 'rad/s', turned, (turned.found - turned.reference)[:, 4:], start_ns,
+                      lines)
+    for name in sorted({*reference.torques, *loop.torques} - {INERTIA}):
+        torques = (reference.torques.get(name, NO_SAMPLES), loop.torques.get(name, NO_SAMPLES))
+        label, pair = name.removeprefix('accepted_').replace('_', ' '), Pair.of(*torques)
+        yield _panel(label, 'N m', torques, style.TORQUES, slice(3), start_ns, lines)
+        yield _difference(label, 'N m', pair, pair.found - pair.reference, start_ns, lines)
+
+
+def _panel(label: str, unit: str, loops: Sequence[Samples], names: Sequence[str], columns: slice,
+           start_ns: int, lines: Mapping[str, float]) -> Panel:
+    """Return a panel with both loops."""
+    return Panel(label, unit, [
+        Curves.thinned(samples.times_ns, samples.values[:, columns],
+                       [f'{name} {which}' for name in names], start_ns, unit == 'N m')
+        for samples, which in zip(loops, ('reference', 'loop')) if len(samples)], lines=lines)
+
+
+def _difference(label: str, unit: str, pair: Pair, errors: Floats, start_ns: int,
+                lines: Mapping[str, float]) -> Panel:
+    """Return a panel with the loop minus the reference, where both have a sample."""
+    names = [name.strip('|') for name in style.ERRORS[1:]]
+    return Panel(f'difference: {label}', unit,
+                 [Curves.thinned(pair.times_ns, errors, names, start_ns)] if len(errors) else [],
+                 lines=lines)
+
+
+def _body(regression: Regression, scene: Scene) -> dict[str, Any]:
+    """Return the motion of the loop, computed again from its torques."""
+    loop = regression.loop
+    problem = recording.read_epochs(regression.path, scene, _topics(loop))[-1].problem
+    step = -(-len(loop.states) // moving_body.MOST)
+    motion = problem.propagate(at=loop.states.times_ns[::step])
+    torque = problem.torque(motion.times_ns, motion.attitude)
+    return moving_body.as_data(problem.body, motion.times_ns, np.hstack([
+        motion.attitude, motion.angular_velocity, torque, motion.rotor_momentum]))
+
+
+def _topics(loop: Loop) -> recording.Topics:
+    """Return the topics of the log of a loop."""
+    def full(name: str) -> str | None:
+        return f'{loop.node}/{name}' if name in loop.torques else None
+    others = _WHEELS, INERTIA
+    torques = sorted((name for name in loop.torques if name not in others),
+                     key=lambda name: (len(name), name))
+    return recording.Topics(tuple(f'{loop.node}/{name}' for name in torques),
+                            full(_WHEELS), inertia=full(INERTIA))

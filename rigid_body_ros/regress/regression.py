@@ -1,0 +1,140 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Compare the loop of a controller with a reference, or make the reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rigid_body_ros.regress.differences import Differences, differences
+from rigid_body_ros.regress.loop import Loop, read
+from rigid_body_ros.regress.session import Session, Span
+from rigid_body_ros.report.text import lines
+
+_CAUSES = 'wall time, random numbers or the order in which its threads run'
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """
+    The loop of a controller, compared with a reference.
+
+    Attributes
+    ----------
+    reference, loop : Loop
+        For a new reference, two runs of the controller.
+    path : Path
+        The recording of the first run.
+    found : Differences
+        Between the two.
+    again : Differences or None
+        Between two runs of the controller, if it ran twice.
+    tolerance : float or None, rad
+        If given, attitudes may differ by this angle.
+
+    """
+
+    reference: Loop
+    loop: Loop
+    path: Path
+    found: Differences
+    again: Differences | None
+    tolerance: float | None
+
+    @property
+    def is_same(self) -> bool:
+        """Return whether the loop is the reference, up to the tolerance."""
+        return self.found.within(self.tolerance)
+
+    @property
+    def verdict(self) -> str:
+        """Return the result in one sentence."""
+        if self.again is not None and not self.again.equal:
+            same = 'within the tolerance, but ' if self.is_same else ''
+            return f'{same}the controller is not reproducible: two runs differ from ' \
+                   f'{self.again.first_ns} ns on; does it use {_CAUSES}?'
+        if self.found.equal:
+            return 'the loop has the same bits'
+        if self.is_same:
+            return f'the loop is the same within {self.tolerance:g} rad'
+        return 'the loop differs from the reference'
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the facts: names and texts."""
+        found = [('result', self.verdict), *self.found.rows()]
+        if self.again is not None and self.again.equal:
+            found.append(('second run', 'has the same bits as the first'))
+        return found
+
+    def text(self) -> str:
+        """Return the facts, one line for each."""
+        return lines(f'{name:14}{text}' for name, text in self.rows())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what --json writes."""
+        return {'equal': self.is_same, **self.found.as_dict()}
+
+
+def compare(session: Session, path: str | Path, folder: Path,
+            tolerance: float | None = None) -> Regression:
+    """
+    Run a controller over the time of a reference, and compare the loops; if they differ, twice.
+
+    Parameters
+    ----------
+    session : Session
+        The controller and its node.
+    path : str or Path
+        The recording of the reference.
+    folder : Path
+        For the recordings of the runs.
+    tolerance : float, optional, rad
+        Attitudes may differ by this angle.
+
+    Raises
+    ------
+    InputError
+        The reference cannot be read, or as for `Session.record`.
+
+    """
+    reference = read(path)
+    span, first = Span.of(reference), folder / 'first.mcap'
+    loop = _recorded(session, first, span)
+    found, again = differences(reference, loop), None
+    if not found.within(tolerance):
+        again = differences(loop, _recorded(session, folder / 'second.mcap', span))
+    return Regression(reference, loop, first, found, again, tolerance)
+
+
+def update(session: Session, span: Span, folder: Path,
+           tolerance: float | None = None) -> Regression:
+    """
+    Run a controller twice, and compare the runs; the first may become a reference.
+
+    Arguments and errors are those of `compare`. The loop is shorter than the span if the
+    controller ends by itself.
+    """
+    first = folder / 'first.mcap'
+    reference = _recorded(session, first, span, may_end=True)
+    loop = _recorded(session, folder / 'second.mcap', Span.of(reference))
+    found = differences(reference, loop)
+    return Regression(reference, loop, first, found, found, tolerance)
+
+
+def _recorded(session: Session, path: Path, span: Span, may_end: bool = False) -> Loop:
+    session.record(path, span, may_end)
+    return read(path)
