@@ -1,0 +1,359 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""attitude_regress: the same bits from the same controller, and one line from one that fails."""
+
+from contextlib import suppress
+import json
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+from conftest import at_night, ROOT, SECOND
+import numpy as np
+import psutil
+import pytest
+import rclpy
+from rigid_body_ros import Propagator, scene
+from rigid_body_ros.commands import main
+from rigid_body_ros.regress import differences, read
+from rigid_body_ros.regress.domain import private_domain
+
+pytestmark = pytest.mark.ros
+SCENE = """
+/**:
+  ros__parameters:
+    inertia: {ixx: 0.045, iyy: 0.120, izz: 0.140, ixy: 0.002, ixz: -0.001, iyz: 0.003}
+    initial_angular_velocity: {x: 0.15, y: 0.60, z: -0.10}
+    step: 0.02
+"""
+STEP_NS, END_NS = SECOND // 50, 2 * SECOND
+CONTROLLER = [sys.executable, str(ROOT / 'scripts' / 'attitude_controller')]
+GAINS = {'proportional_gain': 0.05, 'derivative_gain': 0.12}
+#: Sends torques as fast as it can, in the frame and with the stamp that it is given.
+FLOOD = """
+import sys
+from geometry_msgs.msg import WrenchStamped
+import rclpy
+rclpy.init()
+node = rclpy.create_node('flood')
+publisher = node.create_publisher(WrenchStamped, 'torque', 10)
+torque = WrenchStamped()
+torque.header.frame_id = sys.argv[1]
+torque.header.stamp.sec = 1
+while True:
+    publisher.publish(torque)
+"""
+#: Responds to each state with a torque that no other run has.
+RANDOM = """
+import random
+from geometry_msgs.msg import WrenchStamped
+from nav_msgs.msg import Odometry
+import rclpy
+rclpy.init()
+node = rclpy.create_node('random')
+publisher = node.create_publisher(WrenchStamped, 'torque', 10)
+torques = {}
+def on_state(state):
+    stamp = state.header.stamp
+    torque = WrenchStamped()
+    torque.header.stamp = stamp
+    torque.wrench.torque.x = torques.setdefault((stamp.sec, stamp.nanosec), 1e-6 * random.random())
+    publisher.publish(torque)
+node.create_subscription(Odometry, 'odometry', on_state, 10)
+rclpy.spin(node)
+"""
+#: What no other command on this machine has among its arguments.
+MARK = '98765.4321'
+
+
+def with_gains(**gains):
+    """Return the command of the controller with other gains."""
+    return [*CONTROLLER, '--ros-args', *(word for name, gain in gains.items()
+                                         for word in ('-p', f'{name}:={gain!r}'))]
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory):
+    """Return a folder with a scene, and the reference of the controller."""
+    folder = tmp_path_factory.mktemp('regress')
+    (folder / 'scene.yaml').write_text(SCENE)
+    assert run(folder, '--update', '--duration', '2', command=CONTROLLER) == 0
+    return folder
+
+
+def arguments(folder, *options, command):
+    return [str(folder / 'reference.mcap'), '--scene', str(folder / 'scene.yaml'),
+            *map(str, options), '--', *command]
+
+
+def run(folder, *options, command=CONTROLLER):
+    return main.attitude_regress(arguments(folder, *options, command=command))
+
+
+def loop(**gains):
+    """Return the torques of the loop, closed without ROS."""
+    gains, run = {**GAINS, **gains}, scene.Scene.from_values(
+        {'inertia.ixx': 0.045, 'inertia.iyy': 0.120, 'inertia.izz': 0.140, 'inertia.ixy': 0.002,
+         'inertia.ixz': -0.001, 'inertia.iyz': 0.003, 'initial_angular_velocity.x': 0.15,
+         'initial_angular_velocity.y': 0.60, 'initial_angular_velocity.z': -0.10})
+    propagator, torques = Propagator(run.body, run.start), []
+    for stamp_ns in range(0, END_NS + 1, STEP_NS):
+        state = propagator.at(stamp_ns)
+        *error, real = state.attitude.tolist()
+        towards = -math.copysign(2.0 * gains['proportional_gain'], real)
+        torques.append([towards * angle - gains['derivative_gain'] * rate
+                        for angle, rate in zip(error, state.angular_velocity.tolist())])
+        propagator.apply(stamp_ns, torques[-1])
+    return np.array(torques)
+
+
+def test_a_reference_is_the_loop_that_a_controller_closes(folder):
+    found = read(folder / 'reference.mcap')
+    samples = found.torques['accepted_torque']
+    assert samples.times_ns.tolist() == [*range(0, END_NS + 1, STEP_NS)]
+    assert found.states.times_ns.tolist() == samples.times_ns.tolist()
+    np.testing.assert_array_equal(samples.values, loop())
+    # It is a recording of a node as any other.
+    assert main.attitude_replay([*arguments(folder, command=())[:-1], '--topic',
+                                 '/attitude_node/accepted_torque', '--verify',
+                                 str(folder / 'reference.mcap')]) == 0
+
+
+def test_equal_loops_are_equal(folder, tmp_path, capsys):
+    outputs = '--json', tmp_path / 'result.json', '--report', tmp_path / 'page.html'
+    assert run(folder, *outputs) == 0
+    assert json.loads((tmp_path / 'result.json').read_text()) == {
+        'equal': True, 'torques': 101, 'states': 101, 'first_difference_ns': None,
+        'largest': {'torque_N_m': 0.0, 'attitude_rad': 0.0, 'rate_rad_s': 0.0}}
+    assert 'the loop has the same bits' in capsys.readouterr().out
+    page = (tmp_path / 'page.html').read_text()
+    assert 'difference: attitude, body axes' in page
+    assert str(folder) not in page
+
+
+@pytest.mark.parametrize('name', ['proportional_gain', *at_night('derivative_gain')])
+def test_a_gain_that_is_off_by_one_unit_in_the_last_place_is_found(folder, tmp_path, capsys, name):
+    changed = {name: math.nextafter(GAINS[name], 1.0)}
+    assert run(folder, '--json', tmp_path / 'result.json', command=with_gains(**changed)) == 1
+    result = json.loads((tmp_path / 'result.json').read_text())
+    first = int(np.argmax((loop() != loop(**changed)).any(axis=1)))
+    assert result['first_difference_ns'] == first * STEP_NS
+    assert not result['equal']
+    assert 0.0 < result['largest']['attitude_rad'] < 1e-14
+    out, error = capsys.readouterr()
+    assert 'the torque at equal states, so the controller differs' in out
+    assert 'second run    has the same bits as the first' in out
+    assert error.splitlines() == ['attitude_regress: the loop differs from the reference']
+
+
+@pytest.mark.nightly
+def test_a_tolerance_accepts_what_differs_by_less(folder, tmp_path, capsys):
+    changed = with_gains(proportional_gain=0.05 + 1e-9)
+    assert run(folder, '--tolerance', '1e-6', '--json', tmp_path / 'a.json', command=changed) == 0
+    result = json.loads((tmp_path / 'a.json').read_text())
+    assert result['equal']
+    assert result['first_difference_ns'] is not None
+    assert 'the loop is the same within 1e-06 rad' in capsys.readouterr().out
+    assert run(folder, '--tolerance', '1e-12', command=changed) == 1
+
+
+@pytest.mark.parametrize(('command', 'line'), [
+    (['no-such-command'], 'no-such-command: cannot be started: No such file or directory'),
+    (['sh', '-c', 'echo about; echo to fail >&2; exit 3'],
+     'sh: expected a controller that runs to the end of the loop, found that it ended with exit '
+     'status 3; the node has accepted no torque'),
+    *at_night(
+        (['sh', '-c', 'kill -9 $$'], 'found that it was ended by SIGKILL'),
+        (['true'], 'found that it ended with exit status 0'),
+        ([*CONTROLLER, '--ros-args', '-p', 'stop_after:=1.0'],
+         'exit status 0; its torques reach 0.98 s of the loop'))])
+def test_a_controller_that_dies_is_one_line(folder, capsys, command, line):
+    assert run(folder, command=command) == 2
+    *output, last = capsys.readouterr().err.splitlines()
+    assert last.startswith('attitude_regress: error: ')
+    assert line in last
+    assert [text.strip() for text in output] == (['about', 'to fail'] if 'about' in command[-1]
+                                                 else [])
+
+
+@pytest.mark.parametrize(('command', 'line'), [
+    (['sleep', MARK], 'the node has accepted no torque: nothing publishes /torque'),
+    *at_night(([sys.executable, '-c', FLOOD, ''], 'its torques reach 0 s of the loop'),
+              ([sys.executable, '-c', FLOOD, 'nowhere'], 'the node has accepted no torque'))])
+def test_a_controller_that_is_silent_or_floods_is_one_line(folder, capsys, command, line):
+    begin = time.monotonic()
+    assert run(folder, '--timeout', '3', command=command) == 2
+    assert time.monotonic() - begin < 60.0
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert 'expected the loop to end within --timeout 3 s, found that' in last
+    assert line in last
+    assert not marked()
+
+
+def test_ctrl_c_ends_all_that_was_started(folder, tmp_path):
+    # As `ros2 launch` does, it starts others; and none of them obeys Ctrl-C.
+    started = tmp_path / 'started'
+    command = ['sh', '-c', f'trap "" INT; sleep {MARK} & touch {started}; sleep {MARK}']
+    process = subprocess.Popen([sys.executable, ROOT / 'scripts' / 'attitude_regress',
+                                *arguments(folder, command=command)], stderr=subprocess.PIPE,
+                               text=True)
+    until = time.monotonic() + 60.0
+    while not started.exists():
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 128 + signal.SIGINT
+    assert error == 'attitude_regress: interrupted; no partial output was left\n'
+    assert not marked()
+
+
+def marked():
+    """Return the processes that a test has started, and that still run."""
+    found = []
+    for process in psutil.process_iter():
+        with suppress(psutil.Error):
+            if MARK in ' '.join(process.cmdline()) and process.pid != os.getpid() \
+                    and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process)
+    return found
+
+
+@pytest.mark.nightly
+def test_a_controller_that_starts_from_another_program_is_ended_with_it(folder):
+    command = ['sh', '-c', '"$@" & sleep ' + MARK, 'launch', *CONTROLLER]
+    assert run(folder, command=command) == 0
+    assert not marked()
+
+
+@pytest.mark.nightly
+def test_a_controller_that_is_not_reproducible_is_called_so(folder, tmp_path, capsys):
+    command = [sys.executable, '-c', RANDOM]
+    assert run(folder, command=command) == 1
+    assert 'the controller is not reproducible: two runs differ from' in capsys.readouterr().err
+    (tmp_path / 'scene.yaml').write_text(SCENE)
+    assert run(tmp_path, '--update', '--duration', '1', command=command) == 1
+    assert not (tmp_path / 'reference.mcap').exists()
+    assert run(tmp_path, '--update', '--duration', '1', '--tolerance', '0.1', command=command) == 0
+    assert 'within the tolerance, but the controller is not reproducible' \
+        in capsys.readouterr().out
+    assert (tmp_path / 'reference.mcap').exists()
+
+
+@pytest.mark.nightly
+def test_an_update_takes_the_time_of_the_reference_or_the_end_of_the_controller(tmp_path):
+    (tmp_path / 'scene.yaml').write_text(SCENE)
+    short = [*CONTROLLER, '--ros-args', '-p', 'stop_after:=0.5']
+    assert run(tmp_path, '--update', '--duration', '1', command=short) == 0
+    assert read(tmp_path / 'reference.mcap').spans_ns == {'accepted_torque': 24 * STEP_NS}
+    assert run(tmp_path, command=short) == 0
+    assert run(tmp_path, '--update') == 0
+    assert read(tmp_path / 'reference.mcap').spans_ns == {'accepted_torque': 24 * STEP_NS}
+
+
+@pytest.mark.nightly
+def test_a_second_node_is_refused(folder, capsys):
+    node = [sys.executable, str(ROOT / 'scripts' / 'attitude_node'), '--ros-args', '--params-file',
+            str(folder / 'scene.yaml')]
+    assert run(folder, '--timeout', '30', command=node) == 2
+    assert 'starts a node that publishes odometry, too' in capsys.readouterr().err
+
+
+@pytest.mark.nightly
+def test_twenty_of_twenty_loops_are_equal(folder):
+    assert [run(folder) for _ in range(20)] == [0] * 20
+
+
+@pytest.mark.nightly
+def test_ten_runs_side_by_side_do_not_disturb_each_other(folder, tmp_path):
+    changed = with_gains(proportional_gain=math.nextafter(0.05, 1.0))
+    processes = [subprocess.Popen([
+        sys.executable, ROOT / 'scripts' / 'attitude_regress',
+        *arguments(folder, '--json', tmp_path / f'{number}.json', '--timeout', '300',
+                   command=changed if number % 2 else CONTROLLER)], stdout=subprocess.DEVNULL)
+        for number in range(10)]
+    assert [process.wait() for process in processes] == [0, 1] * 5
+    same, other = ({(tmp_path / f'{number}.json').read_text() for number in range(first, 10, 2)}
+                   for first in (0, 1))
+    assert len(same) == len(other) == 1
+
+
+def test_domains_are_apart_and_the_environment_is_left_alone(monkeypatch):
+    monkeypatch.setenv('ROS_STATIC_PEERS', '192.0.2.1')
+    before = dict(os.environ)
+    with private_domain() as first, private_domain() as second:
+        assert first != second
+        assert os.environ['ROS_DOMAIN_ID'] == str(second)
+        assert 'ROS_STATIC_PEERS' not in os.environ
+    assert dict(os.environ) == before
+    with private_domain() as again:
+        assert again == first
+
+
+def test_a_domain_with_a_node_is_not_taken():
+    with private_domain() as free:
+        pass
+    busy = rclpy.Context()
+    rclpy.init(context=busy, domain_id=free)
+    node = rclpy.create_node('resident', context=busy)
+    try:
+        with private_domain() as taken:
+            assert taken != free
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=busy)
+
+
+def test_a_loop_that_lacks_a_torque_differs_at_its_stamp(folder):
+    reference = read(folder / 'reference.mcap')
+    samples = reference.torques['accepted_torque']
+    rows = np.arange(len(samples)) != 7
+    other = type(reference)(reference.start, {'accepted_torque': type(samples)(
+        samples.times_ns[rows], samples.values[rows], samples.frames[rows])}, reference.states,
+        reference.made_by, reference.node)
+    found = differences(reference, other)
+    assert (found.first_ns, found.first, found.missing) == (7 * STEP_NS, 'stamp', 1)
+    assert not found.within(1.0)
+    assert found.torques == 100
+
+
+@pytest.mark.parametrize(('options', 'line'), [
+    (['a.mcap', '--scene', 'b', '--update'], "expected the command of a controller after '--'"),
+    (['a.mcap', '--scene', 'b', '--duration', '1', '--', 'c'], '--duration: expected --update'),
+    (['a.mcap', '--scene', 'b', '--tolerance', '7', '--', 'c'], 'expected a number from 0 to'),
+    (['a.txt', '--scene', 'b', '--update', '--', 'c'], 'expected a name ending in .mcap'),
+])
+def test_mistakes(tmp_path, monkeypatch, capsys, options, line):
+    monkeypatch.chdir(tmp_path)
+    with suppress(SystemExit):
+        assert main.attitude_regress(options) == 2
+    assert line in capsys.readouterr().err.splitlines()[-1]
+    assert not [*tmp_path.iterdir()]
+
+
+def test_what_is_no_reference(folder, tmp_path, capsys):
+    path = tmp_path / 'reference.mcap'
+    shutil.copy(folder / 'scene.yaml', tmp_path)
+    shutil.copy(ROOT / 'test' / 'recordings' / 'tumbler.mcap', path)
+    assert run(tmp_path) == 2
+    assert 'expected the log of one node, with its topics accepted_torque and committed' \
+        in capsys.readouterr().err
+    path.unlink()
+    assert run(tmp_path, '--update') == 2
+    assert '--duration, found neither' in capsys.readouterr().err
