@@ -28,6 +28,7 @@ from rigid_body_ros import scene
 from rigid_body_ros.commands.compare import compare_parser
 from rigid_body_ros.commands.ensemble import ensemble_parser
 from rigid_body_ros.commands.identify import identify_parser
+from rigid_body_ros.commands.regress import regress_parser
 from rigid_body_ros.commands.replay import replay_parser
 from rigid_body_ros.commands.tradeoff import tradeoff_parser
 from rigid_body_ros.runtime.parameters import limits
@@ -551,6 +552,16 @@ attitude_ensemble --scene FILE --vary FILE --runs N [--recording IN] -o FOLDER
 
 [How sure is my motion?](ensemble.md) describes the file of dispersions and the results.
 
+## attitude_regress
+
+```
+attitude_regress REFERENCE --scene FILE [--update] -- COMMAND [ARGUMENT ...]
+```
+
+{regress}
+
+[Has my controller changed?](regress.md) explains the results, and has a workflow to copy.
+
 ## Exit status
 
 {exits}
@@ -562,10 +573,12 @@ program.
 #: Exit statuses and their meanings.
 EXITS = [
     ('0', 'success'),
-    ('1', '`--verify` found states whose bits differ; the summary has the difference in radians'),
+    ('1', '`--verify` found states whose bits differ; the summary has the difference in radians. '
+          '`attitude_regress`: the closed loops differ'),
     ('2', 'wrong arguments, an input that cannot be read, or an output that cannot be written; '
           'one line names it. `attitude_ensemble`: all '
-          'runs failed, too'),
+          'runs failed, too. `attitude_regress`: the controller died, sent no torques, or took too '
+          'long'),
     ('3', '`attitude_identify`: the data does not determine all estimates, or the fit did not '
           'converge; no scene was written, unless with `--force`'),
     ('4', '`attitude_identify`: the fit is rejected; no scene was written, unless with '
@@ -592,6 +605,7 @@ def main():
         tradeoff=options(tradeoff_parser()),
         identify=options(identify_parser()),
         ensemble=options(ensemble_parser()),
+        regress=options(regress_parser()),
         exits=table(('status', 'meaning'), EXITS)), end='')
 
 

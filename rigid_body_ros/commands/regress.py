@@ -123,7 +123,6 @@ def regress_parser() -> argparse.ArgumentParser:
         prog='attitude_regress',
         description='Run a controller and the node in lockstep, in a ROS domain of their own, and '
         'compare the closed loop with a recorded one, bit for bit.')
-    parser.usage = f'{parser.format_usage().removeprefix("usage: ").rstrip()}'
     parser.add_argument('reference', metavar='REFERENCE',
                         help='recording of the loop, as --update writes it, or any recording '
                         'with accepted_torque and committed of a node')
@@ -141,4 +140,6 @@ def regress_parser() -> argparse.ArgumentParser:
                         help='longest wall time of a loop (default: 60)')
     parser.add_argument('--json', metavar='OUT', help='write the result to this file')
     add_outputs(parser, 'both loops, their difference, and the moving body')
+    usage = parser.format_usage().removeprefix('usage: ').rstrip()
+    parser.usage = f'{usage} -- COMMAND [ARGUMENT ...]'
     return parser
