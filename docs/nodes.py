@@ -577,8 +577,8 @@ EXITS = [
           '`attitude_regress`: the closed loops differ'),
     ('2', 'wrong arguments, an input that cannot be read, or an output that cannot be written; '
           'one line names it. `attitude_ensemble`: all '
-          'runs failed, too. `attitude_regress`: the controller died, sent no torques, or took too '
-          'long'),
+          'runs failed, too. `attitude_regress`: the controller died, sent no torques, or took '
+          'too long'),
     ('3', '`attitude_identify`: the data does not determine all estimates, or the fit did not '
           'converge; no scene was written, unless with `--force`'),
     ('4', '`attitude_identify`: the fit is rejected; no scene was written, unless with '

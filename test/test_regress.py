@@ -25,6 +25,7 @@ import sys
 import time
 
 from conftest import at_night, ROOT, SECOND
+import detumble
 import numpy as np
 import psutil
 import pytest
@@ -33,6 +34,7 @@ from rigid_body_ros import Propagator, scene
 from rigid_body_ros.commands import main
 from rigid_body_ros.regress import differences, read
 from rigid_body_ros.regress.domain import private_domain
+import unload_wheels
 
 pytestmark = pytest.mark.ros
 SCENE = """
@@ -193,15 +195,14 @@ def test_a_controller_that_dies_is_one_line(folder, capsys, command, line):
 
 
 @pytest.mark.parametrize(('command', 'line'), [
-    (['sleep', MARK], 'the node has accepted no torque: nothing publishes /torque'),
+    (['sleep', MARK], 'the node has accepted no torque'),
     *at_night(([sys.executable, '-c', FLOOD, ''], 'its torques reach 0 s of the loop'),
               ([sys.executable, '-c', FLOOD, 'nowhere'], 'the node has accepted no torque'))])
 def test_a_controller_that_is_silent_or_floods_is_one_line(folder, capsys, command, line):
-    begin = time.monotonic()
-    assert run(folder, '--timeout', '3', command=command) == 2
-    assert time.monotonic() - begin < 60.0
+    seconds = '20' if 'flood' in command[-2] else '2'  # on a busy machine a node starts slowly
+    assert run(folder, '--timeout', seconds, command=command) == 2
     last = capsys.readouterr().err.splitlines()[-1]
-    assert 'expected the loop to end within --timeout 3 s, found that' in last
+    assert f'expected the loop to end within --timeout {seconds} s, found that' in last
     assert line in last
     assert not marked()
 
@@ -275,6 +276,43 @@ def test_a_second_node_is_refused(folder, capsys):
     assert 'starts a node that publishes odometry, too' in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(('name', 'command', 'options'), [
+    ('slew', CONTROLLER, []),
+    *at_night(*((name, [sys.executable, str(ROOT / 'examples' / f'{name}.py')],
+                 # A sine of another C library may differ in the last bit.
+                 ['--tolerance', '1e-9']) for name in ('detumble', 'unload_wheels')))])
+def test_the_examples_close_the_loops_of_their_references(capsys, name, command, options):
+    paths = [str(ROOT / 'examples' / f'{name}.{suffix}') for suffix in ('mcap', 'yaml')]
+    assert main.attitude_regress([paths[0], '--scene', paths[1], *options, '--', *command]) == 0
+    assert 'the loop ' in capsys.readouterr().out
+
+
+def test_rods_stop_a_satellite_that_tumbles():
+    found = scene.load(ROOT / 'examples' / 'detumble.yaml')
+    propagator, law = Propagator(found.body, found.start), detumble.BDot()
+    for seconds in range(4000):
+        state = propagator.at(seconds * SECOND)
+        propagator.apply(seconds * SECOND, law.torque(float(seconds), state.attitude))
+    # What is left is about the rate at which the field turns.
+    assert np.linalg.norm(state.angular_velocity) < 3.0 * 1.1068e-3
+    assert np.linalg.norm(found.start.angular_velocity) > 0.1
+
+
+def test_rods_take_the_momentum_of_the_wheels():
+    found = scene.load(ROOT / 'examples' / 'unload_wheels.yaml')
+    propagator = Propagator(found.body, found.start)
+    for number in range(4000):
+        seconds, time_ns = 0.5 * number, number * SECOND // 2
+        state = propagator.at(time_ns)
+        propagator.apply(time_ns, unload_wheels.of_rods(seconds, state.attitude,
+                                                        state.rotor_momentum))
+        propagator.apply_wheels(time_ns, unload_wheels.of_wheels(state.attitude,
+                                                                 state.angular_velocity))
+    assert np.linalg.norm(state.rotor_momentum) \
+        < 0.2 * np.linalg.norm(found.start.rotor_momentum)
+    assert 2.0 * np.linalg.norm(state.attitude[:3]) < 5e-3
+
+
 @pytest.mark.nightly
 def test_twenty_of_twenty_loops_are_equal(folder):
     assert [run(folder) for _ in range(20)] == [0] * 20
@@ -283,11 +321,13 @@ def test_twenty_of_twenty_loops_are_equal(folder):
 @pytest.mark.nightly
 def test_ten_runs_side_by_side_do_not_disturb_each_other(folder, tmp_path):
     changed = with_gains(proportional_gain=math.nextafter(0.05, 1.0))
-    processes = [subprocess.Popen([
-        sys.executable, ROOT / 'scripts' / 'attitude_regress',
-        *arguments(folder, '--json', tmp_path / f'{number}.json', '--timeout', '300',
-                   command=changed if number % 2 else CONTROLLER)], stdout=subprocess.DEVNULL)
-        for number in range(10)]
+    processes = []
+    for number in range(10):
+        given = arguments(folder, '--json', tmp_path / f'{number}.json', '--timeout', '300',
+                          command=changed if number % 2 else CONTROLLER)
+        processes.append(subprocess.Popen([
+            sys.executable, ROOT / 'scripts' / 'attitude_regress', *given],
+            stdout=subprocess.DEVNULL))
     assert [process.wait() for process in processes] == [0, 1] * 5
     same, other = ({(tmp_path / f'{number}.json').read_text() for number in range(first, 10, 2)}
                    for first in (0, 1))

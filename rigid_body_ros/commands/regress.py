@@ -122,7 +122,10 @@ def regress_parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog='attitude_regress',
         description='Run a controller and the node in lockstep, in a ROS domain of their own, and '
-        'compare the closed loop with a recorded one, bit for bit.')
+        'compare the closed loop with a recorded one, bit for bit.',
+        examples=('examples/slew.mcap --scene examples/slew.yaml -- attitude_controller',
+                  'mine.mcap --scene examples/slew.yaml --update --duration 2 '
+                  '-- attitude_controller'))
     parser.add_argument('reference', metavar='REFERENCE',
                         help='recording of the loop, as --update writes it, or any recording '
                         'with accepted_torque and committed of a node')

@@ -21,9 +21,9 @@ the caller passes. `session` lets both run and records the loop. `loop` reads wh
 """
 
 from rigid_body_ros.regress.differences import Differences, differences
-from rigid_body_ros.regress.loop import Loop, read, Samples
+from rigid_body_ros.regress.loop import Loop, read, Signal
 from rigid_body_ros.regress.regression import compare, Regression, update
 from rigid_body_ros.regress.session import Session, Span
 
-__all__ = ['Differences', 'Loop', 'Regression', 'Samples', 'Session', 'Span', 'compare',
+__all__ = ['Differences', 'Loop', 'Regression', 'Session', 'Signal', 'Span', 'compare',
            'differences', 'read', 'update']

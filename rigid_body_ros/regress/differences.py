@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics import so3
-from rigid_body_ros.regress.loop import INERTIA, Loop, NO_SAMPLES, Samples
+from rigid_body_ros.regress.loop import EMPTY, INERTIA, Loop, Signal
 from rigid_body_ros.runtime.fingerprint import other_versions
 
 _STATE, _STAMP = 'state', 'stamp'
@@ -72,7 +72,7 @@ class Differences:
 
     @property
     def equal(self) -> bool:
-        """Whether all bits are equal."""
+        """Return whether all bits are equal."""
         return self.first_ns is None
 
     def within(self, tolerance: float | None) -> bool:
@@ -120,8 +120,8 @@ class Differences:
 def differences(reference: Loop, loop: Loop) -> Differences:
     """Return how a loop differs from a reference, up to the last state of the reference."""
     last_ns = int(reference.states.times_ns[-1])
-    pairs = {name: Pair.of(reference.torques.get(name, NO_SAMPLES).until(last_ns),
-                            loop.torques.get(name, NO_SAMPLES).until(last_ns))
+    pairs = {name: Pair.of(*(one.torques.get(name, EMPTY).until(last_ns)
+                             for one in (reference, loop)))
              for name in {**reference.torques, **loop.torques}}
     states = Pair.of(reference.states, loop.states.until(last_ns))
     # A torque acts after its stamp, so a state at the same stamp is the cause.
@@ -160,7 +160,7 @@ class Pair:
     first_ns: int | None
 
     @classmethod
-    def of(cls, reference: Samples, found: Samples) -> Pair:
+    def of(cls, reference: Signal, found: Signal) -> Pair:
         """Return the pair of two series."""
         times_ns, rows, others = np.intersect1d(
             reference.times_ns, found.times_ns, assume_unique=True, return_indices=True)

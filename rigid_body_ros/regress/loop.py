@@ -37,7 +37,7 @@ _KINDS = {kind.name: kind for kind in (messages.WRENCH, messages.INERTIA)}
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class Signal:
     """
     Torques of a topic, or states.
 
@@ -59,13 +59,13 @@ class Samples:
     def __len__(self) -> int:
         return len(self.times_ns)
 
-    def until(self, last_ns: int) -> Samples:
+    def until(self, last_ns: int) -> Signal:
         """Return the samples up to a time."""
         kept = slice(int(np.searchsorted(self.times_ns, last_ns, 'right')))
-        return Samples(self.times_ns[kept], self.values[kept], self.frames[kept])
+        return Signal(self.times_ns[kept], self.values[kept], self.frames[kept])
 
 
-NO_SAMPLES = Samples(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0, np.str_))
+EMPTY = Signal(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0, np.str_))
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +77,8 @@ class Loop:
     ----------
     start : State
     torques : dict
-        Samples by the name of their log, such as 'accepted_torque'.
-    states : Samples
+        By the name of their log, such as 'accepted_torque'.
+    states : Signal
     made_by : dict
         The metadata of the recording: what determines its last bits.
     node : str
@@ -87,8 +87,8 @@ class Loop:
     """
 
     start: State
-    torques: Mapping[str, Samples]
-    states: Samples
+    torques: Mapping[str, Signal]
+    states: Signal
     made_by: Mapping[str, str]
     node: str
 
@@ -137,7 +137,7 @@ def read(path: str | Path) -> Loop:
     return Loop(start, torques, _samples(rows, messages.ODOMETRY), made_by, node)
 
 
-def _samples(found: Messages, kind: messages.MessageType) -> Samples:
+def _samples(found: Messages, kind: messages.MessageType) -> Signal:
     values = found.values[:, 3:] if kind is messages.WRENCH else \
         messages.inertia_entries(found.values) if kind is messages.INERTIA else \
         np.hstack([found.values[:, messages.ORIENTATION],
@@ -148,4 +148,4 @@ def _samples(found: Messages, kind: messages.MessageType) -> Samples:
     order = order[np.append(np.diff(stamps_ns) != 0, True)[:len(order)]]
     frames = np.array(found.names, np.str_)[found.frames[order]] if len(order) else \
         np.empty(0, np.str_)
-    return Samples(found.stamps_ns[order], values[order], frames)
+    return Signal(found.stamps_ns[order], values[order], frames)

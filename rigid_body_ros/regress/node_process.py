@@ -44,15 +44,15 @@ class Node(Protocol):
 
     @property
     def elapsed_ns(self) -> dict[str, int]:
-        """The time from the start to the newest torque of each log that has torques, ns."""
+        """Return the time from the start to the newest torque of each log with torques, ns."""
 
     @property
     def unpublished(self) -> list[str]:
-        """The topics of torques that no node publishes."""
+        """Return the topics of torques that no node publishes."""
 
     @property
     def has_rival(self) -> bool:
-        """Whether another node publishes the states, too."""
+        """Return whether another node publishes the states, too."""
 
     def spin(self, seconds: float) -> None:
         """Run the node for this time, s."""

@@ -24,7 +24,7 @@ from rigid_body_ros import recording
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.regress.differences import Pair
-from rigid_body_ros.regress.loop import INERTIA, Loop, NO_SAMPLES, Samples
+from rigid_body_ros.regress.loop import EMPTY, INERTIA, Loop, Signal
 from rigid_body_ros.regress.regression import Regression
 from rigid_body_ros.report import moving_body, style
 from rigid_body_ros.report.charts import Curves, Panel
@@ -69,13 +69,13 @@ def _panels(regression: Regression) -> Iterator[Panel]:
     yield _difference(label, 'rad/s', turned, (turned.found - turned.reference)[:, 4:], start_ns,
                       lines)
     for name in sorted({*reference.torques, *loop.torques} - {INERTIA}):
-        torques = (reference.torques.get(name, NO_SAMPLES), loop.torques.get(name, NO_SAMPLES))
+        torques = (reference.torques.get(name, EMPTY), loop.torques.get(name, EMPTY))
         label, pair = name.removeprefix('accepted_').replace('_', ' '), Pair.of(*torques)
         yield _panel(label, 'N m', torques, style.TORQUES, slice(3), start_ns, lines)
         yield _difference(label, 'N m', pair, pair.found - pair.reference, start_ns, lines)
 
 
-def _panel(label: str, unit: str, loops: Sequence[Samples], names: Sequence[str], columns: slice,
+def _panel(label: str, unit: str, loops: Sequence[Signal], names: Sequence[str], columns: slice,
            start_ns: int, lines: Mapping[str, float]) -> Panel:
     """Return a panel with both loops."""
     return Panel(label, unit, [
