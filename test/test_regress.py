@@ -80,6 +80,23 @@ def on_state(state):
 node.create_subscription(Odometry, 'odometry', on_state, 10)
 rclpy.spin(node)
 """
+#: Responds to each state on one topic.
+CONSTANT = """
+import sys
+from geometry_msgs.msg import WrenchStamped
+from nav_msgs.msg import Odometry
+import rclpy
+rclpy.init()
+node = rclpy.create_node('constant')
+publisher = node.create_publisher(WrenchStamped, sys.argv[1], 10)
+def on_state(state):
+    torque = WrenchStamped()
+    torque.header.stamp = state.header.stamp
+    torque.wrench.torque.x = 1e-3
+    publisher.publish(torque)
+node.create_subscription(Odometry, 'odometry', on_state, 10)
+rclpy.spin(node)
+"""
 #: What no other command on this machine has among its arguments.
 MARK = '98765.4321'
 
@@ -241,6 +258,19 @@ def test_a_controller_that_starts_from_another_program_is_ended_with_it(folder):
     command = ['sh', '-c', '"$@" & sleep ' + MARK, 'launch', *CONTROLLER]
     assert run(folder, command=command) == 0
     assert not marked()
+
+
+@pytest.mark.nightly
+def test_a_loop_begins_when_all_controllers_are_there(tmp_path):
+    (tmp_path / 'scene.yaml').write_text(f'{SCENE}    wheels: true\n')
+    command = ['sh', '-c', '"$@" torque & sleep 2; exec "$@" wheel_torque', 'launch',
+               sys.executable, '-c', CONSTANT]
+    assert run(tmp_path, '--update', '--duration', '1', command=command) == 0
+    logs = read(tmp_path / 'reference.mcap').torques
+    assert [*logs] == ['accepted_torque', 'accepted_wheel_torque']
+    for samples in logs.values():
+        assert samples.times_ns.tolist() == [*range(0, SECOND + 1, STEP_NS)]
+    assert run(tmp_path, command=command) == 0
 
 
 @pytest.mark.nightly

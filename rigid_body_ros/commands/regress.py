@@ -17,7 +17,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import partial
 from pathlib import Path
 import shutil
@@ -36,7 +36,7 @@ from rigid_body_ros.commands.arguments import (
 )
 from rigid_body_ros.commands.nodes import imported
 from rigid_body_ros.commands.outputs import checked
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, reason
 from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import report
 
@@ -101,9 +101,12 @@ def _run(options: argparse.Namespace, scene: Scene, command: list[str],
         return compare(session, options.reference, folder, options.tolerance)
 
 
-def _node(command: str, scene: Scene) -> Any:
+def _node(command: str, scene: Scene, logs: Collection[str]) -> Any:
     """Return the node, in the process that runs it."""
-    return imported(command, 'rigid_body_ros.node.recorded').RecordedNode(scene)
+    try:
+        return imported(command, 'rigid_body_ros.node.recorded').RecordedNode(scene, logs)
+    except RuntimeError as error:  # of the middleware
+        raise InputError(reason(error)) from error
 
 
 def _span(options: argparse.Namespace) -> Span:

@@ -20,7 +20,7 @@ and connects the modules; `process` and `spinning` run a node as a command. Inpu
 queue of the subscription), `parameters` (the scene). Processing, on top of the package `live`:
 `mode` (slices of work), `realtime` or `lockstep` (which torques are accepted, and when a state is
 published). Output: `outputs` (topics), `diagnostics`. `attitude_controller` is an example of a
-controller in lockstep.
+controller in lockstep, and `recorded` a node in lockstep that keeps its log.
 """
 
 from importlib import import_module

@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 import json
 from pathlib import Path
 import time
@@ -41,6 +42,8 @@ _COMMITTED = '~/committed'
 _QOS = QoSProfile(depth=100_000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: s; how long to wait for the end of the log, and how often to look.
 _PATIENCE, _PERIOD = 5.0, 0.02
+#: s; after this time without another publisher of torques, there will be none.
+_QUIET = 3.0
 
 
 class _Logged(NamedTuple):
@@ -52,45 +55,48 @@ class RecordedNode:
     """
     The node of a scene in lockstep, in the domain of the environment; a context manager.
 
-    A checkpoint is neither read nor written.
+    If the scene has several topics of torques, the node begins when each of them has a publisher:
+    it would go on without one that comes later. A checkpoint is neither read nor written.
 
     Parameters
     ----------
     scene : Scene
+    logs : collection of str
+        The logs of the topics to wait for, such as 'accepted_torque'. If empty, those that have
+        publishers when no other has got one for some time.
 
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, logs: Collection[str] = ()) -> None:
         self._scene = scene
         self._context = rclpy.Context()
         # No files; warnings about the scene are the command's.
         rclpy.init(args=['--ros-args', '--log-level', 'error', '--disable-external-lib-logs'],
                    context=self._context)
-        try:
-            self._start()
-        except BaseException:
-            rclpy.shutdown(context=self._context)
-            raise
+        self._listener = rclpy.create_node('attitude_regress', context=self._context)
+        self._logs = {source.log: source for source in sources_of(scene)}
+        #: By log, the messages of the present epoch.
+        self._received: dict[str, list[_Logged]] = {name: [] for name in (*self._logs, _COMMITTED)}
+        self._elapsed_ns: dict[str, int] = {}
+        self._topics = {_base(name): self._listener.resolve_topic_name(source.topic)
+                        for name, source in self._logs.items() if source.number != BODY}
+        self._awaited = {self._topics[name] for name in logs if name in self._topics}
+        #: The topics without a publisher, and since when they are those, s, monotonic clock.
+        self._missing, self._since = self.unpublished, time.monotonic()
+        self._node: AttitudeNode | None = None
+        if len(self._topics) == 1:
+            self._begin()
 
-    def _start(self) -> None:
-        scene = self._scene
-        parameters = scene.parameters
-        given = {name: value for name, value in scene.values.items()
+    def _begin(self) -> None:
+        parameters = self._scene.parameters
+        given = {name: value for name, value in self._scene.values.items()
                  if value != parameters[name].default}
         given.update(mode=LOCKSTEP, checkpoint='')
         self._node = AttitudeNode(context=self._context, parameter_overrides=[
             Parameter(name, value=value) for name, value in given.items()])
         self._node.get_logger().set_level(LoggingSeverity.WARN)
-        self._listener = rclpy.create_node('attitude_regress', context=self._context)
-        self._logs = {source.log: source for source in sources_of(scene)}
-        #: By log, the messages of the present epoch.
-        self._received: dict[str, list[_Logged]] = {name: [] for name in (*self._logs, _COMMITTED)}
         #: By log, its full name; the node does not resolve names when it has ended.
         self._names = {name: self._node.resolve_topic_name(name) for name in self._received}
-        self._topics = [self._node.resolve_topic_name(source.topic)
-                        for source in self._logs.values()]
-        self._states = self._node.resolve_topic_name('odometry')
-        self._elapsed_ns: dict[str, int] = {}
         # No executor: what it had queued would outlive the node.
         self._subscriptions = {name: self._listener.create_subscription(
             source.kind if (source := self._logs.get(name)) else Odometry, self._names[name],
@@ -103,8 +109,9 @@ class RecordedNode:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
-        self._executor.shutdown()
-        self._node.destroy_node()
+        if self._node:
+            self._executor.shutdown()
+            self._node.destroy_node()
         self._listener.destroy_node()
         rclpy.shutdown(context=self._context)
 
@@ -116,19 +123,35 @@ class RecordedNode:
     @property
     def unpublished(self) -> list[str]:
         """Return the topics of torques that no node publishes."""
-        return [topic for topic in self._topics if not self._listener.count_publishers(topic)]
+        return [topic for topic in self._topics.values()
+                if not self._listener.count_publishers(topic)]
 
     @property
     def has_rival(self) -> bool:
         """Return whether another node publishes the states, too."""
-        return self._listener.count_publishers(self._states) > 1
+        states = self._listener.resolve_topic_name('odometry')
+        return self._listener.count_publishers(states) > (self._node is not None)
 
     def spin(self, seconds: float) -> None:
         """Run the node for this time, s."""
+        if not self._node:
+            time.sleep(seconds)
+            if self._is_connected():
+                self._begin()
+            return
         until = time.monotonic() + seconds
         while (rest := until - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=rest)
         self._take()
+
+    def _is_connected(self) -> bool:
+        """Return whether all topics that torques are to come from have a publisher."""
+        if (missing := self.unpublished) != self._missing:
+            self._missing, self._since = missing, time.monotonic()
+        if self._awaited:
+            return not self._awaited.intersection(missing)
+        return len(missing) < len(self._topics) and (
+            not missing or time.monotonic() - self._since > _QUIET)
 
     def _take(self) -> None:
         """Take all messages that wait."""

@@ -20,7 +20,7 @@ A process can be ended whatever its node does: threads of the middleware can blo
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import AbstractContextManager, suppress
 import multiprocessing
 from multiprocessing.connection import Connection
@@ -72,8 +72,9 @@ class Status(NamedTuple):
     has_rival: bool
 
 
-#: Returns a context with a node, in the process that is to run it.
-Start = Callable[[], AbstractContextManager[Node]]
+#: Returns a context with a node, in the process that is to run it; it takes the names of the logs
+#: whose topics are to have publishers first, none if these are not known.
+Start = Callable[[Collection[str]], AbstractContextManager[Node]]
 
 
 class NodeProcess:
@@ -83,7 +84,8 @@ class NodeProcess:
     Parameters
     ----------
     start : callable
-        It is called in the process.
+        It is called in the process, with `logs`.
+    logs : collection of str
 
     Attributes
     ----------
@@ -92,12 +94,13 @@ class NodeProcess:
 
     """
 
-    def __init__(self, start: Start) -> None:
+    def __init__(self, start: Start, logs: Collection[str] = ()) -> None:
         self.status = Status({}, [], False)
         # Spawn, because a fork would copy the locks of threads but not the threads.
         context = multiprocessing.get_context('spawn')
         self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, start), daemon=True)
+        self._process = context.Process(target=_serve, args=(theirs, start, [*logs]),
+                                        daemon=True)
         with interrupts.blocked_in_children():
             self._process.start()
         theirs.close()  # otherwise the end of the process would go unnoticed
@@ -157,11 +160,11 @@ class NodeProcess:
         return found
 
 
-def _serve(connection: Connection, start: Start) -> None:
+def _serve(connection: Connection, start: Start, logs: Collection[str]) -> None:
     """Run a node, and report, until the other side asks for the log or has exited."""
     with suppress(KeyboardInterrupt, EOFError, OSError), interrupts.deferred(until_exit=True):
         try:
-            with start() as node:
+            with start(logs) as node:
                 reported = None
                 while not connection.poll():
                     node.spin(_PERIOD)

@@ -103,7 +103,8 @@ class Session:
             too long.
 
         """
-        with NodeProcess(self.start) as node, Controller(self.command) as controller:
+        with NodeProcess(self.start, span.by_log) as node, \
+                Controller(self.command) as controller:
             try:
                 self._run(node, controller, span, may_end)
             except InputError:
