@@ -193,7 +193,7 @@ def test_a_scene_that_is_neither_a_file_nor_an_example_is_an_error():
     words, status = run('attitude_node', 'scene:=tumblr')
     assert status == 1
     assert ('scene: expected a parameter file or the name of an example (cubesat, gimbal, iss, '
-            "top, tumbler), found 'tumblr'") in words
+            "robot_stack, top, tumbler), found 'tumblr'") in words
     assert 'process started' not in words
 
 

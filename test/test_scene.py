@@ -191,7 +191,8 @@ def test_a_file_of_another_node_is_an_error_that_names_both(tmp_path):
         load(tmp_path, 'camera:\n  ros__parameters: {gain: 1}')
 
 
-@pytest.mark.parametrize('name', ['cubesat', 'gimbal', 'iss', 'top', 'tumbler'])
+@pytest.mark.parametrize('name', ['cubesat', 'gimbal', 'iss', 'robot_stack', 'top',
+                                  'tumbler'])
 def test_the_scenes_of_the_package_load(name):
     symmetry = 'symmetric top' if name == 'top' else 'asymmetric top'
     assert scene.load(CONFIG / f'{name}.yaml').body.symmetry == symmetry

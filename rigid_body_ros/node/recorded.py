@@ -195,8 +195,9 @@ class RecordedNode:
 
     def _pending(self) -> set[int]:
         """Return the stamps of the present epoch without a committed state."""
+        torques = [name for name, source in self._logs.items() if source.number != BODY]
         due, final = ({one.stamp_ns for name in names for one in self._received[name]}
-                      for names in (self._logs, [_COMMITTED]))
+                      for names in (torques, [_COMMITTED]))
         return due - final
 
     def write(self, path: str | Path, last_ns: int) -> None:

@@ -1,0 +1,32 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The node of config/robot_stack.yaml, which goes on from its checkpoint after a restart.
+
+Copy this file and the scene into your package.
+"""
+
+from pathlib import Path
+
+from launch import LaunchDescription
+from rigid_body_ros import launching
+
+CHECKPOINT = Path.home() / '.ros' / 'robot_stack.json'
+
+
+def generate_launch_description():
+    return LaunchDescription([launching.scoped(
+        lambda context: [launching.attitude_node(context)],
+        scene='robot_stack', checkpoint=str(CHECKPOINT), respawn='true')])
