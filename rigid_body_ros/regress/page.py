@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -77,11 +78,12 @@ def _panels(regression: Regression) -> Iterator[Panel]:
 
 def _panel(label: str, unit: str, loops: Sequence[Signal], names: Sequence[str], columns: slice,
            start_ns: int, lines: Mapping[str, float]) -> Panel:
-    """Return a panel with both loops."""
-    return Panel(label, unit, [
-        Curves.thinned(samples.times_ns, samples.values[:, columns],
-                       [f'{name} {which}' for name in names], start_ns, unit == 'N m')
-        for samples, which in zip(loops, ('reference', 'loop')) if len(samples)], lines=lines)
+    """Return a panel with the reference, and the loop on top of it."""
+    curves = [Curves.thinned(samples.times_ns, samples.values[:, columns],
+                             [f'{name}{of}' for name in names], start_ns, drawn)
+              for samples, of, drawn in zip(loops, (' of the reference', ''), ('broad', 'line'))
+              if len(samples)]
+    return Panel(label, unit, [replace(each, step=unit == 'N m') for each in curves], lines=lines)
 
 
 def _difference(label: str, unit: str, pair: Pair, errors: Floats, start_ns: int,
