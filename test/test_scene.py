@@ -198,6 +198,16 @@ def test_the_scenes_of_the_package_load(name):
     assert scene.load(CONFIG / f'{name}.yaml').body.symmetry == symmetry
 
 
+def test_the_scene_to_copy_has_what_a_robot_needs():
+    found = scene.load(CONFIG / 'robot_stack.yaml')
+    assert found.euler_sequence == 'xyz'
+    assert all(found.values[name] > 0.0 for name in (
+        'torque_timeout', 'stale_after', 'imu.gyro_noise_density', 'imu.gyro_random_walk',
+        'imu.attitude_noise', 'imu.delay', 'odometry.attitude_variance',
+        'odometry.rate_variance'))
+    assert found.warnings == []
+
+
 def test_a_scene_is_printed_with_units(tmp_path):
     body = 'RigidBody(asymmetric top, principal moments (1, 2, 2.5) kg m^2)'
     start = 'State(time 0 ns, attitude xyzw (0, 0, 0, 1), angular velocity (0, 0, 0) rad/s)'
