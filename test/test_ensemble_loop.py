@@ -26,14 +26,16 @@ import numpy as np
 from pyarrow import parquet
 import pytest
 from rigid_body_ros import (
-    GravityGradient,
+    BodyLog,
     messages,
     Propagator,
+    read,
     recording,
     TorqueLog,
-    UniformField,
 )
 from rigid_body_ros.commands import main
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.ensemble import worst
 from rigid_body_ros.ensemble.controller import Controller
 from rigid_body_ros.ensemble.dispersions import Dispersion
 from rigid_body_ros.ensemble.effects import _explained
@@ -94,30 +96,48 @@ def test_a_run_has_the_bits_of_the_live_half_of_the_node():
     assert nominal[-1].tolist() == states_of(epoch.at(END_NS, 10.0))
 
 
-@pytest.mark.parametrize('timeout', [0.0, 0.13])
-def test_its_torques_give_the_run_again(timeout):
+@pytest.fixture
+def everything():
+    """Return a scene with all that can act on a body, and its problem."""
     stamps = np.arange(-1, 20) * 90_000_000
     torques = 0.01 * np.sin(np.arange(63.0)).reshape(21, 3)
-    frames = ['body', 'space'] * 10 + ['body']
-    scene = Scene.from_values({**SCENE, 'initial_rotor_momentum.z': 0.003, 'damping.dxx': 1e-4,
-                               'torque_timeout': timeout})
-    problem = scene.problem().replaced(
-        log=[TorqueLog(stamps, torques, frames), TorqueLog(stamps[4:] + 7, torques[4:])],
-        wheels=TorqueLog(stamps + 3, 0.01 * torques),
-        fields=[UniformField((0.0, 0.0, -0.01), (0.0, 0.0, -9.81)),
-                GravityGradient(1e-3, (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))])
-    found = ensemble('damp', *VARY, GAIN, replace(NOISE, bounds=(1e-3,)),
+    scene = Scene.from_values({
+        **SCENE, 'initial_rotor_momentum.z': 0.003, 'damping.dxx': 1e-4, 'torque_timeout': 0.13,
+        'wheels': True, 'inertia_topic': True, 'orbit.mean_motion': 1e-3, 'start_time': 7,
+        'fields': ['pivot'], 'pivot.moment.z': -0.01, 'pivot.field.z': -9.81})
+    logs = [TorqueLog(stamps, torques, ['body', 'space'] * 10 + ['body']),
+            TorqueLog(stamps[4:] + 7, torques[4:])]
+    return scene, scene.problem().replaced(
+        log=logs, wheels=TorqueLog(stamps + 3, 0.01 * torques),
+        changes=BodyLog([SECOND], [scene.body.with_entries(
+            np.array([0.04, 0.1, 0.12, 0.0, 0.0, 0.0]))]))
+
+
+@pytest.mark.parametrize('name', ['damp', None])
+def test_what_is_written_of_a_run_gives_it_again(tmp_path, everything, name):
+    scene, problem = everything
+    found = ensemble('damp', *VARY[:1], VARY[2], GAIN, replace(NOISE, bounds=(1e-3,)),
                      Dispersion('torque_bias.x', 'normal', (1e-3,)),
                      Dispersion('clock_offset', 'normal', (0.01,)), problem=problem,
-                     times_ns=TIMES)
+                     end_ns=END_NS, times_ns=TIMES + 7)
+    found = found if name else replace(found, controller=None)
     columns = found.rows(3, 6)
     assert columns['message'].tolist() == ['', '', '']
+    worst.write(tmp_path / 'worst', found, scene, [3, 4, 5])
     for run, motion in zip(range(3, 6), columns['motion']):
-        problem, _ = found.replayed(run)
-        assert len(problem.logs) == 4
-        again = problem.propagate(at=TIMES)
-        np.testing.assert_array_equal(motion[:, :4], again.attitude)
-        np.testing.assert_array_equal(motion[:, 4:], again.angular_velocity)
+        again = read(tmp_path / 'worst' / f'{run}.mcap', tmp_path / 'worst' / f'{run}.yaml')
+        assert len(again.logs) == 3 + bool(name)
+        motion_again = again.propagate(at=again.start.time_ns + TIMES)
+        np.testing.assert_array_equal(motion[:, :4], motion_again.attitude)
+        np.testing.assert_array_equal(motion[:, 4:], motion_again.angular_velocity)
+
+
+def test_a_body_that_changes_does_not_vary(everything):
+    _, problem = everything
+    for vary in (Dispersion('inertia', 'relative', (0.05,)),
+                 Dispersion('damping.dxx', 'normal', (0.1,), relative=True)):
+        with pytest.raises(InputError, match='expected a body that does not change, found 1'):
+            ensemble('damp', vary, problem=problem)
 
 
 @pytest.mark.parametrize('name', ['damp', 'Pid'])

@@ -138,18 +138,17 @@ class _Turned:
     """A bound on how far a body turns in steps: one that turns too far would take days."""
 
     def __init__(self, problem: Problem, step_ns: int) -> None:
-        self._inertia, self._seconds = problem.body.inertia, step_ns / 1e9
-        self._least = float(problem.body.principal_moments.min())
+        moments = problem.body.principal_moments
+        self._least, self._seconds = float(moments.min()), step_ns / 1e9
+        #: The energy of a body that turns about one axis lets it turn faster about another.
+        self._ratio = math.sqrt(float(moments.max()) / self._least)
         self._limit = math.inf if problem.options.record.fixed_step else FARTHEST
         self._angle = 0.0
 
     def check(self, state: State, torque: Floats, seconds: float) -> None:
         """Raise ValueError if a body turns too far within the step from a state on."""
-        w = state.angular_velocity
-        with np.errstate(over='ignore'):
-            energy = float((self._inertia * w[:, None] * w).sum())
-            rate = math.sqrt(energy / self._least) + math.hypot(*torque) / self._least \
-                * self._seconds
+        gained = math.hypot(*torque.tolist()) / self._least * self._seconds
+        rate = math.hypot(*state.angular_velocity.tolist()) * self._ratio + gained
         self._angle += rate * self._seconds
         if not self._angle < self._limit:
             raise ValueError(f'{seconds:.9g} s: the body may turn by {self._angle:.3g} rad, too '

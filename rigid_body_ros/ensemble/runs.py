@@ -102,8 +102,8 @@ class Ensemble:
     Raises
     ------
     InputError
-        A dispersion has no effect: it is relative to zero, or disperses torques or an orbit of
-        which there are none.
+        A dispersion is relative to zero, of torques or of an orbit of which there are none, or of
+        a body that changes.
 
     """
 
@@ -116,16 +116,18 @@ class Ensemble:
     controller: Controller | None = None
 
     def __post_init__(self) -> None:
+        for one in self.dispersions:
+            if one.relative and self.nominal.get(one.key) == 0.0:
+                raise InputError(f'{one.key}: relative: expected a nominal value other than 0')
         for key in self.keys:
             if key.startswith(f'{ORBIT}.') and key not in self.nominal:
                 raise InputError(f'{key}: expected a scene with an orbit, found none')
-        for one in self.dispersions:
-            if one.relative and self.nominal[one.key] == 0.0:
-                raise InputError(f'{one.key}: relative: expected a nominal value other than 0')
-        for key in self.keys:
             if (key in ('torque_gain', NOISE) and not (self.problem.logs or self.controller)) \
                     or (key == 'clock_offset' and not self.problem.logs):
                 raise InputError(f'{key}: expected a recording of torques, found none')
+            if self.problem.changes and key.split('.')[0] in (INERTIA, 'damping'):
+                raise InputError(f'{key}: expected a body that does not change, found '
+                                 f'{len(self.problem.changes)} changes')
 
     @property
     def keys(self) -> list[str]:
@@ -168,10 +170,8 @@ class Ensemble:
 
         Raises
         ------
-        ControllerError
-            The controller fails, or returns other torques when the motion is computed again.
         ValueError
-            As for `propagate`.
+            As for `propagate`; `ControllerError` if the controller fails or does not repeat it.
 
         """
         _, first = self._nominal
@@ -349,7 +349,7 @@ class Ensemble:
         return Reach(self.problem, self.end_ns, self.torques.noise)
 
     def _computed(self, applied: Applied) -> _Found:
-        if self.controller:
+        if self.controller or self.problem.changes:
             return self._one_by_one(applied)
         try:
             return self._together(applied)
