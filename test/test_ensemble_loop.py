@@ -188,7 +188,7 @@ def test_a_run_whose_controller_fails_says_when_and_why(name, message):
     ('controllers:Shared', '0 s: controller controllers:Shared: expected the same torque'),
 ])
 def test_a_bad_controller_is_one_line(tmp_path, monkeypatch, capsys, name, message):
-    (tmp_path / 'leaves.py').write_text('import sys\nsys.exit(5)\n')
+    (tmp_path / 'leaves.py').write_text('import sys\nprint(5)\nsys.exit(5)\n')
     monkeypatch.chdir(tmp_path)
     assert message in error_of(capsys, given(tmp_path, name))
 

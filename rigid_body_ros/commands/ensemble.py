@@ -255,8 +255,8 @@ def ensemble_parser() -> argparse.ArgumentParser:
                         metavar='S', help='seed of the random numbers (default: 0)')
     pool = parser.add_mutually_exclusive_group()
     pool.add_argument('--workers', type=within(1, 1024, 'an integer', int), metavar='K',
-                      help='number of threads; it does not change the results (default: one for '
-                      'each processor)')
+                      help='number of threads, with --controller of processes; it does not change '
+                      'the results (default: one for each processor)')
     add_scheduler(pool)
     parser.add_argument('-o', '--output', required=True, metavar='FOLDER',
                         help='folder for the results: a new one, or that of the same ensemble')

@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from functools import lru_cache
 import hashlib
@@ -164,7 +165,8 @@ def _imported(name: str, folder: str) -> Any:
     if folder not in sys.path:
         sys.path.insert(0, folder)
     try:
-        return import_module(module)
+        with redirect_stdout(sys.stderr):  # standard output has the results only
+            return import_module(module)
     except BaseException as error:  # whatever the module does
         interrupts.check()
         raise InputError(f'controller {name}: cannot import {module}: '
