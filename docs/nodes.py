@@ -545,7 +545,8 @@ attitude_identify RECORDING [RECORDING ...] --scene FILE [--measured TOPIC] [-o 
 ## attitude_ensemble
 
 ```
-attitude_ensemble --scene FILE --vary FILE --runs N [--recording IN] -o FOLDER
+attitude_ensemble --scene FILE --vary FILE --runs N [--recording IN] [--controller MODULE:FUNCTION]
+    [--require EXPRESSION] -o FOLDER
 ```
 
 {ensemble}

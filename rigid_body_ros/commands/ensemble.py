@@ -42,11 +42,14 @@ from rigid_body_ros.commands.arguments import (
 )
 from rigid_body_ros.commands.outputs import checked
 from rigid_body_ros.common.errors import InputError, listed
+from rigid_body_ros.common.times import duration_ns
 from rigid_body_ros.runtime import files
 from rigid_body_ros.runtime.terminal import progress
 
 if TYPE_CHECKING:
+    from rigid_body_ros.ensemble.controller import Controller
     from rigid_body_ros.ensemble.driver import Pool
+    from rigid_body_ros.ensemble.requirements import Requirement
     from rigid_body_ros.ensemble.runs import Ensemble
     from rigid_body_ros.mechanics.torque import TorqueLog
     from rigid_body_ros.propagation import Problem
@@ -59,8 +62,9 @@ FINAL = 'final'
 def attitude_ensemble(arguments: Sequence[str] | None) -> int:
     """Compute many runs with dispersed parameters."""
     options = parsed(ensemble_parser(), arguments)
-    from rigid_body_ros.ensemble import driver, summary
+    from rigid_body_ros.ensemble import driver, summary, worst
     from rigid_body_ros.ensemble.folder import opened
+    requirements = _requirements(options)
     with checked(options) as outputs:
         scene = load_scene(options)
         ensemble = _ensemble(options, scene)
@@ -69,17 +73,30 @@ def attitude_ensemble(arguments: Sequence[str] | None) -> int:
                     note=partial(note, options)) as folder:
             driver.compute(ensemble, folder, _pool(options), progress(
                 'runs', ' runs', driver.runs_of))
-            found = summary.summarized(ensemble, folder)
+            found = summary.summarized(ensemble, folder, requirements)
+            worst.write(folder.path / worst.FOLDER, ensemble, scene, {
+                one['run'] for each in found.get('requirements', ()) for one in each['worst']})
             _draw(options, folder.picture, found)
             folder.finish({**identity, **found})
+            replay = partial(worst.command, ensemble)
             if options.report:
                 from rigid_body_ros.ensemble.page import page
-                outputs.write_page(lambda line: page(found, _title(options), scene, line))
-    outputs.show(summary.text_of(found), 17, [options.output, *outputs.names])
+                outputs.write_page(lambda line: page(
+                    found, _title(options), scene, line, partial(replay, folder.path.name)))
+    outputs.show(summary.text_of(found, partial(replay, options.output)), 17,
+                 [options.output, *outputs.names])
     if found['failed'] == found['runs']:
         raise InputError(f'{options.output}: expected runs that can be computed, found that all '
                          f'{found["runs"]} failed')
     return 0
+
+
+def _requirements(options: argparse.Namespace) -> list[Requirement]:
+    from rigid_body_ros.ensemble.requirements import Requirement
+    try:
+        return [Requirement.read(text) for text in options.require]
+    except InputError as error:
+        raise InputError(f'--require: {error}') from error
 
 
 def _draw(options: argparse.Namespace, path: Path, found: Mapping[str, Any]) -> None:
@@ -104,11 +121,13 @@ def _pool(options: argparse.Namespace) -> Pool:
     from rigid_body_ros.ensemble import driver
     if options.scheduler:
         return driver.cluster(options.scheduler, partial(note, options))
-    return driver.threads(options.workers or os.cpu_count() or 1)
+    pool = driver.processes if options.controller else driver.threads
+    return pool(options.workers or os.cpu_count() or 1)
 
 
 def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
     from rigid_body_ros.ensemble import dispersions, fitted
+    from rigid_body_ros.ensemble.controller import ControllerError
     from rigid_body_ros.ensemble.motions import times_of
     from rigid_body_ros.ensemble.runs import Ensemble
     is_fitted = Path(options.vary).suffix == '.json'
@@ -121,14 +140,28 @@ def _ensemble(options: argparse.Namespace, scene: Scene) -> Ensemble:
     times_ns = None if options.times == FINAL else \
         times_of(problem.start.time_ns, end_ns, options.times)
     try:
-        ensemble = Ensemble(problem, end_ns, varied, options.seed, estimates, times_ns)
+        ensemble = Ensemble(problem, end_ns, varied, options.seed, estimates, times_ns,
+                            _controller(options, scene, problem))
     except InputError as error:
         raise InputError(f'{options.vary}: {error}') from error
     try:
-        ensemble.nominal_attitude  # noqa: B018 (reports a motion that is not possible at all)
+        ensemble.check()
+    except ControllerError as error:
+        raise InputError(f'nominal run: {error}') from error
     except ValueError as error:
         raise InputError(f'{options.vary if estimates else options.scene}: {error}') from error
     return ensemble
+
+
+def _controller(options: argparse.Namespace, scene: Scene, problem: Problem) -> Controller | None:
+    if not options.controller:
+        return None
+    from rigid_body_ros.ensemble.controller import Controller
+    for log in problem.logs:
+        if log.interpolation != 'hold':
+            raise InputError(f"{options.scene}: interpolation: expected 'hold', as in lockstep, "
+                             f'with a controller, found {log.interpolation!r}')
+    return Controller.load(options.controller, max(1, duration_ns(scene.step, 'step')))
 
 
 def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, int]:
@@ -149,13 +182,14 @@ def _problem(options: argparse.Namespace, scene: Scene) -> tuple[Problem, int]:
 def _identity(ensemble: Ensemble, scene: Scene, times: float | str) -> dict[str, Any]:
     """Return what the runs depend on, as JSON: folders with the same have the same runs."""
     from rigid_body_ros.runtime.fingerprint import fingerprint
-    values = json.dumps(dict(scene.values), sort_keys=True)
+    values, controller = json.dumps(dict(scene.values), sort_keys=True), ensemble.controller
     # Through JSON, so that what is compared is what is read from a file.
     return dict(json.loads(json.dumps({
         'seed': ensemble.seed, **_varied(ensemble),
         'scene': f'sha256:{hashlib.sha256(values.encode()).hexdigest()}',
         'recording': recording_hash(ensemble.problem.sources),
         'start_ns': ensemble.problem.start.time_ns, 'end_ns': ensemble.end_ns, 'times': times,
+        **({'controller': f'{controller.name} {controller.digest}'} if controller else {}),
         'versions': {**fingerprint(), 'scipy': version('scipy')}})))
 
 
@@ -201,6 +235,16 @@ def ensemble_parser() -> argparse.ArgumentParser:
     parser.add_argument('--recording', metavar='IN',
                         help='recording of torques, as for attitude_replay (default: no torque)')
     add_torques(parser)
+    parser.add_argument('--controller', metavar='MODULE:FUNCTION', help='controller in the loop: '
+                        'a Python function of the state and of the time since the start (s) that '
+                        'returns a torque (N m, body axes), called at the step of the scene, or '
+                        'a class whose instances are called so, one for each run')
+    parser.add_argument('--require', action='append', default=[], metavar='EXPRESSION',
+                        help="limit on a number at the end of a run, such as 'rate < 0.05': rate "
+                        '(rad/s), angle from the space axes, or angle_from_nominal (rad). Reports '
+                        'the share of the runs that meet it, the worst ones, each with the '
+                        'command that computes it again, and which parameters matter; may be '
+                        'repeated')
     parser.add_argument('--until', type=positive, metavar='SECONDS',
                         help='end SECONDS after the start (default: at the last torque stamp); '
                         'required without a recording')
@@ -211,8 +255,8 @@ def ensemble_parser() -> argparse.ArgumentParser:
                         metavar='S', help='seed of the random numbers (default: 0)')
     pool = parser.add_mutually_exclusive_group()
     pool.add_argument('--workers', type=within(1, 1024, 'an integer', int), metavar='K',
-                      help='number of threads; it does not change the results (default: one for '
-                      'each processor)')
+                      help='number of threads, with --controller of processes; it does not change '
+                      'the results (default: one for each processor)')
     add_scheduler(pool)
     parser.add_argument('-o', '--output', required=True, metavar='FOLDER',
                         help='folder for the results: a new one, or that of the same ensemble')

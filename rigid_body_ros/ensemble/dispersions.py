@@ -98,6 +98,20 @@ def draws(dispersions: Sequence[Dispersion], seed: int,
     return {one.key: one.draw(seed, runs) for one in dispersions if one.key != NOISE}
 
 
+def dispersed(dispersions: Sequence[Dispersion], nominal: Mapping[str, float],
+              drawn: Mapping[str, Floats], count: int) -> dict[str, Floats]:
+    """Return the nominal values in a number of runs by key, each shape (n,), changed as drawn."""
+    values = {name: np.full(count, value) for name, value in nominal.items()}
+    for one in dispersions:
+        if one.key in values:
+            draw = drawn[one.key][:, 0]
+            if one.relative:
+                values[one.key] *= 1.0 + draw
+            else:
+                values[one.key] = draw + (one.kind == 'normal') * values[one.key]
+    return values
+
+
 def units_with(fields: Iterable[str]) -> dict[str, str]:
     """Return `UNITS`, with the units of uniform fields with these names."""
     return {**UNITS, **{name: parameter.unit

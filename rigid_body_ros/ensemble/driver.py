@@ -27,7 +27,7 @@ import numpy as np
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.ensemble.runs import Columns, Ensemble, Span
 from rigid_body_ros.runtime.cluster import connected
-from rigid_body_ros.runtime.pool import WorkerError, Workers
+from rigid_body_ros.runtime.pool import Processes, WorkerError, Workers
 
 if TYPE_CHECKING:  # a worker needs neither Parquet nor MCAP
     from rigid_body_ros.ensemble.folder import Folder
@@ -43,6 +43,8 @@ Part = tuple[Span, Span]
 #: Largest number of parts of a block, which different workers compute: a block may take minutes.
 #: A part costs Dask some 20 ms.
 _PARTS = 8
+#: Largest number of runs of a block with a controller: one takes about a second.
+_IN_LOOP = 16
 
 
 def compute(ensemble: Ensemble, folder: Folder, pool: Pool, track: Track) -> None:
@@ -57,7 +59,7 @@ def compute(ensemble: Ensemble, folder: Folder, pool: Pool, track: Track) -> Non
         A signal was received. The folder keeps all blocks that are complete.
 
     """
-    spans = folder.missing()
+    spans = folder.missing(_IN_LOOP if ensemble.controller else None)
     runs = sum(stop - first for first, stop in spans)
     with closing(pool(ensemble, spans)) as blocks:
         for block in track(blocks, runs):
@@ -75,6 +77,19 @@ def threads(workers: int) -> Pool:
     def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
         with Workers(workers) as found:
             yield from found.results(partial(_block, ensemble), spans)
+    return blocks
+
+
+def processes(workers: int) -> Pool:
+    """Return a pool of processes, for runs that hold Python's lock."""
+    def died(span: Span, error: WorkerError) -> NoReturn:
+        raise InputError(f'cannot compute runs {span[0]} to {span[1] - 1}: {error}; the same '
+                         'command goes on with what is complete') from error
+
+    def blocks(ensemble: Ensemble, spans: list[Span]) -> Generator[Block]:
+        if spans:
+            with Processes(workers) as found:
+                yield from found.results(partial(_block, ensemble), spans, died)
     return blocks
 
 

@@ -155,13 +155,21 @@ class Folder:
         if self.missing():
             self._remove_results()
 
-    def missing(self) -> list[Span]:
-        """Return the first run of each block that has to be computed, and the one after it."""
+    def missing(self, longest: int | None = None) -> list[Span]:
+        """
+        Return the first run of each block that has to be computed, and the one after it.
+
+        Parameters
+        ----------
+        longest : int, optional
+            Largest number of runs of a block.
+
+        """
         present = self._blocks.spans
         begins, ends = [0, *(stop for _, stop in present)], [first for first, _ in present]
         gaps = [*zip(begins, [*ends, self.runs])]
         runs = sum(end - begin for begin, end in gaps)
-        longest = min(max(runs // BLOCKS, 1), LONGEST)
+        longest = min(max(runs // BLOCKS, 1), longest or LONGEST)
         if self._motions:
             longest = self._motions.block(longest)
         return [(first, min(first + longest, end)) for begin, end in gaps

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Histogram of angles."""
+"""Histogram of angles, or of other numbers that are not negative."""
 
 from __future__ import annotations
 

@@ -31,13 +31,14 @@ from rigid_body_ros.ensemble.applied import (
     Applied,
     components,
     Fields,
-    later,
     relative_inertia,
     tensors,
     vectors,
 )
+from rigid_body_ros.ensemble.controller import Controller
 from rigid_body_ros.ensemble.dispersions import (
     ATTITUDE,
+    dispersed,
     Dispersion,
     draws,
     INERTIA,
@@ -45,8 +46,10 @@ from rigid_body_ros.ensemble.dispersions import (
     units_with,
 )
 from rigid_body_ros.ensemble.fitted import Fitted
+from rigid_body_ros.ensemble.loop import closed_loop
 from rigid_body_ros.ensemble.motions import COMPONENTS
 from rigid_body_ros.ensemble.reach import Reach
+from rigid_body_ros.ensemble.torques import Torques
 from rigid_body_ros.mechanics import so3
 from rigid_body_ros.mechanics.bodies import RigidBodies
 from rigid_body_ros.mechanics.fields import UniformField
@@ -93,12 +96,14 @@ class Ensemble:
         Estimates that take the place of values of the problem, and vary jointly.
     times_ns : array of int64, shape (m,), ns, optional
         Times of the states that are kept, the last one the end; by default the end only.
+    controller : Controller, optional
+        Returns a torque for each state, which acts with the gain and the noise of the others.
 
     Raises
     ------
     InputError
-        A dispersion has no effect: it is relative to zero, or disperses torques or an orbit of
-        which there are none.
+        A dispersion is relative to zero, of torques or of an orbit of which there are none, or of
+        a body that changes.
 
     """
 
@@ -108,17 +113,21 @@ class Ensemble:
     seed: int
     fitted: Fitted | None = None
     times_ns: NDArray[np.int64] | None = None
+    controller: Controller | None = None
 
     def __post_init__(self) -> None:
+        for one in self.dispersions:
+            if one.relative and self.nominal.get(one.key) == 0.0:
+                raise InputError(f'{one.key}: relative: expected a nominal value other than 0')
         for key in self.keys:
             if key.startswith(f'{ORBIT}.') and key not in self.nominal:
                 raise InputError(f'{key}: expected a scene with an orbit, found none')
-        for one in self.dispersions:
-            if one.relative and self.nominal[one.key] == 0.0:
-                raise InputError(f'{one.key}: relative: expected a nominal value other than 0')
-        for key in self.keys:
-            if key in ('torque_gain', 'clock_offset', NOISE) and not self.problem.logs:
+            if (key in ('torque_gain', NOISE) and not (self.problem.logs or self.controller)) \
+                    or (key == 'clock_offset' and not self.problem.logs):
                 raise InputError(f'{key}: expected a recording of torques, found none')
+            if self.problem.changes and key.split('.')[0] in (INERTIA, 'damping'):
+                raise InputError(f'{key}: expected a body that does not change, found '
+                                 f'{len(self.problem.changes)} changes')
 
     @property
     def keys(self) -> list[str]:
@@ -148,12 +157,33 @@ class Ensemble:
             Attitude, x y z w, and angular velocity, rad/s, at `times_ns`, or at the end only.
 
         """
-        return replace(self, dispersions=())._motion(self._applied_without, 0)
+        return self._nominal[0]
 
     @property
     def nominal_attitude(self) -> Floats:
         """Return the final attitude without any dispersion, with the errors of `propagate`."""
         return self.nominal_motion[-1, :4]
+
+    def check(self) -> None:
+        """
+        Check that the nominal motion can be computed, and that a controller repeats it.
+
+        Raises
+        ------
+        ValueError
+            As for `propagate`; `ControllerError` if the controller fails or does not repeat it.
+
+        """
+        _, first = self._nominal
+        if self.controller:
+            _, again = self._undispersed.solved(self._applied_without, 0)
+            self.controller.check_same(first, again)
+
+    def replayed(self, run: int) -> tuple[Problem, dict[str, float]]:
+        """Return the problem of a run, with the torques of a controller, and its values by key."""
+        applied = self.applied(np.array([run]))
+        _, problem = replace(self, times_ns=None).solved(applied, 0)
+        return problem, {key: float(column[0]) for key, column in applied.columns().items()}
 
     @property
     def times(self) -> Floats | None:
@@ -184,8 +214,12 @@ class Ensemble:
         ------
         KeyboardInterrupt
             A signal was received.
+        InputError
+            The controller cannot be imported here.
 
         """
+        if self.controller:
+            self.controller.check()
         pieces = []
         for begin in range(first, stop, self._at_once):
             interrupts.check()
@@ -195,10 +229,19 @@ class Ensemble:
     def applied(self, runs: NDArray[np.int64]) -> Applied:
         """Return what acts in some runs; bodies and starts that are not possible say why."""
         drawn = draws(self.dispersions, self.seed, runs)
-        values = self._values(drawn, len(runs))
+        values = dispersed(self.dispersions, self.nominal, drawn, len(runs))
         if self.fitted:
             values.update(self.fitted.draw(self.seed, runs))
         return self._acting(runs, values, drawn)
+
+    @property
+    def _undispersed(self) -> Ensemble:
+        return replace(self, dispersions=())
+
+    @cached_property
+    def _nominal(self) -> tuple[Floats, Problem]:
+        """Return the nominal motion, and its problem with the torques of a controller."""
+        return self._undispersed.solved(self._applied_without, 0)
 
     @cached_property
     def _applied_without(self) -> Applied:
@@ -223,30 +266,6 @@ class Ensemble:
                        Fields.with_values(self.problem.fields, {
                            key: values[key] for key in self._of_fields}, len(runs)))
 
-    def torques(self, applied: Applied, row: int) -> tuple[list[TorqueLog], TorqueLog | None]:
-        """
-        Return the torques on body and rotors in a run.
-
-        Raises
-        ------
-        ValueError
-            A torque is not finite, or a stamp does not fit 64 bits.
-
-        """
-        gain, offset = applied.torque_gain[row], float(applied.clock_offset[row])
-        torques = [gain * log.torques for log in self.problem.logs]
-        if self._noise:
-            stream = np.random.SeedSequence(self.seed, spawn_key=(int(applied.runs[row]),))
-            random = np.random.default_rng(stream)
-            torques = [torque + random.normal(0.0, self._noise, torque.shape)
-                       for torque in torques]
-        logs = [later(log, offset, torque) for log, torque in zip(self.problem.logs, torques)]
-        bias, wheels = applied.torque_bias[row], self.problem.wheels
-        if bias.any():
-            logs.append(TorqueLog.constant(bias, self._start_ns, self.end_ns,
-                                           self.problem.options.timeout_ns))
-        return logs, wheels and later(wheels, offset)
-
     @property
     def _start_ns(self) -> int:
         return self.problem.start.time_ns
@@ -260,7 +279,7 @@ class Ensemble:
     def _have_own_logs(self) -> bool:
         """Return whether the runs have logs that differ by more than a gain."""
         varied = {name.split('.')[0] for name in self.columns}
-        return self._noise > 0.0 or bool(varied & {'torque_bias', 'clock_offset'})
+        return self.torques.noise > 0.0 or bool(varied & {'torque_bias', 'clock_offset'})
 
     @cached_property
     def _of_fields(self) -> list[str]:
@@ -269,9 +288,10 @@ class Ensemble:
         return [key for key in self.keys if key in known]
 
     @cached_property
-    def _noise(self) -> float:
-        """Return the standard deviation of the noise of the torques, N m."""
-        return sum(one.bounds[0] for one in self.dispersions if one.key == NOISE)
+    def torques(self) -> Torques:
+        """Return the torques in the runs."""
+        noise = sum(one.bounds[0] for one in self.dispersions if one.key == NOISE)
+        return Torques(self.problem, self.end_ns, self.seed, noise)
 
     @cached_property
     def _at_once(self) -> int:
@@ -326,9 +346,11 @@ class Ensemble:
 
     @cached_property
     def _reach(self) -> Reach:
-        return Reach(self.problem, self.end_ns, self._noise)
+        return Reach(self.problem, self.end_ns, self.torques.noise)
 
     def _computed(self, applied: Applied) -> _Found:
+        if self.controller or self.problem.changes:
+            return self._one_by_one(applied)
         try:
             return self._together(applied)
         except ValueError:  # rejected for all runs; one by one, each has its message
@@ -341,7 +363,7 @@ class Ensemble:
         wheels: Sequence[TorqueLog] | TorqueLog | None = self.problem.wheels
         gains = applied.torque_gain if 'torque_gain' in self.columns else None
         if self._have_own_logs:
-            each = [self.torques(applied, row) for row in range(count)]
+            each = [self.torques.recorded(applied, row) for row in range(count)]
             logs, gains = [one for one, _ in each], None
             wheels = [motors for _, motors in each if motors] or None
         motions = propagate_many(
@@ -356,28 +378,22 @@ class Ensemble:
         for row in range(len(applied.runs)):
             interrupts.check()
             try:
-                motions[row] = self._motion(applied, row)
+                motions[row] = self.solved(applied, row)[0]
                 messages.append('')
             except ValueError as error:
-                messages.append(reason(error))
+                run = f'run {applied.runs[row]}: ' if self.controller else ''
+                messages.append(reason(ValueError(f'{run}{error}')))
         return motions, messages
 
-    def _motion(self, applied: Applied, row: int) -> Floats:
-        """Return the motion of a run, shape (m, 7), with the errors of `propagate`."""
-        logs, wheels = self.torques(applied, row)
-        motion = self.problem.replaced(
+    def solved(self, applied: Applied, row: int) -> tuple[Floats, Problem]:
+        """Return the motion of a run, shape (m, 7), and its problem, with the loop's log last."""
+        logs, wheels = self.torques.recorded(applied, row)
+        problem = self.problem.replaced(
             body=applied.bodies[row], start=applied.starts[row], log=logs, wheels=wheels,
-            fields=applied.fields.of_each[row]).propagate(at=self._at)
-        return np.concatenate([motion.attitude, motion.angular_velocity], axis=-1)
-
-    def _values(self, drawn: Mapping[str, Floats], count: int) -> dict[str, Floats]:
-        """Return the nominal values of all runs, changed as drawn."""
-        values = {name: np.full(count, value) for name, value in self.nominal.items()}
-        for one in self.dispersions:
-            if one.key in values:
-                draw = drawn[one.key][:, 0]
-                if one.relative:
-                    values[one.key] *= 1.0 + draw
-                else:
-                    values[one.key] = draw + (one.kind == 'normal') * values[one.key]
-        return values
+            fields=applied.fields.of_each[row])
+        if self.controller:
+            motion, log = closed_loop(problem, self.controller, self._at,
+                                      self.torques.actuated(applied, row))
+            return motion, problem.replaced(log=[*problem.logs, log])
+        found = problem.propagate(at=self._at)
+        return np.concatenate([found.attitude, found.angular_velocity], axis=-1), problem

@@ -16,27 +16,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.ensemble.bands import bands
+from rigid_body_ros.ensemble.effects import correlations, effects
 from rigid_body_ros.ensemble.folder import Folder
 from rigid_body_ros.ensemble.histogram import histogram
 from rigid_body_ros.ensemble.percentiles import percentiles
+from rigid_body_ros.ensemble.requirements import PERCENTILES, Requirement
 from rigid_body_ros.ensemble.runs import ANGLE, Ensemble
-from rigid_body_ros.mechanics import so3
 from rigid_body_ros.report.text import lines
 
-_PERCENTILES = (1, 5, 25, 50, 75, 95, 99, 100)
-#: Number of the first runs from which rank correlations are computed.
-_SAMPLE = 100_000
-#: Number of rank correlations in the text.
+#: Number of parameters in the text.
 _PRINTED = 5
+#: An R^2 below this, divided by the number of runs, may be chance.
+_CHANCE = 10.0
 
 
-def summarized(ensemble: Ensemble, folder: Folder) -> dict[str, Any]:
+def summarized(ensemble: Ensemble, folder: Folder,
+               requirements: Sequence[Requirement] = ()) -> dict[str, Any]:
     """
     Return the results of a complete ensemble as JSON.
 
@@ -46,29 +46,69 @@ def summarized(ensemble: Ensemble, folder: Folder) -> dict[str, Any]:
         Counts of runs and the reasons of failures; percentiles and histogram of the angle from
         the nominal final attitude, rad, empty if all runs failed; and rank correlations of that
         angle with the distance of each dispersed parameter from its nominal value. If the folder
-        has times and a run did not fail, 'bands' as well.
+        has times and a run did not fail, 'bands' as well; and for each requirement how well it is
+        met, with the effects of the parameters, in 'requirements'.
 
     """
     angles = folder.numbers(ANGLE, folder.runs)
     angles = angles[np.isfinite(angles)]
     results: dict[str, Any] = {'angle_from_nominal_rad': {}, 'histogram': {}}
     if angles.size:
-        found = dict(zip((f'p{k}' for k in _PERCENTILES),
-                         percentiles(angles, _PERCENTILES).tolist()))
+        found = dict(zip((f'p{k}' for k in PERCENTILES),
+                         percentiles(angles, PERCENTILES).tolist()))
         results = {'angle_from_nominal_rad': found, 'histogram': histogram(angles, found)}
         if folder.times is not None:
             results['bands'] = bands(folder, ensemble.nominal_motion, angles.size)
     return {'runs': folder.runs, 'failed': folder.runs - angles.size,
             'failures': folder.failures(), **results,
-            'rank_correlation': _correlations(ensemble, folder)}
+            'rank_correlation': correlations(ensemble, folder),
+            **({'requirements': [{**one.judged(folder),
+                                  'effects': effects(ensemble, folder, one.quantity)}
+                                 for one in requirements]} if requirements else {})}
 
 
-def text_of(found: Mapping[str, Any]) -> str:
-    """Return the results as text for a terminal."""
-    depends = [f'{name} (rank correlation {value:.2f})'
-               for name, value in ranked(found)[:_PRINTED]]
-    names = ['depends on', *[''] * _PRINTED]
-    return lines(f'{name:17}{text}' for name, text in [*rows(found), *zip(names, depends)])
+def text_of(found: Mapping[str, Any], replay: Callable[[int], str]) -> str:
+    """
+    Return the results as text for a terminal.
+
+    Parameters
+    ----------
+    found : mapping
+        The results, as from `summarized`.
+    replay : function
+        Returns the command that computes a run again.
+
+    """
+    depends = [f'{name} (rank correlation {value:.2f})' for name, value in ranked(found)]
+    if found.get('requirements'):  # which asks for something else
+        depends = []
+    shown = [*rows(found), *_named('depends on', depends)]
+    for one in found.get('requirements', ()):
+        shown += required(one) + _named('worst', [
+            f'run {worst["run"]}, {worst["value"]:.3g} {one["unit"]}: {replay(worst["run"])}'
+            for worst in one['worst']])
+        shown += _named('depends on', [f'{name} (R^2 {value:.2f})'
+                                       for name, value in strongest(one['effects'])
+                                       if value * found['runs'] > _CHANCE])
+    return lines(f'{name:17}{text}' for name, text in shown)
+
+
+def required(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return how well a requirement is met, and the quantity, as names and texts."""
+    low, high = (f'{100.0 * limit:.3g}' for limit in found['interval_95'])
+    quantity, unit = found['require'].split()[0], found['unit']
+    facts = [('required', f'{found["require"]} {unit}: met by {100.0 * found["share"]:.3g} % of '
+              f'the runs (95 % interval {low} % to {high} %)')]
+    values = found['percentiles']
+    if values:
+        facts.append(('', f'{quantity} at the end: median {values["p50"]:.3g} {unit}, 95 % below '
+                      f'{values["p95"]:.3g} {unit}, largest {values["p100"]:.3g} {unit}'))
+    return facts
+
+
+def _named(name: str, texts: Sequence[str]) -> list[tuple[str, str]]:
+    """Return the first texts, of which the first one has a name."""
+    return [*zip([name, *[''] * _PRINTED], texts[:_PRINTED])]
 
 
 def rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -84,27 +124,9 @@ def rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def ranked(found: Mapping[str, Any]) -> list[tuple[str, float]]:
     """Return the rank correlations, the strongest first."""
-    return sorted(found['rank_correlation'].items(), key=lambda item: -abs(item[1]))
+    return strongest(found['rank_correlation'])
 
 
-def _correlations(ensemble: Ensemble, folder: Folder) -> dict[str, float]:
-    from scipy.stats import spearmanr  # takes long to import
-    result, angles = {}, folder.numbers(ANGLE, _SAMPLE)
-    for name, distance in _distances(ensemble, folder):
-        known = np.isfinite(angles) & np.isfinite(distance)
-        varies = known.sum() > 2 and np.ptp(distance[known]) > 0.0 and np.ptp(angles[known]) > 0.0
-        if varies:
-            result[name] = float(spearmanr(distance[known], angles[known])[0])
-    return result
-
-
-def _distances(ensemble: Ensemble, folder: Folder) -> list[tuple[str, Floats]]:
-    """Return the distances of the parameters from their nominal values, in the first runs."""
-    nominal = ensemble.nominal
-    attitude = [f'initial_attitude.{axis}' for axis in 'xyzw']
-    tilted = np.stack([folder.numbers(name, _SAMPLE) for name in attitude], axis=-1)
-    with np.errstate(invalid='ignore'):  # failed runs
-        tilt = np.asarray(so3.angle_between(tilted, [nominal[name] for name in attitude]))
-    return [('initial_attitude', tilt), *(
-        (name, np.abs(folder.numbers(name, _SAMPLE) - nominal[name]))
-        for name in ensemble.columns if name in nominal and name not in attitude)]
+def strongest(found: Mapping[str, float]) -> list[tuple[str, float]]:
+    """Return names and numbers, the largest ones first."""
+    return sorted(found.items(), key=lambda item: -abs(item[1]))

@@ -30,9 +30,8 @@ from rigid_body_ros.mechanics.fields import UniformField
 from rigid_body_ros.mechanics.urdf import robot
 from rigid_body_ros.scene import Scene
 from rigid_body_ros.scene.fields import FIELDS, values_of
-from rigid_body_ros.scene.parameters import parameters_with
+from rigid_body_ros.scene.text import text_of
 from rigid_body_ros.sensing.recorded import read_observed, Reading
-import yaml
 
 
 def read_experiment(path: str | Path, scene: Scene, reading: Reading) -> Experiment:
@@ -72,25 +71,11 @@ def fitted_scene(scene: Scene, fit: Identification) -> str:
     """
     Return a scene file with the estimates of the first recording.
 
-    The values that a scene cannot contain are in comments. A robot_description is left out if
-    the inertia was fitted, because it has one of its own.
+    The values that a scene cannot contain are in comments.
     """
-    changed = _changed(fit)
-    parameters = parameters_with(changed.get(FIELDS, []))
-    values = {name: value for name, value in scene.values.items()
-              if value != parameters[name].default or name.startswith('inertia')}
-    if any(name.startswith('inertia') for name in changed):
-        values.pop('robot_description', None)
-        values.pop('link', None)
-    values.update(changed)
-    tree: dict[str, Any] = {}
-    for name in parameters:
-        if name in values:
-            group, _, key = name.rpartition('.')
-            (tree.setdefault(group, {}) if group else tree)[key] = values[name]
     others = [name for name in fit.estimates if _group(name) in NOT_IN_SCENES]
-    text = yaml.safe_dump({'/**': {'ros__parameters': tree}}, sort_keys=False)
-    return '\n'.join([*(f'# {line}' for line in _comments(fit, others)), text])
+    return '\n'.join([*(f'# {line}' for line in _comments(fit, others)),
+                      text_of(scene, _changed(fit))])
 
 
 def fitted_urdf(scene: Scene, fit: Identification) -> str:

@@ -113,13 +113,19 @@ class Workers:
 
 class Processes(Workers):
     """
-    A process for each processor; one that dies affects only the item that it computes.
+    Processes; one that dies affects only the item that it computes.
 
     Functions, items and results are pickled.
+
+    Parameters
+    ----------
+    workers : int, optional
+        Number of processes; one for each processor by default.
+
     """
 
-    def __init__(self) -> None:
-        super().__init__(os.cpu_count() or 1)
+    def __init__(self, workers: int | None = None) -> None:
+        super().__init__(workers or os.cpu_count() or 1)
         self._last: dict[_Process, Future[Any]] = {}
 
     def __exit__(self, *error: object) -> None:

@@ -1,0 +1,190 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A controller in Python: which one it is, and what it returns for a state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from functools import lru_cache
+import hashlib
+from importlib import import_module
+import inspect
+import math
+from pathlib import Path
+import sys
+from typing import Any
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.errors import InputError, quoted, reason
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.propagation import Problem
+from rigid_body_ros.runtime import interrupts
+
+#: Returns a torque, shape (3,), N m, body axes, for a state and the time since the start, s.
+Law = Callable[[State, float], Any]
+
+
+class ControllerError(ValueError):
+    """A controller raised an exception, or returned something other than a torque."""
+
+
+@dataclass(frozen=True)
+class Controller:
+    """
+    A function, or a class whose instances are called like one; a run has an instance of its own.
+
+    Attributes
+    ----------
+    name : str
+        MODULE:FUNCTION or MODULE:CLASS.
+    folder : str
+        Where Python looks for the module first.
+    digest : str
+        Of the source file of the module.
+    step_ns : int, ns
+        Time from one call to the next.
+
+    """
+
+    name: str
+    folder: str
+    digest: str
+    step_ns: int
+
+    @classmethod
+    def load(cls, name: str, step_ns: int) -> Controller:
+        """
+        Import a controller, with the modules in the working directory before all others.
+
+        Raises
+        ------
+        InputError
+            The module cannot be imported or has no source file, or it has no such function.
+
+        """
+        folder = str(Path.cwd())
+        found = cls(name, folder, _digest(name, folder), step_ns)
+        found.check()
+        return found
+
+    def check(self) -> None:
+        """Raise InputError if the controller cannot be imported, or is another one, here."""
+        digest = _digest(self.name, self.folder)
+        if digest != self.digest:
+            raise InputError(f'controller {self.name}: expected the source file that the command '
+                             f'has ({self.digest}), found another ({digest})')
+        if not callable(_target(self.name, self.folder)):
+            raise InputError(f'controller {self.name}: expected a function or a class, found '
+                             f'{quoted(_target(self.name, self.folder))}')
+
+    def begin(self) -> Law:
+        """Return the controller of one run; raise ControllerError if it cannot be made."""
+        target = _target(self.name, self.folder)
+        if not inspect.isclass(target):
+            return target
+        law = self._called(target, 0.0)
+        if not callable(law):
+            raise ControllerError(f'controller {self.name}: expected a class with __call__, found '
+                                  'one without')
+        return law
+
+    def torque(self, law: Law, state: State, seconds: float) -> Floats:
+        """
+        Return the torque for a state, shape (3,), N m, body axes.
+
+        Raises
+        ------
+        ControllerError
+            The controller raises an exception, or does not return three finite numbers.
+        KeyboardInterrupt
+            A signal was received.
+
+        """
+        found = self._called(law, seconds, state, seconds)
+        try:
+            torque = np.array(found, float)
+        except (TypeError, ValueError):
+            torque = np.empty(0)
+        if torque.shape != (3,) or not all(map(math.isfinite, torque.tolist())):
+            raise ControllerError(f'{seconds:.9g} s: controller {self.name}: expected a torque of '
+                                  f'three finite numbers (N m), found {quoted(found)}')
+        return torque
+
+    def check_same(self, first: Problem, again: Problem) -> None:
+        """Raise ControllerError unless two computations of a run have the same torques."""
+        for one, other in zip(first.logs[-1:], again.logs[-1:]):
+            differ = (one.torques.view(np.int64) != other.torques.view(np.int64)).any(axis=1)
+            if differ.any():
+                row = int(np.flatnonzero(differ)[0])
+                seconds = (int(one.times_ns[row]) - first.start.time_ns) / 1e9
+                raise ControllerError(
+                    f'{seconds:.9g} s: controller {self.name}: expected the same torque when the '
+                    f'run is repeated, found {one.torques[row].tolist()} and then '
+                    f'{other.torques[row].tolist()} N m: it uses a clock, random numbers, or '
+                    'memory that runs share; a class has memory for each run')
+
+    def _called(self, function: Callable[..., Any], seconds: float, *arguments: Any) -> Any:
+        try:
+            return function(*arguments)
+        except BaseException as error:  # SystemExit, too: the exit of a controller ends its run
+            interrupts.check()
+            raise ControllerError(f'{seconds:.9g} s: controller {self.name}: '
+                                  f'{_described(error)}') from error
+
+
+@lru_cache
+def _target(name: str, folder: str) -> Any:
+    module, _, function = name.partition(':')
+    try:
+        return getattr(_imported(name, folder), function)
+    except AttributeError:
+        raise InputError(f'controller {name}: expected a function {quoted(function)} in '
+                         f'{module}, found none') from None
+
+
+@lru_cache
+def _imported(name: str, folder: str) -> Any:
+    module, _, function = name.partition(':')
+    if not (function.isidentifier() and all(map(str.isidentifier, module.split('.')))):
+        raise InputError(f'controller: expected MODULE:FUNCTION, found {quoted(name)}')
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    try:
+        with redirect_stdout(sys.stderr):  # standard output has the results only
+            return import_module(module)
+    except BaseException as error:  # whatever the module does
+        interrupts.check()
+        raise InputError(f'controller {name}: cannot import {module}: '
+                         f'{_described(error)}') from error
+
+
+def _digest(name: str, folder: str) -> str:
+    """Return a hash of the source file of a controller."""
+    path = getattr(_imported(name, folder), '__file__', None)
+    if path is None:
+        raise InputError(f'controller {name}: expected a module with a source file, found one '
+                         'without')
+    try:
+        return f'sha256:{hashlib.sha256(Path(path).read_bytes()).hexdigest()}'
+    except OSError as error:
+        raise InputError(f'controller {name}: cannot read {path}: {reason(error)}') from error
+
+
+def _described(error: BaseException) -> str:
+    text = ' '.join(str(error).split())
+    return f'{type(error).__name__}: {text}' if text else type(error).__name__

@@ -1,0 +1,168 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+A run with a controller: each state gets a torque, which holds to the next state, as in lockstep.
+
+The motion is that of `propagate` under the torques that the controller returned, bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import redirect_stdout
+from dataclasses import asdict
+from functools import partial
+import heapq
+from itertools import repeat
+import math
+from operator import itemgetter
+import sys
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.ensemble.controller import Controller
+from rigid_body_ros.ensemble.reach import FARTHEST
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.torque import FRAMES, TorqueLog
+from rigid_body_ros.propagation import Problem, Propagator
+from rigid_body_ros.runtime import interrupts
+
+#: Returns the torque that acts, N m, for the one that a controller returned.
+Actuated = Callable[[Floats], Floats]
+#: A stamp, ns, and the call that applies what has this stamp.
+_Input = tuple[int, Callable[[], object]]
+
+
+def closed_loop(problem: Problem, controller: Controller, times_ns: NDArray[np.int64],
+                actuated: Actuated) -> tuple[Floats, TorqueLog]:
+    """
+    Return the motion with a controller, and the torques of the controller that acted.
+
+    Parameters
+    ----------
+    problem : Problem
+        The motion without the controller; its torques are held.
+    controller : Controller
+        Called from the start on.
+    times_ns : array of int64, shape (m,), ns
+        Ascending, none before the start; the last one is the end.
+    actuated : function
+        Returns the torque that acts, N m, for the one that the controller returned.
+
+    Returns
+    -------
+    array, shape (m, 7)
+        Attitude, x y z w, and angular velocity, rad/s.
+    TorqueLog
+        As the last log of the problem, it gives the motion again.
+
+    Raises
+    ------
+    ValueError
+        The controller fails (`ControllerError`), the body turns too far to be computed, or as
+        `Propagator` does.
+    KeyboardInterrupt
+        A signal was received.
+
+    """
+    start_ns, step_ns = problem.start.time_ns, controller.step_ns
+    motion, turned = _Motion(problem, step_ns), _Turned(problem, step_ns)
+    stamps = range(start_ns, int(times_ns[-1]), step_ns)
+    torques, states = list[Floats](), list[State]()
+    with redirect_stdout(sys.stderr):  # standard output has the results only
+        law = controller.begin()
+        for stamp_ns in stamps:
+            interrupts.check()
+            state, seconds = motion.at(stamp_ns), (stamp_ns - start_ns) / 1e9
+            torque = actuated(controller.torque(law, _copied(state), seconds))
+            turned.check(state, torque, seconds)
+            torques.append(torque)
+            motion.apply(stamp_ns, torque)
+            begin, end = times_ns.searchsorted([stamp_ns, stamp_ns + step_ns]).tolist()
+            states += map(motion.at, times_ns[begin:end].tolist())
+    if len(states) < len(times_ns):
+        states.append(motion.at(int(times_ns[-1])))
+    return (np.array([[*state.attitude, *state.angular_velocity] for state in states]),
+            TorqueLog(np.array(stamps, np.int64), np.reshape(torques, (-1, 3))))
+
+
+class _Motion:
+    """The motion under the torques of a problem and of a controller, at ascending times."""
+
+    def __init__(self, problem: Problem, step_ns: int) -> None:
+        self._source = len(problem.logs)
+        # What is asked for is never older than the newest torque by more than a step.
+        self._propagator = Propagator(problem.body, problem.start, fields=problem.fields,
+                                      history=step_ns / 1e9, **asdict(problem.options))
+        self._recorded = heapq.merge(*self._inputs(problem), key=itemgetter(0))
+        self._next = next(self._recorded, None)
+
+    def at(self, time_ns: int) -> State:
+        """Return the state at a time."""
+        while self._next and self._next[0] <= time_ns:
+            self._next[1]()
+            self._next = next(self._recorded, None)
+        return self._propagator.at(time_ns)
+
+    def apply(self, time_ns: int, torque: Floats) -> None:
+        """Apply a torque of the controller, from a time on."""
+        self._propagator.apply(time_ns, torque, source=self._source)
+
+    def _inputs(self, problem: Problem) -> Iterator[Iterator[_Input]]:
+        """Generate the inputs of each source, and those that change the body."""
+        into, wheels, changes = self._propagator, problem.wheels, problem.changes
+        for source, log in enumerate(problem.logs):
+            frames = np.choose(log.in_space, FRAMES).tolist()
+            yield _calls(into.apply, log.times_ns, log.torques, frames, repeat(source))
+        if wheels:
+            yield _calls(into.apply_wheels, wheels.times_ns, wheels.torques)
+        if changes:
+            yield _calls(into.apply_body, changes.times_ns, changes.bodies, repeat(changes.keep))
+
+
+class _Turned:
+    """A bound on how far a body turns in steps: one that turns too far would take days."""
+
+    def __init__(self, problem: Problem, step_ns: int) -> None:
+        moments = problem.body.principal_moments
+        self._least, self._seconds = float(moments.min()), step_ns / 1e9
+        #: The energy of a body that turns about one axis lets it turn faster about another.
+        self._ratio = math.sqrt(float(moments.max()) / self._least)
+        self._limit = math.inf if problem.options.record.fixed_step else FARTHEST
+        self._angle = 0.0
+
+    def check(self, state: State, torque: Floats, seconds: float) -> None:
+        """Raise ValueError if a body turns too far within the step from a state on."""
+        gained = math.hypot(*torque.tolist()) / self._least * self._seconds
+        rate = math.hypot(*state.angular_velocity.tolist()) * self._ratio + gained
+        self._angle += rate * self._seconds
+        if not self._angle < self._limit:
+            raise ValueError(f'{seconds:.9g} s: the body may turn by {self._angle:.3g} rad, too '
+                             f'far to be computed (limit {self._limit:.3g} rad): check the '
+                             'controller')
+
+
+def _calls(apply: Callable[..., object], times_ns: NDArray[np.int64],
+           *columns: Iterable[Any]) -> Iterator[_Input]:
+    """Generate the inputs of a source, whose arguments are rows of these columns."""
+    return ((stamp_ns, partial(apply, stamp_ns, *row))
+            for stamp_ns, *row in zip(times_ns.tolist(), *columns))
+
+
+def _copied(state: State) -> State:
+    """Return a state of which nothing is shared with the motion, whatever is written to it."""
+    return State._as_computed(state.time_ns, state._packed.copy(), None, state._rotors.copy())

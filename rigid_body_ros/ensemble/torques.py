@@ -1,0 +1,81 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The torques in the runs of an ensemble: those recorded, or of a controller, and what differs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from rigid_body_ros.ensemble.applied import Applied, later
+from rigid_body_ros.ensemble.loop import Actuated
+from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.propagation import Problem
+
+
+@dataclass(frozen=True)
+class Torques:
+    """
+    What acts on the bodies of all runs.
+
+    Parameters
+    ----------
+    problem : Problem
+        The nominal motion.
+    end_ns : int, ns
+    seed : int
+    noise : float, N m
+        Standard deviation of a component of the torque.
+
+    """
+
+    problem: Problem
+    end_ns: int
+    seed: int
+    noise: float
+
+    def recorded(self, applied: Applied, row: int) -> tuple[list[TorqueLog], TorqueLog | None]:
+        """
+        Return the recorded torques on body and rotors in a run.
+
+        Raises
+        ------
+        ValueError
+            A torque is not finite, or a stamp does not fit 64 bits.
+
+        """
+        gain, offset = applied.torque_gain[row], float(applied.clock_offset[row])
+        torques = [gain * log.torques for log in self.problem.logs]
+        if self.noise:
+            random = self._random(int(applied.runs[row]))
+            torques = [torque + random.normal(0.0, self.noise, torque.shape)
+                       for torque in torques]
+        logs = [later(log, offset, torque) for log, torque in zip(self.problem.logs, torques)]
+        bias, wheels = applied.torque_bias[row], self.problem.wheels
+        if bias.any():
+            logs.append(TorqueLog.constant(bias, self.problem.start.time_ns, self.end_ns,
+                                           self.problem.options.timeout_ns))
+        return logs, wheels and later(wheels, offset)
+
+    def actuated(self, applied: Applied, row: int) -> Actuated:
+        """Return how the torque of a controller acts in a run: with the gain, and noise."""
+        gain, noise = applied.torque_gain[row], self.noise
+        if not noise:
+            return lambda torque: np.asarray(gain * torque)
+        random = self._random(int(applied.runs[row]), 1)
+        return lambda torque: np.asarray(gain * torque + random.normal(0.0, noise, 3))
+
+    def _random(self, *key: int) -> np.random.Generator:
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))

@@ -1,0 +1,116 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The worst runs as scenes and recordings, from which `attitude_replay` computes them again."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+import re
+import shlex
+
+import numpy as np
+from rigid_body_ros import recording
+from rigid_body_ros.ensemble.runs import Ensemble
+from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.messages import INERTIA, inertia, WRENCH
+from rigid_body_ros.propagation import Problem
+from rigid_body_ros.recording import Column
+from rigid_body_ros.runtime import files
+from rigid_body_ros.scene import Scene
+from rigid_body_ros.scene.text import text_of
+
+#: The folder of the worst runs, in that of the ensemble, and the files in it.
+FOLDER = 'worst'
+_FILE = re.compile(r'\d+\.(mcap|yaml)')
+_WHEELS, _BODY = '/wheel_torque', '/inertia'
+
+
+def write(path: Path, ensemble: Ensemble, scene: Scene, runs: Collection[int]) -> None:
+    """
+    Write the scenes and the torques of some runs to a folder, in place of those of others.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+
+    """
+    with files.reported(path):
+        if runs:
+            path.mkdir(exist_ok=True)
+        for found in path.glob('*'):
+            if _FILE.fullmatch(found.name):
+                found.unlink()
+    for run in runs:
+        problem, values = ensemble.replayed(run)
+        topics = [f'torque_{source}' for source in range(len(problem.logs) or 1)]
+        later_ns = _later_ns(problem)
+        changed = {**values, 'start_time': problem.start.time_ns + later_ns,
+                   'torque_topics': topics}
+        with files.atomic_output(path / f'{run}.yaml', '.yaml') as part:
+            part.write_text(f'# Run {run} of an ensemble.\n{text_of(scene, changed)}',
+                            encoding='utf-8')
+        with recording.Writer(path / f'{run}.mcap') as writer:
+            _Torques(writer, scene, later_ns).write(problem, topics)
+
+
+def command(ensemble: Ensemble, path: str | Path, run: int) -> str:
+    """Return the command that computes a run again from what is in the folder of an ensemble."""
+    seconds = (ensemble.end_ns - ensemble.problem.start.time_ns) / 1e9
+    files_of = Path(path) / FOLDER / str(run)
+    return shlex.join(['attitude_replay', f'{files_of}.mcap', '--scene', f'{files_of}.yaml',
+                       '--until', f'{seconds:.9f}'.rstrip('0').rstrip('.'), '-o',
+                       f'run_{run}.mcap'])
+
+
+def _later_ns(problem: Problem) -> int:
+    """Return by how much stamps have to be later, ns: a start of 0 has another meaning."""
+    first_ns = min(problem.stamps_ns[:1].tolist(), default=0)
+    return 1 - min(first_ns, 0) if first_ns < 0 or not problem.start.time_ns else 0
+
+
+@dataclass(frozen=True)
+class _Torques:
+    """Writes torques, all of them later by the same time."""
+
+    writer: recording.Writer
+    scene: Scene
+    later_ns: int
+
+    def write(self, problem: Problem, topics: list[str]) -> None:
+        """Write the torques of a problem, on the body to these topics, and the changes of it."""
+        # A replay needs torques; one of zero changes nothing.
+        none = TorqueLog([problem.start.time_ns], np.zeros((1, 3)))
+        for topic, log in zip(topics, problem.logs or (none,)):
+            self._write_log(f'/{topic}', log)
+        if problem.wheels:
+            self._write_log(_WHEELS, problem.wheels)
+        if problem.changes:
+            self.writer.add_topic(_BODY, INERTIA)
+            for stamp_ns, body in zip(problem.changes.times_ns.tolist(), problem.changes.bodies):
+                stamp_ns += self.later_ns
+                self.writer.write(_BODY, stamp_ns,
+                                  inertia(stamp_ns, self.scene.body_frame, body.entries))
+
+    def _write_log(self, topic: str, log: TorqueLog) -> None:
+        self.writer.add_topic(topic, WRENCH)
+        wrenches = np.concatenate([np.zeros((len(log), 3)), log.torques], axis=1)
+        for in_space, frame in ((False, self.scene.body_frame), (True, self.scene.space_frame)):
+            rows = log.in_space == in_space
+            if rows.any():
+                self.writer.write_columns(log.times_ns[rows] + self.later_ns,
+                                          [Column(topic, frame, wrenches[rows])])

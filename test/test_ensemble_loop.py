@@ -1,0 +1,296 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Ensembles with a controller: the bits of lockstep, in any order; requirements and effects."""
+
+from dataclasses import asdict, replace
+import json
+import re
+import shlex
+import shutil
+
+from conftest import ROOT, SECOND
+from controllers import Pid
+import numpy as np
+from pyarrow import parquet
+import pytest
+from rigid_body_ros import (
+    BodyLog,
+    messages,
+    Propagator,
+    read,
+    recording,
+    TorqueLog,
+)
+from rigid_body_ros.commands import main
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.ensemble import worst
+from rigid_body_ros.ensemble.controller import Controller
+from rigid_body_ros.ensemble.dispersions import Dispersion
+from rigid_body_ros.ensemble.effects import _explained
+from rigid_body_ros.ensemble.requirements import interval, Requirement
+from rigid_body_ros.ensemble.runs import Ensemble
+from rigid_body_ros.live.epoch import Epoch
+from rigid_body_ros.live.inputs import Torque
+from rigid_body_ros.scene import Scene
+from scipy.stats import binomtest
+from test_ensemble import contents
+
+STEP_NS, END_NS = SECOND // 10, 2 * SECOND
+TIMES = np.array([0, 1, STEP_NS, SECOND // 3, SECOND, END_NS - 5, END_NS])
+SCENE = {'inertia.ixx': 0.045, 'inertia.iyy': 0.12, 'inertia.izz': 0.14, 'inertia.ixy': 0.002,
+         'initial_angular_velocity.y': 0.6, 'step': 0.1}
+RATE = Dispersion('initial_angular_velocity.x', 'uniform', (-0.5, 0.5))
+GAIN, NOISE = (Dispersion(key, 'normal', (0.1,)) for key in ('torque_gain', 'torque_noise'))
+VARY = (RATE, Dispersion('inertia', 'relative', (0.05,)),
+        Dispersion('initial_attitude', 'tilt', (0.1,)))
+
+
+def ensemble(name, *vary, end_ns=END_NS, times_ns=None, problem=None, **values):
+    loop = Controller.load(f'controllers:{name}', STEP_NS)
+    problem = problem or Scene.from_values({**SCENE, **values}).problem()
+    return Ensemble(problem, end_ns, vary, 1, None, times_ns, loop)
+
+
+def by_hand(problem, law, gain):
+    """Return the motion at `TIMES`, in the loop that `test_closed_loop` compares a node with."""
+    propagator, motion = Propagator(problem.body, problem.start, **asdict(problem.options)), []
+    for stamp_ns in range(0, END_NS, STEP_NS):
+        state = propagator.at(stamp_ns)
+        propagator.apply(stamp_ns, gain * np.array(law(state, stamp_ns / 1e9)))
+        motion += [states_of(propagator.at(time_ns)) for time_ns in TIMES.tolist()
+                   if stamp_ns <= time_ns < stamp_ns + STEP_NS]
+    return [*motion, states_of(propagator.at(END_NS))]
+
+
+def states_of(state):
+    return [*state.attitude, *state.angular_velocity]
+
+
+def test_a_run_has_the_bits_of_the_loop_that_a_node_has_in_lockstep():
+    found = ensemble('Pid', *VARY, GAIN, times_ns=TIMES)
+    motions = found.rows(5, 8)['motion']
+    for run, motion in zip(range(5, 8), motions):
+        problem, values = found.replayed(run)
+        assert motion.tolist() == by_hand(problem, Pid(), values['torque_gain'])
+
+
+def test_a_run_has_the_bits_of_the_live_half_of_the_node():
+    scene, law = Scene.from_values(SCENE), Pid()
+    epoch = Epoch(scene, scene.start)
+    for stamp_ns in range(0, END_NS, STEP_NS):
+        torque = law(epoch.at(stamp_ns, 10.0), stamp_ns / 1e9)
+        epoch.apply(Torque(stamp_ns, np.array(torque), 'body'))
+    nominal = ensemble('Pid').nominal_motion
+    assert nominal[-1].tolist() == states_of(epoch.at(END_NS, 10.0))
+
+
+@pytest.fixture
+def everything():
+    """Return a scene with all that can act on a body, and its problem."""
+    stamps = np.arange(-1, 20) * 90_000_000
+    torques = 0.01 * np.sin(np.arange(63.0)).reshape(21, 3)
+    scene = Scene.from_values({
+        **SCENE, 'initial_rotor_momentum.z': 0.003, 'damping.dxx': 1e-4, 'torque_timeout': 0.13,
+        'wheels': True, 'inertia_topic': True, 'orbit.mean_motion': 1e-3, 'start_time': 7,
+        'fields': ['pivot'], 'pivot.moment.z': -0.01, 'pivot.field.z': -9.81})
+    logs = [TorqueLog(stamps, torques, ['body', 'space'] * 10 + ['body']),
+            TorqueLog(stamps[4:] + 7, torques[4:])]
+    return scene, scene.problem().replaced(
+        log=logs, wheels=TorqueLog(stamps + 3, 0.01 * torques),
+        changes=BodyLog([SECOND], [scene.body.with_entries(
+            np.array([0.04, 0.1, 0.12, 0.0, 0.0, 0.0]))]))
+
+
+@pytest.mark.parametrize('name', ['damp', None])
+def test_what_is_written_of_a_run_gives_it_again(tmp_path, everything, name):
+    scene, problem = everything
+    found = ensemble('damp', *VARY[:1], VARY[2], GAIN, replace(NOISE, bounds=(1e-3,)),
+                     Dispersion('torque_bias.x', 'normal', (1e-3,)),
+                     Dispersion('clock_offset', 'normal', (0.01,)), problem=problem,
+                     end_ns=END_NS, times_ns=TIMES + 7)
+    found = found if name else replace(found, controller=None)
+    columns = found.rows(3, 6)
+    assert columns['message'].tolist() == ['', '', '']
+    worst.write(tmp_path / 'worst', found, scene, [3, 4, 5])
+    for run, motion in zip(range(3, 6), columns['motion']):
+        again = read(tmp_path / 'worst' / f'{run}.mcap', tmp_path / 'worst' / f'{run}.yaml')
+        assert len(again.logs) == 3 + bool(name)
+        motion_again = again.propagate(at=again.start.time_ns + TIMES)
+        np.testing.assert_array_equal(motion[:, :4], motion_again.attitude)
+        np.testing.assert_array_equal(motion[:, 4:], motion_again.angular_velocity)
+
+
+def test_a_body_that_changes_does_not_vary(everything):
+    _, problem = everything
+    for vary in (Dispersion('inertia', 'relative', (0.05,)),
+                 Dispersion('damping.dxx', 'normal', (0.1,), relative=True)):
+        with pytest.raises(InputError, match='expected a body that does not change, found 1'):
+            ensemble('damp', vary, problem=problem)
+
+
+@pytest.mark.parametrize('name', ['damp', 'Pid'])
+def test_runs_do_not_depend_on_those_before(name):
+    found = ensemble(name, *VARY, NOISE)
+    found.check()
+    whole, back = found.rows(0, 6), [found.rows(run, run + 1) for run in range(5, -1, -1)]
+    for column, values in whole.items():
+        assert values.tobytes() == np.concatenate(
+            [one[column] for one in reversed(back)]).tobytes()
+
+
+def test_nothing_that_a_controller_writes_changes_the_run():
+    start = {'initial_rotor_momentum.z': 0.003}
+    expected = ensemble('damp', times_ns=TIMES, **start).nominal_motion
+    np.testing.assert_array_equal(
+        ensemble('vandal', times_ns=TIMES, **start).nominal_motion, expected)
+
+
+@pytest.mark.parametrize(('name', 'message'), [
+    ('late', r'0\.2 s: controller controllers:late: ZeroDivisionError: .*'),
+    ('exits', r'0 s: controller controllers:exits: SystemExit: enough'),
+    ('not_a_number', r'0 s: controller controllers:not_a_number: expected a torque of three '
+     r'finite numbers \(N m\), found \[nan, 0\.0, 0\.0\]'),
+    ('huge', r'0 s: the body may turn by .* rad, too far to be computed \(limit 1e\+07 rad\): '
+     'check the controller'),
+])
+def test_a_run_whose_controller_fails_says_when_and_why(name, message):
+    columns = ensemble(name, RATE).rows(0, 8)
+    failed = np.flatnonzero(columns['status'] == 'failed').tolist()
+    assert len(failed) in range(2, 7)
+    assert not (columns['initial_angular_velocity.x'] > 0.0).any()  # NaN in failed runs
+    for run in failed:
+        assert re.fullmatch(f'run {run}: {message}', columns['message'][run])
+
+
+@pytest.mark.parametrize(('name', 'message'), [
+    ('nowhere:damp', "cannot import nowhere: ModuleNotFoundError: No module named 'nowhere'"),
+    ('controllers:nothing', "expected a function 'nothing' in controllers, found none"),
+    ('controllers:NUMBER', 'expected a function or a class, found 7'),
+    ('controllers', "expected MODULE:FUNCTION, found 'controllers'"),
+    ('sys:exit', 'expected a module with a source file, found one without'),
+    ('leaves:damp', 'cannot import leaves: SystemExit: 5'),
+    ('controllers:two', 'expected a torque of three finite numbers (N m), found [0.0, 0.0]'),
+    ('controllers:words', "found 'none at all'"),
+    ('controllers:Deaf', 'expected a class with __call__, found one without'),
+    ('controllers:guess', 'expected the same torque when the run is repeated, found ['),
+    ('controllers:Shared', '0 s: controller controllers:Shared: expected the same torque'),
+])
+def test_a_bad_controller_is_one_line(tmp_path, monkeypatch, capsys, name, message):
+    (tmp_path / 'leaves.py').write_text('import sys\nprint(5)\nsys.exit(5)\n')
+    monkeypatch.chdir(tmp_path)
+    assert message in error_of(capsys, given(tmp_path, name))
+
+
+def given(folder, name, *more):
+    example = ROOT / 'examples' / 'damp_rates'
+    return ['--scene', f'{example}.yaml', '--vary', f'{example}_vary.yaml', '--controller', name,
+            '--until', '0.5', '--runs', '2', '-o', str(folder / 'out'), *more]
+
+
+def error_of(capsys, arguments):
+    capsys.readouterr()
+    assert main.attitude_ensemble(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ''
+    return captured.err.strip().splitlines()[-1]
+
+
+def test_a_worker_that_dies_is_one_line(tmp_path, capsys):
+    error = error_of(capsys, given(tmp_path, 'controllers:killed'))
+    assert re.search('cannot compute runs . to .: worker process exited with status 3; the same '
+                     'command goes on', error)
+
+
+@pytest.fixture(scope='module')
+def example(tmp_path_factory):
+    """Return the folder of the example in the documentation, with fewer runs, and what it says."""
+    folder = tmp_path_factory.mktemp('example')
+    text = (ROOT / 'docs' / 'ensemble.md').read_text()
+    command, = re.findall(r'^attitude_ensemble --scene examples/damp_rates[^`]*', text, re.MULTILINE)
+    arguments = shlex.split(command.replace('\\\n', ' '))[1:]
+    arguments[arguments.index('--runs') + 1] = '7'
+    arguments[arguments.index('-o') + 1] = str(folder / 'runs')
+    return folder, [*arguments, '--report', str(folder / 'runs.html'), '--overwrite']
+
+
+def test_the_example_is_the_same_after_an_interruption(example, monkeypatch, capsys):
+    folder, arguments = example
+    monkeypatch.chdir(ROOT)
+    assert main.attitude_ensemble(arguments) == 0
+    text, expected = capsys.readouterr().out, contents(folder / 'runs')
+    found = json.loads(expected['summary.json'])['requirements'][0]
+    assert (found['require'], found['unit']) == ('rate < 0.05', 'rad/s')
+    assert 'required         rate < 0.05 rad/s: met by ' in text
+    rows = parquet.read_table(folder / 'runs' / 'runs.parquet').to_pylist()
+    rates = [np.hypot(np.hypot(*(row[f'angular_velocity.{axis}'] for axis in 'xy')),
+                      row['angular_velocity.z']) for row in rows]
+    assert found['met'] == sum(rate < 0.05 for rate in rates)
+    assert [one['run'] for one in found['worst']] == np.argsort(rates)[:-6:-1].tolist()
+    blocks = sorted((folder / 'runs' / 'blocks').iterdir())
+    for path in (*blocks[2:4], folder / 'runs' / 'runs.parquet'):
+        path.unlink()
+    assert main.attitude_ensemble([*arguments, '--workers', '1']) == 0
+    assert contents(folder / 'runs') == expected
+    page = (folder / 'runs.html').read_text()
+    assert 'worst run: rate &lt; 0.05' in page
+    replay_the_worst(folder, rows, text, monkeypatch)
+
+
+def replay_the_worst(folder, rows, text, monkeypatch):
+    """Type the first command that the example prints."""
+    run, command = re.search(r'worst +run (\d+), .*: attitude_replay (.*)', text).groups()
+    monkeypatch.chdir(folder)
+    assert main.attitude_replay(shlex.split(command)) == 0
+    for topic, axes, kind in (('attitude', 'xyzw', messages.QUATERNION),
+                              ('angular_velocity', 'xyz', messages.VECTOR3)):
+        last = recording.read(folder / f'run_{run}.mcap', f'/{topic}', kind).values[-1]
+        assert last.tolist() == [rows[int(run)][f'{topic}.{axis}'] for axis in axes]
+
+
+def test_another_controller_is_refused(tmp_path, monkeypatch, capsys):
+    source = tmp_path / 'its_own.py'
+    shutil.copy(ROOT / 'examples' / 'damp_rates.py', source)
+    monkeypatch.chdir(tmp_path)
+    arguments = [one if one != '2' else '1' for one in given(tmp_path, 'its_own:damp')]
+    assert main.attitude_ensemble(arguments) == 0
+    source.write_text(source.read_text().replace('0.02', '0.03'))
+    assert 'expected the controller of its runs' in error_of(capsys, arguments)
+
+
+@pytest.mark.parametrize('text', ['', 'rate', 'rate < fast', 'speed < 1', 'rate = 1',
+                                  'rate < nan'])
+def test_what_is_no_requirement_is_one_line(tmp_path, capsys, text):
+    assert "such as 'rate < 0.05', found" in error_of(
+        capsys, given(tmp_path, 'controllers:damp', '--require', text))
+
+
+@pytest.mark.parametrize(('met', 'runs'), [(0, 10), (3, 10), (10, 10), (970, 1000)])
+def test_the_interval_is_that_of_clopper_and_pearson(met, runs):
+    expected = binomtest(met, runs).proportion_ci(0.95, 'exact')
+    np.testing.assert_allclose(interval(met, runs), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_requirements_are_read():
+    assert Requirement.read('rate<=1e-3') == Requirement('rate', '<=', 1e-3)
+    assert str(Requirement.read(' angle > 0.5 ')) == 'angle > 0.5'
+
+
+def test_effects_count_whether_they_are_odd_or_even():
+    x = np.random.default_rng(3).uniform(-1.0, 1.0, 2000)
+    other = np.random.default_rng(4).normal(0.0, 1.0, 2000)
+    for quantity in (np.abs(x), x ** 2, np.exp(-5.0 * np.abs(x)), np.exp(9.0 * x), 3.0 - x):
+        assert _explained(x, quantity) > 0.85
+        assert _explained(other, quantity) < 0.01
+    assert _explained(np.sign(x), x) == pytest.approx(0.75, abs=0.02)  # of two values only
