@@ -116,7 +116,7 @@ class Epoch:
         """Return, sorted by stamp, the torques that are in force at a time, and all later ones."""
         found = [_torque(*pair) for pair in self._propagator.samples_since(time_ns)]
         found += [Torque(stamp_ns, body.entries, 'body', BODY)
-                  for stamp_ns, body, _ in self._propagator.bodies_since(time_ns)]
+                  for stamp_ns, body, *_ in self._propagator.bodies_since(time_ns)]
         return sorted(found, key=lambda torque: torque.stamp_ns)
 
     def uncommitted(self, until_ns: int) -> list[int]:

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 import math
 import operator
 import time
@@ -32,6 +31,8 @@ from rigid_body_ros.mechanics.changes import changed, checked_keep, RATE
 from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import FRAMES
+from rigid_body_ros.mechanics.wheels import Axial, Wheel, Wheels
+from rigid_body_ros.propagation.change import Active, Change, Commands, no_commands, time_of
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.origin import without_origin
 from rigid_body_ros.propagation.segment import (
@@ -43,6 +44,7 @@ from rigid_body_ros.propagation.segment import (
     timed_out,
     WHEELS,
 )
+from rigid_body_ros.propagation.wheels import check_named, commanded, in_force, momenta_at
 
 
 class Propagator:
@@ -58,6 +60,8 @@ class Propagator:
 
     Parameters
     ----------
+    wheels : sequence of Wheel, optional
+        Wheels with names, which `apply_efforts` commands.
     history : float, s
         How much older than the newest stamp a torque may be. Older states are discarded.
     others
@@ -66,11 +70,13 @@ class Propagator:
     Raises
     ------
     ValueError
-        An option is out of its range, or there are two gravity gradients.
+        An option is out of its range, there are two gravity gradients, or the wheels are not
+        possible, as for `Problem`.
 
     """
 
-    def __init__(self, body: RigidBody, start: State, *, fields: Sequence[Field] = (),
+    def __init__(self, body: RigidBody, start: State, *,
+                 wheels: Sequence[Wheel] | None = None, fields: Sequence[Field] = (),
                  solver: str = Options.solver, tolerance: float = Options.tolerance,
                  max_step: float | None = Options.max_step,
                  torque_timeout: float = Options.torque_timeout,
@@ -78,10 +84,15 @@ class Propagator:
         self._options = Options(solver, tolerance, max_step, torque_timeout)
         #: ns, at least 1; a torque older than the newest stamp by this much or more is dropped.
         self.history_ns = max(1, duration_ns(history, 'history'))
-        self._options.check_terms(body.is_damped, start._has_rotors, bool(fields))
+        self._wheels = Wheels(wheels) if wheels else None
+        self._options.check_terms(body.is_damped, bool(start._has_rotors or wheels), bool(fields))
         self._fields = packed(beginning_at(fields, start.time_ns))
-        self._start = start
-        self._changes = [_Change(start.time_ns, {}, NewBody(-NEVER_NS, body, RATE))]
+        self._start, self._axial = start, None
+        if self._wheels:
+            check_named(self._wheels, None, fields)
+            self._start, self._axial = self._wheels.begun(start)
+        self._changes = [Change(start.time_ns, {}, self._new_body(-NEVER_NS, body, RATE),
+                                no_commands(len(wheels or ())))]
         self._begin()
         self._newest_ns: int | None = None
 
@@ -224,11 +235,61 @@ class Propagator:
         """
         time_ns = self._checked_time(time_ns)
         self._options.check_terms(body.is_damped, False)
+        new = self._new_body(time_ns, body, checked_keep(keep))
         index = self._inserted(time_ns)
         if index is None:
             return False
-        self._put(index, NewBody(time_ns, body, checked_keep(keep)))
+        self._put(index, new)
         return True
+
+    def apply_efforts(self, time_ns: int, efforts: Mapping[str, float]) -> bool:
+        """
+        Apply the torques of the motors of wheels with names, each up to the next of its wheel.
+
+        Parameters
+        ----------
+        time_ns : int
+            As for `apply`.
+        efforts : mapping of str to float, N m
+            By name; other wheels keep theirs. Of equal stamps, the last to arrive is used for each
+            wheel.
+
+        Returns
+        -------
+        bool
+            As for `apply`.
+
+        Raises
+        ------
+        ValueError
+            As for `apply`, a name is not that of a wheel, or there is none.
+        TypeError
+            The time is not an integer.
+
+        """
+        time_ns = self._checked_time(time_ns)
+        if not self._wheels:
+            raise ValueError('efforts: expected wheels with names, found none')
+        row = self._wheels.row(efforts)
+        index = self._inserted(time_ns) if efforts else None
+        if index is None:
+            return not efforts
+        for change in self._changes[index:]:
+            change.commands = change.commands.taking(time_ns, row)
+        self._renew(index)
+        return True
+
+    def refused_commands(self, after_ns: int, until_ns: int) -> int:
+        """
+        Return how many commands of wheels with stamps in (after_ns, until_ns] act as zero.
+
+        Their wheels are too fast, see `Wheel`. Those before `earliest_ns` are forgotten.
+        """
+        first, end = self._index_of(after_ns) + 1, self._index_of(until_ns) + 1
+        self._compute_segments(max(end - 1, 0))
+        return sum(int(change.active.axial.refused.sum()) for change in self._changes[first:end]
+                   if change.active and change.active.axial
+                   and change.commands.stamp_ns == change.time_ns)
 
     def at(self, time_ns: int, within: float = math.inf) -> State:
         """
@@ -263,7 +324,8 @@ class Propagator:
             raise ValueError(f'time_ns: expected {self.earliest_ns} ns or later, '
                              f'found {time_ns} ns')
         self._compute_segments(index, until)
-        return self._segment_at(self._changes[index], time_ns, until).state_at(time_ns, until)
+        active = self._active_at(self._changes[index], time_ns, until)
+        return active.state_at(time_ns, until, self._wheels)
 
     def _checked_torque(self, time_ns: int, torque: ArrayLike) -> Floats:
         values = np.array(torque, float).reshape(1, -1)
@@ -298,7 +360,8 @@ class Propagator:
         index = max(self._index_of(time_ns), 0)
         if time_ns > self._changes[index].time_ns:
             before = self._changes[index]
-            self._changes.insert(index + 1, _Change(time_ns, {**before.samples}, before.body))
+            self._changes.insert(index + 1, Change(time_ns, {**before.samples}, before.body,
+                                                   before.commands))
             index += 1
         return index
 
@@ -314,30 +377,41 @@ class Propagator:
                 change.body = new
             else:
                 change.samples[source] = new
+        self._renew(index)
+
+    def _renew(self, index: int) -> None:
+        """Compute again from a change on."""
         self._discard_segments(index)
-        if self._changes[0].segment is None:
+        if self._changes[0].active is None:
             self._begin()
 
     def _begin(self) -> None:
         """Compute the first segment."""
         start, first = self._start, self._changes[0]
-        total = self._sum(first, start.time_ns)
+        axial = self._axial_at_start(first.commands)
+        total = self._sum(first, start.time_ns, axial)
         # A torque at the start begins a segment there, even if it repeats the one before.
-        begins = any(start.time_ns in (sample.stamp_ns, sample.stamp_ns + self._options.timeout_ns)
-                     for sample in first.samples.values())
+        begins = first.stamps_at(start.time_ns, self._options.timeout_ns)
         acts = not total.is_zero() or self._fields is not None or (
             first.body.body.is_damped or start._has_rotors)
-        first.segment = self._segment(without_origin(start) if begins and acts else start, total,
-                                      first.body.body)
+        first.active = Active(self._segment(without_origin(start) if begins and acts else start,
+                                            total, first.body), axial)
+
+    def _axial_at_start(self, commands: Commands) -> Axial | None:
+        if self._wheels is None or self._axial is None:
+            return None
+        return in_force(self._wheels, self._axial, commands.log, self._start.time_ns,
+                        self._start.angular_velocity, self._options.timeout_ns)
 
     def _index_of(self, time_ns: int) -> int:
         """Return the index of the change in force at a time, or -1."""
         if time_ns >= self._changes[-1].time_ns:  # as most torques are
             return len(self._changes) - 1
-        return bisect.bisect_right(self._changes, time_ns, key=_time_ns) - 1
+        return bisect.bisect_right(self._changes, time_ns, key=time_of) - 1
 
-    def _sum(self, change: _Change, time_ns: int) -> Sum:
-        return summed(change.samples, time_ns, self._options.timeout_ns)
+    def _sum(self, change: Change, time_ns: int, axial: Axial | None) -> Sum:
+        motors = self._wheels.torque(axial.efforts)[None] if self._wheels and axial else None
+        return summed(change.samples, time_ns, self._options.timeout_ns, motors)
 
     def _discard_before(self, horizon_ns: int) -> None:
         """Discard changes that no late torque can affect; raise ValueError as `at` does."""
@@ -348,70 +422,64 @@ class Propagator:
 
     def _discard_segments(self, index: int) -> None:
         # Segments are computed from the front: if one is missing, all later ones are, too.
-        self._changes[index].segment = None
-        self._changes[index].after_timeouts.clear()
+        self._changes[index].discard()
         for change in self._changes[index + 1:]:
-            if change.segment is None:
+            if change.active is None:
                 break
-            change.segment = None
-            change.after_timeouts.clear()
+            change.discard()
 
     def _compute_segments(self, index: int, until: float = math.inf) -> None:
         """Compute the segment of every change up to this one, or raise TimeoutError."""
         first = index
-        while self._changes[first].segment is None:
+        while self._changes[first].active is None:
             first -= 1
         for before, change in zip(self._changes[first:index], self._changes[first + 1:index + 1]):
-            change.segment = self._next_segment(
-                self._segment_at(before, change.time_ns, until), change, change.time_ns, until)
+            change.active = self._next(
+                self._active_at(before, change.time_ns, until), change, change.time_ns, until)
             if time.monotonic() > until:
                 raise timed_out(change.time_ns)
 
-    def _segment_at(self, change: _Change, time_ns: int, until: float) -> Segment:
-        """Return the segment that contains a time between a change and the next."""
-        active = change.segment
+    def _active_at(self, change: Change, time_ns: int, until: float) -> Active:
+        """Return what is active at a time between a change and the next."""
+        active = change.active
         assert active is not None
         for k, due_ns in enumerate(change.timeouts_ns(self._options.timeout_ns)):
             if time_ns < due_ns:
                 break
             if k == len(change.after_timeouts):
-                change.after_timeouts.append(self._next_segment(active, change, due_ns, until))
+                change.after_timeouts.append(self._next(active, change, due_ns, until))
             active = change.after_timeouts[k]
         return active
 
-    def _next_segment(self, active: Segment, change: _Change, time_ns: int,
-                      until: float) -> Segment:
-        total = self._sum(change, time_ns)
-        body = change.body
+    def _next(self, active: Active, change: Change, time_ns: int, until: float) -> Active:
+        body, segment, start = change.body, active.segment, None
         if body.stamp_ns == time_ns:
-            start = changed(active.end_at(time_ns, until), active.body, body.body, body.keep)
-            return self._segment(start, total, body.body)
-        if active.coasts and total.is_zero():
-            return active
-        return self._segment(active.end_at(time_ns, until), total, body.body)
+            start = changed(segment.end_at(time_ns, until), segment.body, body.carrier, body.keep)
+        axial = active.axial
+        if self._wheels and axial:
+            axial = self._next_axial(axial, change.commands, time_ns,
+                                     start or segment.state_at(time_ns, until))
+        total = self._sum(change, time_ns, axial)
+        if start is None:
+            if segment.coasts and total.is_zero():
+                return Active(segment, axial)
+            start = segment.end_at(time_ns, until)
+        return Active(self._segment(start, total, body), axial)
 
-    def _segment(self, start: State, total: Sum, body: RigidBody) -> Segment:
-        return Segment(body, self._options, self.history_ns, start, total, self._fields)
+    def _next_axial(self, axial: Axial, commands: Commands, time_ns: int, state: State) -> Axial:
+        """Return what the wheels do from a time on, at which the body has a state."""
+        assert self._wheels
+        if commands.stamp_ns == time_ns:
+            return commanded(self._wheels, axial, time_ns, commands.given_at(time_ns),
+                             state.angular_velocity)
+        if 0 < self._options.timeout_ns == time_ns - commands.stamp_ns:
+            return axial._replace(since_ns=time_ns, momenta=momenta_at(axial, time_ns),
+                                  is_silent=True)
+        return axial
 
+    def _new_body(self, stamp_ns: int, body: RigidBody, keep: str) -> NewBody:
+        carrier = self._wheels.carrier(body) if self._wheels else body
+        return NewBody(stamp_ns, body, keep, carrier)
 
-@dataclass
-class _Change:
-    """What is in force from a time on: the sample of each source, and the body."""
-
-    time_ns: int
-    samples: dict[int, Sample]
-    body: NewBody
-    segment: Segment | None = None
-    #: The segments that begin when samples time out, in order.
-    after_timeouts: list[Segment] = field(default_factory=list)
-
-    def timeouts_ns(self, timeout_ns: int) -> list[int]:
-        """Return the times from this change on at which samples time out."""
-        if not timeout_ns:
-            return []
-        due = {sample.stamp_ns + timeout_ns for sample in self.samples.values()}
-        return sorted(time_ns for time_ns in due if time_ns > self.time_ns)
-
-
-def _time_ns(change: _Change) -> int:
-    return change.time_ns
+    def _segment(self, start: State, total: Sum, body: NewBody) -> Segment:
+        return Segment(body.carrier, self._options, self.history_ns, start, total, self._fields)
