@@ -20,6 +20,7 @@ from pathlib import Path
 import re
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from rigid_body_ros import (
     BodyLog,
@@ -27,15 +28,24 @@ from rigid_body_ros import (
     GravityGradient,
     Problem,
     propagate,
+    propagate_many,
     Propagator,
+    RigidBodies,
     RigidBody,
     so3,
     State,
+    States,
     TorqueLog,
     UniformField,
     Wheel,
 )
+from rigid_body_ros.commands import main
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.live.checkpoint import Checkpoint
+from rigid_body_ros.live.epoch import Epoch
 from rigid_body_ros.propagation import Integration
+from rigid_body_ros.replay.check import drift
+from rigid_body_ros.scene import Scene
 from terms import bound
 import truth
 
@@ -314,3 +324,90 @@ def test_without_efforts_the_axial_momentum_of_each_wheel_is_constant():
 def test_mistakes_are_reported(make, message):
     with pytest.raises(ValueError, match=f'^{re.escape(message)}'):
         make()
+
+
+SCENE = {'inertia.ixx': 2.0, 'inertia.iyy': 3.0, 'inertia.izz': 4.0,
+         'initial_angular_velocity.x': 0.3, 'initial_rotor_momentum.y': 0.2,
+         'wheel_names': ['rw_x', 'rw_yz'], 'rw_x.axis.x': 2.0, 'rw_x.inertia': 0.05,
+         'rw_x.initial_speed': 30.0, 'rw_yz.axis.y': 1.0, 'rw_yz.axis.z': 1.0,
+         'rw_yz.inertia': 0.1, 'rw_yz.max_torque': 0.2, 'rw_yz.max_speed': 100.0}
+
+
+def test_a_scene_names_wheels():
+    scene = Scene.from_values(SCENE)
+    wheels = [Wheel('rw_x', (1, 0, 0), 0.05, 30.0),
+              Wheel('rw_yz', (0, 1, 1), 0.1, max_torque=0.2, max_speed=100.0)]
+    at = np.arange(0, 5 * SECOND, SECOND)
+    expected = propagate(scene.body, scene.start, at=at, wheels=wheels)
+    assert same(scene.problem().propagate(at=at), expected)
+    epoch = Epoch(scene, scene.start)
+    assert np.array_equal(epoch.at(at[-1], np.inf).wheel_speeds, expected.wheel_speeds[-1])
+    assert scene.has_rotors
+
+
+@pytest.mark.parametrize(('values', 'message'), [
+    ({'wheels': True}, 'wheel_names: expected none with wheels: true, found rw_x, rw_yz'),
+    ({'rw_x.axis.x': 0.0}, 'rw_x.axis: expected rw_x.axis.x, .y or .z other than 0, found zeros'),
+    ({'rw_x.friction': 0.1}, "friction of wheel 'rw_x': expected 0, because wheels with friction"),
+    ({'rw_x.inertia': 0.0}, 'rw_x.inertia: expected a finite number greater than 0'),
+    ({'rw_x.inertia': None}, 'rw_x.inertia: expected a number (kg m^2), found none'),
+    ({'rw_x.inertia': 1.9}, 'wheels: expected axial inertia that the body can have, found'),
+    ({'other.max_speed': 1.0}, "other.max_speed: expected 'other' among the names in "
+                               'wheel_names, found rw_x, rw_yz'),
+    ({'rw_x.max_sped': 1.0}, 'rw_x.max_sped: unknown key; did you mean rw_x.max_speed?'),
+    ({'wheel_names': ['rw_x'] * 2}, "wheel_names: expected each name once, found 'rw_x' twice"),
+    ({'wheel_names': ['inertia']}, 'wheel_names: expected a name with which no other parameter'),
+    ({'fields': ['rw_x']}, "wheel_names: expected a name with which no other parameter begins, "),
+    ({'orbit.mean_motion': 0.1}, 'orbit.mean_motion: expected 0 with wheel_names, because'),
+    ({'solver': 'exact'}, "solver 'exact' handles neither rotors nor damping, found rotors"),
+])
+def test_mistakes_in_a_scene_are_reported_in_one_line(values, message):
+    with pytest.raises(InputError, match=f'^{re.escape(message)}') as error:
+        Scene.from_values({**SCENE, **values})
+    assert '\n' not in str(error.value)
+
+
+def test_a_checkpoint_keeps_the_speeds_of_the_wheels(tmp_path):
+    scene = Scene.from_values(SCENE)
+    state = Epoch(scene, scene.start).at(3 * SECOND, np.inf)
+    Checkpoint(str(tmp_path / 'state.json'), scene, '/node').save_last(state)
+    found = Checkpoint(str(tmp_path / 'state.json'), scene, '/node').start
+    assert np.array_equal(found.wheel_speeds, state.wheel_speeds)
+    assert np.array_equal(found.rotor_momentum, state.rotor_momentum)
+    end = Epoch(scene, found).at(4 * SECOND, np.inf)
+    expected = Epoch(scene, scene.start).at(4 * SECOND, np.inf)
+    assert abs(end.attitude - expected.attitude).max() < 1e-15
+    assert abs(end.wheel_speeds - expected.wheel_speeds).max() < 1e-13
+
+
+@pytest.mark.parametrize('log', [
+    None, TorqueLog([0, SECOND], [[0.1, 0.2, 0.3], [0.0, 0.1, 0.0]]),
+    TorqueLog([0, SECOND], [[0.1, 0.2, 0.3], [0.0, 0.1, 0.0]], frame='space')])
+def test_the_check_of_a_motion_knows_its_wheels(log):
+    efforts = EffortLog([0, SECOND, 2 * SECOND], [[0.3, 0.1, 0.0, -0.3], [0.5] * 4, [-0.1] * 4])
+    problem = Problem(BODY, START, log, wheels=LIMITED, efforts=efforts)
+    at = np.arange(0, 10 * SECOND, SECOND // 10)
+    motion = problem.propagate(at=at)
+    assert float(re.search(r'[\d.]+e[-+]\d+', drift(problem, motion).finding)[0]) < 1e-9
+    other = problem.carried().propagate(at=at)
+    assert np.array_equal(other.attitude, motion.attitude)
+    assert np.array_equal(other.angular_velocity, motion.angular_velocity)
+
+
+def test_an_ensemble_of_a_scene_with_wheels_has_their_motions(tmp_path):
+    lines = [f'    {name}: {value}' for name, value in SCENE.items()]
+    (tmp_path / 'scene.yaml').write_text('/**:\n  ros__parameters:\n' + '\n'.join(lines))
+    (tmp_path / 'vary.yaml').write_text('initial_angular_velocity.x: {uniform: [0.2, 0.4]}')
+    assert main.attitude_ensemble([
+        '--scene', str(tmp_path / 'scene.yaml'), '--vary', str(tmp_path / 'vary.yaml'), '--runs',
+        '3', '--until', '2', '-o', str(tmp_path / 'runs')]) == 0
+    row = pq.read_table(tmp_path / 'runs' / 'runs.parquet').to_pylist()[1]
+    problem = Scene.from_values(
+        {**SCENE, 'initial_angular_velocity.x': row['initial_angular_velocity.x']}).problem()
+    found = [row[f'attitude.{name}'] for name in 'xyzw']
+    assert found == problem.propagate(at=[2 * SECOND]).attitude[0].tolist()
+
+
+def test_many_motions_refuse_wheels_with_names():
+    with pytest.raises(ValueError, match='found wheels with names, which only propagate computes'):
+        propagate_many(RigidBodies([BODY.inertia]), States(), at=[SECOND], wheels=PYRAMID)

@@ -329,6 +329,8 @@ class Ensemble:
         return Reach(self.problem, self.end_ns, self._noise)
 
     def _computed(self, applied: Applied) -> _Found:
+        if self.problem.named_wheels:
+            return self._one_by_one(applied)
         try:
             return self._together(applied)
         except ValueError:  # rejected for all runs; one by one, each has its message

@@ -47,7 +47,8 @@ class Epoch:
         #: How much older than the newest stamp a torque may be, ns.
         self.history_ns = max(1, duration_ns(scene.history, 'history'))
         # The IMU has earlier states.
-        self._propagator = Propagator(scene.body, start, fields=scene.fields_from(start.time_ns),
+        self._propagator = Propagator(scene.body, start, wheels=scene.named_wheels,
+                                      fields=scene.fields_from(start.time_ns),
                                       **asdict(scene.options),
                                       history=scene.history + scene.imu.delay)
         self._committed_ns = start.time_ns

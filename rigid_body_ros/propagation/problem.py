@@ -32,6 +32,7 @@ from rigid_body_ros.mechanics.torque import stamps_of, torque_logs, TorqueLog
 from rigid_body_ros.mechanics.wheels import EffortLog, Wheel, Wheels
 from rigid_body_ros.propagation.integration import Integration
 from rigid_body_ros.propagation.options import Options, validated
+from rigid_body_ros.propagation.origin import without_origin
 from rigid_body_ros.propagation.trajectory import Trajectory
 from rigid_body_ros.propagation.wheels import check_named
 
@@ -127,7 +128,7 @@ class Problem:
         self.logs = tuple([each for each in torque_logs(log) if len(each)])
         self.wheels: TorqueLog | None = None
         if isinstance(wheels, TorqueLog):
-            self.wheels, self.named_wheels = wheels if len(wheels) else None, None
+            self.wheels = wheels if len(wheels) else None
         elif wheels:
             self.named_wheels = Wheels(wheels)
         if self.wheels and self.wheels.in_space.any():
@@ -181,6 +182,8 @@ class Problem:
         other.changes = changes or self.changes
         other.named_wheels = self.named_wheels
         other.efforts = (self.efforts if efforts is None else efforts) or None
+        if isinstance(wheels, TorqueLog):  # in place of those with names
+            other.named_wheels = other.efforts = None
         if fields is not None:
             other.fields = beginning_at(fields, self.start.time_ns)
             other._fields = packed(other.fields)
@@ -228,6 +231,24 @@ class Problem:
         other = self.replaced(body=self.body_at(self.start.time_ns))
         other.changes = None
         return other
+
+    def carried(self) -> Problem:
+        """
+        Return the problem of a body whose rotors do what the wheels with names do.
+
+        It is the same motion of a body without the axial inertia of the wheels, up to the first
+        change of the body; the problem itself if there are no such wheels.
+        """
+        if not self.named_wheels:
+            return self
+        end_ns = self.efforts.times_ns.max(initial=self.start.time_ns) if self.efforts else \
+            self.start.time_ns
+        motion = self.with_first_body().propagate(at=[end_ns])
+        wheels = motion._parts[0].wheels
+        start, _ = self.named_wheels.begun(self.start)
+        return self.replaced(body=self.named_wheels.carrier(self.body),
+                             start=without_origin(start),
+                             wheels=(wheels and wheels.log) or TorqueLog([], []))
 
     def torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
         """
