@@ -77,7 +77,7 @@ class State:
     #: The step grid that the state was computed from (an `Origin`), or None.
     _origin: object = field(init=False, repr=False)
     #: What the wheels do (an `Axial`), or None.
-    _axial: object = field(init=False, repr=False)
+    _axial: object = field(init=False, repr=False, default=None)
 
     @classmethod
     def _as_computed(cls, time_ns: int, packed: Floats, origin: object = None,
@@ -88,7 +88,7 @@ class State:
         state.__dict__.update(
             time_ns=time_ns, attitude=state_layout.attitude(packed),
             angular_velocity=state_layout.angular_velocity(packed), rotor_momentum=rotors[0],
-            wheel_speeds=_NO_WHEELS, _rotors=rotors, _packed=packed, _origin=origin, _axial=None)
+            _rotors=rotors, _packed=packed, _origin=origin)
         return state
 
     def __init__(self, time_ns: int = 0,
@@ -123,6 +123,10 @@ class State:
             if self.rotor_momentum.any() else ''
         return (f'State(time {self.time_ns} ns, attitude xyzw {written(self.attitude)}, '
                 f'angular velocity {written(self.angular_velocity)} rad/s{rotors})')
+
+
+#: As a default: to store it in every state would take a tenth of the time to make one.
+type.__setattr__(State, 'wheel_speeds', _NO_WHEELS)
 
 
 def is_normalized(q: Floats) -> NDArray[np.bool_]:

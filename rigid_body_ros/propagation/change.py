@@ -22,10 +22,8 @@ from typing import NamedTuple
 import numpy as np
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import NEVER_NS
-from rigid_body_ros.mechanics.state import State
-from rigid_body_ros.mechanics.wheels import Axial, EffortLog, Wheels
+from rigid_body_ros.mechanics.wheels import Axial, EffortLog
 from rigid_body_ros.propagation.segment import NewBody, Sample, Segment
-from rigid_body_ros.propagation.wheels import momenta_at
 
 
 class Commands(NamedTuple):
@@ -69,13 +67,6 @@ class Active(NamedTuple):
 
     segment: Segment
     axial: Axial | None
-
-    def state_at(self, time_ns: int, until: float, wheels: Wheels | None) -> State:
-        """Return the state at a time, or raise TimeoutError or ValueError as `Propagator.at`."""
-        state = self.segment.state_at(time_ns, until)
-        if wheels is None or self.axial is None:
-            return state
-        return wheels.shown(state, self.axial, momenta_at(self.axial, time_ns))
 
 
 @dataclass

@@ -16,7 +16,6 @@
 
 from __future__ import annotations
 
-import bisect
 from collections.abc import Mapping, Sequence
 import math
 import operator
@@ -27,24 +26,15 @@ from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, instant, NEVER_NS
 from rigid_body_ros.mechanics.body import RigidBody
-from rigid_body_ros.mechanics.changes import changed, checked_keep, RATE
+from rigid_body_ros.mechanics.changes import checked_keep, RATE
 from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import FRAMES
-from rigid_body_ros.mechanics.wheels import Axial, Wheel, Wheels
-from rigid_body_ros.propagation.change import Active, Change, Commands, no_commands, time_of
+from rigid_body_ros.mechanics.wheels import Wheel, Wheels
+from rigid_body_ros.propagation.history import History
 from rigid_body_ros.propagation.options import Options
-from rigid_body_ros.propagation.origin import without_origin
-from rigid_body_ros.propagation.segment import (
-    NewBody,
-    Sample,
-    Segment,
-    Sum,
-    summed,
-    timed_out,
-    WHEELS,
-)
-from rigid_body_ros.propagation.wheels import check_named, commanded, in_force, momenta_at
+from rigid_body_ros.propagation.segment import NewBody, Sample, WHEELS
+from rigid_body_ros.propagation.wheels import check_named, momenta_at
 
 
 class Propagator:
@@ -86,38 +76,34 @@ class Propagator:
         self.history_ns = max(1, duration_ns(history, 'history'))
         self._wheels = Wheels(wheels) if wheels else None
         self._options.check_terms(body.is_damped, bool(start._has_rotors or wheels), bool(fields))
-        self._fields = packed(beginning_at(fields, start.time_ns))
-        self._start, self._axial = start, None
+        self._start_ns = start.time_ns
         if self._wheels:
             check_named(self._wheels, None, fields)
-            self._start, self._axial = self._wheels.begun(start)
-        self._changes = [Change(start.time_ns, {}, self._new_body(-NEVER_NS, body, RATE),
-                                no_commands(len(wheels or ())))]
-        self._begin()
-        self._newest_ns: int | None = None
+        self._history = History(body, start, self._options, self._wheels,
+                                packed(beginning_at(fields, start.time_ns)), self.history_ns)
 
     @property
     def earliest_ns(self) -> int:
         """Return the earliest time that `at` accepts."""
-        return self._changes[0].time_ns
+        return self._history.changes[0].time_ns
 
     @property
     def newest_ns(self) -> int | None:
         """Return the newest stamp of all torques and bodies, ns, or None before the first."""
-        return self._newest_ns
+        return self._history.newest_ns
 
     def held(self, time_ns: int) -> Mapping[int, Sample]:
         """Return by source the sample in force at a time, also if it has timed out."""
-        return self._changes[max(self._index_of(time_ns), 0)].samples
+        return self._history.changes[max(self._history.index_of(time_ns), 0)].samples
 
     def body_at(self, time_ns: int) -> NewBody:
         """Return the body in force at a time; the stamp of the first one is -NEVER_NS."""
-        return self._changes[max(self._index_of(time_ns), 0)].body
+        return self._history.changes[max(self._history.index_of(time_ns), 0)].body
 
     def bodies_since(self, time_ns: int) -> list[NewBody]:
         """Return the body in force at a time, and all later ones, but for the first one."""
-        index = max(self._index_of(time_ns), 0)
-        found = dict.fromkeys(change.body for change in self._changes[index:])
+        index = max(self._history.index_of(time_ns), 0)
+        found = dict.fromkeys(change.body for change in self._history.changes[index:])
         return [body for body in found if body.stamp_ns != -NEVER_NS]
 
     def stamps(self, after_ns: int, until_ns: int) -> list[int]:
@@ -126,14 +112,14 @@ class Propagator:
 
         Those before `earliest_ns` are forgotten.
         """
-        first, end = self._index_of(after_ns) + 1, self._index_of(until_ns) + 1
-        return [change.time_ns for change in self._changes[first:end]]
+        first, end = self._history.index_of(after_ns) + 1, self._history.index_of(until_ns) + 1
+        return [change.time_ns for change in self._history.changes[first:end]]
 
     def samples_since(self, time_ns: int) -> list[tuple[int, Sample]]:
         """Return source and sample of the torques in force at a time, and of all later ones."""
-        index = max(self._index_of(time_ns), 0)
-        return [*self._changes[index].samples.items(), *(
-            (source, sample) for change in self._changes[index + 1:]
+        index = max(self._history.index_of(time_ns), 0)
+        return [*self._history.changes[index].samples.items(), *(
+            (source, sample) for change in self._history.changes[index + 1:]
             for source, sample in change.samples.items() if sample.stamp_ns == change.time_ns)]
 
     def apply(self, time_ns: int, torque: ArrayLike, frame: str = 'body',
@@ -235,11 +221,11 @@ class Propagator:
         """
         time_ns = self._checked_time(time_ns)
         self._options.check_terms(body.is_damped, False)
-        new = self._new_body(time_ns, body, checked_keep(keep))
-        index = self._inserted(time_ns)
+        new = self._history.new_body(time_ns, body, checked_keep(keep))
+        index = self._history.inserted(time_ns)
         if index is None:
             return False
-        self._put(index, new)
+        self._history.put(index, new)
         return True
 
     def apply_efforts(self, time_ns: int, efforts: Mapping[str, float]) -> bool:
@@ -271,12 +257,10 @@ class Propagator:
         if not self._wheels:
             raise ValueError('efforts: expected wheels with names, found none')
         row = self._wheels.row(efforts)
-        index = self._inserted(time_ns) if efforts else None
+        index = self._history.inserted(time_ns) if efforts else None
         if index is None:
             return not efforts
-        for change in self._changes[index:]:
-            change.commands = change.commands.taking(time_ns, row)
-        self._renew(index)
+        self._history.take(index, row)
         return True
 
     def refused_commands(self, after_ns: int, until_ns: int) -> int:
@@ -285,9 +269,10 @@ class Propagator:
 
         Their wheels are too fast, see `Wheel`. Those before `earliest_ns` are forgotten.
         """
-        first, end = self._index_of(after_ns) + 1, self._index_of(until_ns) + 1
-        self._compute_segments(max(end - 1, 0))
-        return sum(int(change.active.axial.refused.sum()) for change in self._changes[first:end]
+        first, end = self._history.index_of(after_ns) + 1, self._history.index_of(until_ns) + 1
+        self._history.compute(max(end - 1, 0))
+        return sum(int(change.active.axial.refused.sum())
+                   for change in self._history.changes[first:end]
                    if change.active and change.active.axial
                    and change.commands.stamp_ns == change.time_ns)
 
@@ -319,13 +304,15 @@ class Propagator:
 
         """
         time_ns, until = self._checked_time(time_ns), time.monotonic() + within
-        index = self._index_of(time_ns)
+        index = self._history.index_of(time_ns)
         if index < 0:
             raise ValueError(f'time_ns: expected {self.earliest_ns} ns or later, '
                              f'found {time_ns} ns')
-        self._compute_segments(index, until)
-        active = self._active_at(self._changes[index], time_ns, until)
-        return active.state_at(time_ns, until, self._wheels)
+        segment, axial = self._history.active(index, time_ns, until)
+        state = segment.state_at(time_ns, until)
+        if self._wheels and axial:
+            return self._wheels.shown(state, axial, momenta_at(axial, time_ns))
+        return state
 
     def _checked_torque(self, time_ns: int, torque: ArrayLike) -> Floats:
         values = np.array(torque, float).reshape(1, -1)
@@ -339,147 +326,14 @@ class Propagator:
 
     def _checked_time(self, time_ns: int) -> int:
         found = instant(time_ns)
-        if abs(found - self._start.time_ns) >= NEVER_NS:
+        if abs(found - self._start_ns) >= NEVER_NS:
             raise ValueError('time_ns: expected a time within 292 years of the start '
-                             f'({self._start.time_ns} ns), found {found} ns')
+                             f'({self._start_ns} ns), found {found} ns')
         return found
 
     def _apply(self, time_ns: int, source: int, torque: Floats, in_space: bool) -> bool:
-        index = self._inserted(time_ns)
+        index = self._history.inserted(time_ns)
         if index is None:
             return False
-        self._put(index, Sample(time_ns, torque, in_space), source)
+        self._history.put(index, Sample(time_ns, torque, in_space), source)
         return True
-
-    def _inserted(self, time_ns: int) -> int | None:
-        """Return the index of the change at a stamp, or None if the stamp is too old."""
-        if self._newest_ns is not None and self._newest_ns - time_ns >= self.history_ns:
-            return None
-        self._discard_before(time_ns - self.history_ns)
-        self._newest_ns = time_ns if self._newest_ns is None else max(self._newest_ns, time_ns)
-        index = max(self._index_of(time_ns), 0)
-        if time_ns > self._changes[index].time_ns:
-            before = self._changes[index]
-            self._changes.insert(index + 1, Change(time_ns, {**before.samples}, before.body,
-                                                   before.commands))
-            index += 1
-        return index
-
-    def _put(self, index: int, new: Sample | NewBody, source: int = 0) -> None:
-        # A sample is in force up to the next one of its source, and so is a body. While a stamp
-        # may still come from before the start, the first change is the start: it is discarded only
-        # when a stamp is `history` after it, and then every stamp that is as old is dropped.
-        for change in self._changes[index:]:
-            found = change.body if isinstance(new, NewBody) else change.samples.get(source)
-            if found is not None and found.stamp_ns > new.stamp_ns:
-                break
-            if isinstance(new, NewBody):
-                change.body = new
-            else:
-                change.samples[source] = new
-        self._renew(index)
-
-    def _renew(self, index: int) -> None:
-        """Compute again from a change on."""
-        self._discard_segments(index)
-        if self._changes[0].active is None:
-            self._begin()
-
-    def _begin(self) -> None:
-        """Compute the first segment."""
-        start, first = self._start, self._changes[0]
-        axial = self._axial_at_start(first.commands)
-        total = self._sum(first, start.time_ns, axial)
-        # A torque at the start begins a segment there, even if it repeats the one before.
-        begins = first.stamps_at(start.time_ns, self._options.timeout_ns)
-        acts = not total.is_zero() or self._fields is not None or (
-            first.body.body.is_damped or start._has_rotors)
-        first.active = Active(self._segment(without_origin(start) if begins and acts else start,
-                                            total, first.body), axial)
-
-    def _axial_at_start(self, commands: Commands) -> Axial | None:
-        if self._wheels is None or self._axial is None:
-            return None
-        return in_force(self._wheels, self._axial, commands.log, self._start.time_ns,
-                        self._start.angular_velocity, self._options.timeout_ns)
-
-    def _index_of(self, time_ns: int) -> int:
-        """Return the index of the change in force at a time, or -1."""
-        if time_ns >= self._changes[-1].time_ns:  # as most torques are
-            return len(self._changes) - 1
-        return bisect.bisect_right(self._changes, time_ns, key=time_of) - 1
-
-    def _sum(self, change: Change, time_ns: int, axial: Axial | None) -> Sum:
-        motors = self._wheels.torque(axial.efforts)[None] if self._wheels and axial else None
-        return summed(change.samples, time_ns, self._options.timeout_ns, motors)
-
-    def _discard_before(self, horizon_ns: int) -> None:
-        """Discard changes that no late torque can affect; raise ValueError as `at` does."""
-        oldest = self._index_of(horizon_ns)
-        if oldest > 0:
-            self._compute_segments(oldest)
-            del self._changes[:oldest]
-
-    def _discard_segments(self, index: int) -> None:
-        # Segments are computed from the front: if one is missing, all later ones are, too.
-        self._changes[index].discard()
-        for change in self._changes[index + 1:]:
-            if change.active is None:
-                break
-            change.discard()
-
-    def _compute_segments(self, index: int, until: float = math.inf) -> None:
-        """Compute the segment of every change up to this one, or raise TimeoutError."""
-        first = index
-        while self._changes[first].active is None:
-            first -= 1
-        for before, change in zip(self._changes[first:index], self._changes[first + 1:index + 1]):
-            change.active = self._next(
-                self._active_at(before, change.time_ns, until), change, change.time_ns, until)
-            if time.monotonic() > until:
-                raise timed_out(change.time_ns)
-
-    def _active_at(self, change: Change, time_ns: int, until: float) -> Active:
-        """Return what is active at a time between a change and the next."""
-        active = change.active
-        assert active is not None
-        for k, due_ns in enumerate(change.timeouts_ns(self._options.timeout_ns)):
-            if time_ns < due_ns:
-                break
-            if k == len(change.after_timeouts):
-                change.after_timeouts.append(self._next(active, change, due_ns, until))
-            active = change.after_timeouts[k]
-        return active
-
-    def _next(self, active: Active, change: Change, time_ns: int, until: float) -> Active:
-        body, segment, start = change.body, active.segment, None
-        if body.stamp_ns == time_ns:
-            start = changed(segment.end_at(time_ns, until), segment.body, body.carrier, body.keep)
-        axial = active.axial
-        if self._wheels and axial:
-            axial = self._next_axial(axial, change.commands, time_ns,
-                                     start or segment.state_at(time_ns, until))
-        total = self._sum(change, time_ns, axial)
-        if start is None:
-            if segment.coasts and total.is_zero():
-                return Active(segment, axial)
-            start = segment.end_at(time_ns, until)
-        return Active(self._segment(start, total, body), axial)
-
-    def _next_axial(self, axial: Axial, commands: Commands, time_ns: int, state: State) -> Axial:
-        """Return what the wheels do from a time on, at which the body has a state."""
-        assert self._wheels
-        if commands.stamp_ns == time_ns:
-            return commanded(self._wheels, axial, time_ns, commands.given_at(time_ns),
-                             state.angular_velocity)
-        if 0 < self._options.timeout_ns == time_ns - commands.stamp_ns:
-            return axial._replace(since_ns=time_ns, momenta=momenta_at(axial, time_ns),
-                                  is_silent=True)
-        return axial
-
-    def _new_body(self, stamp_ns: int, body: RigidBody, keep: str) -> NewBody:
-        carrier = self._wheels.carrier(body) if self._wheels else body
-        return NewBody(stamp_ns, body, keep, carrier)
-
-    def _segment(self, start: State, total: Sum, body: NewBody) -> Segment:
-        return Segment(body.carrier, self._options, self.history_ns, start, total, self._fields)
