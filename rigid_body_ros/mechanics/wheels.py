@@ -168,6 +168,8 @@ class EffortLog:
 
 def filled(rows: Floats, before: Floats) -> Floats:
     """Return rows, shape (n, m), with the last number of the same column in place of NaN."""
+    if not np.isnan(rows).any():
+        return rows
     rows = np.concatenate([before[None], rows])
     last = np.where(np.isnan(rows), 0, np.arange(len(rows))[:, None])
     return np.take_along_axis(rows, np.maximum.accumulate(last), axis=0)[1:]

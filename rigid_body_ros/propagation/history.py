@@ -110,9 +110,8 @@ class History:
                 change.samples[source] = new
         self._renew(index)
 
-    def take(self, index: int, row: Floats) -> None:
-        """Put commands of wheels, NaN for wheels that keep theirs, at a change."""
-        time_ns = self.changes[index].time_ns
+    def take(self, index: int, time_ns: int, row: Floats) -> None:
+        """Put commands of wheels with a stamp, NaN for wheels that keep theirs, at a change."""
         for change in self.changes[index:]:
             change.commands = change.commands.taking(time_ns, row)
         self._renew(index)

@@ -55,8 +55,8 @@ class Integration:
     problem : Problem
         With the present piece of each log.
     refused_commands : int
-        How many commands of wheels with names have acted as zero so far, because the wheel was too
-        fast.
+        How many commands of wheels with names, with stamps from the start to the end of the motion
+        so far, act as zero, because the wheel was too fast.
 
     """
 
@@ -83,7 +83,7 @@ class Integration:
         assert problem.named_wheels
         begun = in_force(problem.named_wheels, axial, problem.efforts, end_ns, rates,
                          problem.options.timeout_ns)
-        if begun is not axial:
+        if begun is not axial and begun.stamp_ns == end_ns:
             self.refused_commands += int(begun.refused.sum())
         self._resolved = 0
         return WheelTimeline(problem.named_wheels, begun, problem.efforts,

@@ -260,7 +260,7 @@ class Propagator:
         index = self._history.inserted(time_ns) if efforts else None
         if index is None:
             return not efforts
-        self._history.take(index, row)
+        self._history.take(index, time_ns, row)
         return True
 
     def refused_commands(self, after_ns: int, until_ns: int) -> int:
