@@ -43,7 +43,7 @@ from rigid_body_ros.commands import main
 from rigid_body_ros.common.errors import InputError
 from rigid_body_ros.live.checkpoint import Checkpoint
 from rigid_body_ros.live.epoch import Epoch
-from rigid_body_ros.propagation import Integration
+from rigid_body_ros.propagation import Integration, integration
 from rigid_body_ros.replay.check import drift
 from rigid_body_ros.scene import Scene
 from terms import bound
@@ -176,6 +176,19 @@ def test_a_command_that_would_speed_up_a_fast_wheel_acts_as_zero():
         getattr(propagator, name)(*values)
     assert propagator.refused_commands(-1, 3 * SECOND) == too_fast.sum()
     assert propagator.refused_commands(SECOND, 2 * SECOND) == too_fast[21:41].sum()
+
+
+def test_how_commands_are_grouped_changes_no_bit(monkeypatch):
+    rng = np.random.default_rng(9)
+    problem = Problem(BODY, START, TorqueLog([0, SECOND], rng.normal(size=(2, 3))),
+                      wheels=LIMITED, efforts=commands(rng, 100), torque_timeout=0.05)
+    at = rng.integers(0, 3 * SECOND, 50)
+    expected = problem.propagate(at=at)
+    monkeypatch.setattr(integration, '_WINDOW', 1)
+    monkeypatch.setattr(integration, '_SPAN', 7)
+    found = problem.propagate(at=at)
+    assert same(found, expected)
+    assert found.models == expected.models
 
 
 def test_a_command_that_acts_goes_on_above_the_largest_speed():

@@ -22,6 +22,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.engine import kernels, layout, motion_layout, state_layout
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import changed
@@ -37,8 +38,9 @@ from rigid_body_ros.propagation.wheels import in_force, WheelTimeline
 if TYPE_CHECKING:
     from rigid_body_ros.propagation.problem import Problem
 
-#: How many commands of wheels are tried at first to see whether they act.
-_WINDOW = 16
+#: How many commands of wheels are tried at first to see whether they act, and of how many a
+#: timeline has at most if they may not.
+_WINDOW, _SPAN = 16, 512
 
 
 class Integration:
@@ -67,6 +69,8 @@ class Integration:
         #: What the wheels with names do, and how many of their commands are known to act or not.
         self._wheels: WheelTimeline | None = None
         self._resolved = self.refused_commands = 0
+        #: A time at which a new timeline begins, so that each is short.
+        self._mark_ns = NEVER_NS
         #: The body without the axial inertia of these.
         self._carrier = self._body
         if problem.named_wheels:
@@ -85,9 +89,20 @@ class Integration:
                          problem.options.timeout_ns)
         if begun is not axial and begun.stamp_ns == end_ns:
             self.refused_commands += int(begun.refused.sum())
-        self._resolved = 0
-        return WheelTimeline(problem.named_wheels, begun, problem.efforts,
-                             problem.options.timeout_ns, end_ns)
+        return self._wheels_on(begun)
+
+    def _wheels_on(self, axial: Axial) -> WheelTimeline:
+        """Return what wheels go on to do from the end of the motion so far on."""
+        problem, end_ns = self.problem, self._end_ns
+        assert problem.named_wheels
+        wheels, efforts = problem.named_wheels, problem.efforts
+        self._resolved, self._mark_ns = 0, NEVER_NS
+        if efforts and wheels.is_limited:  # at each wrong guess, all of the timeline is made again
+            later_ns = efforts.times_ns[efforts.times_ns.searchsorted(end_ns, 'right'):]
+            if len(later_ns) > _SPAN:
+                self._mark_ns = int(later_ns[_SPAN])
+                efforts = efforts.between(end_ns, self._mark_ns)
+        return WheelTimeline(wheels, axial, efforts, problem.options.timeout_ns, end_ns)
 
     def _timeline_from(self, momentum: Floats | None) -> Timeline:
         """Return what acts from the end of the motion so far on."""
@@ -100,8 +115,10 @@ class Integration:
         """Return the same with the commands of wheels that are now known to act."""
         (start_ns, momentum), problem = self._basis, self.problem
         logs, wheels = problem.logs, self._wheels.log if self._wheels else problem.wheels
-        if problem.changes:  # the torques of the other parts would be summed for nothing
-            span = start_ns, problem.changes.next_ns(start_ns)
+        if problem.changes or self._mark_ns < NEVER_NS:
+            # The torques of the other parts would be summed for nothing.
+            end_ns = problem.changes.next_ns(start_ns) if problem.changes else NEVER_NS
+            span = start_ns, min(end_ns, self._mark_ns)
             logs = tuple(log.between(*span) for log in logs)
             wheels = wheels and wheels.between(*span)
         self._sources = (*logs, wheels) if wheels else logs
@@ -153,10 +170,7 @@ class Integration:
         momentum = self._momentum()
         self.problem = problem
         if self._wheels:
-            self._wheels = WheelTimeline(
-                self._wheels.wheels, self._wheels.axial(self._end_ns), problem.efforts,
-                problem.options.timeout_ns, self._end_ns)
-            self._resolved = 0
+            self._wheels = self._wheels_on(self._wheels.axial(self._end_ns))
         self._timeline = self._timeline_from(momentum)
         self._progress['row'], self._is_begun = self._timeline.in_force(self._end_ns), True
 
@@ -185,26 +199,26 @@ class Integration:
 
         """
         requested = checked_times(at, self._end_ns)
-        due = self._changes_until(requested[2] if until_ns is None else
-                                  max(requested[2], until_ns))
-        if not due:
+        last_ns = requested[2] if until_ns is None else max(requested[2], until_ns)
+        if self._next_ns > last_ns:
             return self._advance(*requested, until_ns)
         parts, later = list[Trajectory](), requested[0]
-        for change_ns, body in due:
-            before = later < change_ns
-            parts.append(self._advance(*checked_times(later[before], self._end_ns), change_ns))
-            self._change(body)
+        while (next_ns := self._next_ns) <= last_ns:
+            before, changes = later < next_ns, self.problem.changes
+            parts.append(self._advance(*checked_times(later[before], self._end_ns), next_ns))
+            if changes and next_ns == changes.times_ns[changes.in_force(next_ns)]:
+                self._change(changes.bodies[changes.in_force(next_ns)])
+            else:
+                self.extend(self.problem)
             later = later[~before]
         parts.append(self._advance(*checked_times(later, self._end_ns), until_ns))
         return joined(requested[0], parts)
 
-    def _changes_until(self, end_ns: int) -> list[tuple[int, RigidBody]]:
-        """Return the changes of the body after the motion so far, up to a time, ns."""
+    @property
+    def _next_ns(self) -> int:
+        """Return when the present timeline ends: at the next change of the body, or earlier."""
         changes = self.problem.changes
-        if not changes:
-            return []
-        due = slice(changes.in_force(self._end_ns) + 1, changes.in_force(end_ns) + 1)
-        return list(zip(changes.times_ns[due].tolist(), changes.bodies[due]))
+        return min(self._mark_ns, changes.next_ns(self._end_ns) if changes else NEVER_NS)
 
     def _change(self, body: RigidBody) -> None:
         """Continue with another body from the end of the motion so far."""

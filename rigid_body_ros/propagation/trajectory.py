@@ -119,7 +119,13 @@ class Trajectory:
     @cached_property
     def models(self) -> tuple[Model, ...]:
         """Which solver was used for each span, and why."""
-        return tuple(model for part in self._parts for model in part.models())
+        found = list[Model]()
+        for before, part in zip((None, *self._parts), self._parts):
+            models = part.models()
+            if before and before.body is part.body and found[-1][::3] == models[0][::3]:
+                models = (found.pop()._replace(end_ns=models[0].end_ns), *models[1:])
+            found.extend(models)
+        return tuple(found)
 
     @cached_property
     def rotor_momentum(self) -> Floats:
