@@ -370,7 +370,7 @@ def test_a_scene_names_wheels():
     ({'rw_x.max_sped': 1.0}, 'rw_x.max_sped: unknown key; did you mean rw_x.max_speed?'),
     ({'wheel_names': ['rw_x'] * 2}, "wheel_names: expected each name once, found 'rw_x' twice"),
     ({'wheel_names': ['inertia']}, 'wheel_names: expected a name with which no other parameter'),
-    ({'fields': ['rw_x']}, "wheel_names: expected a name with which no other parameter begins, "),
+    ({'fields': ['rw_x']}, 'wheel_names: expected a name with which no other parameter begins, '),
     ({'orbit.mean_motion': 0.1}, 'orbit.mean_motion: expected 0 with wheel_names, because'),
     ({'solver': 'exact'}, "solver 'exact' handles neither rotors nor damping, found rotors"),
 ])

@@ -90,8 +90,8 @@ class History:
         index = max(self.index_of(time_ns), 0)
         if time_ns > self.changes[index].time_ns:
             before = self.changes[index]
-            self.changes.insert(index + 1, Change(time_ns, {**before.samples}, before.body,
-                                                   before.commands))
+            self.changes.insert(index + 1, Change(
+                time_ns, {**before.samples}, before.body, before.commands))
             index += 1
         return index
 
