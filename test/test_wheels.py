@@ -215,6 +215,10 @@ def test_commands_are_clipped_held_and_kept():
     assert propagator.apply_efforts(SECOND, {'a': 0.2})  # the later one of equal stamps
     assert propagator.apply_efforts(0, {'a': 0.1, 'b': -0.2, 'c': 5.0})
     assert np.array_equal(propagator.at(3 * SECOND).wheel_speeds, motion.wheel_speeds[-1])
+    assert propagator.at(3 * SECOND).wheel_efforts.tolist() == [0.2, 0.1, 0.3, 0.0]
+    assert propagator.commands_since(SECOND // 2) == [
+        (0, {'a': 0.1, 'b': -0.2, 'c': 5.0}), (SECOND, {'a': 0.2, 'b': 0.1})]
+    assert propagator.commands_since(SECOND) == [(0, {'c': 5.0}), (SECOND, {'a': 0.2, 'b': 0.1})]
 
 
 def test_all_commands_time_out_after_the_last_of_them():

@@ -50,8 +50,8 @@ class State:
     rotor_momentum : array, shape (3,), N m s, body axes
         Angular momentum of rotors (reaction wheels, propellers) relative to the body. If there are
         `wheel_speeds`, it includes that of these wheels; 0 stands for theirs alone.
-    wheel_speeds : array, shape (wheels,), rad/s
-        Of wheels with names, relative to the body. Empty: they begin with their initial speeds,
+    wheel_speeds : array, shape (k,), rad/s
+        Of k wheels with names, relative to the body. Empty: they begin with their initial speeds,
         and `rotor_momentum` is that of other rotors.
 
     Raises
@@ -76,6 +76,8 @@ class State:
     _rotors: Floats = field(init=False, repr=False)
     #: The step grid that the state was computed from (an `Origin`), or None.
     _origin: object = field(init=False, repr=False)
+    #: Torques of the motors of these wheels that act from this time on, N m, shape (k,).
+    wheel_efforts: Floats = field(init=False, repr=False)
     #: What the wheels do (an `Axial`), or None.
     _axial: object = field(init=False, repr=False, default=None)
 
@@ -125,8 +127,9 @@ class State:
                 f'angular velocity {written(self.angular_velocity)} rad/s{rotors})')
 
 
-#: As a default: to store it in every state would take a tenth of the time to make one.
-type.__setattr__(State, 'wheel_speeds', _NO_WHEELS)
+# As defaults: to store them in every state would take a tenth of the time to make one.
+for _name in ('wheel_speeds', 'wheel_efforts'):
+    type.__setattr__(State, _name, _NO_WHEELS)
 
 
 def is_normalized(q: Floats) -> NDArray[np.bool_]:

@@ -112,14 +112,14 @@ class EffortLog:
     times_ns : array of int, shape (n,), ns
         In any order. Of commands for one wheel with equal stamps, the later one in the array is
         used.
-    efforts : array, shape (n, wheels), N m
-        On the wheels, in their order. NaN: the wheel keeps its command.
+    efforts : array, shape (n, k), N m
+        On k wheels, in their order. NaN: the wheel keeps its command.
 
     Attributes
     ----------
     times_ns : array of int64, shape (m,), ns
         Strictly ascending.
-    efforts : array, shape (m, wheels), N m
+    efforts : array, shape (m, k), N m
 
     Raises
     ------
@@ -338,7 +338,8 @@ class Wheels:
         momentum = state._rotors[0] - self.of_body(rates)
         for array in (speeds, momentum):
             array.flags.writeable = False
-        state.__dict__.update(wheel_speeds=speeds, rotor_momentum=momentum, _axial=axial)
+        state.__dict__.update(wheel_speeds=speeds, wheel_efforts=axial.efforts,
+                              rotor_momentum=momentum, _axial=axial)
         return state
 
     def row(self, efforts: Mapping[str, float]) -> Floats:

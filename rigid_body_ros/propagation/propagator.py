@@ -122,6 +122,20 @@ class Propagator:
             (source, sample) for change in self._history.changes[index + 1:]
             for source, sample in change.samples.items() if sample.stamp_ns == change.time_ns)]
 
+    def commands_since(self, time_ns: int) -> list[tuple[int, dict[str, float]]]:
+        """
+        Return the commands of wheels in force at a time, and all later ones.
+
+        They are stamps, ns, ascending, and efforts, N m, by name, as `apply_efforts` takes them.
+        """
+        index, found = max(self._history.index_of(time_ns), 0), dict[int, dict[str, float]]()
+        for change in self._history.changes[index:]:
+            for name, stamp_ns, effort in zip(self._wheels.names if self._wheels else (),
+                                              *change.commands):
+                if stamp_ns != -NEVER_NS:
+                    found.setdefault(stamp_ns, {})[name] = effort
+        return sorted(found.items())
+
     def apply(self, time_ns: int, torque: ArrayLike, frame: str = 'body',
               source: int = 0) -> bool:
         """
