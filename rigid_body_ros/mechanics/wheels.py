@@ -338,7 +338,7 @@ class Wheels:
         momentum = state._rotors[0] - self.of_body(rates)
         for array in (speeds, momentum):
             array.flags.writeable = False
-        state.__dict__.update(wheel_speeds=speeds, wheel_efforts=axial.efforts,
+        state.__dict__.update(wheel_speeds=speeds, wheel_efforts=axial.efforts.copy(),
                               rotor_momentum=momentum, _axial=axial)
         return state
 
