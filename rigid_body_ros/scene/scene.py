@@ -50,7 +50,7 @@ from rigid_body_ros.scene.parameters import (
     QOS,
 )
 from rigid_body_ros.scene.sensors import imu_of, odometry_variances
-from rigid_body_ros.scene.wheels import named_by, WHEEL_NAMES, wheels_of
+from rigid_body_ros.scene.wheels import check_wheel, WHEEL_NAMES, wheels_of
 
 #: The name of the node whose parameters a scene file has.
 NODE = 'attitude_node'
@@ -217,7 +217,7 @@ class Scene:
                         if not name.startswith(QOS) and is_foreign(name, value, known))
         for name in ignored:
             check_named(name, names.fields)
-            _check_wheel(name, names.wheels)
+            check_wheel(name, names.wheels)
         given = {**given, **_inertia_of_robot(given)}
         values = {name: checked(parameter, given.get(name, parameter.default))
                   for name, parameter in table.items()}
@@ -352,14 +352,6 @@ def _inertia_of_robot(given: Mapping[str, Any]) -> dict[str, float]:
             raise InputError(f'{name}: expected {entry!r} as in robot_description, or no '
                              f'value, found {quoted(given[name])}')
     return entries
-
-
-def _check_wheel(key: str, names: Sequence[str]) -> None:
-    """Raise InputError if an unknown parameter is that of a wheel which is not named."""
-    name = named_by(key)
-    if name:
-        raise InputError(f'{key}: expected {quoted(name)} among the names in {WHEEL_NAMES}, found '
-                         f'{listed(names)}')
 
 
 def _check_text(name: str, text: str) -> None:

@@ -16,13 +16,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 import re
 from typing import Any
 
 import numpy as np
 from rigid_body_ros.common.arrays import written
-from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.common.errors import InputError, listed, quoted
 from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.runtime.parameters import BIG, Parameter, TINY
 
@@ -58,10 +58,12 @@ def of_names(names: Iterable[str]) -> dict[str, Parameter]:
         *(each._replace(name=f'{name}.{each.name}') for each in (_INERTIA, *_OTHERS)))}
 
 
-def named_by(key: str) -> str | None:
-    """Return the name in the parameter of a wheel; None for any other parameter."""
+def check_wheel(key: str, names: Collection[str]) -> None:
+    """Raise InputError if an unknown parameter is that of a wheel which is not named."""
     found = _OF_WHEEL.fullmatch(key)
-    return found[1] if found else None
+    if found:
+        raise InputError(f'{key}: expected {quoted(found[1])} among the names in {WHEEL_NAMES}, '
+                         f'found {listed(names)}')
 
 
 def wheels_of(values: Mapping[str, Any]) -> tuple[Wheel, ...]:
