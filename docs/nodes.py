@@ -32,7 +32,7 @@ from rigid_body_ros.commands.regress import regress_parser
 from rigid_body_ros.commands.replay import replay_parser
 from rigid_body_ros.commands.tradeoff import tradeoff_parser
 from rigid_body_ros.runtime.parameters import limits
-from rigid_body_ros.scene.fields import FIELDS, of_names
+from rigid_body_ros.scene import fields, wheels
 
 WRENCH, ODOMETRY = 'geometry_msgs/msg/WrenchStamped', 'nav_msgs/msg/Odometry'
 INERTIA = 'geometry_msgs/msg/InertiaStamped'
@@ -611,10 +611,11 @@ def main():
 
 
 def parameters():
-    """Return the parameters; those of a uniform field follow the one that names it."""
-    of_field = of_names(['NAME']).values()
+    """Return the parameters; those of a uniform field or wheel follow the one that names it."""
+    named = {fields.FIELDS: fields.of_names(['NAME']), wheels.WHEEL_NAMES: wheels.of_names(
+        ['NAME'])}
     return [one for parameter in scene.PARAMETERS.values() for one in (
-        parameter, *(of_field if parameter.name == FIELDS else ()))]
+        parameter, *named.get(parameter.name, {}).values())]
 
 
 def topics(listed):

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rigid_body_ros.mechanics.state import State
     from rigid_body_ros.mechanics.states import States
     from rigid_body_ros.mechanics.torque import TorqueLog
+    from rigid_body_ros.mechanics.wheels import EffortLog, Wheel
     from rigid_body_ros.propagation import (
         Problem,
         propagate,
@@ -45,7 +46,8 @@ else:
               'BodyLog': 'mechanics.changes',
               'State': 'mechanics.state', 'States': 'mechanics.states',
               'GravityGradient': 'mechanics.fields', 'UniformField': 'mechanics.fields',
-              'TorqueLog': 'mechanics.torque', 'euler': 'mechanics.euler',
+              'TorqueLog': 'mechanics.torque', 'EffortLog': 'mechanics.wheels',
+              'Wheel': 'mechanics.wheels', 'euler': 'mechanics.euler',
               'frames': 'mechanics.frames', 'so3': 'mechanics.so3', 'urdf': 'mechanics.urdf',
               'Propagator': 'propagation', 'Trajectories': 'propagation',
               'Trajectory': 'propagation', 'propagate': 'propagation',
@@ -69,7 +71,7 @@ else:
     def __dir__() -> list[str]:
         return sorted({*globals(), *_HOMES})
 
-__all__ = ['BodyLog', 'Experiment', 'GravityGradient', 'Measured', 'Problem', 'Propagator',
-           'RigidBodies', 'RigidBody', 'State', 'States', 'TorqueLog', 'Trajectories',
-           'Trajectory', 'UniformField', 'build_info', 'compare', 'identify', 'propagate',
-           'propagate_many', 'read', 'read_measured', 'warm_up']
+__all__ = ['BodyLog', 'EffortLog', 'Experiment', 'GravityGradient', 'Measured', 'Problem',
+           'Propagator', 'RigidBodies', 'RigidBody', 'State', 'States', 'TorqueLog',
+           'Trajectories', 'Trajectory', 'UniformField', 'Wheel', 'build_info', 'compare',
+           'identify', 'propagate', 'propagate_many', 'read', 'read_measured', 'warm_up']

@@ -22,6 +22,7 @@ import rigid_body_ros
 from rigid_body_ros import (
     BodyLog,
     build_info,
+    EffortLog,
     Experiment,
     GravityGradient,
     identify,
@@ -36,6 +37,7 @@ from rigid_body_ros import (
     TorqueLog,
     UniformField,
     warm_up,
+    Wheel,
 )
 from rigid_body_ros.mechanics import euler, so3, urdf
 
@@ -48,26 +50,31 @@ SIGNATURES = [
     (RigidBody.from_urdf, "text, link=''"),
     (urdf.fixed_frames, "text, link=''"),
     (State, 'time_ns=0, attitude=(0.0, 0.0, 0.0, 1.0), angular_velocity=(0.0, 0.0, 0.0), '
-            'rotor_momentum=(0.0, 0.0, 0.0)'),
+            'rotor_momentum=(0.0, 0.0, 0.0), wheel_speeds=()'),
+    (Wheel, 'name, axis, inertia, initial_speed=0.0, friction=0.0, max_torque=0.0, '
+            'max_speed=0.0'),
+    (EffortLog, 'times_ns, efforts'),
     (TorqueLog, "times_ns, torques, frame='body', interpolation='hold'"),
     (UniformField, "moment, field, name=''"),
     (GravityGradient, 'mean_motion, position=(1.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0), '
                       'time_ns=None'),
     (TorqueLog.from_momentum, 'times_ns, momenta'),
-    (Problem, f'body, start, log=None, *, wheels=None, fields=(), changes=None, {OPTIONS}'),
+    (Problem, 'body, start, log=None, *, wheels=None, efforts=None, fields=(), changes=None, '
+              f'{OPTIONS}'),
     (Problem.propagate, 'self, *, at'),
     (read, 'path, scene, *, topic=None, wheel_torque=None, wheel_momentum=None, inertia=None, '
            "interpolation=None, time_source='header'"),
-    (propagate, 'body, start, log=None, *, at, wheels=None, fields=(), changes=None, '
-                f'{OPTIONS}'),
+    (propagate, 'body, start, log=None, *, at, wheels=None, efforts=None, fields=(), '
+                f'changes=None, {OPTIONS}'),
     (propagate_many, 'bodies, starts, log=None, *, at, wheels=None, fields=(), torque_gains=None, '
                      f'{OPTIONS}'),
     (States, 'time_ns=0, attitude=(0.0, 0.0, 0.0, 1.0), angular_velocity=(0.0, 0.0, 0.0), '
              'rotor_momentum=(0.0, 0.0, 0.0)'),
-    (Propagator, f'body, start, *, fields=(), {OPTIONS}, history=1.0'),
+    (Propagator, f'body, start, *, wheels=None, fields=(), {OPTIONS}, history=1.0'),
     (Propagator.apply, "self, time_ns, torque, frame='body', source=0"),
     (Propagator.apply_wheels, 'self, time_ns, torque'),
     (Propagator.apply_body, "self, time_ns, body, keep='rate'"),
+    (Propagator.apply_efforts, 'self, time_ns, efforts'),
     (BodyLog, "times_ns, bodies, keep='rate'"),
     (build_info, ''),
     (warm_up, ''),
@@ -80,7 +87,7 @@ SIGNATURES = [
 TRAJECTORY = {
     'times_ns': ((2,), np.int64), 'attitude': ((2, 4), float), 'angular_velocity': ((2, 3), float),
     'rotor_momentum': ((2, 3), float), 'angular_momentum_space': ((2, 3), float),
-    'kinetic_energy': ((2,), float),
+    'kinetic_energy': ((2,), float), 'wheel_speeds': ((2, 0), float),
 }
 
 
@@ -96,10 +103,10 @@ def test_parameters_and_defaults_are_those_documented(function, parameters):
 
 def test_the_top_level_has_these_names():
     assert sorted(rigid_body_ros.__all__) == [
-        'BodyLog', 'Experiment', 'GravityGradient', 'Measured', 'Problem', 'Propagator',
-        'RigidBodies', 'RigidBody', 'State', 'States', 'TorqueLog', 'Trajectories', 'Trajectory',
-        'UniformField', 'build_info', 'compare', 'identify', 'propagate', 'propagate_many', 'read',
-        'read_measured', 'warm_up']
+        'BodyLog', 'EffortLog', 'Experiment', 'GravityGradient', 'Measured', 'Problem',
+        'Propagator', 'RigidBodies', 'RigidBody', 'State', 'States', 'TorqueLog', 'Trajectories',
+        'Trajectory', 'UniformField', 'Wheel', 'build_info', 'compare', 'identify', 'propagate',
+        'propagate_many', 'read', 'read_measured', 'warm_up']
     assert (rigid_body_ros.mechanics.so3, rigid_body_ros.mechanics.euler) == (so3, euler)
 
 

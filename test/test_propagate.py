@@ -402,7 +402,7 @@ class TestPropagator:
             time_ns = EPOCH_NS + number * SECOND // 1000
             propagator.apply(time_ns, [0.1, 0.0, 0.1 * (number % 3)])
             propagator.at(time_ns + SECOND // 2000)
-        assert len(propagator._changes) <= 52
+        assert len(propagator._history.changes) <= 52
         assert propagator.earliest_ns >= EPOCH_NS + 1949 * SECOND // 1000
         earliest = f'time_ns: expected {propagator.earliest_ns} ns or later, found'
         with pytest.raises(ValueError, match=earliest):
@@ -422,7 +422,7 @@ class TestPropagator:
         for number in range(0, 36_000, 3):
             propagator.at(EPOCH_NS + number * SECOND // 10)
         assert max(spans) < 2 * SECOND
-        assert len(propagator._changes[0].segment._grid_ns) < 20
+        assert len(propagator._history.changes[0].active.segment._grid_ns) < 20
 
 
 @pytest.mark.parametrize(('arguments', 'message'), [

@@ -349,7 +349,7 @@ class Ensemble:
         return Reach(self.problem, self.end_ns, self.torques.noise)
 
     def _computed(self, applied: Applied) -> _Found:
-        if self.controller or self.problem.changes:
+        if self.controller or self.problem.changes or self.problem.named_wheels:
             return self._one_by_one(applied)
         try:
             return self._together(applied)

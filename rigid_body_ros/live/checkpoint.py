@@ -149,7 +149,7 @@ class Checkpoint:
         try:
             data = json.loads(text)
             state = State(data['time_ns'], data['attitude'], data['angular_velocity'],
-                          data['rotor_momentum'])
+                          data['rotor_momentum'], data.get('wheel_speeds', ()))
             if _text(data['defining'], state) == text:
                 return state, data['defining']
         except (ValueError, TypeError, KeyError, RecursionError):
@@ -162,7 +162,9 @@ class Checkpoint:
 def _text(defining: dict[str, Any], state: State) -> str:
     data = {'format': _FORMAT, 'time_ns': state.time_ns, 'attitude': state.attitude.tolist(),
             'angular_velocity': state.angular_velocity.tolist(),
-            'rotor_momentum': state.rotor_momentum.tolist(), 'defining': defining}
+            'rotor_momentum': state.rotor_momentum.tolist(),
+            **({'wheel_speeds': state.wheel_speeds.tolist()} if state.wheel_speeds.size else {}),
+            'defining': defining}
     # A hash of all that comes before it.
     digest = hashlib.sha256(json.dumps(data).encode()).hexdigest()
     return f'{json.dumps({**data, "sha256": digest}, indent=1)}\n'

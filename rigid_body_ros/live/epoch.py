@@ -47,7 +47,8 @@ class Epoch:
         #: How much older than the newest stamp a torque may be, ns.
         self.history_ns = max(1, duration_ns(scene.history, 'history'))
         # The IMU has earlier states.
-        self._propagator = Propagator(scene.body, start, fields=scene.fields_from(start.time_ns),
+        self._propagator = Propagator(scene.body, start, wheels=scene.named_wheels,
+                                      fields=scene.fields_from(start.time_ns),
                                       **asdict(scene.options),
                                       history=scene.history + scene.imu.delay)
         self._committed_ns = start.time_ns
@@ -116,7 +117,7 @@ class Epoch:
         """Return, sorted by stamp, the torques that are in force at a time, and all later ones."""
         found = [_torque(*pair) for pair in self._propagator.samples_since(time_ns)]
         found += [Torque(stamp_ns, body.entries, 'body', BODY)
-                  for stamp_ns, body, _ in self._propagator.bodies_since(time_ns)]
+                  for stamp_ns, body, *_ in self._propagator.bodies_since(time_ns)]
         return sorted(found, key=lambda torque: torque.stamp_ns)
 
     def uncommitted(self, until_ns: int) -> list[int]:

@@ -21,8 +21,10 @@ Classical Mechanics, chapters 4 and 5.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats, written
 from rigid_body_ros.common.errors import quoted
 from rigid_body_ros.engine import body_layout
@@ -91,11 +93,16 @@ class RigidBody:
         self.principal_moments, self.principal_axes = (high.copy() for high, _ in self._principal)
         self.triangle_excess = _checked_excess(self.principal_moments)
         self.symmetry = _symmetry(self.principal_moments)
-        #: Coefficients of Euler's equations, shape (2, 3, 9), and all constants for the kernels.
-        self._coefficients = _euler_coefficients(self.inertia)
-        self._constants = body_layout.pack(self._coefficients, *self._principal,
-                                           _damping_coefficients(self.inertia, self.damping))
+        self._set_constants(self.inertia)
         self.inertia.flags.writeable = self.damping.flags.writeable = False
+
+    def _set_constants(self, exact: NDArray[Any]) -> None:
+        """Compute with an inertia of doubles, or of Fractions that are sums of two doubles."""
+        self._exact = exact
+        #: Coefficients of Euler's equations, shape (2, 3, 9), and all constants for the kernels.
+        self._coefficients = _euler_coefficients(exact)
+        self._constants = body_layout.pack(self._coefficients, *self._principal,
+                                           _damping_coefficients(exact, self.damping))
 
     @classmethod
     def from_moments(cls, ixx: float, iyy: float, izz: float,
@@ -320,7 +327,7 @@ def _checked_damping(values: ArrayLike | None) -> Floats:
     return damping
 
 
-def _damping_coefficients(tensor: Floats, damping: Floats) -> Floats:
+def _damping_coefficients(tensor: NDArray[Any], damping: Floats) -> Floats:
     if not damping.any():
         return np.zeros((2, 3, 3))
     try:
@@ -362,7 +369,7 @@ def _symmetry(moments: Floats) -> str:
     return ('asymmetric top', 'symmetric top', 'sphere')[int(close.sum())]
 
 
-def _euler_coefficients(tensor: Floats) -> Floats:
+def _euler_coefficients(tensor: NDArray[Any]) -> Floats:
     try:
         return tensor_constants.euler_coefficients(tensor)
     except ArithmeticError:

@@ -43,7 +43,8 @@ class BodyLog:
     keep : str
         'rate': the angular velocity goes on, as when a payload is dropped, which takes its
         momentum along. 'momentum': the momentum J w goes on and the angular velocity jumps, as
-        when an arm is deployed within a moment. The momentum of the rotors goes on in both.
+        when an arm is deployed within a moment. The momentum of the rotors goes on in both, and so
+        does the axial momentum I (Omega + a . w) of each wheel with a name.
 
     Attributes
     ----------
@@ -131,7 +132,7 @@ def _rates_that_keep_momentum(rates: Floats, lost_rates: Floats, before: RigidBo
 
 
 def _exact(body: RigidBody) -> list[list[Fraction]]:
-    return [[Fraction(entry) for entry in row] for row in body.inertia.tolist()]
+    return [[Fraction(entry) for entry in row] for row in body._exact.tolist()]
 
 
 def _cross(a: Sequence[Fraction], b: Sequence[Fraction]) -> list[Fraction]:

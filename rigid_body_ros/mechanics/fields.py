@@ -140,12 +140,12 @@ class GravityGradient:
         if not 0.0 < rate < np.inf:
             raise ValueError('mean motion of an orbit: expected rad/s greater than zero, '
                              f'found {self.mean_motion}')
-        position, normal = (_direction(getattr(self, name), f'{name} of an orbit')
+        position, normal = (direction(getattr(self, name), f'{name} of an orbit')
                             for name in ('position', 'normal'))
         if not abs(position @ normal) <= _SQUARE:
             raise ValueError('position and normal of an orbit: expected directions at right '
                              f'angles, found a cosine of {position @ normal:.3g}')
-        along = _direction(np.cross(normal, position), 'direction along an orbit')
+        along = direction(np.cross(normal, position), 'direction along an orbit')
         time_ns = None if self.time_ns is None else instant(self.time_ns)
         for name, value in (('mean_motion', rate), ('position', position), ('normal', normal),
                             ('along', along), ('time_ns', time_ns)):
@@ -234,8 +234,16 @@ def _checked(values: ArrayLike, what: str) -> Floats:
     return vector
 
 
-def _direction(values: ArrayLike, what: str) -> Floats:
-    """Return a unit vector; one that is given, to rounding, keeps its bits, as do quaternions."""
+def direction(values: ArrayLike, what: str) -> Floats:
+    """
+    Return a unit vector; one that is given, to rounding, keeps its bits, as do quaternions.
+
+    Raises
+    ------
+    ValueError
+        It is not 3 finite numbers, or zero.
+
+    """
     vector = _checked(values, what)
     if abs(_length(vector) - 1.0) <= _ROUNDED:
         return vector

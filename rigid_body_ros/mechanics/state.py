@@ -31,8 +31,8 @@ from rigid_body_ros.mechanics import so3
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-_NO_ROTORS = np.zeros((2, 3))
-_NO_ROTORS.flags.writeable = False
+_NO_ROTORS, _NO_WHEELS = np.zeros((2, 3)), np.empty(0)
+_NO_ROTORS.flags.writeable = _NO_WHEELS.flags.writeable = False
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -48,7 +48,11 @@ class State:
         norm is 1 within 4 eps.
     angular_velocity : array, shape (3,), rad/s, body axes
     rotor_momentum : array, shape (3,), N m s, body axes
-        Angular momentum of rotors (reaction wheels, propellers) relative to the body.
+        Angular momentum of rotors (reaction wheels, propellers) relative to the body. If there are
+        `wheel_speeds`, it includes that of these wheels; 0 stands for theirs alone.
+    wheel_speeds : array, shape (k,), rad/s
+        Of k wheels with names, relative to the body. Empty: they begin with their initial speeds,
+        and `rotor_momentum` is that of other rotors.
 
     Raises
     ------
@@ -64,12 +68,18 @@ class State:
     attitude: Floats
     angular_velocity: Floats
     rotor_momentum: Floats
+    wheel_speeds: Floats
     #: See `state_layout`.
     _packed: Floats = field(init=False, repr=False)
-    #: The momentum of the rotors and its low-order part, shape (2, 3).
+    #: The momentum of the rotors and its low-order part, shape (2, 3); of a state with `_axial`,
+    #: that of the rotors of the carrier, see `Wheels`.
     _rotors: Floats = field(init=False, repr=False)
     #: The step grid that the state was computed from (an `Origin`), or None.
     _origin: object = field(init=False, repr=False)
+    #: Torques of the motors of these wheels that act from this time on, N m, shape (k,).
+    wheel_efforts: Floats = field(init=False, repr=False)
+    #: What the wheels do (an `Axial`), or None.
+    _axial: object = field(init=False, repr=False, default=None)
 
     @classmethod
     def _as_computed(cls, time_ns: int, packed: Floats, origin: object = None,
@@ -86,7 +96,8 @@ class State:
     def __init__(self, time_ns: int = 0,
                  attitude: ArrayLike | Rotation = (0.0, 0.0, 0.0, 1.0),
                  angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-                 rotor_momentum: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+                 rotor_momentum: ArrayLike = (0.0, 0.0, 0.0),
+                 wheel_speeds: ArrayLike = ()) -> None:
         if hasattr(attitude, 'as_quat'):  # a SciPy Rotation; to import SciPy takes long
             attitude = attitude.as_quat()
         q = _checked_vector(attitude, 4, 'attitude quaternion (x, y, z, w)')
@@ -99,6 +110,10 @@ class State:
         computed = self._as_computed(instant(time_ns), state_layout.pack(w, q), None,
                                      _checked_rotors(rotor_momentum))
         self.__dict__.update(computed.__dict__)
+        if np.size(wheel_speeds):
+            speeds = _checked_vector(wheel_speeds, np.size(wheel_speeds), 'wheel speeds')
+            speeds.flags.writeable = False
+            self.__dict__['wheel_speeds'] = speeds
 
     @cached_property
     def _has_rotors(self) -> bool:
@@ -107,9 +122,14 @@ class State:
 
     def __repr__(self) -> str:
         rotors = f', rotor momentum {written(self.rotor_momentum)} N m s' \
-            if self._has_rotors else ''
+            if self.rotor_momentum.any() else ''
         return (f'State(time {self.time_ns} ns, attitude xyzw {written(self.attitude)}, '
                 f'angular velocity {written(self.angular_velocity)} rad/s{rotors})')
+
+
+# As defaults: to store them in every state would take a tenth of the time to make one.
+for _name in ('wheel_speeds', 'wheel_efforts'):
+    type.__setattr__(State, _name, _NO_WHEELS)
 
 
 def is_normalized(q: Floats) -> NDArray[np.bool_]:

@@ -40,7 +40,8 @@ from rigid_body_ros.runtime.parameters import Parameter as SceneParameter
 from rigid_body_ros.runtime.parameters import resembled
 from rigid_body_ros.scene import PARAMETERS, Scene
 from rigid_body_ros.scene.fields import at_start, FIELDS
-from rigid_body_ros.scene.parameters import checked_fields, parameters_with, QOS
+from rigid_body_ros.scene.parameters import checked_names, parameters_with, QOS
+from rigid_body_ros.scene.wheels import WHEEL_NAMES
 
 _RATE = 'publish_rate'
 #: Topics of rclpy itself.
@@ -113,8 +114,9 @@ class NodeParameters:
     def _declare(self) -> Scene:
         # Those of a managed node are declared, and may have changed since the start.
         given = given_parameters(self._node)
-        if self._node.has_parameter(FIELDS):
-            given[FIELDS] = self._node.get_parameter(FIELDS).value
+        for key in (FIELDS, WHEEL_NAMES):
+            if self._node.has_parameter(key):
+                given[key] = self._node.get_parameter(key).value
         declared = {name: self._node.get_parameter(name).value for name in _known(given)
                     if self._node.has_parameter(name)}
         given |= {name: value for name, value in declared.items() if value is not None}
@@ -160,9 +162,9 @@ def declare(node: Node, given: Mapping[str, Any]) -> None:
 
 
 def _known(given: Mapping[str, Any]) -> dict[str, SceneParameter]:
-    """Return the parameters of a scene; those of its fields only if their names are valid."""
+    """Return the parameters of a scene; those of what it names only if the names are valid."""
     with suppress(InputError):
-        return parameters_with(checked_fields(given))
+        return parameters_with(checked_names(given))
     return PARAMETERS
 
 

@@ -22,18 +22,25 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
 from rigid_body_ros.engine import kernels, layout, motion_layout, state_layout
 from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.mechanics.changes import changed
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.wheels import Axial
 from rigid_body_ros.propagation.models import SolverUsage
 from rigid_body_ros.propagation.origin import origin_of
 from rigid_body_ros.propagation.requested import checked_times
 from rigid_body_ros.propagation.timeline import Timeline
 from rigid_body_ros.propagation.trajectory import joined, Trajectory
+from rigid_body_ros.propagation.wheels import in_force, WheelTimeline
 
 if TYPE_CHECKING:
     from rigid_body_ros.propagation.problem import Problem
+
+#: How many commands of wheels are tried at first to see whether they act, and of how many a
+#: timeline has at most if they may not.
+_WINDOW, _SPAN = 16, 512
 
 
 class Integration:
@@ -49,6 +56,9 @@ class Integration:
     ----------
     problem : Problem
         With the present piece of each log.
+    refused_commands : int
+        How many commands of wheels with names, with stamps from the start to the end of the motion
+        so far, act as zero, because the wheel was too fast.
 
     """
 
@@ -56,34 +66,84 @@ class Integration:
         start = problem.start
         self.problem, self._end_ns = problem, start.time_ns
         self._body = problem.body_at(start.time_ns)
+        #: What the wheels with names do, and how many of their commands are known to act or not.
+        self._wheels: WheelTimeline | None = None
+        self._resolved = self.refused_commands = 0
+        #: A time at which a new timeline begins, so that each is short.
+        self._mark_ns = NEVER_NS
+        #: The body without the axial inertia of these.
+        self._carrier = self._body
+        if problem.named_wheels:
+            self._carrier = problem.named_wheels.carrier(self._body)
+            start, axial = problem.named_wheels.begun(start)
+            self._wheels = self._wheels_from(axial, start.angular_velocity)
+        self._start = start
         self._timeline = self._timeline_from(start._rotors if start._has_rotors else None)
         self._progress, self._is_begun = self._begin(), False
 
+    def _wheels_from(self, axial: Axial, rates: Floats) -> WheelTimeline:
+        """Return what the wheels do; commands that are in force begin, unless they have."""
+        problem, end_ns = self.problem, self._end_ns
+        assert problem.named_wheels
+        begun = in_force(problem.named_wheels, axial, problem.efforts, end_ns, rates,
+                         problem.options.timeout_ns)
+        if begun is not axial and begun.stamp_ns == end_ns:
+            self.refused_commands += int(begun.refused.sum())
+        return self._wheels_on(begun)
+
+    def _wheels_on(self, axial: Axial) -> WheelTimeline:
+        """Return what wheels go on to do from the end of the motion so far on."""
+        problem, end_ns = self.problem, self._end_ns
+        assert problem.named_wheels
+        wheels, efforts = problem.named_wheels, problem.efforts
+        self._resolved, self._mark_ns = 0, NEVER_NS
+        if efforts and wheels.is_limited:  # at each wrong guess, all of the timeline is made again
+            later_ns = efforts.times_ns[efforts.times_ns.searchsorted(end_ns, 'right'):]
+            if len(later_ns) > _SPAN:
+                self._mark_ns = int(later_ns[_SPAN])
+                efforts = efforts.between(end_ns, self._mark_ns)
+        return WheelTimeline(wheels, axial, efforts, problem.options.timeout_ns, end_ns)
+
     def _timeline_from(self, momentum: Floats | None) -> Timeline:
-        problem = self.problem
-        logs, wheels = problem.logs, problem.wheels
-        if problem.changes:  # the torques of the other parts would be summed for nothing
-            span = self._end_ns, problem.changes.next_ns(self._end_ns)
+        """Return what acts from the end of the motion so far on."""
+        self._basis = self._end_ns, momentum
+        #: When the first row begins if not then, and the momentum of the rotors there.
+        self._earlier: tuple[int, Floats] | None = None
+        return self._rebuilt()
+
+    def _rebuilt(self) -> Timeline:
+        """Return the same with the commands of wheels that are now known to act."""
+        (start_ns, momentum), problem = self._basis, self.problem
+        logs, wheels = problem.logs, self._wheels.log if self._wheels else problem.wheels
+        if problem.changes or self._mark_ns < NEVER_NS:
+            # The torques of the other parts would be summed for nothing.
+            end_ns = problem.changes.next_ns(start_ns) if problem.changes else NEVER_NS
+            span = start_ns, min(end_ns, self._mark_ns)
             logs = tuple(log.between(*span) for log in logs)
             wheels = wheels and wheels.between(*span)
-        return Timeline(logs, wheels, problem.options.timeout_ns,
-                        self._body.is_damped, self._end_ns, momentum, problem._fields)
+        self._sources = (*logs, wheels) if wheels else logs
+        timeline = Timeline(logs, wheels, problem.options.timeout_ns, self._body.is_damped,
+                            start_ns, momentum, problem._fields)
+        if self._earlier:
+            timeline.begin_earlier(*self._earlier)
+        return timeline
 
     def _begin(self) -> NDArray[Any]:
-        start, stop = self.problem.start, len(self._timeline.times_ns)
+        start, stop = self._start, len(self._timeline.times_ns)
         row = self._timeline.in_force(start.time_ns)
         if start._origin is None:
             return layout.begun(start._packed, start.time_ns, start._packed, start.time_ns, row,
                                 stop)
         origin = origin_of(start, self._rule(row))
         if origin.begin_ns != start.time_ns:
-            self._timeline.begin_earlier(origin.begin_ns, origin.rotors)
+            self._earlier = origin.begin_ns, origin.rotors
+            self._timeline.begin_earlier(*self._earlier)
         return layout.begun(origin.grid, origin.grid_ns, origin.begin, origin.begin_ns, row,
                             stop)
 
     def _rule(self, row: int) -> Hashable:
         """Return the rule of a segment that may have begun before the start, or None."""
-        problem, start_ns = self.problem, self.problem.start.time_ns
+        problem, start_ns = self.problem, self._start.time_ns
         found = self._timeline.held(row)
         if found is None:
             return None
@@ -91,9 +151,9 @@ class Integration:
         acts = torque.any() or any(other.any() for other in others)
         # A torque at the start begins a segment there, even if it repeats the one before.
         begins = any((log.segments(problem.options.timeout_ns)[0] == start_ns).any()
-                     for log in problem.sources) and (acts or self._timeline.has_terms)
+                     for log in self._sources) and (acts or self._timeline.has_terms)
         return None if begins else problem.options.rule(
-            self._body, problem._fields, torque, in_space, *others)
+            self._carrier, problem._fields, torque, in_space, *others)
 
     def extend(self, problem: Problem) -> None:
         """
@@ -109,6 +169,8 @@ class Integration:
         """
         momentum = self._momentum()
         self.problem = problem
+        if self._wheels:
+            self._wheels = self._wheels_on(self._wheels.axial(self._end_ns))
         self._timeline = self._timeline_from(momentum)
         self._progress['row'], self._is_begun = self._timeline.in_force(self._end_ns), True
 
@@ -137,34 +199,42 @@ class Integration:
 
         """
         requested = checked_times(at, self._end_ns)
-        due = self._changes_until(requested[2] if until_ns is None else
-                                  max(requested[2], until_ns))
-        if not due:
+        last_ns = requested[2] if until_ns is None else max(requested[2], until_ns)
+        if self._next_ns > last_ns:
             return self._advance(*requested, until_ns)
         parts, later = list[Trajectory](), requested[0]
-        for change_ns, body in due:
-            before = later < change_ns
-            parts.append(self._advance(*checked_times(later[before], self._end_ns), change_ns))
-            self._change(body)
+        while (next_ns := self._next_ns) <= last_ns:
+            before, changes = later < next_ns, self.problem.changes
+            parts.append(self._advance(*checked_times(later[before], self._end_ns), next_ns))
+            if changes and next_ns == changes.times_ns[changes.in_force(next_ns)]:
+                self._change(changes.bodies[changes.in_force(next_ns)])
+            else:
+                self.extend(self.problem)
             later = later[~before]
         parts.append(self._advance(*checked_times(later, self._end_ns), until_ns))
         return joined(requested[0], parts)
 
-    def _changes_until(self, end_ns: int) -> list[tuple[int, RigidBody]]:
-        """Return the changes of the body after the motion so far, up to a time, ns."""
+    @property
+    def _next_ns(self) -> int:
+        """Return when the present timeline ends: at the next change of the body, or earlier."""
         changes = self.problem.changes
-        if not changes:
-            return []
-        due = slice(changes.in_force(self._end_ns) + 1, changes.in_force(end_ns) + 1)
-        return list(zip(changes.times_ns[due].tolist(), changes.bodies[due]))
+        return min(self._mark_ns, changes.next_ns(self._end_ns) if changes else NEVER_NS)
 
     def _change(self, body: RigidBody) -> None:
         """Continue with another body from the end of the motion so far."""
         assert self.problem.changes
         time_ns, momentum = self._end_ns, self._momentum()
-        state = State._as_computed(time_ns, self._progress['latest'][0])
-        packed = changed(state, self._body, body, self.problem.changes.keep)._packed
-        self._body, self._timeline = body, self._timeline_from(momentum)
+        state, carrier = State._as_computed(time_ns, self._progress['latest'][0]), body
+        if self._wheels:
+            carrier = self._wheels.wheels.carrier(body)
+        state = changed(state, self._carrier, carrier, self.problem.changes.keep)
+        packed = state._packed
+        self._body, self._carrier = body, carrier
+        if self._wheels:  # commands at this time meet the rate after the change
+            self.refused_commands -= self._wheels.count_refused(time_ns - 1, time_ns)
+            self._wheels = self._wheels_from(self._wheels.axial(time_ns - 1),
+                                             state.angular_velocity)
+        self._timeline = self._timeline_from(momentum)
         self._progress = layout.begun(packed, time_ns, packed, time_ns,
                                       self._timeline.in_force(time_ns),
                                       len(self._timeline.times_ns))
@@ -185,14 +255,46 @@ class Integration:
             if end_ns < until_ns:  # the end of the piece was not requested
                 times_ns, end_ns = np.append(times_ns, until_ns), until_ns
         order = layout.IN_ORDER if ascends else np.argsort(times_ns, kind='stable')
+        if self._wheels:
+            self._resolve(self._wheels, end_ns)
+            self.refused_commands += self._wheels.count_refused(begin_ns, end_ns)
         motion = motion_layout.allocate(times_ns.size)
         closed = self._fill(times_ns, order, motion, stop)
         self._end_ns = end_ns
         usage = SolverUsage(self._body, self.problem.options, self._timeline, begin_ns,
-                            end_ns, closed)
+                            end_ns, closed, self._wheels)
         if times_ns.size > count:
             times_ns = times_ns[:count]
         return Trajectory(times_ns, motion, (usage,))
+
+    def _resolve(self, wheels: WheelTimeline, end_ns: int) -> None:
+        """Find out which commands up to a time act: each depends on the motion before it."""
+        if not wheels.wheels.is_limited:
+            return
+        start, stop = self._mark(), int(wheels.times_ns.searchsorted(end_ns, 'right'))
+        window = _WINDOW
+        while self._resolved < stop:
+            rows, before = slice(self._resolved, min(self._resolved + window, stop)), self._mark()
+            speeds = self._speeds_at(wheels, wheels.times_ns[rows])
+            wrong = wheels.first_wrong(rows, wheels.refused(rows, speeds))
+            if wrong is None:
+                self._resolved, window = rows.stop, 2 * window
+                continue
+            # Later commands probably find the wheels as fast as this one does.
+            wheels.assume(wrong, wheels.refused(slice(wrong, None), speeds[wrong - rows.start]))
+            self._timeline, self._resolved, window = self._rebuilt(), wrong + 1, _WINDOW
+            self._progress, self._is_begun = before
+        self._progress, self._is_begun = start
+
+    def _mark(self) -> tuple[NDArray[Any], bool]:
+        """Return a copy of the progress, to go back to."""
+        return self._progress.copy(), self._is_begun
+
+    def _speeds_at(self, wheels: WheelTimeline, times_ns: NDArray[np.int64]) -> Floats:
+        """Return the speeds of wheels, rad/s, shape (m, wheels), and go on to the last time."""
+        motion = motion_layout.allocate(times_ns.size)
+        self._fill(times_ns, layout.IN_ORDER, motion, len(self._timeline.times_ns))
+        return wheels.speeds(times_ns, motion_layout.angular_velocity(motion))
 
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the momentum of the rotors in this piece at times, N m s, shape (m, 3)."""
@@ -213,7 +315,7 @@ class Integration:
                 progress['stop'] = end - first
             marks = closed[first:first + len(rows.times_ns) + 1]
             while result := kernels.run(progress, times_ns, order, motion, marks, rows,
-                                        self._body._constants, problem.options.method):
+                                        self._carrier._constants, problem.options.method):
                 if result == layout.TOO_FAST:
                     raise problem.options.too_fast(int(progress['grid_ns'][0]))
             if first:

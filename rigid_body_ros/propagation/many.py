@@ -47,6 +47,7 @@ from rigid_body_ros.mechanics.fields import (
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.states import States
 from rigid_body_ros.mechanics.torque import torque_logs, TorqueLog
+from rigid_body_ros.mechanics.wheels import Wheel
 from rigid_body_ros.propagation.options import Options, validated
 from rigid_body_ros.propagation.problem import Problem
 from rigid_body_ros.propagation.requested import checked_times
@@ -138,10 +139,14 @@ def propagate_many(bodies: RigidBodies, starts: States, log: Logs = None, *, at:
         There is no body, the numbers of bodies, starts, logs or gains differ, a time lies before a
         start or is not an integer that fits int64, an option is out of its range, a gain times a
         torque is not finite, the torque of wheels is in space axes, some runs have fields and
-        others none, or the solver does not handle torques, rotors, damping or fields.
+        others none, the wheels have names, or the solver does not handle torques, rotors, damping
+        or fields.
 
     """
     options = validated(solver, tolerance, max_step, torque_timeout)
+    if not isinstance(wheels, TorqueLog) and any(isinstance(one, Wheel) for one in wheels or ()):
+        raise ValueError('wheels: expected torques on the rotors, found wheels with names, which '
+                         'only propagate computes')
     runs = _Runs(bodies, starts, at, options, _of_runs(fields, starts))
     gains = None if torque_gains is None else np.array(torque_gains, float)
     if gains is not None and gains.shape != (len(bodies),):

@@ -24,6 +24,7 @@ from rigid_body_ros.mechanics.body import RigidBody
 from rigid_body_ros.propagation.options import Options
 from rigid_body_ros.propagation.solvers import AUTO, EXACT, LONG_COAST, TAYLOR
 from rigid_body_ros.propagation.timeline import Timeline
+from rigid_body_ros.propagation.wheels import WheelTimeline
 
 
 class Model(NamedTuple):
@@ -45,6 +46,8 @@ class SolverUsage(NamedTuple):
     end_ns: int
     #: At index row + 1, whether a coast was computed in closed form.
     closed: NDArray[np.bool_]
+    #: None without wheels that have names.
+    wheels: WheelTimeline | None = None
 
     def models(self) -> tuple[Model, ...]:
         """Return the spans from the start to the last requested time, in order."""

@@ -29,9 +29,12 @@ from rigid_body_ros.mechanics.changes import BodyLog
 from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import stamps_of, torque_logs, TorqueLog
+from rigid_body_ros.mechanics.wheels import EffortLog, Wheel, Wheels
 from rigid_body_ros.propagation.integration import Integration
 from rigid_body_ros.propagation.options import Options, validated
+from rigid_body_ros.propagation.origin import without_origin
 from rigid_body_ros.propagation.trajectory import Trajectory
+from rigid_body_ros.propagation.wheels import check_named
 
 
 class Problem:
@@ -48,8 +51,11 @@ class Problem:
     log : TorqueLog or sequence of TorqueLog, optional
         None for torque-free motion. Several logs add up, each with its own last sample, frames,
         interpolation and timeout. Before the first sample a torque is zero.
-    wheels : TorqueLog, optional
-        Torque of the motors on the rotors, body axes. The body feels the opposite torque.
+    wheels : TorqueLog or sequence of Wheel, optional
+        Torque of the motors on the rotors, body axes; the body feels the opposite torque. Or
+        wheels with names, of which `efforts` has the commands.
+    efforts : EffortLog, optional
+        The torques of the motors of wheels with names.
     fields : sequence of UniformField or GravityGradient
         Torques that depend on the attitude; at most one gravity gradient.
     changes : BodyLog, optional
@@ -75,7 +81,11 @@ class Problem:
     logs : tuple of TorqueLog
         Those that have samples.
     wheels : TorqueLog, optional
-        None if it has no samples.
+        None if it has no samples, or if the wheels have names.
+    named_wheels : Wheels, optional
+        Those with names.
+    efforts : EffortLog, optional
+        None if it has no commands.
     fields : tuple of UniformField or GravityGradient
         An orbit without a time has that of the start.
     changes : BodyLog, optional
@@ -86,13 +96,16 @@ class Problem:
     ------
     ValueError
         An option is out of its range, the torque of wheels is in space axes, there are two gravity
-        gradients, or the solver does not handle torques, rotors, damping or fields.
+        gradients, the wheels with names cannot be those of the body or of the start, efforts are
+        not those of the wheels, a gravity gradient acts on wheels with names, which is not
+        supported yet, or the solver does not handle torques, rotors, damping or fields.
 
     """
 
     def __init__(self, body: RigidBody, start: State,
                  log: TorqueLog | Sequence[TorqueLog] | None = None, *,
-                 wheels: TorqueLog | None = None, fields: Sequence[Field] = (),
+                 wheels: TorqueLog | Sequence[Wheel] | None = None,
+                 efforts: EffortLog | None = None, fields: Sequence[Field] = (),
                  changes: BodyLog | None = None, solver: str = Options.solver,
                  tolerance: float = Options.tolerance,
                  max_step: float | None = Options.max_step,
@@ -104,16 +117,27 @@ class Problem:
             self.fields = beginning_at(fields, start.time_ns)
             self._fields = packed(self.fields)
         self.changes = changes if changes else None
+        self.named_wheels: Wheels | None = None
+        self.efforts = efforts if efforts else None
         self._set(body, start, log, wheels,
                   validated(solver, tolerance, max_step, torque_timeout))
 
     def _set(self, body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None,
-             wheels: TorqueLog | None, options: Options) -> None:
+             wheels: TorqueLog | Sequence[Wheel] | None, options: Options) -> None:
         self.body, self.start, self.options = body, start, options
         self.logs = tuple([each for each in torque_logs(log) if len(each)])
-        self.wheels = wheels if wheels else None
+        self.wheels: TorqueLog | None = None
+        if isinstance(wheels, TorqueLog):
+            self.wheels = wheels if len(wheels) else None
+        elif wheels:
+            self.named_wheels = Wheels(wheels)
         if self.wheels and self.wheels.in_space.any():
             raise ValueError('wheels: expected torques in body axes, found torques in space axes')
+        if start._axial is not None and not self.named_wheels:  # its rotors are those of a carrier
+            self.start = State(start.time_ns, start.attitude, start.angular_velocity,
+                               start.rotor_momentum)
+        if self.named_wheels or self.efforts:
+            check_named(self.named_wheels, self.efforts, self.fields)
         bodies = (body, *self.changes.bodies) if self.changes else (body,)
         options.check_terms(any(each.is_damped for each in bodies), self.has_rotors,
                             bool(self.fields))
@@ -124,12 +148,14 @@ class Problem:
     @property
     def has_rotors(self) -> bool:
         """Return whether there are rotors that turn, or motors that turn them."""
-        return self.start._has_rotors or bool(self.wheels and self.wheels.torques.any())
+        return bool(self.start._has_rotors or self.named_wheels
+                    or (self.wheels and self.wheels.torques.any()))
 
     @property
     def has_torque(self) -> bool:
         """Return whether a torque is not zero, those on the rotors included."""
-        return any(log.torques.any() for log in self.sources)
+        return any(log.torques.any() for log in self.sources) or bool(
+            self.efforts and np.nan_to_num(self.efforts.efforts).any())
 
     @property
     def sources(self) -> tuple[TorqueLog, ...]:
@@ -138,18 +164,26 @@ class Problem:
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
-        """Return the stamps of all torques and changes, each once, ascending."""
+        """Return the stamps of all torques, efforts and changes, each once, ascending."""
         stamps_ns = stamps_of(self.sources)
-        return np.union1d(stamps_ns, self.changes.times_ns) if self.changes else stamps_ns
+        for others in (self.changes, self.efforts):
+            if others:
+                stamps_ns = np.union1d(stamps_ns, others.times_ns)
+        return stamps_ns
 
     def replaced(self, *, body: RigidBody | None = None, start: State | None = None,
                  log: TorqueLog | Sequence[TorqueLog] | None = None,
-                 wheels: TorqueLog | None = None, fields: Sequence[Field] | None = None,
+                 wheels: TorqueLog | Sequence[Wheel] | None = None,
+                 efforts: EffortLog | None = None, fields: Sequence[Field] | None = None,
                  changes: BodyLog | None = None, options: Options | None = None) -> Problem:
         """Return the same problem with some parts replaced; raise ValueError as `Problem` does."""
         other = Problem.__new__(Problem)
         other.fields, other._fields = self.fields, self._fields
         other.changes = changes or self.changes
+        other.named_wheels = self.named_wheels
+        other.efforts = (self.efforts if efforts is None else efforts) or None
+        if isinstance(wheels, TorqueLog):  # in place of those with names
+            other.named_wheels = other.efforts = None
         if fields is not None:
             other.fields = beginning_at(fields, self.start.time_ns)
             other._fields = packed(other.fields)
@@ -179,7 +213,8 @@ class Problem:
         begin_ns = start.time_ns - memory_ns
         return self.replaced(start=start,
                              log=[log.between(begin_ns, end_ns) for log in self.logs],
-                             wheels=self.wheels and self.wheels.between(begin_ns, end_ns))
+                             wheels=self.wheels and self.wheels.between(begin_ns, end_ns),
+                             efforts=self.efforts and self.efforts.between(begin_ns, end_ns))
 
     def body_at(self, time_ns: int) -> RigidBody:
         """Return the body at a time; at a change, the one after it."""
@@ -196,6 +231,24 @@ class Problem:
         other = self.replaced(body=self.body_at(self.start.time_ns))
         other.changes = None
         return other
+
+    def carried(self) -> Problem:
+        """
+        Return the problem of a body whose rotors do what the wheels with names do.
+
+        It is the same motion of a body without the axial inertia of the wheels, up to the first
+        change of the body; the problem itself if there are no such wheels.
+        """
+        if not self.named_wheels:
+            return self
+        end_ns = self.efforts.times_ns.max(initial=self.start.time_ns) if self.efforts else \
+            self.start.time_ns
+        motion = self.with_first_body().propagate(at=[end_ns])
+        wheels = motion._parts[0].wheels
+        start, _ = self.named_wheels.begun(self.start)
+        return self.replaced(body=self.named_wheels.carrier(self.body),
+                             start=without_origin(start),
+                             wheels=(wheels and wheels.log) or TorqueLog([], []))
 
     def torque(self, times_ns: NDArray[np.int64], attitude: Floats) -> Floats:
         """
@@ -240,6 +293,8 @@ class Problem:
 
     def rotor_momentum(self, times_ns: NDArray[np.int64]) -> Floats:
         """Return the momentum of the rotors at times, N m s, body axes, shape (m, 3)."""
+        if self.named_wheels:  # it depends on the motion
+            return self.propagate(at=times_ns).rotor_momentum
         return Integration(self.with_first_body()).rotor_momentum(times_ns)
 
     def propagate(self, *, at: ArrayLike) -> Trajectory:
@@ -270,7 +325,8 @@ def _check_torque_free(log: TorqueLog, options: Options) -> None:
 
 
 def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog] | None = None,
-              *, at: ArrayLike, wheels: TorqueLog | None = None, fields: Sequence[Field] = (),
+              *, at: ArrayLike, wheels: TorqueLog | Sequence[Wheel] | None = None,
+              efforts: EffortLog | None = None, fields: Sequence[Field] = (),
               changes: BodyLog | None = None,
               solver: str = Options.solver, tolerance: float = Options.tolerance,
               max_step: float | None = Options.max_step,
@@ -280,7 +336,7 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog
 
     Parameters
     ----------
-    body, start, log, wheels, fields, changes, solver, tolerance, max_step, torque_timeout
+    body, start, log, wheels, efforts, fields, changes, solver, tolerance, max_step, torque_timeout
         As for `Problem`.
     at : array of int, shape (m,), ns
         Times to return, in any order, none before the start.
@@ -299,4 +355,5 @@ def propagate(body: RigidBody, start: State, log: TorqueLog | Sequence[TorqueLog
     """
     return Integration(Problem(
         body, start, log, wheels=wheels, solver=solver, tolerance=tolerance, max_step=max_step,
-        torque_timeout=torque_timeout, fields=fields, changes=changes)).advance(at)
+        torque_timeout=torque_timeout, fields=fields, changes=changes,
+        efforts=efforts)).advance(at)

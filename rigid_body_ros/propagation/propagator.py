@@ -16,9 +16,7 @@
 
 from __future__ import annotations
 
-import bisect
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 import math
 import operator
 import time
@@ -28,21 +26,15 @@ from numpy.typing import ArrayLike
 from rigid_body_ros.common.arrays import Floats
 from rigid_body_ros.common.times import duration_ns, instant, NEVER_NS
 from rigid_body_ros.mechanics.body import RigidBody
-from rigid_body_ros.mechanics.changes import changed, checked_keep, RATE
+from rigid_body_ros.mechanics.changes import checked_keep, RATE
 from rigid_body_ros.mechanics.fields import beginning_at, Field, packed
 from rigid_body_ros.mechanics.state import State
 from rigid_body_ros.mechanics.torque import FRAMES
+from rigid_body_ros.mechanics.wheels import Wheel, Wheels
+from rigid_body_ros.propagation.history import History
 from rigid_body_ros.propagation.options import Options
-from rigid_body_ros.propagation.origin import without_origin
-from rigid_body_ros.propagation.segment import (
-    NewBody,
-    Sample,
-    Segment,
-    Sum,
-    summed,
-    timed_out,
-    WHEELS,
-)
+from rigid_body_ros.propagation.segment import NewBody, Sample, WHEELS
+from rigid_body_ros.propagation.wheels import check_named, momenta_at
 
 
 class Propagator:
@@ -58,6 +50,8 @@ class Propagator:
 
     Parameters
     ----------
+    wheels : sequence of Wheel, optional
+        Wheels with names, which `apply_efforts` commands.
     history : float, s
         How much older than the newest stamp a torque may be. Older states are discarded.
     others
@@ -66,11 +60,13 @@ class Propagator:
     Raises
     ------
     ValueError
-        An option is out of its range, or there are two gravity gradients.
+        An option is out of its range, there are two gravity gradients, or the wheels are not
+        possible, as for `Problem`.
 
     """
 
-    def __init__(self, body: RigidBody, start: State, *, fields: Sequence[Field] = (),
+    def __init__(self, body: RigidBody, start: State, *,
+                 wheels: Sequence[Wheel] | None = None, fields: Sequence[Field] = (),
                  solver: str = Options.solver, tolerance: float = Options.tolerance,
                  max_step: float | None = Options.max_step,
                  torque_timeout: float = Options.torque_timeout,
@@ -78,35 +74,36 @@ class Propagator:
         self._options = Options(solver, tolerance, max_step, torque_timeout)
         #: ns, at least 1; a torque older than the newest stamp by this much or more is dropped.
         self.history_ns = max(1, duration_ns(history, 'history'))
-        self._options.check_terms(body.is_damped, start._has_rotors, bool(fields))
-        self._fields = packed(beginning_at(fields, start.time_ns))
-        self._start = start
-        self._changes = [_Change(start.time_ns, {}, NewBody(-NEVER_NS, body, RATE))]
-        self._begin()
-        self._newest_ns: int | None = None
+        self._wheels = Wheels(wheels) if wheels else None
+        self._options.check_terms(body.is_damped, bool(start._has_rotors or wheels), bool(fields))
+        self._start_ns = start.time_ns
+        if self._wheels:
+            check_named(self._wheels, None, fields)
+        self._history = History(body, start, self._options, self._wheels,
+                                packed(beginning_at(fields, start.time_ns)), self.history_ns)
 
     @property
     def earliest_ns(self) -> int:
         """Return the earliest time that `at` accepts."""
-        return self._changes[0].time_ns
+        return self._history.changes[0].time_ns
 
     @property
     def newest_ns(self) -> int | None:
         """Return the newest stamp of all torques and bodies, ns, or None before the first."""
-        return self._newest_ns
+        return self._history.newest_ns
 
     def held(self, time_ns: int) -> Mapping[int, Sample]:
         """Return by source the sample in force at a time, also if it has timed out."""
-        return self._changes[max(self._index_of(time_ns), 0)].samples
+        return self._history.changes[max(self._history.index_of(time_ns), 0)].samples
 
     def body_at(self, time_ns: int) -> NewBody:
         """Return the body in force at a time; the stamp of the first one is -NEVER_NS."""
-        return self._changes[max(self._index_of(time_ns), 0)].body
+        return self._history.changes[max(self._history.index_of(time_ns), 0)].body
 
     def bodies_since(self, time_ns: int) -> list[NewBody]:
         """Return the body in force at a time, and all later ones, but for the first one."""
-        index = max(self._index_of(time_ns), 0)
-        found = dict.fromkeys(change.body for change in self._changes[index:])
+        index = max(self._history.index_of(time_ns), 0)
+        found = dict.fromkeys(change.body for change in self._history.changes[index:])
         return [body for body in found if body.stamp_ns != -NEVER_NS]
 
     def stamps(self, after_ns: int, until_ns: int) -> list[int]:
@@ -115,15 +112,29 @@ class Propagator:
 
         Those before `earliest_ns` are forgotten.
         """
-        first, end = self._index_of(after_ns) + 1, self._index_of(until_ns) + 1
-        return [change.time_ns for change in self._changes[first:end]]
+        first, end = self._history.index_of(after_ns) + 1, self._history.index_of(until_ns) + 1
+        return [change.time_ns for change in self._history.changes[first:end]]
 
     def samples_since(self, time_ns: int) -> list[tuple[int, Sample]]:
         """Return source and sample of the torques in force at a time, and of all later ones."""
-        index = max(self._index_of(time_ns), 0)
-        return [*self._changes[index].samples.items(), *(
-            (source, sample) for change in self._changes[index + 1:]
+        index = max(self._history.index_of(time_ns), 0)
+        return [*self._history.changes[index].samples.items(), *(
+            (source, sample) for change in self._history.changes[index + 1:]
             for source, sample in change.samples.items() if sample.stamp_ns == change.time_ns)]
+
+    def commands_since(self, time_ns: int) -> list[tuple[int, dict[str, float]]]:
+        """
+        Return the commands of wheels in force at a time, and all later ones.
+
+        They are stamps, ns, ascending, and efforts, N m, by name, as `apply_efforts` takes them.
+        """
+        index, found = max(self._history.index_of(time_ns), 0), dict[int, dict[str, float]]()
+        for change in self._history.changes[index:]:
+            for name, stamp_ns, effort in zip(self._wheels.names if self._wheels else (),
+                                              *change.commands):
+                if stamp_ns != -NEVER_NS:
+                    found.setdefault(stamp_ns, {})[name] = effort
+        return sorted(found.items())
 
     def apply(self, time_ns: int, torque: ArrayLike, frame: str = 'body',
               source: int = 0) -> bool:
@@ -224,11 +235,60 @@ class Propagator:
         """
         time_ns = self._checked_time(time_ns)
         self._options.check_terms(body.is_damped, False)
-        index = self._inserted(time_ns)
+        new = self._history.new_body(time_ns, body, checked_keep(keep))
+        index = self._history.inserted(time_ns)
         if index is None:
             return False
-        self._put(index, NewBody(time_ns, body, checked_keep(keep)))
+        self._history.put(index, new)
         return True
+
+    def apply_efforts(self, time_ns: int, efforts: Mapping[str, float]) -> bool:
+        """
+        Apply the torques of the motors of wheels with names, each up to the next of its wheel.
+
+        Parameters
+        ----------
+        time_ns : int
+            As for `apply`.
+        efforts : mapping of str to float, N m
+            By name; other wheels keep theirs. Of equal stamps, the last to arrive is used for each
+            wheel.
+
+        Returns
+        -------
+        bool
+            As for `apply`.
+
+        Raises
+        ------
+        ValueError
+            As for `apply`, a name is not that of a wheel, or there is none.
+        TypeError
+            The time is not an integer.
+
+        """
+        time_ns = self._checked_time(time_ns)
+        if not self._wheels:
+            raise ValueError('efforts: expected wheels with names, found none')
+        row = self._wheels.row(efforts)
+        index = self._history.inserted(time_ns) if efforts else None
+        if index is None:
+            return not efforts
+        self._history.take(index, time_ns, row)
+        return True
+
+    def refused_commands(self, after_ns: int, until_ns: int) -> int:
+        """
+        Return how many commands of wheels with stamps in (after_ns, until_ns] act as zero.
+
+        Their wheels are too fast, see `Wheel`. Those before `earliest_ns` are forgotten.
+        """
+        first, end = self._history.index_of(after_ns) + 1, self._history.index_of(until_ns) + 1
+        self._history.compute(max(end - 1, 0))
+        return sum(int(change.active.axial.refused.sum())
+                   for change in self._history.changes[first:end]
+                   if change.active and change.active.axial
+                   and change.commands.stamp_ns == change.time_ns)
 
     def at(self, time_ns: int, within: float = math.inf) -> State:
         """
@@ -258,12 +318,15 @@ class Propagator:
 
         """
         time_ns, until = self._checked_time(time_ns), time.monotonic() + within
-        index = self._index_of(time_ns)
+        index = self._history.index_of(time_ns)
         if index < 0:
             raise ValueError(f'time_ns: expected {self.earliest_ns} ns or later, '
                              f'found {time_ns} ns')
-        self._compute_segments(index, until)
-        return self._segment_at(self._changes[index], time_ns, until).state_at(time_ns, until)
+        segment, axial = self._history.active(index, time_ns, until)
+        state = segment.state_at(time_ns, until)
+        if self._wheels and axial:
+            return self._wheels.shown(state, axial, momenta_at(axial, time_ns))
+        return state
 
     def _checked_torque(self, time_ns: int, torque: ArrayLike) -> Floats:
         values = np.array(torque, float).reshape(1, -1)
@@ -277,141 +340,14 @@ class Propagator:
 
     def _checked_time(self, time_ns: int) -> int:
         found = instant(time_ns)
-        if abs(found - self._start.time_ns) >= NEVER_NS:
+        if abs(found - self._start_ns) >= NEVER_NS:
             raise ValueError('time_ns: expected a time within 292 years of the start '
-                             f'({self._start.time_ns} ns), found {found} ns')
+                             f'({self._start_ns} ns), found {found} ns')
         return found
 
     def _apply(self, time_ns: int, source: int, torque: Floats, in_space: bool) -> bool:
-        index = self._inserted(time_ns)
+        index = self._history.inserted(time_ns)
         if index is None:
             return False
-        self._put(index, Sample(time_ns, torque, in_space), source)
+        self._history.put(index, Sample(time_ns, torque, in_space), source)
         return True
-
-    def _inserted(self, time_ns: int) -> int | None:
-        """Return the index of the change at a stamp, or None if the stamp is too old."""
-        if self._newest_ns is not None and self._newest_ns - time_ns >= self.history_ns:
-            return None
-        self._discard_before(time_ns - self.history_ns)
-        self._newest_ns = time_ns if self._newest_ns is None else max(self._newest_ns, time_ns)
-        index = max(self._index_of(time_ns), 0)
-        if time_ns > self._changes[index].time_ns:
-            before = self._changes[index]
-            self._changes.insert(index + 1, _Change(time_ns, {**before.samples}, before.body))
-            index += 1
-        return index
-
-    def _put(self, index: int, new: Sample | NewBody, source: int = 0) -> None:
-        # A sample is in force up to the next one of its source, and so is a body. While a stamp
-        # may still come from before the start, the first change is the start: it is discarded only
-        # when a stamp is `history` after it, and then every stamp that is as old is dropped.
-        for change in self._changes[index:]:
-            found = change.body if isinstance(new, NewBody) else change.samples.get(source)
-            if found is not None and found.stamp_ns > new.stamp_ns:
-                break
-            if isinstance(new, NewBody):
-                change.body = new
-            else:
-                change.samples[source] = new
-        self._discard_segments(index)
-        if self._changes[0].segment is None:
-            self._begin()
-
-    def _begin(self) -> None:
-        """Compute the first segment."""
-        start, first = self._start, self._changes[0]
-        total = self._sum(first, start.time_ns)
-        # A torque at the start begins a segment there, even if it repeats the one before.
-        begins = any(start.time_ns in (sample.stamp_ns, sample.stamp_ns + self._options.timeout_ns)
-                     for sample in first.samples.values())
-        acts = not total.is_zero() or self._fields is not None or (
-            first.body.body.is_damped or start._has_rotors)
-        first.segment = self._segment(without_origin(start) if begins and acts else start, total,
-                                      first.body.body)
-
-    def _index_of(self, time_ns: int) -> int:
-        """Return the index of the change in force at a time, or -1."""
-        if time_ns >= self._changes[-1].time_ns:  # as most torques are
-            return len(self._changes) - 1
-        return bisect.bisect_right(self._changes, time_ns, key=_time_ns) - 1
-
-    def _sum(self, change: _Change, time_ns: int) -> Sum:
-        return summed(change.samples, time_ns, self._options.timeout_ns)
-
-    def _discard_before(self, horizon_ns: int) -> None:
-        """Discard changes that no late torque can affect; raise ValueError as `at` does."""
-        oldest = self._index_of(horizon_ns)
-        if oldest > 0:
-            self._compute_segments(oldest)
-            del self._changes[:oldest]
-
-    def _discard_segments(self, index: int) -> None:
-        # Segments are computed from the front: if one is missing, all later ones are, too.
-        self._changes[index].segment = None
-        self._changes[index].after_timeouts.clear()
-        for change in self._changes[index + 1:]:
-            if change.segment is None:
-                break
-            change.segment = None
-            change.after_timeouts.clear()
-
-    def _compute_segments(self, index: int, until: float = math.inf) -> None:
-        """Compute the segment of every change up to this one, or raise TimeoutError."""
-        first = index
-        while self._changes[first].segment is None:
-            first -= 1
-        for before, change in zip(self._changes[first:index], self._changes[first + 1:index + 1]):
-            change.segment = self._next_segment(
-                self._segment_at(before, change.time_ns, until), change, change.time_ns, until)
-            if time.monotonic() > until:
-                raise timed_out(change.time_ns)
-
-    def _segment_at(self, change: _Change, time_ns: int, until: float) -> Segment:
-        """Return the segment that contains a time between a change and the next."""
-        active = change.segment
-        assert active is not None
-        for k, due_ns in enumerate(change.timeouts_ns(self._options.timeout_ns)):
-            if time_ns < due_ns:
-                break
-            if k == len(change.after_timeouts):
-                change.after_timeouts.append(self._next_segment(active, change, due_ns, until))
-            active = change.after_timeouts[k]
-        return active
-
-    def _next_segment(self, active: Segment, change: _Change, time_ns: int,
-                      until: float) -> Segment:
-        total = self._sum(change, time_ns)
-        body = change.body
-        if body.stamp_ns == time_ns:
-            start = changed(active.end_at(time_ns, until), active.body, body.body, body.keep)
-            return self._segment(start, total, body.body)
-        if active.coasts and total.is_zero():
-            return active
-        return self._segment(active.end_at(time_ns, until), total, body.body)
-
-    def _segment(self, start: State, total: Sum, body: RigidBody) -> Segment:
-        return Segment(body, self._options, self.history_ns, start, total, self._fields)
-
-
-@dataclass
-class _Change:
-    """What is in force from a time on: the sample of each source, and the body."""
-
-    time_ns: int
-    samples: dict[int, Sample]
-    body: NewBody
-    segment: Segment | None = None
-    #: The segments that begin when samples time out, in order.
-    after_timeouts: list[Segment] = field(default_factory=list)
-
-    def timeouts_ns(self, timeout_ns: int) -> list[int]:
-        """Return the times from this change on at which samples time out."""
-        if not timeout_ns:
-            return []
-        due = {sample.stamp_ns + timeout_ns for sample in self.samples.values()}
-        return sorted(time_ns for time_ns in due if time_ns > self.time_ns)
-
-
-def _time_ns(change: _Change) -> int:
-    return change.time_ns

@@ -54,6 +54,8 @@ class NewBody(NamedTuple):
     stamp_ns: int
     body: RigidBody
     keep: str
+    #: Without the axial inertia of wheels with names; the body itself without these.
+    carrier: RigidBody
 
 
 class Sum(NamedTuple):
@@ -69,9 +71,16 @@ class Sum(NamedTuple):
         return not (self.torque.any() or self.space.any() or self.motors.any())
 
 
-def summed(samples: Mapping[int, Sample], time_ns: int, timeout_ns: int) -> Sum:
-    """Return the sum of the samples that have not timed out, in the order of the sources."""
+def summed(samples: Mapping[int, Sample], time_ns: int, timeout_ns: int,
+           of_named: Floats | None = None) -> Sum:
+    """
+    Return the sum of the samples that have not timed out, in the order of the sources.
+
+    The torque of the motors of wheels with names, N m, shape (1, 3), is added to it.
+    """
     body, space, motors = list[Floats](), list[Floats](), list[Floats]()
+    if of_named is not None:
+        motors.append(of_named)
     for source in sorted(samples):
         stamp_ns, torque, in_space = samples[source]
         if not 0 < timeout_ns <= time_ns - stamp_ns:

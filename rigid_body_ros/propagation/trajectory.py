@@ -119,19 +119,47 @@ class Trajectory:
     @cached_property
     def models(self) -> tuple[Model, ...]:
         """Which solver was used for each span, and why."""
-        return tuple(model for part in self._parts for model in part.models())
+        found = list[Model]()
+        for before, part in zip((None, *self._parts), self._parts):
+            models = part.models()
+            if before and before.body is part.body and found[-1][::3] == models[0][::3]:
+                models = (found.pop()._replace(end_ns=models[0].end_ns), *models[1:])
+            found.extend(models)
+        return tuple(found)
 
     @cached_property
     def rotor_momentum(self) -> Floats:
-        """Momentum of the rotors relative to the body, N m s, body axes, shape (m, 3)."""
-        return self._by_part(lambda part, rows: part.timeline.momentum(self.times_ns[rows])[:, 0])
+        """
+        Momentum of the rotors relative to the body, N m s, body axes, shape (m, 3).
+
+        That of wheels with names is included.
+        """
+        def of_part(part: SolverUsage, rows: Any) -> Floats:
+            momentum = part.timeline.momentum(self.times_ns[rows])[:, 0]
+            if part.wheels:
+                momentum = momentum - part.wheels.wheels.of_body(self.angular_velocity[rows])
+            return momentum
+        return self._by_part(of_part)
+
+    @cached_property
+    def wheel_speeds(self) -> Floats:
+        """Speeds of wheels with names relative to the body, rad/s, shape (m, wheels)."""
+        return self._by_part(
+            lambda part, rows: part.wheels.speeds(self.times_ns[rows], self.angular_velocity[rows])
+            if part.wheels else np.empty((len(self.times_ns[rows]), 0)))
+
+    @cached_property
+    def wheel_efforts(self) -> Floats:
+        """Torques that act on wheels with names, N m, shape (m, wheels); at a jump, after it."""
+        return self._by_part(lambda part, rows: part.wheels.efforts(self.times_ns[rows])
+                             if part.wheels else np.empty((len(self.times_ns[rows]), 0)))
 
     @cached_property
     def angular_momentum_space(self) -> Floats:
         """Angular momentum in space axes, N m s, shape (m, 3), that of the rotors included."""
         momentum = self._by_part(
             lambda part, rows: part.body.angular_momentum(self.angular_velocity[rows]))
-        if any(part.timeline.has_rotors for part in self._parts):
+        if any(part.wheels or part.timeline.has_rotors for part in self._parts):
             momentum = momentum + self.rotor_momentum
         return so3.rotate(self.attitude, momentum)
 

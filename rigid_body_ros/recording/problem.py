@@ -147,12 +147,12 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
     Return the epoch for a command that needs one motion.
 
     Of several epochs, it is the last one that begins at the start_time of the scene. Only a
-    command that says so computes with a body that changes.
+    command that says so computes with a body that changes, or with wheels that have names.
 
     Raises
     ------
     InputError
-        None begins there, or the body changes.
+        None begins there, or the body changes, or wheels have names.
 
     """
     stamps_ns = [each.problem.start.time_ns for each in found]
@@ -167,6 +167,10 @@ def chosen(path: str | Path, scene: Scene, found: Sequence[Logged],
         raise InputError(f'{path}: expected a body that does not change, found '
                          f'{len(one.problem.changes)} changes of its inertia, which only '
                          'attitude_replay computes; set inertia_topic: false in the scene')
+    if scene.named_wheels and not may_change:
+        raise InputError(f'{path}: expected wheels without names, found '
+                         f'{listed([wheel.name for wheel in scene.named_wheels])}, which only '
+                         'attitude_replay computes; remove wheel_names from the scene')
     return one
 
 

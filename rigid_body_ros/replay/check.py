@@ -122,6 +122,7 @@ def drift(problem: Problem, trajectory: Trajectory) -> Check:
         problem = problem.with_first_body()
         part = problem.propagate(at=np.append(times_ns, change_ns - 1))
         return drift(problem, part)._replace(total=seconds)
+    problem = problem.carried()
     acting, is_damped = [log for log in problem.logs if log.torques.any()], problem.body.is_damped
     if problem.fields:
         if not (problem.has_torque or is_damped):

@@ -21,7 +21,7 @@ from rigid_body_ros.mechanics import euler
 from rigid_body_ros.replay.check import LastDigits
 from rigid_body_ros.replay.single import Replay
 from rigid_body_ros.report.text import interpolation_row, lines
-from rigid_body_ros.scene.fields import described
+from rigid_body_ros.scene import fields, wheels
 
 #: The effect of the last digits is reported if it exceeds the rounding error by this factor.
 _REPORTED = 10.0
@@ -51,7 +51,8 @@ def rows(result: Replay) -> list[tuple[str, object]]:
         ('interpolation', interpolation_row(result.interpolation,
                                             result.interpolation_differences)),
         ('body', result.scene.body.symmetry),
-        *(('fields', text) for text in described(result.scene.values)),
+        *(('fields', text) for text in fields.described(result.scene.values)),
+        *(('wheels', text) for text in wheels.described(result.scene.values)),
         *([('rotors', result.wheel_source)] if result.scene.has_rotors else []),
         *(('solver', text) for text in _solvers(result)),
         ('final state', f'{_span(result):.9g} s after the start'),

@@ -62,16 +62,18 @@ def of_names(names: Iterable[str]) -> dict[str, Parameter]:
                 for axis in 'xyz')}
 
 
-def check_names(names: Iterable[Any], others: Collection[str]) -> None:
+def check_names(names: Iterable[Any], others: Collection[str], key: str = FIELDS) -> None:
     """
-    Check the names of uniform fields.
+    Check the names of uniform fields, or of wheels.
 
     Parameters
     ----------
     names : iterable
-        The value of the parameter `fields`.
+        The value of the parameter that names them.
     others : collection of str
         The names of all other parameters.
+    key : str
+        The name of that parameter.
 
     Raises
     ------
@@ -82,13 +84,13 @@ def check_names(names: Iterable[Any], others: Collection[str]) -> None:
     taken, known = {name.split('.')[0] for name in others}, set[str]()
     for name in names:
         if not isinstance(name, str) or not _NAME.fullmatch(name):
-            raise InputError(f'{FIELDS}: expected names of letters, digits and _, found '
+            raise InputError(f'{key}: expected names of letters, digits and _, found '
                              f'{quoted(name)}')
         if name in taken:
-            raise InputError(f'{FIELDS}: expected a name with which no other parameter begins, '
+            raise InputError(f'{key}: expected a name with which no other parameter begins, '
                              f'found {name!r}')
         if name in known:
-            raise InputError(f'{FIELDS}: expected each name once, found {name!r} twice')
+            raise InputError(f'{key}: expected each name once, found {name!r} twice')
         known.add(name)
 
 

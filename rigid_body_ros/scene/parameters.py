@@ -12,17 +12,17 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The parameters of a scene, but those of each of its uniform fields."""
+"""The parameters of a scene, but those of each of its uniform fields and wheels."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 from rigid_body_ros.mechanics.torque import INTERPOLATIONS
 from rigid_body_ros.propagation import LONGEST, Options, SOLVERS, TOLERANCES
 from rigid_body_ros.runtime.parameters import BIG, checked, Parameter, TINY
-from rigid_body_ros.scene import fields, sensors
+from rigid_body_ros.scene import fields, sensors, wheels
 
 _MOMENT = 'moment of inertia about the centre of mass, body axes'
 _PRODUCT = 'off-diagonal entry of the inertia tensor, with the sign of the matrix as in URDF'
@@ -61,6 +61,7 @@ PARAMETERS = {parameter.name: parameter for parameter in (
     Parameter('torque_topics', ['torque'], '', 'topics of the torques; the torques of several '
               'topics add up'),
     Parameter('wheels', False, '', 'whether the body has rotors with motors'),
+    *wheels.PARAMETERS,
     *fields.PARAMETERS,
     Parameter('inertia_topic', False, '', 'whether the topic inertia changes the inertia of the '
               'body'),
@@ -111,13 +112,23 @@ PARAMETERS = {parameter.name: parameter for parameter in (
 OF_ROS, QOS = ('use_sim_time', 'start_type_description_service', 'autostart'), 'qos_overrides.'
 
 
-def parameters_with(names: Iterable[str]) -> dict[str, Parameter]:
-    """Return all parameters by full name, those of uniform fields with these names included."""
-    return {**PARAMETERS, **fields.of_names(names)}
+class Names(NamedTuple):
+    """The names in a scene of what has parameters of its own: uniform fields and wheels."""
+
+    fields: Sequence[str] = ()
+    wheels: Sequence[str] = ()
 
 
-def checked_fields(given: Mapping[str, Any]) -> list[str]:
-    """Return the names of the uniform fields among given values; raise InputError as `checked`."""
-    names: list[str] = checked(PARAMETERS['fields'], given.get('fields'))
-    fields.check_names(names, (*PARAMETERS, *OF_ROS, QOS))
+def parameters_with(names: Names) -> dict[str, Parameter]:
+    """Return all parameters by full name, those of what has these names included."""
+    return {**PARAMETERS, **wheels.of_names(names.wheels), **fields.of_names(names.fields)}
+
+
+def checked_names(given: Mapping[str, Any]) -> Names:
+    """Return the names among given values; raise InputError as `checked`."""
+    names = Names(*(checked(PARAMETERS[key], given.get(key))
+                    for key in (fields.FIELDS, wheels.WHEEL_NAMES)))
+    others = *PARAMETERS, *OF_ROS, QOS
+    fields.check_names(names.fields, others)
+    fields.check_names(names.wheels, (*others, *names.fields), wheels.WHEEL_NAMES)
     return names

@@ -32,6 +32,7 @@ from rigid_body_ros.mechanics.fields import Field
 from rigid_body_ros.mechanics.frames import Frames
 from rigid_body_ros.mechanics.imu import ImuErrors
 from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.wheels import Wheel, Wheels
 from rigid_body_ros.propagation import Options, Problem
 from rigid_body_ros.runtime.limits import read_yaml
 from rigid_body_ros.runtime.parameter_file import node_parameters
@@ -39,15 +40,17 @@ from rigid_body_ros.runtime.parameters import checked, is_foreign, Parameter, Va
 from rigid_body_ros.scene.fields import at_start, check_named, fields_of
 from rigid_body_ros.scene.parameters import (
     ARRIVAL,
-    checked_fields,
+    checked_names,
     HEADER,
     LOCKSTEP,
+    Names,
     OF_ROS,
     PARAMETERS,
     parameters_with,
     QOS,
 )
 from rigid_body_ros.scene.sensors import imu_of, odometry_variances
+from rigid_body_ros.scene.wheels import check_wheel, WHEEL_NAMES, wheels_of
 
 #: The name of the node whose parameters a scene file has.
 NODE = 'attitude_node'
@@ -113,8 +116,8 @@ class Scene:
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Return the parameters by full name, those of each uniform field included."""
-        return parameters_with(self.values['fields'])
+        """Return the parameters by full name, those of each uniform field and wheel included."""
+        return parameters_with(Names(self.values['fields'], self.values[WHEEL_NAMES]))
 
     @property
     def fields(self) -> tuple[Field, ...]:
@@ -138,6 +141,11 @@ class Scene:
         return odometry_variances(self.values)
 
     @property
+    def named_wheels(self) -> tuple[Wheel, ...]:
+        """Return the wheels with names."""
+        return wheels_of(self.values)
+
+    @property
     def options(self) -> Options:
         """Return the solver and its options."""
         return Options(self.solver, self.tolerance, self.max_step or None, self.torque_timeout)
@@ -145,7 +153,8 @@ class Scene:
     def problem(self, start: State | None = None) -> Problem:
         """Return the problem of this scene without torques, from its start or another one."""
         start = start or self.start
-        return Problem(self.body, start, fields=self.fields_from(start.time_ns),
+        return Problem(self.body, start, wheels=self.named_wheels,
+                       fields=self.fields_from(start.time_ns),
                        **asdict(self.options))
 
     def starting_at(self, time_ns: int) -> State:
@@ -165,7 +174,7 @@ class Scene:
     @property
     def has_rotors(self) -> bool:
         """Return whether there are rotors, with motors or with a constant momentum."""
-        return self.wheels or bool(self.start.rotor_momentum.any())
+        return bool(self.wheels or self.values[WHEEL_NAMES] or self.start.rotor_momentum.any())
 
     @property
     def timeout_ns(self) -> int:
@@ -201,13 +210,14 @@ class Scene:
             is out of range, or two values contradict each other.
 
         """
-        fields = checked_fields(given)
-        table = parameters_with(fields)
+        names = checked_names(given)
+        table = parameters_with(names)
         known = (*table, *OF_ROS)
         ignored = tuple(name for name, value in given.items()
                         if not name.startswith(QOS) and is_foreign(name, value, known))
         for name in ignored:
-            check_named(name, fields)
+            check_named(name, names.fields)
+            check_wheel(name, names.wheels)
         given = {**given, **_inertia_of_robot(given)}
         values = {name: checked(parameter, given.get(name, parameter.default))
                   for name, parameter in table.items()}
@@ -224,6 +234,7 @@ class Scene:
     def _check(self) -> None:
         """Raise ValueError if values contradict each other."""
         self.options.check_terms(self.body.is_damped, self.has_rotors, bool(self.fields))
+        self._check_wheels()
         if self.checkpoint and self.values['orbit.mean_motion'] and not self.start.time_ns:
             raise InputError('start_time: expected the time of orbit.position, ns, because a '
                              'checkpoint does not keep it, found 0')
@@ -248,6 +259,18 @@ class Scene:
         if not ahead_ns < max(behind_ns, 1):
             raise InputError(f'max_future: expected less than history ({self.history} s), found '
                              f'{self.max_future} s')
+
+    def _check_wheels(self) -> None:
+        if not self.named_wheels:
+            return
+        if self.wheels:
+            raise InputError(f'{WHEEL_NAMES}: expected none with wheels: true, found '
+                             f'{listed(self.values[WHEEL_NAMES])}')
+        if self.values['orbit.mean_motion']:
+            raise InputError(f'orbit.mean_motion: expected 0 with {WHEEL_NAMES}, because the two '
+                             'together are not supported yet, found '
+                             f'{self.values["orbit.mean_motion"]} rad/s')
+        Wheels(self.named_wheels).carrier(self.body)
 
     def _warnings(self) -> Iterator[str]:
         if self.body.triangle_excess:

@@ -1,0 +1,105 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a `Propagator` has in force from a time on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.mechanics.wheels import Axial, EffortLog
+from rigid_body_ros.propagation.segment import NewBody, Sample, Segment
+
+
+class Commands(NamedTuple):
+    """The commands in force of wheels with names, N m, and their stamps, ns, shape (wheels,)."""
+
+    stamps_ns: tuple[int, ...]
+    efforts: tuple[float, ...]
+
+    @property
+    def stamp_ns(self) -> int:
+        """Return the stamp of the last of them, -NEVER_NS before the first."""
+        return max(self.stamps_ns, default=-NEVER_NS)
+
+    @property
+    def log(self) -> EffortLog:
+        """Return them as a log."""
+        rows = np.where(np.eye(len(self.efforts), dtype=bool), self.efforts, np.nan)
+        given = np.array(self.stamps_ns) > -NEVER_NS
+        return EffortLog(np.array(self.stamps_ns)[given], rows[given])
+
+    def taking(self, time_ns: int, row: Floats) -> Commands:
+        """Return the commands after a row of them, of which later stamps stay."""
+        pairs = [(time_ns, effort) if effort == effort and stamp_ns <= time_ns
+                 else (stamp_ns, old) for stamp_ns, old, effort in zip(
+                     self.stamps_ns, self.efforts, row.tolist())]
+        stamps_ns, efforts = zip(*pairs)
+        return Commands(stamps_ns, efforts)
+
+    def given_at(self, time_ns: int) -> Floats:
+        """Return those with a stamp, NaN for other wheels."""
+        return np.where(np.array(self.stamps_ns) == time_ns, self.efforts, np.nan)
+
+
+def no_commands(count: int) -> Commands:
+    """Return what is in force before the first command of so many wheels."""
+    return Commands((-NEVER_NS,) * count, (0.0,) * count)
+
+
+class Active(NamedTuple):
+    """The motion from a change on, and what the wheels do; None without wheels with names."""
+
+    segment: Segment
+    axial: Axial | None
+
+
+@dataclass
+class Change:
+    """What is in force from a time on: the sample of each source, the body, and the commands."""
+
+    time_ns: int
+    samples: dict[int, Sample]
+    body: NewBody
+    commands: Commands
+    active: Active | None = None
+    #: What begins when samples time out, in order.
+    after_timeouts: list[Active] = field(default_factory=list)
+
+    def timeouts_ns(self, timeout_ns: int) -> list[int]:
+        """Return the times from this change on at which samples time out."""
+        if not timeout_ns:
+            return []
+        due = {sample.stamp_ns + timeout_ns for sample in self.samples.values()}
+        due.add(self.commands.stamp_ns + timeout_ns)
+        return sorted(time_ns for time_ns in due if time_ns > self.time_ns)
+
+    def stamps_at(self, time_ns: int, timeout_ns: int) -> bool:
+        """Return whether a torque in force has this stamp, or times out at this time."""
+        return any(time_ns in (stamp_ns, stamp_ns + timeout_ns) for stamp_ns in (
+            self.commands.stamp_ns, *(sample.stamp_ns for sample in self.samples.values())))
+
+    def discard(self) -> None:
+        """Forget what has been computed."""
+        self.active = None
+        self.after_timeouts.clear()
+
+
+def time_of(change: Change) -> int:
+    """Return when a change is, ns."""
+    return change.time_ns

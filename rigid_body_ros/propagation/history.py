@@ -1,0 +1,228 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The changes of what acts on a body, and the motion between them."""
+
+from __future__ import annotations
+
+import bisect
+import math
+import time
+from typing import Any
+
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.mechanics.body import RigidBody
+from rigid_body_ros.mechanics.changes import changed, RATE
+from rigid_body_ros.mechanics.state import State
+from rigid_body_ros.mechanics.wheels import Axial, Wheels
+from rigid_body_ros.propagation.change import Active, Change, Commands, no_commands, time_of
+from rigid_body_ros.propagation.options import Options
+from rigid_body_ros.propagation.origin import without_origin
+from rigid_body_ros.propagation.segment import (
+    NewBody,
+    Sample,
+    Segment,
+    Sum,
+    summed,
+    timed_out,
+)
+from rigid_body_ros.propagation.wheels import commanded, in_force, momenta_at
+
+
+class History:
+    """
+    What acts on a body from each change on, and the motion there, computed when it is needed.
+
+    Parameters
+    ----------
+    body : RigidBody
+        The first one.
+    start : State
+    options : Options
+    wheels : Wheels or None
+        Those with names.
+    fields : array of FIELDS, shape (1,), or None
+    history_ns : int
+        A change older than the newest one by this much or more is dropped.
+
+    Attributes
+    ----------
+    changes : list of Change
+        In order; the first one is the start until it is discarded.
+    newest_ns : int or None
+        The newest stamp, None before the first.
+
+    """
+
+    def __init__(self, body: RigidBody, start: State, options: Options, wheels: Wheels | None,
+                 fields: NDArray[Any] | None, history_ns: int) -> None:
+        self._options, self._wheels, self._fields = options, wheels, fields
+        self._history_ns = history_ns
+        #: What the wheels do at the start.
+        self._axial: Axial | None = None
+        self._start = start
+        if wheels:
+            self._start, self._axial = wheels.begun(start)
+        self.changes = [Change(start.time_ns, {}, self.new_body(-NEVER_NS, body, RATE),
+                               no_commands(len(wheels) if wheels else 0))]
+        self.newest_ns: int | None = None
+        self._begin()
+
+    def inserted(self, time_ns: int) -> int | None:
+        """Return the index of the change at a stamp, a new one too, or None if it is too old."""
+        if self.newest_ns is not None and self.newest_ns - time_ns >= self._history_ns:
+            return None
+        self._discard_before(time_ns - self._history_ns)
+        self.newest_ns = time_ns if self.newest_ns is None else max(self.newest_ns, time_ns)
+        index = max(self.index_of(time_ns), 0)
+        if time_ns > self.changes[index].time_ns:
+            before = self.changes[index]
+            self.changes.insert(index + 1, Change(
+                time_ns, {**before.samples}, before.body, before.commands))
+            index += 1
+        return index
+
+    def put(self, index: int, new: Sample | NewBody, source: int = 0) -> None:
+        """Put a sample of a source, or a body, at a change."""
+        # A sample is in force up to the next one of its source, and so is a body. While a stamp
+        # may still come from before the start, the first change is the start: it is discarded only
+        # when a stamp is `history` after it, and then every stamp that is as old is dropped.
+        for change in self.changes[index:]:
+            found = change.body if isinstance(new, NewBody) else change.samples.get(source)
+            if found is not None and found.stamp_ns > new.stamp_ns:
+                break
+            if isinstance(new, NewBody):
+                change.body = new
+            else:
+                change.samples[source] = new
+        self._renew(index)
+
+    def take(self, index: int, time_ns: int, row: Floats) -> None:
+        """Put commands of wheels with a stamp, NaN for wheels that keep theirs, at a change."""
+        for change in self.changes[index:]:
+            change.commands = change.commands.taking(time_ns, row)
+        self._renew(index)
+
+    def active(self, index: int, time_ns: int, until: float) -> Active:
+        """Return what is active at a time in a change, or raise TimeoutError."""
+        self.compute(index, until)
+        return self._active_at(self.changes[index], time_ns, until)
+
+    def _renew(self, index: int) -> None:
+        """Compute again from a change on."""
+        self._discard_segments(index)
+        if self.changes[0].active is None:
+            self._begin()
+
+    def _begin(self) -> None:
+        """Compute the first segment."""
+        start, first = self._start, self.changes[0]
+        axial = self._axial_at_start(first.commands)
+        total = self._sum(first, start.time_ns, axial)
+        # A torque at the start begins a segment there, even if it repeats the one before.
+        begins = first.stamps_at(start.time_ns, self._options.timeout_ns)
+        acts = not total.is_zero() or self._fields is not None or (
+            first.body.body.is_damped or start._has_rotors)
+        first.active = Active(self._segment(without_origin(start) if begins and acts else start,
+                                            total, first.body), axial)
+
+    def _axial_at_start(self, commands: Commands) -> Axial | None:
+        if self._wheels is None or self._axial is None:
+            return None
+        return in_force(self._wheels, self._axial, commands.log, self._start.time_ns,
+                        self._start.angular_velocity, self._options.timeout_ns)
+
+    def index_of(self, time_ns: int) -> int:
+        """Return the index of the change in force at a time, or -1."""
+        if time_ns >= self.changes[-1].time_ns:  # as most torques are
+            return len(self.changes) - 1
+        return bisect.bisect_right(self.changes, time_ns, key=time_of) - 1
+
+    def _sum(self, change: Change, time_ns: int, axial: Axial | None) -> Sum:
+        motors = self._wheels.torque(axial.efforts)[None] if self._wheels and axial else None
+        return summed(change.samples, time_ns, self._options.timeout_ns, motors)
+
+    def _discard_before(self, horizon_ns: int) -> None:
+        """Discard changes that no late torque can affect; raise ValueError as `at` does."""
+        oldest = self.index_of(horizon_ns)
+        if oldest > 0:
+            self.compute(oldest)
+            del self.changes[:oldest]
+
+    def _discard_segments(self, index: int) -> None:
+        # Segments are computed from the front: if one is missing, all later ones are, too.
+        self.changes[index].discard()
+        for change in self.changes[index + 1:]:
+            if change.active is None:
+                break
+            change.discard()
+
+    def compute(self, index: int, until: float = math.inf) -> None:
+        """Compute the segment of every change up to this one, or raise TimeoutError."""
+        first = index
+        while self.changes[first].active is None:
+            first -= 1
+        for before, change in zip(self.changes[first:index], self.changes[first + 1:index + 1]):
+            change.active = self._next(
+                self._active_at(before, change.time_ns, until), change, change.time_ns, until)
+            if time.monotonic() > until:
+                raise timed_out(change.time_ns)
+
+    def _active_at(self, change: Change, time_ns: int, until: float) -> Active:
+        """Return what is active at a time between a change and the next."""
+        active = change.active
+        assert active is not None
+        for k, due_ns in enumerate(change.timeouts_ns(self._options.timeout_ns)):
+            if time_ns < due_ns:
+                break
+            if k == len(change.after_timeouts):
+                change.after_timeouts.append(self._next(active, change, due_ns, until))
+            active = change.after_timeouts[k]
+        return active
+
+    def _next(self, active: Active, change: Change, time_ns: int, until: float) -> Active:
+        body, segment, start, end = change.body, active.segment, None, None
+        if body.stamp_ns == time_ns:
+            start = changed(segment.end_at(time_ns, until), segment.body, body.carrier, body.keep)
+        axial = active.axial
+        if self._wheels and axial:
+            end = start or segment.end_at(time_ns, until)
+            axial = self._next_axial(axial, change.commands, time_ns, end)
+        total = self._sum(change, time_ns, axial)
+        if start is None:
+            if segment.coasts and total.is_zero():
+                return Active(segment, axial)
+            start = end or segment.end_at(time_ns, until)
+        return Active(self._segment(start, total, body), axial)
+
+    def _next_axial(self, axial: Axial, commands: Commands, time_ns: int, state: State) -> Axial:
+        """Return what the wheels do from a time on, at which the body has a state."""
+        assert self._wheels
+        if commands.stamp_ns == time_ns:
+            return commanded(self._wheels, axial, time_ns, commands.given_at(time_ns),
+                             state.angular_velocity)
+        if 0 < self._options.timeout_ns == time_ns - commands.stamp_ns:
+            return axial._replace(since_ns=time_ns, momenta=momenta_at(axial, time_ns),
+                                  is_silent=True)
+        return axial
+
+    def new_body(self, stamp_ns: int, body: RigidBody, keep: str) -> NewBody:
+        """Return a body from a stamp on."""
+        carrier = self._wheels.carrier(body) if self._wheels else body
+        return NewBody(stamp_ns, body, keep, carrier)
+
+    def _segment(self, start: State, total: Sum, body: NewBody) -> Segment:
+        return Segment(body.carrier, self._options, self._history_ns, start, total, self._fields)

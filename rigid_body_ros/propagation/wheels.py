@@ -1,0 +1,237 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What the motors of wheels with names do, and the momenta that follow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from rigid_body_ros.common.arrays import Floats
+from rigid_body_ros.common.times import NEVER_NS
+from rigid_body_ros.mechanics.fields import Field, GravityGradient
+from rigid_body_ros.mechanics.torque import TorqueLog
+from rigid_body_ros.mechanics.wheels import Axial, EffortLog, filled, Wheels
+from rigid_body_ros.propagation.timeline import momentum_at, Timeline
+
+
+class WheelTimeline:
+    """
+    What wheels do from a time on, up to which their commands are known to act or not.
+
+    A command acts unless its wheel is too fast, which depends on the motion before it. Until that
+    is known, `assume` states what acts.
+
+    Parameters
+    ----------
+    wheels : Wheels
+    axial : Axial
+        What they do at that time.
+    log : EffortLog, optional
+        Their commands, those in force at that time included.
+    timeout_ns : int
+        As for `TorqueLog.segments`.
+    start_ns : int
+        That time, ns.
+
+    Attributes
+    ----------
+    times_ns : array of int64, shape (n,), ns
+        The stamps of the later commands.
+
+    """
+
+    def __init__(self, wheels: Wheels, axial: Axial, log: EffortLog | None, timeout_ns: int,
+                 start_ns: int) -> None:
+        self.wheels, self._axial, self._timeout_ns = wheels, axial, timeout_ns
+        later = slice(log.times_ns.searchsorted(start_ns, 'right') if log else 0, None)
+        self.times_ns = log.times_ns[later] if log else np.empty(0, np.int64)
+        commands = log.efforts[later] if log else np.empty((0, len(wheels)))
+        self._given = ~np.isnan(commands)
+        self._commanded = filled(wheels.clipped(commands), axial.commanded)
+        self._refused = np.zeros(commands.shape, np.bool_)
+        self.assume(0, self._refused)
+
+    def assume(self, row: int, refused: NDArray[np.bool_]) -> None:
+        """State which commands act as zero, shape (n - row, wheels), from a row on."""
+        self._refused[row:] = refused & self._given[row:]
+        commands = np.where(self._refused, 0.0, self._commanded)
+        self._acting = filled(np.where(self._given, commands, np.nan), self._axial.acting)
+        self.__dict__.pop('_groups', None)
+
+    def refused(self, rows: slice, speeds: Floats) -> NDArray[np.bool_]:
+        """Return which commands of some rows act as zero, given the speeds of the wheels."""
+        return self.wheels.refused(self._commanded[rows], speeds) & self._given[rows]
+
+    def first_wrong(self, rows: slice, refused: NDArray[np.bool_]) -> int | None:
+        """Return the first row for which something else is assumed; None if there is none."""
+        wrong = np.flatnonzero((refused != self._refused[rows]).any(axis=1))
+        return rows.start + int(wrong[0]) if len(wrong) else None
+
+    def count_refused(self, begin_ns: int, end_ns: int) -> int:
+        """Return how many commands with stamps in (begin_ns, end_ns] act as zero."""
+        rows = slice(*self.times_ns.searchsorted([begin_ns, end_ns], 'right'))
+        return int(self._refused[rows].sum())
+
+    @property
+    def log(self) -> TorqueLog | None:
+        """Return the torque of the motors on the wheels; None before the first command."""
+        times_ns, efforts = self._held
+        return TorqueLog(times_ns, self.wheels.torque(efforts)) if len(times_ns) else None
+
+    @property
+    def _held(self) -> tuple[NDArray[np.int64], Floats]:
+        """Return the stamps of the commands, that in force first, and what acts."""
+        if self._axial.stamp_ns == -NEVER_NS:
+            return self.times_ns, self._acting
+        return (np.append(self._axial.stamp_ns, self.times_ns),
+                np.concatenate([self._axial.acting[None], self._acting]))
+
+    @cached_property
+    def _groups(self) -> list[Timeline]:
+        """Return three wheels at a time, as if they were the axes of rotors."""
+        times_ns, efforts = self._held
+        return [Timeline((), TorqueLog(times_ns, three) if len(times_ns) else None,
+                         self._timeout_ns, False, self._axial.since_ns, momenta)
+                for three, momenta in zip(_threes(efforts), _threes(self._axial.momenta))]
+
+    def momenta(self, times_ns: NDArray[np.int64]) -> Floats:
+        """Return axial momenta and their low-order parts, N m s, shape (m, 2, wheels)."""
+        found = [group.momentum(times_ns) for group in self._groups]
+        return np.concatenate(found, axis=2)[:, :, :len(self.wheels)]
+
+    def speeds(self, times_ns: NDArray[np.int64], rates: Floats) -> Floats:
+        """Return speeds, rad/s, shape (m, wheels), at times and rates of the body, (m, 3)."""
+        return self.wheels.speeds(self.momenta(times_ns), rates)
+
+    def efforts(self, times_ns: NDArray[np.int64]) -> Floats:
+        """Return the torques that act at times, N m, shape (m, wheels)."""
+        held_ns, efforts = self._held
+        rows = held_ns.searchsorted(times_ns, 'right') - 1
+        found = np.zeros((len(times_ns), len(self.wheels)))
+        acts = rows >= 0
+        if self._timeout_ns:
+            acts[acts] = times_ns[acts] - held_ns[rows[acts]] < self._timeout_ns
+        found[acts] = efforts[rows[acts]]
+        return found
+
+    def axial(self, time_ns: int) -> Axial:
+        """Return what the wheels do at a time that is not before the beginning."""
+        row = int(self.times_ns.searchsorted(time_ns, 'right')) - 1
+        stamp_ns, commanded, acting, refused = self._axial.stamp_ns, self._axial.commanded, \
+            self._axial.acting, self._axial.refused
+        since_ns = self._axial.since_ns
+        if row >= 0:
+            since_ns = stamp_ns = int(self.times_ns[row])
+            commanded, acting = self._commanded[row], self._acting[row]
+            refused = self._refused[row]
+        is_silent = 0 < self._timeout_ns <= time_ns - stamp_ns
+        if is_silent:
+            since_ns = max(since_ns, stamp_ns + self._timeout_ns)
+        momenta = self.momenta(np.array([since_ns]))[0]
+        return Axial(since_ns, stamp_ns, momenta, commanded, acting, refused, is_silent)
+
+
+def check_named(wheels: Wheels | None, efforts: EffortLog | None,
+                fields: Sequence[Field]) -> None:
+    """Raise ValueError if efforts or fields do not go with the wheels that have names."""
+    count = len(wheels) if wheels else 0
+    if efforts and efforts.efforts.shape[1] != count:
+        raise ValueError(f'efforts: expected those of {count} wheels with names, found those of '
+                         f'{efforts.efforts.shape[1]}')
+    if any(isinstance(one, GravityGradient) for one in fields):
+        raise ValueError('fields: expected no gravity gradient with wheels that have names, '
+                         'because the two together are not supported yet, found one')
+
+
+def commanded(wheels: Wheels, before: Axial, time_ns: int, row: Floats, rates: Floats) -> Axial:
+    """
+    Return what wheels do from commands on.
+
+    Parameters
+    ----------
+    wheels : Wheels
+        The wheels.
+    before : Axial
+        What they do up to then.
+    time_ns : int
+        The stamp of the commands, or a later time at which they come into force.
+    row : array, shape (n,), N m
+        The commands, NaN for wheels that keep theirs.
+    rates : array, shape (3,), rad/s, body axes
+        Of the body at that time.
+
+    """
+    momenta, given = momenta_at(before, time_ns), ~np.isnan(row)
+    commands = np.where(given, wheels.clipped(row), before.commanded)
+    refused = given & wheels.refused(commands, wheels.speeds(momenta[None], rates[None])[0])
+    acting = np.where(given, np.where(refused, 0.0, commands), before.acting)
+    return Axial(time_ns, time_ns, momenta, commands, acting, refused)
+
+
+def in_force(wheels: Wheels, axial: Axial, log: EffortLog | None, time_ns: int, rates: Floats,
+             timeout_ns: int) -> Axial:
+    """
+    Return what wheels do from a time on, under the commands in force then.
+
+    Commands that were in force before have begun to act, or not, and go on as they are.
+
+    Parameters
+    ----------
+    wheels : Wheels
+        The wheels.
+    axial : Axial
+        What they do before.
+    log : EffortLog, optional
+        The commands.
+    time_ns : int
+        The time.
+    rates : array, shape (3,), rad/s, body axes
+        Of the body then.
+    timeout_ns : int
+        As for `TorqueLog.segments`.
+
+    """
+    row = int(log.times_ns.searchsorted(time_ns, 'right')) - 1 if log else -1
+    if not log or row < 0:
+        return axial
+    stamp_ns, held = int(log.times_ns[row]), log.between(time_ns, time_ns).efforts[0]
+    begins = wheels.clipped(held) != axial.commanded
+    if stamp_ns == time_ns:
+        begins |= ~np.isnan(log.efforts[row])
+    if stamp_ns == axial.stamp_ns and not begins.any():
+        return axial
+    found = commanded(wheels, axial, time_ns, np.where(begins, held, np.nan), rates)
+    return found._replace(stamp_ns=stamp_ns,
+                          is_silent=0 < timeout_ns <= time_ns - stamp_ns)
+
+
+def momenta_at(axial: Axial, time_ns: int) -> Floats:
+    """Return axial momenta and their low-order parts, N m s, shape (2, n), up to the next one."""
+    if not axial.efforts.any():
+        return axial.momenta
+    found = [momentum_at(np.array([axial.since_ns]), momenta[None], efforts[None],
+                         np.array([time_ns]))[0]
+             for momenta, efforts in zip(_threes(axial.momenta), _threes(axial.efforts[None]))]
+    return np.concatenate(found, axis=1)[:, :len(axial.acting)]
+
+
+def _threes(rows: Floats) -> list[Floats]:
+    """Return columns in groups of three, with zeros for the missing ones of the last."""
+    count = rows.shape[1]
+    padded = np.pad(rows, [(0, 0), (0, -count % 3)])
+    return [np.ascontiguousarray(padded[:, k:k + 3]) for k in range(0, count, 3)]

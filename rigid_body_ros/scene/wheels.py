@@ -1,0 +1,86 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The parameters of wheels with names: `wheel_names` lists them, and each has its own."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+import re
+from typing import Any
+
+import numpy as np
+from rigid_body_ros.common.arrays import written
+from rigid_body_ros.common.errors import InputError, listed, quoted
+from rigid_body_ros.mechanics.wheels import Wheel
+from rigid_body_ros.runtime.parameters import BIG, Parameter, TINY
+
+#: The parameter that names the wheels.
+WHEEL_NAMES = 'wheel_names'
+PARAMETERS = (
+    Parameter(WHEEL_NAMES, [], '', 'names of wheels, in the order of their speeds; each has the '
+              'parameters NAME.axis, NAME.inertia, NAME.initial_speed, NAME.friction, '
+              'NAME.max_torque and NAME.max_speed'),
+)
+_AXIS = 'axis'
+_INERTIA = Parameter('inertia', None, 'kg m^2', 'axial inertia of the wheel, part of the inertia '
+                     'of the body', (TINY, BIG))
+_OTHERS = (
+    Parameter('initial_speed', 0.0, 'rad/s', 'initial speed of the wheel relative to the body',
+              (-1e9, 1e9)),
+    Parameter('friction', 0.0, 'N m s/rad', 'viscous friction of the wheel; only 0 is supported '
+              'yet', (0.0, BIG)),
+    Parameter('max_torque', 0.0, 'N m', 'largest torque of the motor, to which commands are '
+              'clipped; 0: no limit', (0.0, BIG)),
+    Parameter('max_speed', 0.0, 'rad/s', 'a command that would speed up a wheel which is as fast '
+              'or faster when the command takes effect acts as zero; 0: no limit', (0.0, BIG)),
+)
+#: What no other group of parameters has.
+_OF_WHEEL = re.compile('(.+)[.](axis[.][xyz]|initial_speed|friction|max_torque|max_speed)')
+
+
+def of_names(names: Iterable[str]) -> dict[str, Parameter]:
+    """Return the parameters of wheels with these names, by full name."""
+    return {parameter.name: parameter for name in names for parameter in (
+        *(Parameter(f'{name}.{_AXIS}.{axis}', 0.0, '', 'axis of the wheel, body axes; its length '
+                    'has no meaning', (-BIG, BIG)) for axis in 'xyz'),
+        *(each._replace(name=f'{name}.{each.name}') for each in (_INERTIA, *_OTHERS)))}
+
+
+def check_wheel(key: str, names: Collection[str]) -> None:
+    """Raise InputError if an unknown parameter is that of a wheel which is not named."""
+    found = _OF_WHEEL.fullmatch(key)
+    if found:
+        raise InputError(f'{key}: expected {quoted(found[1])} among the names in {WHEEL_NAMES}, '
+                         f'found {listed(names)}')
+
+
+def wheels_of(values: Mapping[str, Any]) -> tuple[Wheel, ...]:
+    """Return what the parameters of a scene state; raise InputError if a wheel has no axis."""
+    return tuple(_wheel(values, name) for name in values[WHEEL_NAMES])
+
+
+def _wheel(values: Mapping[str, Any], name: str) -> Wheel:
+    axis = [values[f'{name}.{_AXIS}.{component}'] for component in 'xyz']
+    if not any(axis):
+        group = f'{name}.{_AXIS}'
+        raise InputError(f'{group}: expected {group}.x, .y or .z other than 0, found zeros')
+    return Wheel(name, axis, *(values[f'{name}.{each.name}'] for each in (_INERTIA, *_OTHERS)))
+
+
+def described(values: Mapping[str, Any]) -> list[str]:
+    """Return a line for each wheel of a scene."""
+    return [f'{wheel.name}: wheel of {wheel.inertia:.9g} kg m^2 about '
+            f'{written(np.asarray(wheel.axis))}, initially at {wheel.initial_speed:.9g} rad/s'
+            for wheel in wheels_of(values)]

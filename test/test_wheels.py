@@ -1,0 +1,430 @@
+# Copyright 2026 The rigid_body_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Wheels with names: exact to rounding, and the same bits in any order of arrival."""
+
+from dataclasses import replace
+import json
+from pathlib import Path
+import re
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from rigid_body_ros import (
+    BodyLog,
+    EffortLog,
+    GravityGradient,
+    Problem,
+    propagate,
+    propagate_many,
+    Propagator,
+    RigidBodies,
+    RigidBody,
+    so3,
+    State,
+    States,
+    TorqueLog,
+    UniformField,
+    Wheel,
+)
+from rigid_body_ros.commands import main
+from rigid_body_ros.common.errors import InputError
+from rigid_body_ros.live.checkpoint import Checkpoint
+from rigid_body_ros.live.epoch import Epoch
+from rigid_body_ros.propagation import Integration, integration
+from rigid_body_ros.replay.check import drift
+from rigid_body_ros.scene import Scene
+from terms import bound
+import truth
+
+TRUTH = Path(__file__).resolve().parent / 'truth_loop'
+SECOND = 10 ** 9
+BODY = RigidBody([[2.0, 0.1, -0.2], [0.1, 3.0, 0.05], [-0.2, 0.05, 4.0]])
+SMALLER = RigidBody.from_moments(1.5, 2.2, 2.6, 0.05, -0.1)
+DAMPED = RigidBody(BODY.inertia, damping=np.diag([0.01, 0.02, 0.03]))
+START = State(0, (0.1, -0.3, 0.2, 0.9), (0.3, 0.5, -0.2))
+#: Four wheels in a pyramid.
+PYRAMID = [Wheel(name, axis, 0.05, speed, max_torque=0.3) for name, axis, speed in (
+    ('a', (1, 1, 1), 0.0), ('b', (-1, 1, 1), 40.0), ('c', (-1, -1, 1), -3.0),
+    ('d', (1, -1, 1), 9.0))]
+LIMITED = [replace(wheel, max_speed=10.0) for wheel in PYRAMID]
+
+
+def same(one, other):
+    """Return whether two motions have the same bits."""
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in (
+        'attitude', 'angular_velocity', 'rotor_momentum', 'wheel_speeds'))
+
+
+def commands(rng, count=40, wheels=4):
+    """Return efforts at irregular stamps, some before the start, a third of them missing."""
+    stamps = np.sort(rng.integers(-SECOND // 4, 3 * SECOND, count))
+    efforts = rng.normal(0.0, 0.4, (count, wheels))
+    efforts[rng.random(efforts.shape) < 0.3] = np.nan
+    return EffortLog(stamps, efforts)
+
+
+def arrivals(log, wheels=PYRAMID):
+    """Return the calls that apply a log."""
+    return [('apply_efforts', int(stamp), {wheel.name: effort for wheel, effort in zip(
+        wheels, row) if effort == effort}) for stamp, row in zip(log.times_ns, log.efforts)]
+
+
+@pytest.mark.parametrize('name', ['wheels_spin_up'])
+def test_motions_agree_with_fifty_digits(name):
+    values = json.loads((TRUTH / f'{name}.json').read_text())
+    rows = values['efforts_t_ns_each']
+    problem = Problem(
+        RigidBody.from_moments(*values['inertia_ixx_iyy_izz_ixy_ixz_iyz']),
+        State(0, values['initial_attitude_xyzw'], values['initial_angular_velocity']),
+        wheels=[Wheel(**wheel) for wheel in values['wheels']],
+        efforts=EffortLog([row[0] for row in rows], [row[1:] for row in rows]))
+    times_ns = np.array([row['t_ns'] for row in values['truth']])
+    fine = np.union1d(times_ns, np.linspace(0, times_ns[-1], 20_001).astype(np.int64))
+    limits = bound(problem.propagate(at=fine))[
+        np.searchsorted(fine, times_ns)] * values['magnification']
+    motion = problem.propagate(at=times_ns)
+    for row, attitude, rates, speeds, limit in zip(
+            values['truth'], motion.attitude, motion.angular_velocity, motion.wheel_speeds,
+            limits):
+        assert truth.chord(truth.exact(row['q']), attitude) <= limit
+        assert np.max(abs(truth.exact(row['w']) - rates)) <= limit
+        assert np.max(abs(truth.exact(row['wheel_speeds']) - speeds)) <= limit * max(
+            1.0, np.max(abs(speeds)))
+
+
+@pytest.mark.parametrize('wheels', [PYRAMID, LIMITED])
+@pytest.mark.parametrize('solver', ['auto', 'taylor', 'rk4', 'explicit_euler'])
+@pytest.mark.parametrize('keep', ['rate', 'momentum'])
+def test_any_order_of_arrival_gives_the_same_bits(keep, solver, wheels):
+    rng = np.random.default_rng(38)
+    efforts, options = commands(rng), {
+        'solver': solver, 'max_step': None if solver in ('auto', 'taylor') else 0.01,
+        'fields': [UniformField((0.0, 0.1, -0.4), (0.0, 0.0, -9.81))], 'torque_timeout': 0.12}
+    stamps = np.arange(20) * 150_000_000
+    logs = [TorqueLog(stamps, rng.normal(size=(20, 3))),
+            TorqueLog(stamps[::3] + 12_345, rng.normal(size=(7, 3)), frame='space')]
+    changes = BodyLog([stamps[7], int(efforts.times_ns[21]), 2_345_678_901],
+                      [SMALLER, DAMPED, BODY], keep)
+    start = replace(START, rotor_momentum=(0.2, -0.1, 0.4))
+    at = np.sort(np.concatenate([rng.integers(0, 3 * SECOND, 40), changes.times_ns,
+                                 efforts.times_ns[efforts.times_ns >= 0]]))
+    expected = propagate(BODY, start, logs, at=at, wheels=wheels, efforts=efforts,
+                         changes=changes, **options)
+    events = [('apply', int(stamp), torque, 'space' if in_space else 'body', source)
+              for source, log in enumerate(logs)
+              for stamp, torque, in_space in zip(log.times_ns, log.torques, log.in_space)]
+    events += arrivals(efforts)
+    events += [('apply_body', int(stamp), body, keep)
+               for stamp, body in zip(changes.times_ns, changes.bodies)]
+    for _ in range(3):
+        propagator = Propagator(BODY, start, history=10.0, wheels=wheels, **options)
+        for number in rng.permutation(len(events)):
+            name, *values = events[number]
+            assert getattr(propagator, name)(*values)
+            if not number % 7:
+                propagator.at(int(rng.integers(0, 3 * SECOND)))  # a prediction changes no bit
+        for row, time_ns in enumerate(at.tolist()):
+            state = propagator.at(time_ns)
+            assert np.array_equal(state.attitude, expected.attitude[row])
+            assert np.array_equal(state.angular_velocity, expected.angular_velocity[row])
+            assert np.array_equal(state.rotor_momentum, expected.rotor_momentum[row])
+            assert np.array_equal(state.wheel_speeds, expected.wheel_speeds[row])
+
+
+def test_momentum_in_space_is_constant_with_wheels_alone():
+    motion = propagate(BODY, START, at=np.arange(0, 100 * SECOND, 10 ** 8), wheels=PYRAMID,
+                       efforts=EffortLog(np.arange(100) * SECOND, 0.3 * np.random.default_rng(
+                           1).normal(size=(100, 4))))
+    momentum = motion.angular_momentum_space
+    largest = np.linalg.norm(motion.rotor_momentum, axis=1).max()
+    assert np.abs(momentum - momentum[0]).max() < 4e-15 * largest
+    by_hand = BODY.angular_momentum(motion.angular_velocity) + 0.05 * motion.wheel_speeds @ \
+        np.array([wheel.axis for wheel in PYRAMID])
+    assert np.abs(so3.rotate(motion.attitude, by_hand) - momentum[0]).max() < 1e-14 * largest
+
+
+def test_a_command_that_would_speed_up_a_fast_wheel_acts_as_zero():
+    rng = np.random.default_rng(7)
+    stamps = np.arange(60) * 50_000_000
+    efforts = EffortLog(stamps, rng.normal((2.0, -2.0, 0.0, 0.0), 3.0, (60, 4)))
+    wheels = [replace(wheel, max_torque=0.0, max_speed=12.0) for wheel in PYRAMID]
+    run = Integration(Problem(BODY, START, wheels=wheels, efforts=efforts))
+    motion = run.advance(stamps)
+    # A command sees the speed at its stamp, and nothing that comes later.
+    too_fast = (abs(motion.wheel_speeds) >= 12.0) & (efforts.efforts * motion.wheel_speeds > 0.0)
+    assert 20 < too_fast.sum() < 200
+    np.testing.assert_array_equal(motion.wheel_efforts, np.where(too_fast, 0.0, efforts.efforts))
+    assert run.refused_commands == too_fast.sum()
+    free = [replace(wheel, max_speed=0.0) for wheel in wheels]
+    acting = EffortLog(stamps, motion.wheel_efforts)
+    assert same(propagate(BODY, START, at=stamps, wheels=free, efforts=acting), motion)
+    propagator = Propagator(BODY, START, wheels=wheels, history=10.0)
+    for name, *values in arrivals(efforts)[::-1]:
+        getattr(propagator, name)(*values)
+    assert propagator.refused_commands(-1, 3 * SECOND) == too_fast.sum()
+    assert propagator.refused_commands(SECOND, 2 * SECOND) == too_fast[21:41].sum()
+
+
+def test_how_commands_are_grouped_changes_no_bit(monkeypatch):
+    rng = np.random.default_rng(9)
+    problem = Problem(BODY, START, TorqueLog([0, SECOND], rng.normal(size=(2, 3))),
+                      wheels=LIMITED, efforts=commands(rng, 100), torque_timeout=0.05)
+    at = rng.integers(0, 3 * SECOND, 50)
+    expected = problem.propagate(at=at)
+    monkeypatch.setattr(integration, '_WINDOW', 1)
+    monkeypatch.setattr(integration, '_SPAN', 7)
+    found = problem.propagate(at=at)
+    assert same(found, expected)
+    assert found.models == expected.models
+
+
+def test_a_command_that_acts_goes_on_above_the_largest_speed():
+    wheel = Wheel('w', (0, 0, 1), 0.1, max_speed=5.0)
+    efforts = EffortLog([0, SECOND, 2 * SECOND], [[1.0], [np.nan], [0.9]])
+    motion = propagate(BODY, START, at=[SECOND, 2 * SECOND, 3 * SECOND], wheels=[wheel],
+                       efforts=efforts)
+    assert motion.wheel_efforts.ravel().tolist() == [1.0, 0.0, 0.0]
+    assert motion.wheel_speeds[1, 0] > 15.0  # from its stamp on the command acted
+    assert abs(motion.wheel_speeds[2] - motion.wheel_speeds[1]) < 2.0
+
+
+def test_commands_are_clipped_held_and_kept():
+    efforts = EffortLog([SECOND, 0, SECOND, 2 * SECOND],
+                        [[0.2, np.nan, np.nan, np.nan], [0.1, -0.2, 5.0, np.nan],
+                         [np.nan, 0.1, np.nan, np.nan], [np.nan] * 4])
+    assert efforts.times_ns.tolist() == [0, SECOND]
+    motion = propagate(BODY, START, at=[0, SECOND - 1, SECOND, 3 * SECOND], wheels=PYRAMID,
+                       efforts=efforts)
+    assert motion.wheel_efforts.tolist() == [
+        [0.1, -0.2, 0.3, 0.0]] * 2 + [[0.2, 0.1, 0.3, 0.0]] * 2
+    propagator = Propagator(BODY, START, wheels=PYRAMID, history=2.0)
+    assert propagator.apply_efforts(SECOND, {'a': 7.0, 'b': 0.1})
+    assert propagator.apply_efforts(SECOND, {'a': 0.2})  # the later one of equal stamps
+    assert propagator.apply_efforts(0, {'a': 0.1, 'b': -0.2, 'c': 5.0})
+    assert np.array_equal(propagator.at(3 * SECOND).wheel_speeds, motion.wheel_speeds[-1])
+    assert propagator.at(3 * SECOND).wheel_efforts.tolist() == [0.2, 0.1, 0.3, 0.0]
+    assert propagator.commands_since(SECOND // 2) == [
+        (0, {'a': 0.1, 'b': -0.2, 'c': 5.0}), (SECOND, {'a': 0.2, 'b': 0.1})]
+    assert propagator.commands_since(SECOND) == [(0, {'c': 5.0}), (SECOND, {'a': 0.2, 'b': 0.1})]
+
+
+def test_all_commands_time_out_after_the_last_of_them():
+    efforts = EffortLog([0, SECOND], [[0.1, 0.2, 0.0, 0.0], [0.3, np.nan, np.nan, np.nan]])
+    motion = propagate(BODY, START, at=[SECOND + SECOND // 2 - 1, SECOND + SECOND // 2],
+                       wheels=PYRAMID, efforts=efforts, torque_timeout=0.5)
+    assert motion.wheel_efforts.tolist() == [[0.3, 0.2, 0.0, 0.0], [0.0] * 4]
+
+
+@pytest.mark.parametrize('wheels', [PYRAMID, LIMITED])
+@pytest.mark.parametrize('timeout', [0.0, 0.1])
+def test_a_motion_in_pieces_has_the_same_bits(wheels, timeout):
+    rng = np.random.default_rng(3)
+    stamps = np.arange(40) * 100_000_000
+    log, efforts = TorqueLog(stamps, rng.normal(size=(40, 3))), commands(rng)
+    changes = BodyLog([stamps[11], stamps[20], 2_345_678_901], [SMALLER, DAMPED, BODY], 'momentum')
+    at = np.arange(0, 4 * SECOND, 12_345_678)
+    options = {'wheels': wheels, 'changes': changes, 'torque_timeout': timeout}
+    whole = Integration(Problem(BODY, START, log, efforts=efforts, **options))
+    expected = whole.advance(at)
+    run, found = None, []
+    for begin, end in zip([0, 13, 20, 27], [13, 20, 27, None]):
+        until_ns = None if end is None else int(stamps[end])
+        problem = Problem(BODY, START, log.between(stamps[begin], until_ns or 4 * SECOND),
+                          efforts=efforts.between(int(stamps[begin]), until_ns or 4 * SECOND),
+                          **options)
+        if run is None:
+            run = Integration(problem)
+        else:
+            run.extend(problem)
+        inside = (at >= stamps[begin]) & (at < (until_ns or 2 ** 62))
+        found.append(run.advance(at[inside], until_ns))
+    for name in ('attitude', 'angular_velocity', 'rotor_momentum', 'wheel_speeds'):
+        assert np.array_equal(np.concatenate([getattr(part, name) for part in found]),
+                              getattr(expected, name))
+    assert run.refused_commands == whole.refused_commands
+
+
+@pytest.mark.parametrize('wheels', [PYRAMID, LIMITED])
+def test_a_state_restarts_with_the_same_bits(wheels):
+    rng = np.random.default_rng(5)
+    efforts = commands(rng)
+    at = np.sort(rng.integers(2 * SECOND, 4 * SECOND, 30))
+    start = replace(START, rotor_momentum=(0.2, -0.1, 0.4))
+    whole = propagate(BODY, start, at=at, wheels=wheels, efforts=efforts)
+    propagator = Propagator(BODY, start, wheels=wheels, history=10.0)
+    for name, *values in arrivals(efforts):
+        getattr(propagator, name)(*values)
+    for time_ns in (1_700_000_000, int(efforts.times_ns[20])):
+        middle = propagator.at(time_ns)
+        inside = at >= time_ns
+        assert same(propagate(BODY, middle, at=at[inside], wheels=wheels, efforts=efforts),
+                    propagate(BODY, start, at=at[inside], wheels=wheels, efforts=efforts))
+    assert same(propagate(BODY, start, at=at, wheels=wheels, efforts=efforts), whole)
+
+
+def test_a_state_of_public_numbers_restarts_to_rounding():
+    efforts, start = EffortLog([0], [[0.1, 0.2, -0.3, 0.0]]), replace(
+        START, rotor_momentum=(0.2, -0.1, 0.4))
+    propagator = Propagator(BODY, start, wheels=PYRAMID)
+    propagator.apply_efforts(0, dict(zip('abcd', efforts.efforts[0])))
+    middle, end = propagator.at(SECOND), propagator.at(2 * SECOND)
+    copy = State(SECOND, middle.attitude, middle.angular_velocity, middle.rotor_momentum,
+                 middle.wheel_speeds)
+    found = propagate(BODY, copy, at=[2 * SECOND], wheels=PYRAMID, efforts=efforts)
+    assert abs(found.attitude[0] - end.attitude).max() < 1e-15
+    assert abs(found.wheel_speeds[0] - end.wheel_speeds).max() < 1e-13
+    assert abs(found.rotor_momentum[0] - end.rotor_momentum).max() < 1e-14
+    # Without named wheels, the rotors keep their momentum relative to the body.
+    held = propagate(BODY, middle, at=[2 * SECOND])
+    assert np.array_equal(held.rotor_momentum[0], middle.rotor_momentum)
+
+
+def test_wheels_of_a_heavy_body_turn_it_as_ideal_motors_do():
+    # A wheel whose own inertia is negligible is a motor that pushes against space.
+    wheel = Wheel('w', (1, 2, 2), 1e-12)
+    torque = np.array([0.1, 0.2, 0.2])
+    motion = propagate(BODY, START, at=[10 * SECOND], wheels=[wheel],
+                       efforts=EffortLog([0], [[0.3]]))
+    ideal = propagate(BODY, START, at=[10 * SECOND], wheels=TorqueLog([0], [torque]))
+    assert abs(motion.attitude - ideal.attitude).max() < 1e-10
+    assert motion.wheel_speeds[0, 0] == pytest.approx(0.3 * 10.0 / 1e-12, rel=1e-10)
+
+
+def test_without_efforts_the_axial_momentum_of_each_wheel_is_constant():
+    motion = propagate(BODY, START, at=np.arange(0, 50 * SECOND, SECOND), wheels=PYRAMID)
+    for k, wheel in enumerate(PYRAMID):
+        axial = motion.wheel_speeds[:, k] + motion.angular_velocity @ wheel.axis
+        assert abs(axial - axial[0]).max() < 1e-14 * 40.0
+
+
+@pytest.mark.parametrize(('make', 'message'), [
+    (lambda: Wheel('', (1, 0, 0), 1.0), "name of a wheel: expected a text, found ''"),
+    (lambda: Wheel('w', (0, 0, 0), 1.0), "axis of wheel 'w': expected a direction, found zeros"),
+    (lambda: Wheel('w', (1, 0, 0), 0.0), "inertia of wheel 'w': expected kg m^2 greater than"),
+    (lambda: Wheel('w', (1, 0, 0), 1.0, max_speed=-1.0), "max_speed of wheel 'w': expected zero"),
+    (lambda: Wheel('w', (1, 0, 0), 1.0, friction=0.1), "friction of wheel 'w': expected 0, "),
+    (lambda: EffortLog([0], [[np.inf]]), 'effort 0 at 0 ns: expected finite numbers, or NaN'),
+    (lambda: EffortLog([0], [1.0]), 'efforts: expected shape (1, wheels), found (1,)'),
+    (lambda: Problem(BODY, START, wheels=PYRAMID, efforts=EffortLog([0], [[1.0]])),
+     'efforts: expected those of 4 wheels with names, found those of 1'),
+    (lambda: Problem(BODY, START, efforts=EffortLog([0], [[1.0]])),
+     'efforts: expected those of 0 wheels with names, found those of 1'),
+    (lambda: Problem(BODY, START, wheels=[PYRAMID[0]] * 2), 'wheels: expected each name once, '),
+    (lambda: propagate(BODY, START, at=[0], wheels=[Wheel('w', (1, 0, 0), 2.5)]),
+     'wheels: expected axial inertia that the body can have, found that the rest is impossible: '),
+    (lambda: propagate(BODY, replace(START, wheel_speeds=(1.0, 2.0)), at=[0], wheels=PYRAMID),
+     'start: expected the speeds of 4 wheels, found 2'),
+    (lambda: Problem(BODY, START, wheels=PYRAMID, solver='exact'),
+     "solver 'exact' handles neither rotors nor damping, found rotors"),
+    (lambda: Propagator(BODY, START, wheels=PYRAMID, fields=[GravityGradient(0.1)]),
+     'fields: expected no gravity gradient with wheels that have names, '),
+    (lambda: Propagator(BODY, START).apply_efforts(0, {'a': 1.0}),
+     'efforts: expected wheels with names, found none'),
+    (lambda: Propagator(BODY, START, wheels=PYRAMID).apply_efforts(0, {'e': 1.0}),
+     "efforts: expected names of wheels (a, b, c, d), found 'e'"),
+    (lambda: Propagator(BODY, START, wheels=PYRAMID).apply_efforts(0, {'a': np.nan}),
+     "effort of wheel 'a': expected a finite number, found nan"),
+])
+def test_mistakes_are_reported(make, message):
+    with pytest.raises(ValueError, match=f'^{re.escape(message)}'):
+        make()
+
+
+SCENE = {'inertia.ixx': 2.0, 'inertia.iyy': 3.0, 'inertia.izz': 4.0,
+         'initial_angular_velocity.x': 0.3, 'initial_rotor_momentum.y': 0.2,
+         'wheel_names': ['rw_x', 'rw_yz'], 'rw_x.axis.x': 2.0, 'rw_x.inertia': 0.05,
+         'rw_x.initial_speed': 30.0, 'rw_yz.axis.y': 1.0, 'rw_yz.axis.z': 1.0,
+         'rw_yz.inertia': 0.1, 'rw_yz.max_torque': 0.2, 'rw_yz.max_speed': 100.0}
+
+
+def test_a_scene_names_wheels():
+    scene = Scene.from_values(SCENE)
+    wheels = [Wheel('rw_x', (1, 0, 0), 0.05, 30.0),
+              Wheel('rw_yz', (0, 1, 1), 0.1, max_torque=0.2, max_speed=100.0)]
+    at = np.arange(0, 5 * SECOND, SECOND)
+    expected = propagate(scene.body, scene.start, at=at, wheels=wheels)
+    assert same(scene.problem().propagate(at=at), expected)
+    epoch = Epoch(scene, scene.start)
+    assert np.array_equal(epoch.at(at[-1], np.inf).wheel_speeds, expected.wheel_speeds[-1])
+    assert scene.has_rotors
+
+
+@pytest.mark.parametrize(('values', 'message'), [
+    ({'wheels': True}, 'wheel_names: expected none with wheels: true, found rw_x, rw_yz'),
+    ({'rw_x.axis.x': 0.0}, 'rw_x.axis: expected rw_x.axis.x, .y or .z other than 0, found zeros'),
+    ({'rw_x.friction': 0.1}, "friction of wheel 'rw_x': expected 0, because wheels with friction"),
+    ({'rw_x.inertia': 0.0}, 'rw_x.inertia: expected a finite number greater than 0'),
+    ({'rw_x.inertia': None}, 'rw_x.inertia: expected a number (kg m^2), found none'),
+    ({'rw_x.inertia': 1.9}, 'wheels: expected axial inertia that the body can have, found'),
+    ({'other.max_speed': 1.0}, "other.max_speed: expected 'other' among the names in "
+                               'wheel_names, found rw_x, rw_yz'),
+    ({'rw_x.max_sped': 1.0}, 'rw_x.max_sped: unknown key; did you mean rw_x.max_speed?'),
+    ({'wheel_names': ['rw_x'] * 2}, "wheel_names: expected each name once, found 'rw_x' twice"),
+    ({'wheel_names': ['inertia']}, 'wheel_names: expected a name with which no other parameter'),
+    ({'fields': ['rw_x']}, 'wheel_names: expected a name with which no other parameter begins, '),
+    ({'orbit.mean_motion': 0.1}, 'orbit.mean_motion: expected 0 with wheel_names, because'),
+    ({'solver': 'exact'}, "solver 'exact' handles neither rotors nor damping, found rotors"),
+])
+def test_mistakes_in_a_scene_are_reported_in_one_line(values, message):
+    with pytest.raises(InputError, match=f'^{re.escape(message)}') as error:
+        Scene.from_values({**SCENE, **values})
+    assert '\n' not in str(error.value)
+
+
+def test_a_checkpoint_keeps_the_speeds_of_the_wheels(tmp_path):
+    scene = Scene.from_values(SCENE)
+    state = Epoch(scene, scene.start).at(3 * SECOND, np.inf)
+    Checkpoint(str(tmp_path / 'state.json'), scene, '/node').save_last(state)
+    found = Checkpoint(str(tmp_path / 'state.json'), scene, '/node').start
+    assert np.array_equal(found.wheel_speeds, state.wheel_speeds)
+    assert np.array_equal(found.rotor_momentum, state.rotor_momentum)
+    end = Epoch(scene, found).at(4 * SECOND, np.inf)
+    expected = Epoch(scene, scene.start).at(4 * SECOND, np.inf)
+    assert abs(end.attitude - expected.attitude).max() < 1e-15
+    assert abs(end.wheel_speeds - expected.wheel_speeds).max() < 1e-13
+
+
+@pytest.mark.parametrize('log', [
+    None, TorqueLog([0, SECOND], [[0.1, 0.2, 0.3], [0.0, 0.1, 0.0]]),
+    TorqueLog([0, SECOND], [[0.1, 0.2, 0.3], [0.0, 0.1, 0.0]], frame='space')])
+def test_the_check_of_a_motion_knows_its_wheels(log):
+    efforts = EffortLog([0, SECOND, 2 * SECOND], [[0.3, 0.1, 0.0, -0.3], [0.5] * 4, [-0.1] * 4])
+    problem = Problem(BODY, START, log, wheels=LIMITED, efforts=efforts)
+    at = np.arange(0, 10 * SECOND, SECOND // 10)
+    motion = problem.propagate(at=at)
+    assert float(re.search(r'[\d.]+e[-+]\d+', drift(problem, motion).finding)[0]) < 1e-9
+    other = problem.carried().propagate(at=at)
+    assert np.array_equal(other.attitude, motion.attitude)
+    assert np.array_equal(other.angular_velocity, motion.angular_velocity)
+
+
+def test_an_ensemble_of_a_scene_with_wheels_has_their_motions(tmp_path):
+    lines = [f'    {name}: {value}' for name, value in SCENE.items()]
+    (tmp_path / 'scene.yaml').write_text('/**:\n  ros__parameters:\n' + '\n'.join(lines))
+    (tmp_path / 'vary.yaml').write_text('initial_angular_velocity.x: {uniform: [0.2, 0.4]}')
+    assert main.attitude_ensemble([
+        '--scene', str(tmp_path / 'scene.yaml'), '--vary', str(tmp_path / 'vary.yaml'), '--runs',
+        '3', '--until', '2', '-o', str(tmp_path / 'runs')]) == 0
+    row = pq.read_table(tmp_path / 'runs' / 'runs.parquet').to_pylist()[1]
+    problem = Scene.from_values(
+        {**SCENE, 'initial_angular_velocity.x': row['initial_angular_velocity.x']}).problem()
+    found = [row[f'attitude.{name}'] for name in 'xyzw']
+    assert found == problem.propagate(at=[2 * SECOND]).attitude[0].tolist()
+
+
+def test_many_motions_refuse_wheels_with_names():
+    with pytest.raises(ValueError, match='found wheels with names, which only propagate computes'):
+        propagate_many(RigidBodies([BODY.inertia]), States(), at=[SECOND], wheels=PYRAMID)
