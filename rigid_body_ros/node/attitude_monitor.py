@@ -63,6 +63,10 @@ NAME = 'attitude_monitor'
 _QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 #: s; period of the search for windows that are over, and that of diagnostics.
 _WATCH_PERIOD, _REPORT_PERIOD = 0.1, 1.0
+#: s; a topic that was heard within so long, and `history`, may have messages that wait.
+_PATIENCE = 1.0
+#: s; how far a stamp may be ahead of simulated time.
+_OVERTAKING = 60.0
 #: Number of the first measured topic as a source of diagnostics; torques have lower ones.
 _FIRST_MEASURED = 10 ** 6
 _SEVERAL = 'messages of several publishers of one topic are taken as those of one sensor'
@@ -110,19 +114,19 @@ class AttitudeMonitor(Node):
         self._diagnostics = Diagnostics(self, [*self._sources.values()])
         self._inputs = Inputs(self._scene, self._diagnostics)
         self._arrivals, self._clock_check = ArrivalStamps(), ClockMonitor(self)
-        self._jumps = JumpDetector(self.get_clock(), self.get_parameter('use_sim_time').value,
+        self._is_simulated = self.get_parameter('use_sim_time').value
+        self._jumps = JumpDetector(self.get_clock(), self._is_simulated,
                                    duration_ns(self._scene.history, 'history'))
         self._attitude, self._rate = (self.create_publisher(Vector3Stamped, f'~/{name}', 10)
                                       for name in ('attitude_error', 'rate_error'))
         self._torque = self.create_publisher(WrenchStamped, '~/residual_torque', 10)
-        #: By number of the source: what receives messages, and the newest stamp, ns.
+        #: By number of the source.
         self._drains: dict[int, DrainCallback] = {}
-        self._newest_ns: dict[int, int] = {}
         self._begin()
         for source in sources_of(self._scene):
             self._subscribe(source, source.kind, partial(self._on_torque, source.number))
-        #: s, monotonic clock; of the last look, and when the next report is due.
-        self._watched_at = self._report_at = 0.0
+        #: s, monotonic clock; when the next report is due.
+        self._report_at = 0.0
         self.create_timer(_WATCH_PERIOD, self._watch,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -130,6 +134,10 @@ class AttitudeMonitor(Node):
         """Begin without any torque or measurement."""
         self._monitor = Monitor(self._scene.problem(), self._settings)
         self._last: Judgement | None = None
+        #: By number of the source: the newest stamp, ns, and when it was heard, s, monotonic.
+        self._newest_ns: dict[int, int] = {}
+        self._heard_at: dict[int, float] = {}
+        self._begun_at = time.monotonic()
 
     def _subscribe(self, source: TorqueTopic, kind: type, on_message: Any) -> None:
         drain = DrainCallback(partial(self._on_message, source.number, on_message), lambda: None,
@@ -149,12 +157,15 @@ class AttitudeMonitor(Node):
             stamp_ns, put = handle(data)
             if not stamp_ns or self._scene.time_source == ARRIVAL:
                 stamp_ns = self._arrivals.stamp()
-            check_stamp(stamp_ns, now_ns, self._scene.max_future)
+            # A message may overtake the one on /clock that was sent before it.
+            check_stamp(stamp_ns, now_ns, _OVERTAKING if self._is_simulated
+                        else self._scene.max_future)
             if not put(stamp_ns):
                 raise RejectedError(LATE, f'stamped {stamp_ns} ns, in a window that was judged '
                                     f'when a message was newer than its end by history '
                                     f'({self._scene.history:g} s)')
             self._newest_ns[source] = max(self._newest_ns.get(source, 0), stamp_ns)
+            self._heard_at[source] = time.monotonic()
             self._diagnostics.count(APPLIED, source)
         except RejectedError as rejected:
             self._diagnostics.reject(rejected, source)
@@ -201,13 +212,20 @@ class AttitudeMonitor(Node):
     def _watch(self) -> None:
         """Judge the windows that are over; once a second, look for topics, and report."""
         now_ns, now = self._now_ns(), time.monotonic()
-        # After a pause of the process, messages of other topics may still wait.
-        is_late, self._watched_at = now > self._watched_at + 2.0 * _WATCH_PERIOD, now
-        for judgement in () if is_late else self._monitor.judgements():
+        for judgement in self._monitor.judgements(self._complete_ns(now)):
             self._publish(judgement)
         if now > self._report_at:
             self._report_at = now + _REPORT_PERIOD
             self._report(self._problems(), now_ns)
+
+    def _complete_ns(self, now: float) -> int:
+        """Return up to when the messages of all topics that send have arrived, ns."""
+        # After a pause of the process, those of one topic may wait behind those of another.
+        patience = _PATIENCE + self._scene.history
+        sending = [number for number in self._drains
+                   if now < self._heard_at.get(number, self._begun_at) + patience]
+        return min((self._newest_ns.get(number, 0) for number in sending),
+                   default=self._monitor.newest_ns)
 
     def _publish(self, judgement: Judgement) -> None:
         error, body = judgement.error, self._scene.body_frame

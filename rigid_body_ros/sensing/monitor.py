@@ -116,9 +116,15 @@ class Monitor:
         rows.put(time_ns, values, frame)
         return True
 
-    def judgements(self) -> Iterator[Judgement]:
-        """Judge the windows that are over, and forget them; those without samples are skipped."""
+    def judgements(self, complete_ns: int | None = None) -> Iterator[Judgement]:
+        """
+        Judge the windows that are over, and forget them; those without samples are skipped.
+
+        With `complete_ns`, only windows that end by then: messages from after it may still wait.
+        """
         until_ns = self.newest_ns - self._history_ns
+        if complete_ns is not None:
+            until_ns = min(until_ns, complete_ns)
         while (begin_ns := self._next_ns()) is not None:
             end_ns = begin_ns + self._window_ns
             if end_ns > until_ns:
